@@ -13,14 +13,20 @@ from jaxvision.accuracy.records import Compute
 from jaxvision.errors import InputError
 
 from ..observation import Load
-from ..reflectance.from_images.derivatives import predict
-from ..reflectance.from_images.fit import ChannelFit, fit_channel
-from ..reflectance.from_images.geometry_cells import Grouping, average, group, saturated_only
-from ..reflectance.from_images.model import Samples
+from ..reflectance.from_images.fit import ChannelFit, adjusted_log_density, composite, fit_channel
 from ..reflectance.from_images.optimum import TOLERANCE, minimise_samples
-from ..reflectance.from_images.posterior import adjusted_log_density, composite
 from ..reflectance.from_images.read import Photographs, read_reflectance_observation
-from ..reflectance.from_images.samples import Selection, gather, select
+from ..reflectance.from_images.samples import (
+    Grouping,
+    Samples,
+    Selection,
+    average,
+    gather,
+    group,
+    predict,
+    saturated_only,
+    select,
+)
 from ..reflectance.from_images.signal import Form
 from ..rig import Rig
 from .chains import Density, Turn, chain_knobs

@@ -9,12 +9,9 @@ import numpy as np
 from jaxvision.errors import InputError
 
 from ..reflectance.from_images.calibration import open_parameters
-from ..reflectance.from_images.fit import fit_channel
-from ..reflectance.from_images.from_memory import from_photographs
-from ..reflectance.from_images.geometry_cells import Grouping, group
-from ..reflectance.from_images.posterior import channel_posterior
-from ..reflectance.from_images.read import Photographs
-from ..reflectance.from_images.samples import Selection, gather, select
+from ..reflectance.from_images.fit import channel_posterior, fit_channel
+from ..reflectance.from_images.read import Photographs, from_photographs
+from ..reflectance.from_images.samples import Grouping, Selection, gather, group, select
 from ..reflectance.from_images.signal import Form
 from ..rig import Camera, SphereGeometry
 from .simulations import places_in

@@ -11,7 +11,7 @@ from ..inference.emcee_run import Emcee
 from ..inference.given import require_kind
 from ..inference.posterior import Posterior
 from ..inference.precision import in_double
-from ..reflectance.from_images.posterior import Adjusted, adjusted_posterior, robust
+from ..reflectance.from_images.fit import Adjusted, adjusted_posterior, robust
 from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.shading_check import without_strangers
 from ..reflectance.from_images.signal import Form
@@ -20,9 +20,7 @@ from ..reflectance.names import INDEX, Model
 from ..report.notebook import ShownInNotebooks
 from ..report.progress import Progress
 from .fit import JointFit, fit_turned
-from .freedom import degrees_of_freedom, laplace_miss
-from .halves import Halves, by_halves, widened
-from .misfit import over_images
+from .misfit import Halves, by_halves, degrees_of_freedom, laplace_miss, over_images, widened
 from .model import log_posterior
 
 STEPS = ("fit", "halves", "posterior")  # of each channel

@@ -90,7 +90,7 @@ def make_grid(
     levels, ones = _levels(observation.normals, width), np.ones(len(observation.normals))
     split = np.zeros((len(lights), len(levels) - 1, len(observation.normals)), bool)
     for i, light in enumerate(lights if len(levels) > 1 else ()):
-        _, usable = _usable_at(observation, channel, int(light), reference, form)
+        _, usable = pixels_at(observation, channel, int(light), reference, form)
         at = local_geometry(observation.normals, observation.wi[light], ones)
         shading = np.asarray(unit_lobe(form, reference[shape_of(form.model).name], at))
         split[i] = [_uneven(level, usable, shading) for level in levels[:-1]]
@@ -161,7 +161,7 @@ def reduce_images(
     white = jnp.asarray(observation.white)
     at_cells = np.asarray(_pixel_moments(reference, form, grid.geometry, white)[4])
     for i, (light, cell, pixels) in enumerate(zip(grid.lights, grid.cell, grid.count, strict=True)):
-        expected, usable = _usable_at(observation, channel, int(light), reference, form)
+        expected, usable = pixels_at(observation, channel, int(light), reference, form)
         allowed = pixels if within is None else within[i]
         whole = (np.bincount(cell, usable, len(pixels)) == pixels) & (allowed > 0)
         count[i] = np.where(whole, pixels, 0)
@@ -186,45 +186,34 @@ def reduce_images(
     return replace(Cells(grid.geometry, *arrays), products=products)
 
 
-def _usable_at(
-    observation: Photographs, channel: int, light: int, reference: Values, form: Form
-) -> tuple[np.ndarray, np.ndarray]:
-    """As `pixels_at`, without the partly lit pixels of the outline."""
-    expected, usable = pixels_at(observation, channel, light, reference, form)
-    return expected, usable & (observation.cosine[light] > SMALLEST_COSINE)
+def image_geometry(
+    observation: Photographs, channel: int, light: int, *, turns: bool = False
+) -> Geometry:
+    """The illumination geometry of the pixels under one light, (1, pixels)."""
+    irradiance = observation.intensity[channel, light] * observation.falloff[light]
+    seen = observation.normals[None], observation.wi[light][None], irradiance[None]
+    return local_geometry(*seen, turns=turns)
 
 
 def pixels_at(
     observation: Photographs, channel: int, light: int, values: Values, form: Form
 ) -> tuple[Float[np.ndarray, " pixels"], Bool[np.ndarray, " pixels"]]:
     """Return (pixels,) expected DN in one image, and the mask of pixels away from both ends of
-    the scale. A pixel qualifies by its expected number, or by a measured number that leaves no
-    doubt."""
-    irradiance = observation.intensity[channel, light] * observation.falloff[light]
-    wi = observation.wi[light]
-    geometry = local_geometry(observation.normals[None], wi[None], irradiance[None])
-    expected, x, variance, noise, _ = (
-        np.asarray(a)[0]
-        for a in _pixel_moments(values, form, geometry, jnp.asarray(observation.white))
-    )
+    the scale and from the partly lit outline. A pixel qualifies by its expected number, or by a
+    measured number that is twice as far from both ends, which leaves no doubt."""
+    white, geometry = observation.white, image_geometry(observation, channel, light)
+    found = _pixel_moments(values, form, geometry, jnp.asarray(white))
+    expected, x, variance, noise, _ = (np.asarray(a)[0] for a in found)
     foot = x if "gamma" in values else x + float(values["black_level"])
     below = expected + CLEAR * np.sqrt(variance) < observation.clip
     clear = (foot > CLEAR * noise) & below
-    return expected, clear | _measured_clear(observation, channel, light, values)
-
-
-def _measured_clear(
-    observation: Photographs, channel: int, light: int, values: Values
-) -> np.ndarray:
-    """(pixels,) whose measured numbers are twice as far from both ends as the expected ones must
-    be."""
     gain, read_noise = float(values["system_gain"]), float(values["read_noise"])
-    gamma, white = float(values.get("gamma", 1.0)), observation.white
-    dn = observation.dn[channel, light]
-    x = white * (np.maximum(dn - float(values["black_level"]), 0) / white) ** gamma
-    noise, at_white = (np.sqrt(gain * level + (gain * read_noise) ** 2) for level in (x, white))
+    gamma, dn = float(values.get("gamma", 1.0)), observation.dn[channel, light]
+    seen = white * (np.maximum(dn - float(values["black_level"]), 0) / white) ** gamma
+    noise, at_white = (np.sqrt(gain * level + (gain * read_noise) ** 2) for level in (seen, white))
     below = dn + 2 * CLEAR * at_white / gamma < observation.clip
-    return (x > 2 * CLEAR * noise) & below
+    clear |= (seen > 2 * CLEAR * noise) & below
+    return expected, clear & (observation.cosine[light] > SMALLEST_COSINE)
 
 
 @eqx.filter_jit

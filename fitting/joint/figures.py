@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
+from ..reflectance.from_images.figures import draw_lights, shown_lights
 from ..report.colours import OF_CHANNEL
 from .calibration import JointCalibration
 from .fit import image_errors
@@ -11,37 +12,21 @@ from .model import predicted_parts
 from .prediction import predict
 
 BINS = 16
-SHOWN_LIGHTS = 4
+LARGEST = 4.0  # standard deviations on the scale of differences
 
 
 def images_figure(calibration: JointCalibration) -> Figure:
     """Rows: measured, predicted, difference in standard deviations; columns: lights."""
-    observation = calibration.observation
+    observation, columns = calibration.observation, {}
     fit = calibration.fits[len(calibration.fits) // 2]
     channel = observation.channels.index(fit.channel)
-    covariance = calibration.posteriors[fit.channel].covariance
-    unseen, seen = (np.flatnonzero(observation.held_out == kept) for kept in (True, False))
-    lights = [*seen[: SHOWN_LIGHTS // 2], *unseen[: SHOWN_LIGHTS // 2]]
-    figure = Figure(figsize=(1.2 + 2.2 * len(lights), 6.6), layout="constrained")
-    axes = figure.subplots(3, len(lights), squeeze=False)
-    for column, light in enumerate(lights):
-        made = predict(calibration.observation, fit, covariance, int(light))
+    for light in shown_lights(observation):
+        made = predict(observation, fit, calibration.posteriors[fit.channel].covariance, light)
         dn = np.where(made.usable, observation.dn[channel, light], np.nan)
-        top = np.nanquantile(dn, 0.999)
-        left = (dn - made.mean) / made.deviation
-        for row, values in enumerate((dn, made.mean, left)):
-            plane = np.full(observation.shape, np.nan)
-            plane[observation.rows, observation.columns] = values
-            low, high, colours = (observation.black, top, "gray") if row < 2 else (-4, 4, "RdBu_r")
-            axes[row, column].imshow(plane, vmin=low, vmax=high, cmap=colours)
-            axes[row, column].set(xticks=[], yticks=[])
-        kind = "held out" if observation.held_out[light] else "fitted"
-        axes[0, column].set_title(f"{observation.files[light]}\n({kind})", fontsize=9)
-    for row, label in enumerate(("measured", "predicted", "difference")):
-        axes[row, 0].set_ylabel(label)
-    scale = axes[2, 0].images[0]
-    figure.colorbar(scale, ax=axes[2].tolist(), label="standard deviations", shrink=0.8)
-    return figure
+        white = np.nanquantile(dn, 0.999) - observation.black
+        seen = (np.stack([dn, made.mean])[:, None] - observation.black) / white
+        columns[light] = (*seen, (dn - made.mean) / made.deviation)
+    return draw_lights(observation, columns, LARGEST, "standard deviations")
 
 
 def noise_figure(calibration: JointCalibration) -> Figure:

@@ -22,10 +22,9 @@ from ..report.section import Table
 from ..report.sentences import Finding, Numbers, said
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
-from .halves import APART
+from .misfit import APART, NOISE, unequal_pixels
 from .model import MISFIT_AT
 from .prediction import Score
-from .unequal_pixels import NOISE, unequal_pixels
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation above which the prior dominates
 UNLIT, FEWEST_UNLIT = 0.0, 30  # cosine of incidence in attached shadow; pixels needed

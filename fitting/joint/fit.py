@@ -8,6 +8,10 @@ The error of a light's direction enters linearly. A highlight is not linear in i
 direction: the mean over lights with errors of a degree is wider and weaker than each highlight, in
 all images. The fit is therefore repeated about the fitted directions (Gauss-Newton) until no light
 moves.
+
+A stated error that all pixels of an image share is not averaged over them, so it is compared with
+the combined noise of all, and dropped if it is negligible (`inference.left_out`). Its scale is
+taken at the upper end of its prior, so that the bound is valid for every fitted scale.
 """
 
 from dataclasses import dataclass, replace
@@ -21,19 +25,30 @@ from jaxtyping import Array, Float
 from jaxvision.errors import InputError
 
 from ..inference.diagnostics import Identifiability, identifiability
-from ..inference.left_out import LeftOut
+from ..inference.left_out import LeftOut, distance, negligible
 from ..inference.newton import NewtonSolution, minimise
-from ..inference.parameters import ParameterSpace, log_prior, names, to_unconstrained
+from ..inference.parameters import (
+    Parameter,
+    ParameterSpace,
+    log_prior,
+    names,
+    natural_numbers,
+    to_natural,
+    to_unconstrained,
+)
+from ..reflectance.from_images.lights import SETTLED, WIDEST, turned
+from ..reflectance.from_images.optimum import project
 from ..reflectance.from_images.read import Photographs, turn_prior_of
-from ..reflectance.from_images.signal import Form, Values
-from ..reflectance.from_images.turns import SETTLED, WIDEST, turned
+from ..reflectance.from_images.samples import Selection, average, cells_of, make_samples, select
+from ..reflectance.from_images.signal import Form, Matrix, Values, Vector, decoded, parameter_space
 from ..reflectance.models import is_searched, shape_of
 from . import marginal
-from .candidates import with_misfit, without_small_errors
 from .cells import Grid, cell_width, make_grid, reduce_images
 from .model import (
+    SCATTERS,
     JointData,
     Levels,
+    black_level,
     cost,
     error_precision,
     parameters,
@@ -41,7 +56,6 @@ from .model import (
     scatter_scales,
     values_at,
 )
-from .start import first_noise, first_reflectance
 
 FEWEST_CELLS = 50
 EXCESS = 3.0  # standard deviations of chi-square from which the model does not explain the cells
@@ -49,6 +63,10 @@ MOST_ROUNDS = 24
 FREE_ROUNDS = 2  # after which no cell is taken in again: one at an end of the scale may come and go
 AT_REST = 0.05  # standard deviations by which the reference may miss the best model
 MOST_TURNS = 8  # of the lights
+MOST_AT_START = 100_000  # samples
+LARGEST = 3.0  # standard deviations of the prior of an error's size
+MISFIT = Parameter("misfit", symbol="ρ", unit="1", lower=0.0, upper=1.0)
+MOST_AT_FIRST = 0.5  # of the misfit
 
 
 @dataclass(frozen=True)
@@ -58,8 +76,8 @@ class JointFit:
     channel: str
     data: JointData  # with the cells about the best model
     grid: Grid
-    vector: Float[np.ndarray, " parameters"]  # unconstrained
-    information: Float[np.ndarray, "parameters parameters"]  # of the posterior on that scale
+    vector: Vector  # unconstrained
+    information: Matrix  # of the posterior on that scale
     identifiability: Identifiability  # of the likelihood alone
     chi_square: float  # of the cells' means, per cell
     cells: int  # how many there are, over all images
@@ -106,11 +124,11 @@ def fit_channel(
     unexplained = None
     if chi_square - 1 > EXCESS * np.sqrt(2 / cells):
         unexplained = chi_square
-        data, vector = with_misfit(about_start, start)
-        data, solution = _rounds(observation, channel, grid, data, vector)
+        data, solution = _rounds(observation, channel, grid, *with_misfit(about_start, start))
         chi_square, cells = _chi_square(solution.vector, data)
     of_prior = -eqx.filter_jit(jax.hessian(log_prior, argnums=1))(data.space, solution.vector)
     by_data = np.asarray(solution.information - of_prior, np.float64)
+    found = bool(solution.converged) and is_searched_shape(solution.vector, data)
     return JointFit(
         channel=observation.channels[channel],
         data=data,
@@ -121,9 +139,7 @@ def fit_channel(
         chi_square=chi_square,
         cells=cells,
         unexplained=unexplained,
-        converged=bool(solution.converged)
-        and cells >= FEWEST_CELLS
-        and is_searched_shape(solution.vector, data),
+        converged=found and cells >= FEWEST_CELLS,
         left_out=gone,
     )
 
@@ -135,6 +151,9 @@ def is_searched_shape(vector: Float[Array, " parameters"], data: JointData) -> b
     if model == "lambert":
         return True
     return is_searched(model, float(values_at(vector, data)[shape_of(model).name]))
+
+
+# ---------------------------------------------------------------- start
 
 
 def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid, JointData, Array]:
@@ -168,11 +187,58 @@ def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid,
         own = observation.levels[channel]
         levels = Levels(*(jnp.asarray(a) for a in (own.mean, own.variance, own.freedom)))
     relative = {n: jnp.asarray(size[grid.lights]) for n, (_, size) in scales.items() if n != "prnu"}
+    prior = turn_prior_of(observation, grid.lights)
+    precision = None if prior is None else jnp.asarray(np.linalg.inv(prior))
     white = jnp.asarray(observation.white)
-    data = JointData(space, form, known, cells, levels, white, relative)
-    if (prior := turn_prior_of(observation, grid.lights)) is not None:
-        data = replace(data, turn_precision=jnp.asarray(np.linalg.inv(prior)))
+    data = JointData(space, form, known, cells, levels, white, relative, precision)
     return grid, data, to_unconstrained(space, jnp.asarray(list(natural.values())))
+
+
+def first_reflectance(
+    observation: Photographs, channel: int, form: Form
+) -> tuple[Form, dict[str, float]]:
+    """Return the form that the images support (Lambert's without a highlight), and natural
+    least-squares values of reflectance and gamma."""
+    chosen = select(observation, held_out=False, form=form)
+    every = -(-len(chosen.light) // MOST_AT_START)
+    chosen = Selection(chosen.light[::every], chosen.pixel[::every])
+    samples = make_samples(observation, channel, form, chosen)
+    found, vector = project(average(samples, cells_of(observation, chosen)))
+    space = parameter_space(found.form)
+    start = dict(zip(names(space), natural_numbers(space, vector).tolist(), strict=True))
+    if not form.free_gamma and observation.gamma is not None:
+        start["gamma"] = observation.gamma
+    return replace(form, model=found.form.model), start
+
+
+def first_noise(observation: Photographs, channel: int, gamma: float | None) -> dict[str, float]:
+    """Return natural start values of gain, read noise, black level and error sizes, for an encoding
+    exponent that is None for linear files."""
+    camera = observation.camera
+    found = {name: size for name, (size, _) in scatter_scales(observation).items()}
+    gain = camera.gain
+    if gain is None:
+        gain = _gain_of_neighbours(observation, channel, gamma)
+    typical = np.median(observation.dn[channel][observation.cosine > 0]) - observation.black
+    read_noise = camera.read_noise or float(np.sqrt(0.1 * max(float(typical), 1.0) / gain))
+    black = black_level(observation, channel)[0]
+    return found | {"black_level": black, "system_gain": gain, "read_noise": read_noise}
+
+
+def _gain_of_neighbours(observation: Photographs, channel: int, gamma: float | None) -> float:
+    """K from the differences of neighbours in a row, whose light is nearly equal."""
+    dn = np.clip(observation.dn[channel], observation.black + 1, None)
+    linear = decoded(dn, observation.black, observation.white, gamma)
+    beside = (np.diff(observation.columns) == 1) & (np.diff(observation.rows) == 0)
+    lit = (observation.cosine[:, 1:] > 0.2) & (dn[:, 1:] < observation.clip) & beside
+    squares = np.diff(linear, axis=1)[lit] ** 2 / 2
+    if not squares.size:
+        return 1.0
+    mean = (linear[:, 1:] + linear[:, :-1])[lit] / 2
+    return max(float(np.median(squares / mean)) / 0.455, 1e-3)  # of chi-square, one degree
+
+
+# ---------------------------------------------------------------- search
 
 
 def _rounds(
@@ -198,14 +264,73 @@ def _chi_square(vector: Array, data: JointData) -> tuple[float, int]:
     """Chi-square of the cells' means, per degree of freedom, and the number of cells."""
     model, weight, of_cells = predicted_parts(vector, data)
     cells = int(jnp.sum(weight > 0))
-    left = data.cells.mean - model.mean
-    shared = {
-        "image_errors": model.image_errors,
-        "cell_errors": of_cells,
-        "precision": error_precision(data),
-    }
-    found = eqx.filter_jit(marginal.chi_square)(left, weight, **shared)
+    found = eqx.filter_jit(marginal.chi_square)(
+        data.cells.mean - model.mean,
+        weight,
+        image_errors=model.image_errors,
+        cell_errors=of_cells,
+        precision=error_precision(data),
+    )
     return float(found) / max(cells - len(data.space), 1), cells
+
+
+def without_small_errors(
+    data: JointData, vector: Array
+) -> tuple[JointData, Array, tuple[LeftOut, ...]]:
+    """Return data and unconstrained vector without the errors that are negligible in total, and
+    those errors in standard deviations of the noise of all data. The dropped errors are not
+    traced."""
+    scatters = [parameter for parameter in data.space if parameter.name in SCATTERS]
+    if not scatters:
+        return data, vector, ()
+    natural = to_natural(data.space, vector)
+    for parameter in scatters:
+        most = parameter.prior.median * np.exp(LARGEST * parameter.prior.log_sd)
+        natural = natural.at[data.space.index(parameter)].set(most)
+    model, weight, of_cells = predicted_parts(to_unconstrained(data.space, natural), data)
+    found, at = [], 0
+    for parameter in scatters:
+        name = parameter.name
+        if name == "prnu":
+            squares = (np.asarray(weight) * np.asarray(of_cells) ** 2).sum(0)
+            count = np.asarray(data.cells.count).max(0)  # pixels of a cell, each of its own
+        else:
+            rows = 2 if name == "direction_scatter" else 1
+            errors = np.asarray(model.image_errors)[:, at : at + rows]
+            squares, count = (np.asarray(weight)[:, None] * errors**2).sum((1, 2)), 1.0
+            at += rows
+        found.append(LeftOut(name, parameter.prior.median, distance(squares, parts=count)))
+    gone = negligible(found)
+    named = {own.name for own in gone}
+    left = [i for i, parameter in enumerate(data.space) if parameter.name not in named]
+    data = replace(
+        data,
+        space=tuple(data.space[i] for i in left),
+        cells=replace(data.cells, products=None) if "prnu" in named else data.cells,
+        relative={name: size for name, size in data.relative.items() if name not in named},
+    )
+    return data, vector[np.array(left)], gone
+
+
+def with_misfit(data: JointData, vector: Array) -> tuple[JointData, Array]:
+    """Return the data and start of a model with a misfit, whose size the cells' residuals give.
+
+    The cells must be about the start. About the best model without a misfit, its gain and read
+    noise have already taken up part of the misfit."""
+    data = replace(data, space=(*data.space, MISFIT))
+
+    def starting(size: float) -> Array:
+        return jnp.concatenate([vector, to_unconstrained((MISFIT,), jnp.asarray([size]))])
+
+    model, weight, _ = predicted_parts(starting(MOST_AT_FIRST), data)
+    unit = np.asarray(model.misfit) / MOST_AT_FIRST
+    seen = np.asarray(weight) > 0
+    squares = np.asarray(data.cells.mean - model.mean)[seen] ** 2
+    size = float(np.sqrt(squares.mean() / np.mean(unit[seen] ** 2)))
+    return data, starting(min(size, MOST_AT_FIRST))
+
+
+# ---------------------------------------------------------------- lights
 
 
 def fit_turned(observation: Photographs, channel: int, form: Form) -> JointFit:
@@ -257,8 +382,11 @@ def image_errors(
     model, weight, of_cells = predicted_parts(jnp.asarray(fit.vector), fit.data)
     if model.image_errors is None:
         return None
-    left = fit.data.cells.mean - model.mean
-    by_image = eqx.filter_jit(marginal.image_error_means)
-    shared = {"cell_errors": of_cells, "precision": error_precision(fit.data)}
-    mean, spread = by_image(left, weight, model.image_errors, **shared)
+    mean, spread = eqx.filter_jit(marginal.image_error_means)(
+        fit.data.cells.mean - model.mean,
+        weight,
+        model.image_errors,
+        cell_errors=of_cells,
+        precision=error_precision(fit.data),
+    )
     return np.asarray(mean), np.asarray(spread)

@@ -1,4 +1,4 @@
-"""The covariance of a fit over its images, and a posterior with that covariance.
+"""How uncertain a fit is: the disagreement of its images, and how well its errors are known.
 
 The misfit of a model is correlated within an image, so cells are not independent. Images count as
 the independent data, or regions of lights if neighbours have similar errors. Each image has its own
@@ -12,37 +12,81 @@ Their sum is zero at the best fit, and their size is that of the noise if cells 
 errors. No test with few images detects errors as large as the noise. The sandwich is therefore
 always used, as in `from_images.fit`, unless the rig states errors of images and the images show no
 larger ones.
+
+A wrong model may fit one shape under some lights and another under others, which the curvature at
+one optimum does not show. Two halves of independent images differ by twice the standard deviation
+of the whole. If they differ by far more, half of their difference is used as the standard deviation
+(the random-groups estimate for two groups).
+
+With few lights, the scale s of their errors is poorly known, and so are the intervals that depend
+on it. If ln s has the standard error t, the variance s^2 has 1 / (2 t^2) degrees of freedom, and
+its interval is Student's. If s contributes only the part
+
+    a = d ln variance / d ln s^2
+
+of a parameter's variance, Satterthwaite's rule gives 1 / (2 a^2 t^2). For several scales the
+inverses add.
+
+The scatter of pixels may exceed photon and read noise because of unequal pixels or a texture. The
+mean variance s^2 of n pixels about their cell's mean has the variance 2 v^2 / (n - 1) about the
+model's v. Unequal gains of relative size p add p^2 R^2, where R is the response of a pixel to a
+relative change of the light. Their score, after removal of the part that gain and read noise
+explain, is a regression of s^2 - v on R^2 (Rao, Proc. Cambridge Phil. Soc. 44, 1948). Unequal
+pixels below significance may still bias gain and read noise, by p^2 C J. C is the posterior's
+covariance and J = dv^T W R^2 with the weights n / (2 v^2) of variances.
+
+Source:
+    Satterthwaite, "An Approximate Distribution of Estimates of Variance Components", Biometrics
+    Bulletin 2, 1946.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
-from scipy.special import chdtri
+from jaxtyping import Array, Float, Int
+from scipy.special import chdtri, ndtri
+
+from jaxvision.core.side_by_side import side_by_side
 
 from ..inference.clustering import Robustness, cluster_robust
+from ..inference.importance import FAR, gaussian_miss
 from ..inference.neighbours import regions
-from ..inference.newton import twice
-from ..inference.parameters import names
+from ..inference.newton import minimise, twice
+from ..inference.parameters import names, to_natural
+from ..reflectance.from_images.lights import ROUNDING, no_more_than
 from ..reflectance.from_images.read import Photographs
-from ..reflectance.from_images.stated import ROUNDING, no_more_than
-from .candidates import MISFIT
-from .fit import JointFit
+from ..reflectance.from_images.signal import Matrix, Vector
+from .fit import MISFIT, JointFit, fit_turned
 from .model import (
     BY_IMAGE,
-    Images,
+    SCATTERS,
     JointData,
-    by_image,
+    cost,
     log_likelihood,
     log_likelihood_by_image,
-    of_one_image,
+    log_posterior,
     of_surface,
+    predicted,
+    values_at,
 )
 
 CHANCE = 1e-3  # of calling images that agree within their noise ones that do not
+FEWEST_IMAGES = 12  # whose halves still determine a surface
+APART = 3.0  # standard deviations between halves from which they do not agree
+STEP = 0.1  # of ln s, over which the variances' slopes are taken
+NOISE = ("system_gain", "read_noise")  # what unequal pixels look like
+TYPICAL = 0.01  # relative gains of a camera's pixels, rms, which few exceed
+TOLERATED = 0.5  # standard errors by which gain or read noise may be off
+BEYOND_CHANCE = 5.0  # standard errors of the pixels' gains from none
+ONE_SIDED = float(ndtri(0.95))
+ALONE = 1e-9  # of the column R^2: the part that gain and read noise leave is rounding below it
+
+
+# ---------------------------------------------------------------- images
 
 
 def over_images(observation: Photographs, fit: JointFit) -> Robustness | None:
@@ -70,7 +114,7 @@ def over_images(observation: Photographs, fit: JointFit) -> Robustness | None:
     found = _sandwich(seen, slopes, total, prior[among], alike)
     model = np.linalg.inv(total)
     stated = not set(BY_IMAGE).isdisjoint(names(fit.space))
-    if fit.unexplained is not None:
+    if fit.unexplained is not None:  # an equal misfit under all lights lets images agree
         found = replace(found, covariance=_at_least(found.covariance, total))
     elif stated and effect <= chance and no_more_than(found, model):
         return None
@@ -78,16 +122,12 @@ def over_images(observation: Photographs, fit: JointFit) -> Robustness | None:
     covariance[among] += found.covariance - model
     freedom[own] = found.freedom
     disagree = fit.unexplained is not None or effect > chance
-    return replace(
-        found,
-        covariance=covariance,
-        freedom=freedom,
-        design_effect=max(effect, 1 + ROUNDING) if disagree else 1.0,
-    )
+    effect = max(effect, 1 + ROUNDING) if disagree else 1.0
+    return replace(found, covariance=covariance, freedom=freedom, design_effect=effect)
 
 
 def _disagreement(
-    total: np.ndarray, scores: np.ndarray, information: np.ndarray
+    total: Matrix, scores: np.ndarray, information: np.ndarray
 ) -> tuple[float, float]:
     """Mean square of the images' scores relative to independent cells, and the limit that chance
     exceeds once in `CHANCE`."""
@@ -100,11 +140,7 @@ def _disagreement(
 
 
 def _sandwich(
-    scores: np.ndarray,
-    information: np.ndarray,
-    total: np.ndarray,
-    prior: np.ndarray,
-    alike: np.ndarray,
+    scores: np.ndarray, information: np.ndarray, total: Matrix, prior: Matrix, alike: np.ndarray
 ) -> Robustness:
     """The sandwich over regions of images, which `alike` numbers."""
     images, count = scores.shape
@@ -112,18 +148,13 @@ def _sandwich(
     halves = axes * np.sqrt(np.maximum(values, 0))[:, None]  # columns: an image's slopes
     columns = np.zeros((count, images, count))
     columns[:, :, 0] = scores.T
-    return cluster_robust(
-        columns.reshape(count, -1),
-        total,
-        np.repeat(alike, count),
-        slopes=np.moveaxis(halves, 1, 0).reshape(count, -1),
-        prior=prior,
-    )
+    slopes = np.moveaxis(halves, 1, 0).reshape(count, -1)
+    labels = np.repeat(alike, count)
+    return cluster_robust(columns.reshape(count, -1), total, labels, slopes=slopes, prior=prior)
 
 
-def _at_least(covariance: np.ndarray, information: np.ndarray) -> np.ndarray:
-    """The covariance, at least the inverse of the information: a misfit that is equal under all
-    lights does not make images disagree."""
+def _at_least(covariance: Matrix, information: Matrix) -> Matrix:
+    """The covariance, at least the inverse of the information."""
     root = np.linalg.cholesky(information)
     ratio, axes = np.linalg.eigh(root.T @ covariance @ root)
     half = np.linalg.solve(root.T, axes * np.sqrt(np.maximum(ratio, 1)))
@@ -142,28 +173,193 @@ def _by_image(
     vector: Array, data: JointData
 ) -> tuple[Float[Array, "images parameters"], Float[Array, "images parameters parameters"]]:
     """Gradient of the log likelihood with respect to the parameters of each image, and minus its
-    second derivatives. Without pixel errors that images share, it is a sum over images."""
-    if data.cells.products is None:
-
-        def of(image: Images) -> tuple[Array, Array]:
-            alone = of_one_image(data, image)
-            _, gradient, information = twice(lambda v, d: -log_likelihood(v, d), vector, alone)
-            return -gradient, information
-
-        return jax.lax.map(of, by_image(data))
+    second derivatives. Images that share no errors of pixels or lights add up, so that the
+    parameters of all of them are moved at once."""
     count = data.cells.count.shape[0]
     alike = jnp.broadcast_to(vector, (count, vector.size))
+    slope = jax.grad(lambda vectors: -log_likelihood_by_image(vectors, data))
+    units = jnp.eye(vector.size, dtype=vector.dtype)
 
-    def minus(vectors: Array) -> Array:
-        return -log_likelihood_by_image(vectors, data)
+    def bend(moved: Array) -> Array:
+        return jax.jvp(slope, (alike,), (moved,))[1]
 
-    slope = jax.grad(minus)
+    def of_image(image: Array) -> Array:
+        nothing = jnp.zeros_like(alike)
+        return jax.vmap(lambda unit: bend(nothing.at[image].set(unit))[image])(units)
 
-    def information(image: Array) -> Array:
-        return jax.vmap(
-            lambda unit: jax.jvp(slope, (alike,), (jnp.zeros_like(alike).at[image].set(unit),))[1][
-                image
-            ]
-        )(jnp.eye(vector.size, dtype=vector.dtype))
+    if data.cells.products is None and data.turn_precision is None:
+        every = jax.lax.map(lambda unit: bend(jnp.broadcast_to(unit, alike.shape)), units)
+        information = jnp.swapaxes(every, 0, 1)
+    else:
+        information = jax.lax.map(of_image, jnp.arange(count))
+    return -slope(alike), information
 
-    return -slope(alike), jax.lax.map(information, jnp.arange(count))
+
+# ---------------------------------------------------------------- halves
+
+
+@dataclass(frozen=True)
+class Halves:
+    """The same fit to the even and to the odd images.
+
+    Source:
+        Wolter, Introduction to Variance Estimation, 2nd ed. 2007, chapter 2.
+    """
+
+    names: tuple[str, ...]
+    values: Float[np.ndarray, "halves parameters"]  # in their units
+    difference: Vector  # of the two, unconstrained
+    # the same in standard deviations of such a difference; 0 for all but surface and encoding, as
+    # noise and misfit may differ between them
+    deviations: Vector
+
+    @property
+    def agree(self) -> bool:
+        return bool((np.abs(self.deviations) < APART).all())
+
+
+def by_halves(
+    observation: Photographs, channel: int, fit: JointFit, robust: Robustness
+) -> Halves | None:
+    """Fit the halves of one channel's images, where the fit of all images has the covariance
+    `robust`. Returns None for fewer than `FEWEST_IMAGES` images, and if a half does not determine
+    the model."""
+    images = np.flatnonzero(~observation.held_out)
+    if len(images) < FEWEST_IMAGES:
+        return None
+    others = [~np.isin(np.arange(len(observation.held_out)), images[half::2]) for half in (0, 1)]
+    fits = side_by_side(
+        [
+            partial(fit_turned, replace(observation, held_out=left), channel, fit.form)
+            for left in others
+        ]
+    )
+    if not all(half.converged and half.space == fit.space for half in fits):
+        return None
+    vectors = np.stack([half.vector for half in fits])
+    difference = vectors[0] - vectors[1]
+    return Halves(
+        names(fit.space),
+        np.asarray(to_natural(fit.space, jnp.asarray(vectors))),
+        difference,
+        of_surface(fit.space) * difference / (2 * np.sqrt(robust.gaussian_covariance.diagonal())),
+    )
+
+
+def widened(robust: Robustness, halves: Halves) -> Robustness:
+    """Widen a covariance over images to include the difference of halves that disagree."""
+    if halves.agree:
+        return robust
+    told = halves.difference * (halves.deviations != 0)
+    return replace(robust, covariance=robust.covariance + np.outer(told, told) / 4)
+
+
+# ---------------------------------------------------------------- scales
+
+
+def degrees_of_freedom(fit: JointFit, covariance: Matrix) -> Vector | None:
+    """Return (P,) degrees of freedom of the variances in a (P, P) unconstrained covariance,
+    infinite for the scales themselves; None if no scale is fitted."""
+    labels = names(fit.space)
+    scales = [i for i, name in enumerate(labels) if name in SCATTERS]
+    if not scales:
+        return None
+    others = np.array([i for i in range(len(labels)) if i not in scales])
+    inverse = np.zeros(len(labels))
+    for i in scales:
+        step = STEP * np.eye(len(labels))[i]
+        low, high = (
+            np.diagonal(np.linalg.inv(_information(fit, fit.vector + side * step, others)))
+            for side in (-1, 1)
+        )
+        inverse[others] += 2 * (np.log(high / low) / (4 * STEP)) ** 2 * covariance[i, i]
+    return 1 / np.maximum(inverse, 1e-12)
+
+
+def laplace_miss(fit: JointFit, covariance: Matrix) -> Vector:
+    """Return (P,) the difference of the log density from Laplace's Gaussian at two standard
+    deviations.
+
+    `gaussian_miss` evaluates the density along a line. The scale of a shared error has another
+    density after marginalising over the other parameters, because their volume grows with it.
+    """
+    missed = gaussian_miss(log_posterior, jnp.asarray(fit.vector), covariance, fit.data)
+    labels = names(fit.space)
+    for i in (labels.index(name) for name in labels if name in SCATTERS):
+        others = np.delete(np.arange(len(labels)), i)
+        step = FAR * covariance[i] / np.sqrt(covariance[i, i])
+        volumes = [
+            np.linalg.slogdet(_information(fit, fit.vector + side * step, others))[1] / 2
+            for side in (-1, 0, 1)
+        ]
+        missed[i] += np.max(np.abs(np.array(volumes) - volumes[1]))
+    return missed
+
+
+def _information(fit: JointFit, vector: Vector, kept: Int[np.ndarray, " kept"]) -> Matrix:
+    """Information of some parameters at any point, with the others fixed."""
+    there = minimise(cost, jnp.asarray(vector), fit.data, max_steps=1)
+    return np.asarray(there.information, np.float64)[np.ix_(kept, kept)]
+
+
+# ---------------------------------------------------------------- pixels
+
+
+@dataclass(frozen=True)
+class UnequalPixels:
+    """Pixel gains as estimated from the scatter of pixels."""
+
+    size: float  # relative, rms; 0 where the scatter rises less than photons make it
+    deviations: float  # of its square from 0, in standard errors
+    # relative, rms, that could have gone unseen: the upper 95 % limit, at most `TYPICAL`
+    most: float
+    moved: float  # standard errors by which `most` would move the gain or the read noise
+
+    @property
+    def found(self) -> bool:
+        """Whether unequal pixels are significant, so that gain and read noise include them."""
+        return self.deviations > BEYOND_CHANCE
+
+    def hide_noise(self, stated: bool) -> bool:
+        """Whether unequal pixels make gain and read noise unidentifiable. `stated`: whether the rig
+        gives their size."""
+        return self.found or (not stated and self.moved > TOLERATED)
+
+
+def unequal_pixels(fit: JointFit) -> UnequalPixels:
+    """Estimate the pixel gains of a fit that has none, by their score."""
+    cells = fit.data.cells
+    count = np.asarray(cells.count, np.float64)
+    freedom = count - 1
+    used = freedom > 0
+    variance, relative, slopes = (
+        np.asarray(x, np.float64) for x in _of_pixels(jnp.asarray(fit.vector), fit.data)
+    )
+    weight = np.sqrt(freedom[used] / 2) / variance[used]
+    beyond = (np.asarray(cells.scatter, np.float64)[used] / freedom[used] - variance[used]) * weight
+    column = relative[used] ** 2 * weight
+    known = slopes[:, used].T * weight[:, None]
+    left = column - known @ np.linalg.lstsq(known, column)[0]
+    # the larger shift of gain or read noise for p^2 = 1, in standard errors
+    covariance = np.linalg.pinv(fit.information)
+    weighted = np.where(count > 0, count / (2 * variance**2), 0) * relative**2
+    shift = covariance @ np.sum(slopes * weighted, axis=(1, 2)) / np.sqrt(covariance.diagonal())
+    noise = [i for i, parameter in enumerate(fit.space) if parameter.name in NOISE]
+    moved = float(np.max(np.abs(shift[noise]), initial=0.0))
+    if left @ left <= ALONE * (column @ column):  # too few cells of several pixels
+        return UnequalPixels(0.0, 0.0, TYPICAL, TYPICAL**2 * moved)
+    square, error = float(left @ beyond / (left @ left)), 1 / float(np.linalg.norm(left))
+    most = min((max(square, 0.0) + ONE_SIDED * error) ** 0.5, TYPICAL)
+    return UnequalPixels(max(square, 0.0) ** 0.5, square / error, most, most**2 * moved)
+
+
+@eqx.filter_jit
+def _of_pixels(vector: Array, data: JointData) -> tuple[Array, Array, Array]:
+    """Variance of a pixel, R, and the derivatives of the variance, (parameters, images, cells)."""
+
+    def variance(v: Array) -> Array:
+        return predicted(values_at(v, data), data, data.cells).variance
+
+    model = predicted(values_at(vector, data), data, data.cells)
+    slopes = jax.vmap(lambda e: jax.jvp(variance, (vector,), (e,))[1])(jnp.eye(vector.size))
+    return model.variance, model.relative, slopes

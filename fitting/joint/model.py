@@ -100,10 +100,7 @@ def scatter_scales(
 
 
 def parameters(
-    observation: Photographs,
-    channel: int,
-    form: Form,
-    start: dict[str, float],
+    observation: Photographs, channel: int, form: Form, start: dict[str, float]
 ) -> tuple[ParameterSpace, dict[str, float]]:
     """Return the parameters with their priors, and by name the numbers that the rig knows exactly.
     `start` holds the values from which the search begins; it has no gamma for linear files."""
@@ -183,9 +180,6 @@ class JointData(eqx.Module):
     # inverse covariance of the rotations of all lights together, in units of their scale; None
     # where lights err by themselves
     turn_precision: Float[Array, "turns turns"] | None = None
-
-
-Images = tuple[Cells, dict[str, Array], Array | None]
 
 
 def values_at(vector: Float[Array, " parameters"], data: JointData) -> Values:
@@ -282,36 +276,24 @@ def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Arra
     return total if data.levels is None else total + _of_levels(values, data)
 
 
-def by_image(data: JointData) -> Images:
-    """Return cells, error sizes and light rotations with a leading axis of images everywhere,
-    without products of images."""
-    about = data.cells.geometry.about
-    geometry = replace(data.cells.geometry, about=None)
-    cells = replace(data.cells, geometry=geometry, products=None)
-    return cells, data.relative, None if about is None else about.T
-
-
-def of_one_image(data: JointData, image: Images) -> JointData:
-    """Return the data of one image of `by_image`, without uniform frames."""
-    cells, relative, about = jax.tree.map(lambda x: x[None], image)
-    if about is not None:
-        cells = replace(cells, geometry=replace(cells.geometry, about=about.T))
-    return replace(data, cells=cells, relative=relative, levels=None)
-
-
 def log_likelihood_by_image(
     vectors: Float[Array, "images parameters"], data: JointData
 ) -> Float[Array, ""]:
     """Log likelihood of the images alone if each had its own row of (images, P) vectors. The scale
     of the pixels' gains takes the mean over images."""
+    about = data.cells.geometry.about
+    cells = replace(data.cells, geometry=replace(data.cells.geometry, about=None), products=None)
 
-    def of(vector: Array, image: Images) -> Prediction:
-        own = of_one_image(data, image)
-        alone = predicted(values_at(vector, own), own, own.cells)
-        return jax.tree.map(lambda x: x[0], alone)
+    def of(vector: Array, image: tuple[Cells, dict[str, Array], Array | None]) -> Prediction:
+        own, relative, turns = jax.tree.map(lambda x: x[None], image)
+        if turns is not None:
+            own = replace(own, geometry=replace(own.geometry, about=turns.T))
+        alone = replace(data, cells=own, relative=relative)
+        return jax.tree.map(lambda x: x[0], predicted(values_at(vector, alone), alone, own))
 
+    images = cells, data.relative, None if about is None else about.T
     shared = values_at(jnp.mean(vectors, axis=0), data)
-    return _log_likelihood(shared, jax.vmap(of)(vectors, by_image(data)), data)
+    return _log_likelihood(shared, jax.vmap(of)(vectors, images), data)
 
 
 def _log_likelihood(values: Values, model: Prediction, data: JointData) -> Array:

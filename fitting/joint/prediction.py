@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..reflectance.from_images.read import Photographs
-from ..reflectance.from_images.signal import local_geometry
-from .cells import DARKEST, SMALLEST_COSINE, pixels_at
+from .cells import DARKEST, image_geometry, pixels_at
 from .fit import JointFit
 from .model import BY_IMAGE, Cells, JointData, predicted, scatter_scales, values_at
 
@@ -49,49 +48,23 @@ def predict(
     Returns:
         The prediction; NaN for pixels that are not lit.
     """
-    observation = measurement
-    channel = observation.channels.index(fit.channel)
-    expected, usable = pixels_at(observation, channel, light, fit.values, fit.data.form)
-    usable = usable & (observation.cosine[light] > SMALLEST_COSINE)
-    data = eqx.tree_at(
-        lambda d: (d.cells, d.relative),
-        fit.data,
-        (
-            _as_cells(observation, channel, light, expected, usable, fit),
-            {
-                name: jnp.asarray(size[[light]])
-                for name, (_, size) in scatter_scales(observation).items()
-                if name in BY_IMAGE
-            },
-        ),
+    channel = measurement.channels.index(fit.channel)
+    expected, usable = pixels_at(measurement, channel, light, fit.values, fit.form)
+    zero = jnp.zeros((1, len(usable)))
+    above = (expected - float(fit.values["black_level"])) / measurement.white
+    pixels = Cells(  # each its own cell
+        image_geometry(measurement, channel, light, turns=fit.grid.turns),
+        *(jnp.asarray(usable[None], zero.dtype), zero, zero, zero),
+        jnp.asarray(np.maximum(above, DARKEST)[None]),
     )
+    scales = scatter_scales(measurement)
+    relative = {n: jnp.asarray(scales[n][1][[light]]) for n in BY_IMAGE if n in scales}
+    data = eqx.tree_at(lambda d: (d.cells, d.relative), fit.data, (pixels, relative))
     mean, variance = _moments(jnp.asarray(fit.vector), jnp.asarray(covariance), data)
     lit = np.where(usable, 1.0, np.nan)
     return PixelPrediction(
         mean=np.asarray(mean) * lit, deviation=np.sqrt(np.asarray(variance)) * lit, usable=usable
     )
-
-
-def _as_cells(
-    observation: Photographs,
-    channel: int,
-    light: int,
-    expected: np.ndarray,
-    usable: np.ndarray,
-    fit: JointFit,
-) -> Cells:
-    """Each pixel as its own cell."""
-    irradiance = observation.intensity[channel, light] * observation.falloff[light]
-    geometry = local_geometry(
-        observation.normals[None],
-        observation.wi[light][None],
-        irradiance[None],
-        turns=fit.grid.turns,
-    )
-    zero = jnp.zeros((1, len(usable)))
-    above = (expected - float(fit.values["black_level"])) / observation.white
-    level = jnp.asarray(np.maximum(above, DARKEST)[None])
-    return Cells(geometry, jnp.asarray(usable[None], zero.dtype), zero, zero, zero, level)
 
 
 @eqx.filter_jit
@@ -128,9 +101,7 @@ class Score:
 
 
 def score(
-    observation: Photographs,
-    fit: JointFit,
-    covariance: Float[np.ndarray, "parameters parameters"],
+    observation: Photographs, fit: JointFit, covariance: Float[np.ndarray, "parameters parameters"]
 ) -> Score:
     """Compare the predictions of one channel with its images."""
     channel = observation.channels.index(fit.channel)

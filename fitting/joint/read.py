@@ -1,9 +1,9 @@
 """The input of a joint calibration: the photographs of a reflectance calibration, flats and
 darks."""
 
-from ..reflectance.from_images.from_memory import Camera as Camera
-from ..reflectance.from_images.from_memory import SphereGeometry as SphereGeometry
-from ..reflectance.from_images.from_memory import from_photographs as from_photographs
-from ..reflectance.from_images.uniform_frames import (
+from ..reflectance.from_images.read import Camera as Camera
+from ..reflectance.from_images.read import SphereGeometry as SphereGeometry
+from ..reflectance.from_images.read import from_photographs as from_photographs
+from ..reflectance.from_images.read import (
     read_joint_measurement as read_joint_measurement,
 )

@@ -11,8 +11,8 @@ from ..report.section import Picture, Section
 from . import figures
 from .calibration import JointCalibration
 from .findings import findings, misfit_table, misses_as_noise, score_table
+from .misfit import NOISE, unequal_pixels
 from .prediction import score
-from .unequal_pixels import NOISE, unequal_pixels
 
 
 def section(calibration: JointCalibration) -> Section:
@@ -83,7 +83,7 @@ def _pictures(calibration: JointCalibration) -> tuple[Picture, ...]:
             "images",
             "Measured, predicted, and what is left",
             "Lights of the fit and held-out ones. Last row: measured less predicted in standard "
-            "deviations of one pixel, the errors that a light may have included; white pixels are "
+            "deviations of one pixel, the errors that a light may have included; grey pixels are "
             "unlit, saturated or near black.",
             partial(figures.images_figure, calibration),
         ),

@@ -2,7 +2,7 @@
 
 from . import from_files as from_files
 from .from_images.calibration import calibrate as calibrate
-from .from_images.from_memory import (
+from .from_images.read import (
     Camera as Camera,
     SphereGeometry as SphereGeometry,
     from_photographs as from_photographs,

@@ -24,7 +24,20 @@ from ..copies import Copies
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_spread, format_with_error
 from ..inference.given import plain_numbers
-from .stereo_lights import FLAT, Common, by_lights, common_departure, solved
+from .stereo_lights import (
+    FLAT,
+    Common,
+    Counted,
+    Images,
+    Matrices,
+    OfPixels,
+    Readings,
+    Rows,
+    Vectors,
+    by_lights,
+    common_departure,
+    solved,
+)
 from .stereo_misfit import departures, shared_squares
 
 ROUNDS = 30  # of reweighting toward the least sum of absolute residuals
@@ -229,7 +242,7 @@ def photometric_stereo(
     )
 
 
-def _of_clipped(readings: Float[np.ndarray, "lights pixels"], top: float) -> str:
+def _of_clipped(readings: Readings, top: float) -> str:
     lit, at = np.sum(readings > 0), np.sum(readings >= top)
     return (
         f"{at} readings ({format_percent(at / lit)} of those above 0) are equal to the largest, "
@@ -239,10 +252,8 @@ def _of_clipped(readings: Float[np.ndarray, "lights pixels"], top: float) -> str
 
 
 def _deviations(
-    normals: Float[np.ndarray, "pixels 3"],
-    albedo: Float[np.ndarray, " pixels"],
-    covariance: Float[np.ndarray, "pixels 3 3"],
-) -> tuple[Float[np.ndarray, " pixels"], Float[np.ndarray, " pixels"]]:
+    normals: Vectors, albedo: OfPixels, covariance: Matrices
+) -> tuple[OfPixels, OfPixels]:
     """Standard deviations of the normal, rad, and of the albedo, from the covariance of g."""
     along = np.einsum("pi,pij,pj->p", normals, covariance, normals)
     aside = (np.trace(covariance, axis1=-2, axis2=-1) - along) / 2
@@ -250,12 +261,7 @@ def _deviations(
 
 
 def _common(
-    rows: Float[np.ndarray, "lights 3"],
-    readings: Float[np.ndarray, "lights pixels"],
-    between: Bool[np.ndarray, "lights pixels"],
-    limits: tuple[float, float],
-    *,
-    robust: bool,
+    rows: Rows, readings: Readings, between: Counted, limits: tuple[float, float], *, robust: bool
 ) -> tuple[Common | None, Bool[np.ndarray, " lights"]]:
     """Factors of the lights, or an offset, common to all pixels, and the few lights with a
     deviating factor."""
@@ -279,7 +285,7 @@ def _of_deviating_factors(common: Common, alone: Bool[np.ndarray, " lights"]) ->
     )
 
 
-def _of_common(common: Common, moved: Float[np.ndarray, "pixels 3"]) -> str:
+def _of_common(common: Common, moved: Vectors) -> str:
     allowed = (
         f"This explains {format_percent(common.explained)} of the residuals' sum of squares and "
         f"would change g = rho n by {format_percent(_typical(moved), decimals=1)} of the albedo "
@@ -303,10 +309,7 @@ def _of_common(common: Common, moved: Float[np.ndarray, "pixels 3"]) -> str:
 
 
 def _of_contradiction(
-    rows: Float[np.ndarray, "lights 3"],
-    stack: Float[np.ndarray, "lights h w"],
-    between: Bool[np.ndarray, "lights pixels"],
-    limits: tuple[float, float],
+    rows: Rows, stack: Images, between: Counted, limits: tuple[float, float]
 ) -> tuple[str, ...]:
     """Return a sentence about readings between the limits that most pixels contradict in the same
     way as their neighbours."""
@@ -331,11 +334,7 @@ def _of_contradiction(
     )
 
 
-def _of_misfit(
-    misfit: Float[np.ndarray, " pixels"],
-    wider: Float[np.ndarray, " pixels"],
-    used: Int[np.ndarray, " pixels"],
-) -> str:
+def _of_misfit(misfit: OfPixels, wider: OfPixels, used: Int[np.ndarray, " pixels"]) -> str:
     few = (
         f" With only {np.median(used):.0f} lights they are lower bounds: a rough surface may bias "
         f"normals by twice as much; {SHOWN_BY} lights would show it."
@@ -353,7 +352,7 @@ def _of_misfit(
     )
 
 
-def _copies(stack: Float[np.ndarray, "lights h w"]) -> tuple[str, ...]:
+def _copies(stack: Images) -> tuple[str, ...]:
     copies = Copies()
     for i, image in enumerate(stack):
         copies.add(f"images[{i}]", image)
@@ -365,10 +364,7 @@ def _copies(stack: Float[np.ndarray, "lights h w"]) -> tuple[str, ...]:
 
 
 def _contradicted_images(
-    rows: Float[np.ndarray, "lights 3"],
-    readings: Float[np.ndarray, "lights pixels"],
-    counts: Bool[np.ndarray, "lights pixels"],
-    limits: tuple[float, float],
+    rows: Rows, readings: Readings, counts: Counted, limits: tuple[float, float]
 ) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
     """Images that most pixels contradict although the other images predict them between the limits,
     with findings."""
@@ -392,7 +388,7 @@ def _contradicted_images(
     )
 
 
-def _typical(g: Float[np.ndarray, "pixels 3"]) -> float:
+def _typical(g: Vectors) -> float:
     return float(np.nanmedian(np.linalg.norm(g, axis=1)))
 
 
@@ -431,9 +427,7 @@ def _common_errors(covariance: ArrayLike, lights: int) -> np.ndarray:
 
 
 def _least_squares(
-    rows: Float[np.ndarray, "lights 3"],
-    readings: Float[np.ndarray, "lights pixels"],
-    weights: Float[np.ndarray, "lights pixels"],
+    rows: Rows, readings: Readings, weights: Readings
 ) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, " pixels"]]:
     """g, its covariance from the scatter of the residuals, and the number of readings used."""
     g, inverse = solved(rows, readings, weights)
@@ -442,36 +436,22 @@ def _least_squares(
 
 
 def _scatter(
-    rows: Float[np.ndarray, "lights 3"],
-    readings: Float[np.ndarray, "lights pixels"],
-    near: Bool[np.ndarray, "lights pixels"],
-    g: Float[np.ndarray, "pixels 3"],
-    used: Int[np.ndarray, " pixels"],
-) -> Float[np.ndarray, " pixels"]:
+    rows: Rows, readings: Readings, near: Counted, g: Vectors, used: Int[np.ndarray, " pixels"]
+) -> OfPixels:
     """Return the variance of a reading about g; NaN without residuals."""
     residuals = np.where(near, readings - rows @ g.T, 0)
     return (residuals**2).sum(axis=0) / np.where(used > 3, used - 3, np.nan)
 
 
-def _between(
-    rows: Float[np.ndarray, "lights 3"],
-    g: Float[np.ndarray, "pixels 3"],
-    scatter: Float[np.ndarray, " pixels"],
-    limits: tuple[float, float],
-) -> Bool[np.ndarray, "lights pixels"]:
+def _between(rows: Rows, g: Vectors, scatter: OfPixels, limits: tuple[float, float]) -> Counted:
     """Readings that a fit predicts away from both limits."""
     predicted, margin = rows @ g.T, CLEAR * np.sqrt(np.nan_to_num(scatter))
     return (predicted - margin > limits[0]) & (predicted + margin < limits[1])
 
 
 def _counted(
-    rows: Float[np.ndarray, "lights 3"],
-    readings: Float[np.ndarray, "lights pixels"],
-    between: Bool[np.ndarray, "lights pixels"],
-    limits: tuple[float, float],
-    *,
-    robust: bool,
-) -> Bool[np.ndarray, "lights pixels"]:
+    rows: Rows, readings: Readings, between: Counted, limits: tuple[float, float], *, robust: bool
+) -> Counted:
     """The readings of the fit: those that it predicts between the limits (if at least three lights
     remain) and that no other contradicts."""
 
@@ -495,12 +475,7 @@ def _counted(
     return near
 
 
-def _usual_residual(
-    rows: Float[np.ndarray, "lights 3"],
-    readings: Float[np.ndarray, "lights pixels"],
-    near: Bool[np.ndarray, "lights pixels"],
-    g: Float[np.ndarray, "pixels 3"],
-) -> Float[np.ndarray, " pixels"]:
+def _usual_residual(rows: Rows, readings: Readings, near: Counted, g: Vectors) -> OfPixels:
     """Standard deviation of a reading about g from the median residual, which shadowed readings do
     not increase; 0 without residuals."""
     used = near.sum(axis=0)
@@ -510,11 +485,7 @@ def _usual_residual(
     return NORMAL_MAD * middle * np.sqrt(used / np.maximum(used - 3, 1))
 
 
-def _consistent(
-    rows: Float[np.ndarray, "lights 3"],
-    readings: Float[np.ndarray, "lights pixels"],
-    counts: Bool[np.ndarray, "lights pixels"],
-) -> Bool[np.ndarray, "lights pixels"]:
+def _consistent(rows: Rows, readings: Readings, counts: Counted) -> Counted:
     """The readings near the fit of least absolute residuals, if there are at least five."""
     used = counts.sum(axis=0)
     weights = counts.astype(float)
@@ -537,12 +508,7 @@ def _consistent(
     return near
 
 
-def _explained(
-    rows: Float[np.ndarray, "lights 3"],
-    readings: Float[np.ndarray, "lights pixels"],
-    apart: Bool[np.ndarray, "lights pixels"],
-    near: Bool[np.ndarray, "lights pixels"],
-) -> Bool[np.ndarray, "lights pixels"]:
+def _explained(rows: Rows, readings: Readings, apart: Counted, near: Counted) -> Counted:
     """Excluded readings that agree with the others' prediction, by Student's t for the largest of
     all prediction errors. If no reading were wrong, the others would be those nearest to the fit,
     whose scatter is too small. Their variance is corrected as that of a truncated Gaussian."""
@@ -564,9 +530,7 @@ def _explained(
     return found
 
 
-def _median(
-    residuals: Float[np.ndarray, "lights pixels"], used: Int[np.ndarray, " pixels"]
-) -> Float[np.ndarray, " pixels"]:
+def _median(residuals: Readings, used: Int[np.ndarray, " pixels"]) -> OfPixels:
     """The lower median of the residuals, without the three that least absolute deviations make 0
     for three unknowns."""
     ordered = np.sort(residuals, axis=0)  # NaN last

@@ -26,36 +26,33 @@ DETERMINED = 10.0  # times what noise in g adds to the information on a factor
 WIDEST = 10.0  # factor of a light; beyond, its direction is wrong or no light is
 AT_ONCE, ROUNDED = 500, 1e-12  # pixels; of the largest variance: no more than rounding
 EXPLAINED = 0.5  # least share of the residuals' squares that it explains
+Rows = Float[np.ndarray, "lights 3"]
+Readings = Float[np.ndarray, "lights pixels"]
+Counted = Bool[np.ndarray, "lights pixels"]
+Vectors = Float[np.ndarray, "pixels 3"]
+Matrices = Float[np.ndarray, "pixels 3 3"]
+OfPixels = Float[np.ndarray, " pixels"]
+OfLights = Float[np.ndarray, " lights"]
+Images = Float[np.ndarray, "lights h w"]
 
 
 @dataclass(frozen=True)
 class Common:
-    """Common errors of the readings of all pixels, relative to m = E rho n.l.
+    """Common errors of the readings of all pixels, relative to m = E rho n.l."""
 
-    Attributes:
-        factors: (lights,) true over stated irradiance.
-        factor_sds: (lights,) their standard errors; 0 where factors are not fitted.
-        offset: of all readings, in their unit.
-        offset_sd: its standard error, in the same unit.
-        explained: share of the residuals' sum of squares.
-    """
+    factors: OfLights  # true over stated irradiance
+    # their standard errors; 0 where factors are not fitted
+    factor_sds: OfLights
+    offset: float  # of all readings, in their unit
+    offset_sd: float  # its standard error, in the same unit
+    explained: float  # share of the residuals' sum of squares
 
-    factors: Float[np.ndarray, " lights"]
-    factor_sds: Float[np.ndarray, " lights"]
-    offset: float
-    offset_sd: float
-    explained: float
-
-    def removed(self, readings: Float[np.ndarray, "lights pixels"]) -> np.ndarray:
+    def removed(self, readings: Readings) -> np.ndarray:
         """Readings after removing the common error."""
         return (readings - self.offset) / self.factors[:, None]
 
 
-def solved(
-    rows: Float[np.ndarray, "lights 3"],
-    readings: Float[np.ndarray, "lights pixels"],
-    weights: Float[np.ndarray, "lights pixels"],
-) -> tuple[np.ndarray, np.ndarray]:
+def solved(rows: Rows, readings: Readings, weights: Readings) -> tuple[np.ndarray, np.ndarray]:
     """Weighted least squares of each pixel."""
     products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), 9)
     matrix = (weights.T @ products).reshape(-1, 3, 3)
@@ -68,13 +65,13 @@ def solved(
 
 
 def by_lights(
-    rows: Float[np.ndarray, "lights 3"],
-    irradiance: Float[np.ndarray, " lights"],
-    weights: Float[np.ndarray, "lights pixels"],
-    inverse: Float[np.ndarray, "pixels 3 3"],
-    g: Float[np.ndarray, "pixels 3"],
+    rows: Rows,
+    irradiance: OfLights,
+    weights: Readings,
+    inverse: Matrices,
+    g: Vectors,
     covariance: Float[np.ndarray, "lights 4 lights 4"],
-) -> Float[np.ndarray, "pixels 3 3"]:
+) -> Matrices:
     """Covariance of g by errors of the lights' directions and logarithms of intensities:
     dg = -M^-1 sum w r (E dl.g + r.g d ln E), r = E l."""
     flat = covariance.reshape(4 * len(rows), -1)
@@ -92,11 +89,7 @@ def by_lights(
     return found
 
 
-def common_departure(
-    rows: Float[np.ndarray, "lights 3"],
-    readings: Float[np.ndarray, "lights pixels"],
-    counts: Bool[np.ndarray, "lights pixels"],
-) -> Common | None:
+def common_departure(rows: Rows, readings: Readings, counts: Counted) -> Common | None:
     """Factors of the lights, or an offset, common to all pixels."""
     mean = np.where(counts, readings, 0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
     told = (counts.sum(axis=0) > 3) & (mean > 0)

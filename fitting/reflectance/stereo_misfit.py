@@ -35,7 +35,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import gammaln
 
-from .stereo_lights import solved
+from .stereo_lights import Images, Matrices, OfPixels, Readings, Rows, solved
 
 REACH = 0.8  # w: as slow as n.l and rough surfaces change with the light
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e8, 21)])  # tau^2 / sigma^2
@@ -68,51 +68,38 @@ OF_PHOTONS = (
 @dataclass(frozen=True)
 class Departures:
     """The contributions of noise and of departures from Lambert's law to the readings of each
-    pixel.
+    pixel."""
 
-    Attributes:
-        weights: (lights, pixels) of the readings in least squares; 0 for unused readings.
-        inverse: (pixels, 3, 3) inverse of the normal matrices; NaN where g is unknown.
-        covariance: (pixels, 3, 3) of g.
-        noise: (pixels,) variance of a reading of weight 1; NaN where no residual is left.
-        size: (pixels,) tau, standard deviation of the departures, readings over irradiance.
-        significant: whether departures are significant; if not, all residuals count as noise.
-    """
-
-    weights: Float[np.ndarray, "lights pixels"]
-    inverse: Float[np.ndarray, "pixels 3 3"]
-    covariance: Float[np.ndarray, "pixels 3 3"]
-    noise: Float[np.ndarray, " pixels"]
-    size: Float[np.ndarray, " pixels"]
-    significant: bool
+    # of the readings in least squares; 0 for unused readings
+    weights: Readings
+    # inverse of the normal matrices; NaN where g is unknown
+    inverse: Matrices
+    covariance: Matrices  # of g
+    # variance of a reading of weight 1; NaN where no residual is left
+    noise: OfPixels
+    # tau, standard deviation of the departures, readings over irradiance
+    size: OfPixels
+    significant: bool  # whether departures are significant; if not, all residuals count as noise
 
 
 @dataclass(frozen=True)
 class _Reduced:
-    """Residuals of pixels along the eigenvectors of their covariance under the process.
+    """Residuals of pixels along the eigenvectors of their covariance under the process."""
 
-    Attributes:
-        eigenvalues: (pixels, features) of the residuals' covariance, per tau^2.
-        squares: (pixels, features) squared residuals along their eigenvectors.
-        rest: (pixels,) squares of the remaining residuals.
-        freedom: (pixels,) degrees of freedom.
-        turning: (pixels, 3, features) change of g by each feature.
-        volume: (pixels,) log determinants of the weights and of g in the restricted likelihood.
-    """
-
+    # of the residuals' covariance, per tau^2
     eigenvalues: Float[np.ndarray, "pixels features"]
+    # squared residuals along their eigenvectors
     squares: Float[np.ndarray, "pixels features"]
-    rest: Float[np.ndarray, " pixels"]
-    freedom: Int[np.ndarray, " pixels"]
+    rest: OfPixels  # squares of the remaining residuals
+    freedom: Int[np.ndarray, " pixels"]  # degrees of freedom
+    # change of g by each feature
     turning: Float[np.ndarray, "pixels 3 features"]
-    volume: Float[np.ndarray, " pixels"]
+    # log determinants of the weights and of g in the restricted likelihood
+    volume: OfPixels
 
 
 def departures(
-    rows: Float[np.ndarray, "lights 3"],
-    directions: Float[np.ndarray, "lights 3"],
-    readings: Float[np.ndarray, "lights h w"],
-    counts: Bool[np.ndarray, "lights h w"],
+    rows: Rows, directions: Rows, readings: Images, counts: Bool[np.ndarray, "lights h w"]
 ) -> Departures:
     """Covariance of g that includes departures from Lambert's law."""
     flat, counted = readings.reshape(len(rows), -1), counts.reshape(len(rows), -1)
@@ -169,21 +156,13 @@ def departures(
 
 @dataclass(frozen=True)
 class _Fit:
-    """Weighted least squares of all pixels.
+    """Weighted least squares of all pixels."""
 
-    Attributes:
-        rows: (lights, 3) E l.
-        features: (lights, features) of the departures, times E.
-        residuals: (lights, pixels); 0 for unused readings.
-        weights: (lights, pixels).
-        inverse: (pixels, 3, 3) inverse of the normal matrices.
-    """
-
-    rows: Float[np.ndarray, "lights 3"]
-    features: Float[np.ndarray, "lights features"]
-    residuals: Float[np.ndarray, "lights pixels"]
-    weights: Float[np.ndarray, "lights pixels"]
-    inverse: Float[np.ndarray, "pixels 3 3"]
+    rows: Rows  # E l
+    features: Float[np.ndarray, "lights features"]  # of the departures, times E
+    residuals: Readings  # (lights, pixels); 0 for unused readings
+    weights: Readings
+    inverse: Matrices  # inverse of the normal matrices
 
     def reduced(self, some: Int[np.ndarray, " some"]) -> _Reduced:
         """Residuals of some pixels along the eigenvectors of their covariance after the process."""
@@ -221,23 +200,17 @@ def _features(directions: np.ndarray) -> Float[np.ndarray, "lights features"]:
 
 @dataclass(frozen=True)
 class _Prior:
-    """Distribution over the pixels of sigma^2 and tau^2 / sigma^2.
+    """Distribution over the pixels of sigma^2 and tau^2 / sigma^2."""
 
-    Attributes:
-        levels: (levels,) scales of inverse gamma distributions of sigma^2.
-        freedom: their degrees of freedom.
-        ratios: (ratios,) of tau^2 / sigma^2; only 0 where no departures are significant.
-        shares: (levels, ratios) probabilities, whose sum is 1.
-        unshared: variance that neighbouring pixels do not share; infinite where they share none.
-        likelihood: its logarithm.
-    """
-
+    # scales of inverse gamma distributions of sigma^2
     levels: Float[np.ndarray, " levels"]
-    freedom: float
+    freedom: float  # their degrees of freedom
+    # of tau^2 / sigma^2; only 0 where no departures are significant
     ratios: Float[np.ndarray, " ratios"]
-    shares: Float[np.ndarray, "levels ratios"]
+    shares: Float[np.ndarray, "levels ratios"]  # probabilities, whose sum is 1
+    # variance that neighbouring pixels do not share; infinite where they share none
     unshared: float
-    likelihood: float
+    likelihood: float  # its logarithm
 
 
 def _prior(of: _Reduced, unshared: float, ratios: Float[np.ndarray, " ratios"]) -> _Prior:
@@ -297,7 +270,7 @@ def _shares(
 
 
 def _posterior(
-    of: _Reduced, inverse: Float[np.ndarray, "pixels 3 3"], prior: _Prior
+    of: _Reduced, inverse: Matrices, prior: _Prior
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """sigma^2, tau and the covariance of g of each pixel."""
     squares, volume = _squares(of, prior.ratios)
@@ -326,7 +299,7 @@ def _posterior(
 def _radius(
     weight: Float[np.ndarray, "levels ratios pixels"],
     sizes: Float[np.ndarray, "levels ratios pixels"],
-) -> Float[np.ndarray, " pixels"]:
+) -> OfPixels:
     """Return the variance of a two-dimensional Gaussian with the same 95 % circle as a mixture.
     Newton's method solves for the logarithm of the probability outside, which is a convex
     decreasing function."""

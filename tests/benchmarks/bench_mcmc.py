@@ -16,10 +16,14 @@ import numpy as np
 import pytest
 from oracles.sphere_photographs import light_directions, sphere_normals
 
-from fitting.reflectance.from_images.derivatives import predict
-from fitting.reflectance.from_images.geometry_cells import average, group
-from fitting.reflectance.from_images.model import Samples, total_log_likelihood
-from fitting.reflectance.from_images.posterior import Adjusted, adjusted_log_density
+from fitting.reflectance.from_images.fit import Adjusted, adjusted_log_density
+from fitting.reflectance.from_images.samples import (
+    Samples,
+    average,
+    group,
+    predict,
+    total_log_likelihood,
+)
 from fitting.reflectance.from_images.signal import Form, local_geometry
 
 pytestmark = pytest.mark.benchmark

@@ -28,7 +28,7 @@ from bench_sensor import ALL, DIE
 from oracles import cornell_box
 
 from fitting.inference.posterior import walkers_at_a_time
-from fitting.reflectance.from_images.posterior import adjusted_log_density
+from fitting.reflectance.from_images.fit import adjusted_log_density
 from jaxvision import Vec, as_dtype, filters, histogram, render
 from jaxvision.accuracy.scene_settings import machine
 from jaxvision.development import demosaic

@@ -13,10 +13,9 @@ from fitting.joint.fit import is_searched_shape
 from fitting.joint.model import cost as joint_cost
 from fitting.noise.calibration import calibrate as calibrate_noise
 from fitting.noise.model import cost as noise_cost
-from fitting.reflectance.from_images.derivatives import cost_and_information, predict
 from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.optimum import optimum
-from fitting.reflectance.from_images.samples import gather
+from fitting.reflectance.from_images.samples import cost_and_information, gather, predict
 from fitting.reflectance.from_images.signal import Form
 from fitting.reflectance.models import has_lobe, is_searched, shape_range
 from fitting.reflectance.names import MODELS

@@ -26,13 +26,19 @@ from fitting.joint import calibrate, from_photographs, marginal, read_joint_meas
 from fitting.joint.cells import make_grid, reduce_images
 from fitting.joint.findings import OF_CHANNEL, findings
 from fitting.joint.fit import fit_channel, fit_turned
-from fitting.joint.freedom import degrees_of_freedom, laplace_miss
-from fitting.joint.halves import Halves, widened
-from fitting.joint.misfit import _by_image, over_images
+from fitting.joint.misfit import (
+    Halves,
+    _by_image,
+    degrees_of_freedom,
+    laplace_miss,
+    over_images,
+    unequal_pixels,
+    widened,
+)
 from fitting.joint.model import Cells, JointData, log_likelihood, parameters, scatter_scales
 from fitting.joint.prediction import score
 from fitting.joint.section import section as joint_section
-from fitting.joint.unequal_pixels import unequal_pixels
+from fitting.reflectance.from_images.read import with_covariance
 from fitting.reflectance.from_images.signal import Form, Geometry
 from fitting.report.sentences import said
 from fitting.rig import Camera, SphereGeometry
@@ -588,11 +594,17 @@ def test_what_all_cells_of_an_image_miss_is_no_noise_of_a_free_sensor(waves, prn
 
 
 @pytest.mark.slow
-def test_images_whose_lights_were_turned_are_judged_one_by_one():
+@pytest.mark.parametrize("together", [False, True])
+def test_images_whose_lights_were_turned_are_judged_one_by_one(together):
     """The angles of the lights have their axis of images last; the scores of all images sum to the
-    gradient of the likelihood, which at the best fit is that of the priors."""
+    gradient of the likelihood, which at the best fit is that of the priors. Lights that were
+    measured together have one covariance."""
     lab = Lab(Sphere(direction_sd=np.radians(1.0)), gamma=1.0)
     measurement = photographed(lab, 0)
+    if together:
+        count = len(measurement.files)
+        shared = (1 + np.eye(count))[:, None, :, None] * np.eye(3)[:, None] / 2
+        measurement = with_covariance(measurement, lab.sphere.direction_sd**2 * shared)
     fit = fit_turned(measurement, 0, Form("phong"))
     assert fit.data.cells.geometry.about is not None
     vector = jnp.asarray(fit.vector)

@@ -6,7 +6,7 @@ import pytest
 
 from fitting.joint import calibrate, from_photographs
 from fitting.joint.fit import likeliest_turns
-from fitting.reflectance.from_images.turns import turned
+from fitting.reflectance.from_images.lights import turned
 from fitting.rig import Camera, SphereGeometry
 
 SIZE, RADIUS, LIGHT, GAIN, READ = 40, 18.0, 3000.0, 0.25, 6.0

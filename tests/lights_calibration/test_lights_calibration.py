@@ -17,11 +17,10 @@ from fitting.lights import calibrate, read_lights, write_lights
 from fitting.lights.section import section
 from fitting.reflectance import Camera, from_photographs, photometric_stereo
 from fitting.reflectance.from_images.fit import fit_channel
-from fitting.reflectance.from_images.geometry_cells import group
+from fitting.reflectance.from_images.lights import beyond_turns
 from fitting.reflectance.from_images.read import across, read_reflectance_observation
-from fitting.reflectance.from_images.samples import gather, select
+from fitting.reflectance.from_images.samples import gather, group, select
 from fitting.reflectance.from_images.signal import Form
-from fitting.reflectance.from_images.turns import beyond_turns
 from fitting.rig import SiteCamera
 from jaxvision.errors import InputError
 from jaxvision.files.images import write_image

@@ -35,18 +35,24 @@ from fitting.reflectance.from_images.comparison import (
     relative_rms,
     squares_by_light,
 )
-from fitting.reflectance.from_images.derivatives import cost_and_information, predict
 from fitting.reflectance.from_images.findings import findings
-from fitting.reflectance.from_images.fit import fit_channel, predicted_image
-from fitting.reflectance.from_images.geometry_cells import average, group
-from fitting.reflectance.from_images.model import log_likelihoods
-from fitting.reflectance.from_images.posterior import (
+from fitting.reflectance.from_images.fit import (
     adjusted_log_density,
     channel_posterior,
     composite,
+    fit_channel,
+    predicted_image,
 )
 from fitting.reflectance.from_images.read import read_reflectance_observation
-from fitting.reflectance.from_images.samples import gather, select
+from fitting.reflectance.from_images.samples import (
+    average,
+    cost_and_information,
+    gather,
+    group,
+    log_likelihoods,
+    predict,
+    select,
+)
 from fitting.reflectance.from_images.section import section as reflectance_section
 from fitting.reflectance.from_images.signal import Form
 from fitting.report.page import as_json

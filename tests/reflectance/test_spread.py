@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fitting.reflectance.from_images.spread import Spread, fit_spread, sensor_spread, variance
+from fitting.reflectance.from_images.optimum import Spread, fit_spread, sensor_spread, variance
 
 COUNT = 40_000
 

@@ -16,13 +16,22 @@ from fitting.inference.clustering import Robustness
 from fitting.inference.left_out import TOLERANCE
 from fitting.reflectance.from_images.calibration import open_parameters
 from fitting.reflectance.from_images.comparison import relative_rms, squares_by_light
-from fitting.reflectance.from_images.derivatives import predict, scores_and_slopes
 from fitting.reflectance.from_images.fit import fit_channel
-from fitting.reflectance.from_images.model import log_likelihoods
-from fitting.reflectance.from_images.samples import Selection, gather, make_samples
+from fitting.reflectance.from_images.lights import (
+    StatedErrors,
+    beyond_turns,
+    information_on_turns,
+    with_stated_errors,
+)
+from fitting.reflectance.from_images.samples import (
+    Selection,
+    gather,
+    log_likelihoods,
+    make_samples,
+    predict,
+    scores_and_slopes,
+)
 from fitting.reflectance.from_images.signal import Form
-from fitting.reflectance.from_images.stated import StatedErrors, with_stated_errors
-from fitting.reflectance.from_images.turns import beyond_turns, information_on_turns
 from fitting.report.left_out import left_out_tables
 
 SPHERE = Sphere(lights=5, read_noise=1.0)
@@ -126,7 +135,7 @@ def test_lights_come_to_rest_where_they_do_without_a_part_first(fitted, monkeypa
     _, fit = fitted
     uncertain = {"direction_sd": np.full(5, 5e-3)}
     whole = fit(uncertain=uncertain)
-    monkeypatch.setattr("fitting.reflectance.from_images.turns.ENOUGH", 1300)
+    monkeypatch.setattr("fitting.reflectance.from_images.lights.ENOUGH", 1300)
     found = fit(uncertain=uncertain)
     np.testing.assert_allclose(found.turned.turns, whole.turned.turns, atol=0.03)
     error = np.sqrt(np.diagonal(np.linalg.inv(whole.information)))

@@ -30,7 +30,7 @@ from ...report.notebook import ShownInNotebooks
 from ..models import REFLECTANCES, amplitude, check_index, has_lobe, shape_range
 from ..names import INDEX, Model, Objective
 from .errors import Errors, best, errors, prediction_of_held_out
-from .fit import LobeFit, ModelFit, brdf, fit_models, problem_of
+from .fit import LobeFit, ModelFit, OfBands, brdf, fit_models, problem_of
 from .read import MeasuredBRDF
 
 FINE = 4000  # angles of an integral over the hemisphere
@@ -39,19 +39,12 @@ EDGE = 1e-3  # of the logarithm of a shape: this close to an end of its range it
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Spectra of both amplitudes, with jackknife standard errors.
+    """Spectra of both amplitudes, with jackknife standard errors."""
 
-    Attributes:
-        diffuse: (bands,) k_d.
-        specular: (bands,) k_s.
-        diffuse_error: (bands,).
-        specular_error: (bands,).
-    """
-
-    diffuse: Float[np.ndarray, " bands"]
-    specular: Float[np.ndarray, " bands"]
-    diffuse_error: Float[np.ndarray, " bands"]
-    specular_error: Float[np.ndarray, " bands"]
+    diffuse: OfBands  # k_d
+    specular: OfBands  # k_s
+    diffuse_error: OfBands
+    specular_error: OfBands
 
 
 @dataclass(frozen=True, repr=False)
@@ -213,7 +206,7 @@ def amplitudes(fit: ModelFit) -> Amplitudes:
     return Amplitudes(fit.whole.diffuse, fit.whole.specular, diffuse, specular)
 
 
-def albedo(fit: ModelFit, index: float) -> Float[np.ndarray, " bands"]:
+def albedo(fit: ModelFit, index: float) -> OfBands:
     """Return the albedo of a fitted surface at normal incidence, where every lobe is centred on the
     normal: 2 pi times the integral of f_r cos(theta) sin(theta), (bands,). It is at most 1 for a
     surface that emits no light."""
@@ -255,11 +248,7 @@ def _open_parameters(
 
 
 def _posterior(
-    problem: Problem,
-    mean: np.ndarray,
-    covariance: np.ndarray,
-    sampling: Emcee | None,
-    seed: int,
+    problem: Problem, mean: np.ndarray, covariance: np.ndarray, sampling: Emcee | None, seed: int
 ) -> Posterior:
     """The posterior with the jackknife's covariance; for a chain the density is stretched to it."""
     space, mode = problem.space, jnp.asarray(np.log(mean))

@@ -10,7 +10,7 @@ from scipy.special import bdtrc, stdtrit
 
 from ..models import REFLECTANCES
 from ..names import DESCRIBES, Axis, Model, Objective
-from .fit import ModelFit, reflected
+from .fit import ModelFit, OfSamples, reflected
 from .read import MeasuredBRDF
 
 FEWEST_INCIDENCES = 3  # from which a difference has a standard error worth its name
@@ -20,28 +20,23 @@ LIKELY = 0.05  # chance up to which a model that errs more at most incidences is
 SMALLEST_ERROR = 1e-9  # of the signal's RMS: smaller errors are rounding, counted as this much
 METRICS: dict[Objective, str] = {"cosine": "cosine-weighted RMS", "cube-root": "cube-root error"}
 Side = Literal["half", "mirror", "neither"]  # which axis wins a comparison
+OfIncidences = Float[np.ndarray, " incidences"]
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one prediction.
+    """Errors of one prediction."""
 
-    Attributes:
-        rms: of f_r cos(theta_i), sr^-1.
-        relative: `rms` over the RMS of the measured values.
-        cube_root: RMS difference of the cube roots, sr^-1/3.
-        by_incidence: (incidences,) `relative` of the samples of each incidence alone.
-        parts: (incidences, 2) contribution of each to the squares of `rms` and `cube_root`.
-    """
-
-    rms: float
-    relative: float
-    cube_root: float
-    by_incidence: Float[np.ndarray, " incidences"]
+    rms: float  # of f_r cos(theta_i), sr^-1
+    relative: float  # `rms` over the RMS of the measured values
+    cube_root: float  # RMS difference of the cube roots, sr^-1/3
+    # `relative` of the samples of each incidence alone
+    by_incidence: OfIncidences
+    # contribution of each to the squares of `rms` and `cube_root`
     parts: Float[np.ndarray, "incidences 2"]
 
 
-def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> Errors:
+def errors(measured: MeasuredBRDF, predicted: OfSamples) -> Errors:
     """Both metrics of a prediction of f_r in sr^-1. Rounding errors count as a billionth of the
     signal, so that they do not decide between models."""
     signal = reflected(measured, measured.values)
@@ -87,17 +82,11 @@ def in_words(errors: Errors, objective: Objective) -> str:
 
 @dataclass(frozen=True)
 class Ratio:
-    """The ratio of the errors of two models.
+    """The ratio of the errors of two models."""
 
-    Attributes:
-        value: ratio of the errors of all incidences.
-        without: (incidences,) the same with each incidence left out.
-        alone: (incidences,) the same of each incidence alone.
-    """
-
-    value: float
-    without: Float[np.ndarray, " incidences"]
-    alone: Float[np.ndarray, " incidences"]
+    value: float  # ratio of the errors of all incidences
+    without: OfIncidences  # the same with each incidence left out
+    alone: OfIncidences  # the same of each incidence alone
 
     @property
     def significant(self) -> bool:
@@ -166,9 +155,7 @@ def winner_of(half: Errors, mirror: Errors, objective: Objective) -> Side:
     return "half" if metric(half, objective) < metric(mirror, objective) else "mirror"
 
 
-def weight_by_incidence(
-    measured: MeasuredBRDF, objective: Objective
-) -> Float[np.ndarray, " incidences"]:
+def weight_by_incidence(measured: MeasuredBRDF, objective: Objective) -> OfIncidences:
     """Share of each incidence in the sum of squares of the data."""
     signal = reflected(measured, measured.values)
     if objective == "cube-root":
@@ -177,7 +164,7 @@ def weight_by_incidence(
     return np.bincount(measured.incidence, squares, len(measured.incidences)) / squares.sum()
 
 
-def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> Float[np.ndarray, "n bands"]:
+def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> OfSamples:
     """f_r in sr^-1 of every sample, predicted by the fit without its incidence."""
     predicted = np.empty_like(measured.values)
     for i, without in enumerate(fit.without):

@@ -91,12 +91,6 @@ def _impossible(calibration: BRDFCalibration) -> Numbers | None:
     return {"model": LABELS[calibration.model], "albedo": found[most], "band": band}
 
 
-def _black(calibration: BRDFCalibration) -> Numbers | None:
-    """A finding if the surface is darker than any but the blackest coatings."""
-    most = float(albedo(calibration.fits[calibration.model], calibration.index).max())
-    return {"albedo": 100 * most} if most < BLACK else None
-
-
 def _toward_light(calibration: BRDFCalibration) -> Numbers | None:
     """A finding about data with a peak toward the light, which no model here has."""
     measured = calibration.measured
@@ -214,10 +208,10 @@ def _generalisation(calibration: BRDFCalibration) -> Numbers | None:
     return {"model": LABELS[model], "times": unseen / seen, "angle": angle}
 
 
-def _open(calibration: BRDFCalibration) -> Iterable[Numbers]:
-    model = LABELS[calibration.model]
-    reasons = calibration.open_parameters.items()
-    return [{"name": name, "model": model, "why": why} for name, why in reasons]
+def told(parts: Iterable[str]) -> Numbers | None:
+    """A finding that lists some parts, if there are any."""
+    listing = ", ".join(parts)
+    return {"told": listing} if listing else None
 
 
 def _ends(calibration: BRDFCalibration) -> tuple[list[Model], list[Model]]:
@@ -236,19 +230,6 @@ def _ends(calibration: BRDFCalibration) -> tuple[list[Model], list[Model]]:
     return smooth, stuck
 
 
-def _smooth(calibration: BRDFCalibration) -> Iterable[Numbers]:
-    smooth, _ = _ends(calibration)
-    return [{"model": LABELS[model], "shape": shape_of(model).name} for model in smooth]
-
-
-def _at_range_end(calibration: BRDFCalibration) -> Numbers | None:
-    told = [
-        f"{LABELS[model]} ({shape_of(model).name} {calibration.fits[model].whole.shape:.3g})"
-        for model in _ends(calibration)[1]
-    ]
-    return {"models": ", ".join(told)} if told else None
-
-
 def _failures(calibration: BRDFCalibration) -> Iterable[Numbers]:
     """Searches that did not converge, or ended above Lambert's model, which all others contain."""
     measured = calibration.measured
@@ -263,12 +244,6 @@ def _failures(calibration: BRDFCalibration) -> Iterable[Numbers]:
         ]
         if any(failed):
             yield {"model": LABELS[model], "failed": sum(failed), "fits": len(failed)}
-
-
-def _intervals(calibration: BRDFCalibration) -> Numbers:
-    posterior = calibration.posterior
-    drawn = "" if posterior is None else f" {convergence_in_words(posterior)}"
-    return {"count": len(calibration.measured.incidences), "drawn": drawn}
 
 
 # ---------------------------------------------------------------- several materials
@@ -451,7 +426,11 @@ FINDINGS = (
     ),
     Finding(
         "black",
-        _black,
+        lambda c: (
+            {"albedo": 100 * most}
+            if (most := float(albedo(c.fits[c.model], c.index).max())) < BLACK
+            else None
+        ),
         "The fitted albedo along the normal is {albedo:.2g} %, less than that of black velvet: the "
         "values may lack a factor, as in a MERL file that was already divided by its scales.",
     ),
@@ -479,12 +458,25 @@ FINDINGS = (
         lambda c: {"told": facet_sentence(c.index)} if c.model in CLEAR else None,
         "{told}",
     ),
-    Finding("not determined", _open, "{name} of {model} is not determined: {why}."),
-    Finding("smooth", _smooth, "{model} fits best without {shape}, as Lambert's model."),
+    Finding(
+        "not determined",
+        lambda c: [
+            {"name": name, "model": LABELS[c.model], "why": why}
+            for name, why in c.open_parameters.items()
+        ],
+        "{name} of {model} is not determined: {why}.",
+    ),
+    Finding(
+        "smooth",
+        lambda c: [{"model": LABELS[m], "shape": shape_of(m).name} for m in _ends(c)[0]],
+        "{model} fits best without {shape}, as Lambert's model.",
+    ),
     Finding(
         "end of range",
-        _at_range_end,
-        "The shape parameter is at the end of its range, so the description is poor: {models}.",
+        lambda c: told(
+            f"{LABELS[m]} ({shape_of(m).name} {c.fits[m].whole.shape:.3g})" for m in _ends(c)[1]
+        ),
+        "The shape parameter is at the end of its range, so the description is poor: {told}.",
     ),
     Finding(
         "no minimum",
@@ -493,7 +485,10 @@ FINDINGS = (
     ),
     Finding(
         "standard errors",
-        _intervals,
+        lambda c: {
+            "count": len(c.measured.incidences),
+            "drawn": "" if c.posterior is None else f" {convergence_in_words(c.posterior)}",
+        },
         "Standard errors come from leaving out each of the {count} incidences in turn, so they "
         "include the misfit of the model, not only noise.{drawn}",
     ),

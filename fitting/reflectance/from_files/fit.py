@@ -43,46 +43,31 @@ MOST_STEPS = 100
 SETTLED = 1e-8  # relative fall of the cost from which a fit has converged
 SHARES = (1.0, 0.25, 0.05, 0.01, 1e-3)  # of a step that are tried
 NARROWEST = 1e-3  # of a logarithm: a shape that may move less stays
+OfBands = Float[np.ndarray, " bands"]
+OfSamples = Float[np.ndarray, "n bands"]
 
 
 @dataclass(frozen=True)
 class LobeFit:
-    """A model's best parameters on one choice of samples.
+    """A model's best parameters on one choice of samples."""
 
-    Attributes:
-        model: its name.
-        diffuse: (bands,) k_d, sr^-1.
-        specular: (bands,) k_s, in the record's unit.
-        shape: in natural units; None for Lambert.
-        predicted: (n, bands) f_r of ALL samples, sr^-1.
-        cost: value of the objective.
-        converged: whether the search ended at a minimum.
-    """
-
-    model: Model
-    diffuse: Float[np.ndarray, " bands"]
-    specular: Float[np.ndarray, " bands"]
-    shape: float | None
-    predicted: Float[np.ndarray, "n bands"]
-    cost: float
-    converged: bool
+    model: Model  # its name
+    diffuse: OfBands  # k_d, sr^-1
+    specular: OfBands  # k_s, in the record's unit
+    shape: float | None  # in natural units; None for Lambert
+    predicted: OfSamples  # f_r of ALL samples, sr^-1
+    cost: float  # value of the objective
+    converged: bool  # whether the search ended at a minimum
 
 
 @dataclass(frozen=True)
 class ModelFit:
-    """A model fitted to all samples, and with each incidence left out in turn.
+    """A model fitted to all samples, and with each incidence left out in turn."""
 
-    Attributes:
-        model: its name.
-        objective: of the fits.
-        whole: fit to all samples.
-        without: one fit for each incidence that is held out.
-    """
-
-    model: Model
-    objective: Objective
-    whole: LobeFit
-    without: tuple[LobeFit, ...]
+    model: Model  # its name
+    objective: Objective  # of the fits
+    whole: LobeFit  # fit to all samples
+    without: tuple[LobeFit, ...]  # one fit for each incidence that is held out
 
 
 def brdf(
@@ -150,7 +135,7 @@ def _predict_of(model: Model) -> Any:
     return predict
 
 
-def reflected(measured: MeasuredBRDF, values: np.ndarray) -> Float[np.ndarray, "n bands"]:
+def reflected(measured: MeasuredBRDF, values: np.ndarray) -> OfSamples:
     """f_r cos(theta_i) in sr^-1 of (n, bands) f_r."""
     return measured.cosine[:, None] * values
 
@@ -161,14 +146,12 @@ def darkness(measured: MeasuredBRDF) -> float:
     return DARK * float(np.sqrt(np.average((x**2).mean(axis=1), weights=measured.weights)))
 
 
-def compressed(measured: MeasuredBRDF, values: np.ndarray) -> Float[np.ndarray, "n bands"]:
+def compressed(measured: MeasuredBRDF, values: np.ndarray) -> OfSamples:
     """c(f_r cos(theta_i)) in sr^-1/3 of (n, bands) f_r; negative values count as 0."""
     return np.cbrt(np.maximum(reflected(measured, values), 0) + darkness(measured))
 
 
-def in_metric(
-    measured: MeasuredBRDF, objective: Objective, values: np.ndarray
-) -> Float[np.ndarray, "n bands"]:
+def in_metric(measured: MeasuredBRDF, objective: Objective, values: np.ndarray) -> OfSamples:
     """The quantity that an objective compares."""
     return (reflected if objective == "cosine" else compressed)(measured, values)
 

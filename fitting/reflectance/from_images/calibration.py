@@ -20,14 +20,11 @@ from ...report.notebook import ShownInNotebooks
 from ..models import check_index, shape_of
 from ..names import INDEX, MODELS, Model
 from .comparison import ModelScore, compare
-from .fit import ChannelFit, fit_channel, lights_as_fitted, predicted_image
-from .geometry_cells import group
-from .model import parameter_space
-from .posterior import channel_posterior
+from .fit import ChannelFit, channel_posterior, fit_channel, lights_as_fitted, predicted_image
 from .read import Photographs
-from .samples import Selection, gather, select
+from .samples import Selection, cells_of, gather, select
 from .shading_check import without_strangers
-from .signal import Form
+from .signal import Form, parameter_space
 
 FEWEST_SAMPLES = 50
 USUAL: tuple[Model, ...] = (
@@ -142,11 +139,7 @@ def calibrate(
             f"only {len(fitted.light)} samples have n.l > {minimum_cosine:g} under the fitted "
             "lights; lower minimum_cosine, enlarge the mask or add lights."
         )
-    cells = group(
-        fitted.light,
-        observation.cosine[fitted.light, fitted.pixel],
-        observation.mirror_angle[fitted.light, fitted.pixel],
-    )
+    cells = cells_of(observation, fitted)
     channels = range(len(observation.channels))
     gathered = gather(observation, fitted, channels=channels)
 

@@ -22,10 +22,9 @@ from ...inference.formatting import format_percent, format_with_error
 from ...report.section import Table
 from ..models import LABELS
 from ..names import SHOWS, Model
-from .derivatives import predict
 from .fit import ChannelFit, lights_as_fitted, squared_errors
 from .read import Photographs
-from .samples import Selection, make_samples
+from .samples import Selection, make_samples, predict
 
 LEVEL = 0.975  # quantile of Student's t within which a difference counts as none
 SAME = 1e-6  # of an error: a smaller difference is where the solvers stopped, not the models'
@@ -110,9 +109,7 @@ def relative_rms(by_light: Float[np.ndarray, "lights 2"] | None) -> float | None
 
 
 def compare(
-    observation: Photographs,
-    fits: Mapping[Model, Sequence[ChannelFit]],
-    held_out: Selection,
+    observation: Photographs, fits: Mapping[Model, Sequence[ChannelFit]], held_out: Selection
 ) -> tuple[ModelScore, ...]:
     """Score every model in every channel, on the fitted and on the held-out samples."""
     scores = []

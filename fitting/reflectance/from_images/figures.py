@@ -25,47 +25,48 @@ MOST_POINTS = 200_000
 
 def images_figure(calibration: ReflectanceCalibration) -> Figure:
     """Rows: measured, predicted, difference; columns: lights."""
-    observation = calibration.observation
-    as_fitted = [lights_as_fitted(observation, fit) for fit in calibration.reported]
-    lights = _shown_lights(observation)
-    columns = len(lights)
-    figure = Figure(figsize=(1.2 + 2.2 * columns, 6.6), layout="constrained")
-    axes = figure.subplots(3, columns, squeeze=False)
-    differences = []
-    for column, light in enumerate(lights):
+    observation, columns = calibration.observation, {}
+    as_fitted = [(lights_as_fitted(observation, fit), fit) for fit in calibration.reported]
+    for light in shown_lights(observation):
         measured = observation.dn[:, light] - observation.black
-        predicted = np.stack(
-            [
-                predicted_image(seen, fit, light)
-                for seen, fit in zip(as_fitted, calibration.reported, strict=True)
-            ]
-        )
-        predicted = predicted - observation.black
-        white = np.quantile(predicted[:, observation.cosine[light] > 0], 0.995)
-        for row, values in enumerate((measured, predicted)):
-            axes[row, column].imshow(_picture(observation, values / white), interpolation="none")
+        found = np.stack([predicted_image(seen, fit, light) for seen, fit in as_fitted])
+        found -= observation.black
+        white = np.quantile(found[:, observation.cosine[light] > 0], 0.995)
         clipped = observation.saturated[:, light].any(axis=0)
-        left = 100 * (measured - predicted).mean(axis=0) / white
-        differences.append(_plane(observation, np.where(clipped, np.nan, left)))
-        kind = "held out" if observation.held_out[light] else "fitted"
-        axes[0, column].set_title(f"{observation.files[light]}\n({kind})", fontsize=9)
-    largest = max(float(np.nanquantile(np.abs(differences), 0.99)), 0.1)
+        left = np.where(clipped, np.nan, 100 * (measured - found).mean(axis=0) / white)
+        columns[light] = measured / white, found / white, left
+    worst = np.abs([left for _, _, left in columns.values()])
+    return draw_lights(
+        observation, columns, max(float(np.nanquantile(worst, 0.99)), 0.1), "% of white"
+    )
+
+
+def draw_lights(
+    observation: Photographs,
+    columns: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    largest: float,
+    label: str,
+) -> Figure:
+    """Draw, by light, what was measured and predicted, (channels, pixels) relative to white, and
+    their (pixels,) difference."""
+    figure = Figure(figsize=(1.2 + 2.2 * len(columns), 6.6), layout="constrained")
+    axes = figure.subplots(3, len(columns), squeeze=False)
     scale = TwoSlopeNorm(0, -largest, largest)
-    for axis, difference in zip(axes[2], differences, strict=True):
-        axis.imshow(difference, cmap=_diverging(), norm=scale, interpolation="none")
-    for row, label in enumerate(("measured", "predicted", "difference")):
-        axes[row, 0].set_ylabel(label)
+    for (light, (*pictures, left)), column in zip(columns.items(), axes.T, strict=True):
+        for axis, values in zip(column, pictures, strict=False):
+            displayed = np.clip(np.nan_to_num(values), 0, 1) ** (1 / DISPLAY_GAMMA)
+            coloured = np.broadcast_to(displayed.T, (len(left), 3))
+            axis.imshow(np.nan_to_num(_plane(observation, coloured)), interpolation="none")
+        difference = _plane(observation, left)
+        column[2].imshow(difference, cmap=_diverging(), norm=scale, interpolation="none")
+        kind = "held out" if observation.held_out[light] else "fitted"
+        column[0].set_title(f"{observation.files[light]}\n({kind})", fontsize=9)
+    for axis, text in zip(axes[:, 0], ("measured", "predicted", "difference"), strict=True):
+        axis.set_ylabel(text)
     for axis in axes.flat:
         axis.set(xticks=[], yticks=[])
-    figure.colorbar(
-        ScalarMappable(scale, _diverging()),
-        ax=axes,
-        label="% of white",
-        extend="both",
-        shrink=0.3,
-        anchor=(0, 0),
-        aspect=12,
-    )
+    bar = {"extend": "both", "shrink": 0.3, "anchor": (0, 0), "aspect": 12}
+    figure.colorbar(ScalarMappable(scale, _diverging()), ax=axes, label=label, **bar)
     return figure
 
 
@@ -149,7 +150,7 @@ def residual_map_figure(calibration: ReflectanceCalibration) -> Figure:
     return figure
 
 
-def _shown_lights(observation: Photographs) -> list[int]:
+def shown_lights(observation: Photographs) -> list[int]:
     """For both sets of lights, one near the view, where the whole highlight is visible, and an
     oblique one."""
     lit = (observation.cosine > 0).mean(axis=1)
@@ -252,29 +253,12 @@ def _draw_medians(
     )
 
 
-def _picture(
-    observation: Photographs, values: Float[np.ndarray, "channels pixels"]
-) -> Float[np.ndarray, "h w 3"]:
-    """Linear values as an sRGB-like picture, grey if there is one channel."""
-    displayed = np.clip(values, 0, 1) ** (1 / DISPLAY_GAMMA)
-    picture = np.zeros((*observation.shape, 3))
-    picture[observation.rows, observation.columns] = np.broadcast_to(
-        displayed.T, (values.shape[1], 3)
-    )
-    return _cropped(observation, picture)
-
-
-def _plane(
-    observation: Photographs, values: Float[np.ndarray, " pixels"]
-) -> Float[np.ndarray, "h w"]:
-    plane = np.full(observation.shape, np.nan)
-    plane[observation.rows, observation.columns] = values
-    return _cropped(observation, plane)
-
-
-def _cropped(observation: Photographs, image: np.ndarray) -> np.ndarray:
-    rows, columns = observation.rows, observation.columns
-    return image[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+def _plane(observation: Photographs, values: np.ndarray) -> np.ndarray:
+    """The values in the box about the object, NaN beside it."""
+    row, column = (x - x.min() for x in (observation.rows, observation.columns))
+    plane = np.full((row.max() + 1, column.max() + 1, *values.shape[1:]), np.nan)
+    plane[row, column] = values
+    return plane
 
 
 def _diverging():

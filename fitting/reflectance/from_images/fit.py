@@ -1,34 +1,70 @@
-"""One channel, one model: the best parameters (`optimum`) and the data to assess them."""
+"""One channel, one model: the best parameters (`optimum`), the data to assess them, and their
+posterior.
 
+Pixels of one image share errors, so the product of their densities is a composite likelihood. Its
+mode is right, but its curvature is not. Chains therefore stretch its argument about the mode until
+its curvature is the inverse of the covariance over images (Ribatet, Cooley & Davison, "Bayesian
+Inference from Composite Likelihoods", Statistica Sinica 22, 2012). Priors of a surface are flat in
+the logarithms.
+
+A step of the chain evaluates cells instead of pixels. At the mode both predict the same mean of
+each cell, but derivatives vary inside a cell, so the gradients differ. The gradient of the cells at
+the mode is therefore subtracted, so that their density has the mode of all pixels.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
+import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.linalg import block_diag
+from jaxtyping import Array, Float, Int
 
-from ...inference.clustering import Robustness, cluster_robust
+from ...inference.clustering import Robustness, cluster_robust, curvature_stretch
 from ...inference.diagnostics import Identifiability, identifiability
+from ...inference.emcee_run import Emcee, for_group
+from ...inference.importance import laplace_where_it_holds
 from ...inference.neighbours import regions
 from ...inference.parameters import ParameterSpace, natural_numbers
+from ...inference.posterior import Posterior, sample
 from ...inference.precision import in_double
-from .derivatives import log_likelihood_of_dn, predict, scores_and_slopes
-from .geometry_cells import Grouping
-from .model import Samples, parameter_space
-from .optimum import best, residual_signal_slope, weighted
-from .read import Photographs
-from .samples import Gathered, Selection, make_samples
-from .signal import Form
-from .spread import Spread, chi_square_per_dof, fit_spread, sensor_spread
-from .stated import StatedErrors, stated_errors, with_stated_errors
-from .turns import (
+from .lights import (
+    StatedErrors,
     TurnedLights,
     among_turns,
     information_on_turns,
     shifts_of_turns,
+    stated_errors,
     turned,
+    with_stated_errors,
     with_wider_directions,
 )
+from .optimum import (
+    Spread,
+    best,
+    fit_spread,
+    residual_signal_slope,
+    sensor_spread,
+    variance,
+    weighted,
+)
+from .read import Photographs
+from .samples import (
+    Gathered,
+    Grouping,
+    Samples,
+    Selection,
+    average,
+    cost_and_information,
+    image_samples,
+    log_likelihood_of_dn,
+    predict,
+    saturated_only,
+    scores_and_slopes,
+    total_log_likelihood,
+)
+from .signal import Form, Matrix, OfSamples, Vector, parameter_space
 
 
 @dataclass(frozen=True)
@@ -41,9 +77,8 @@ class ChannelFit:
     selection: Selection
     places: Float[np.ndarray, "lights 3"]  # of the lights, in units that compare
     space: ParameterSpace
-    vector: Float[np.ndarray, " parameters"]  # unconstrained
-    # on that scale, as if all samples were independent
-    information: Float[np.ndarray, "parameters parameters"]
+    vector: Vector  # unconstrained
+    information: Matrix  # on that scale, as if all samples were independent
     stated: StatedErrors  # what the rig calls uncertain
     # where the images put lights of uncertain directions; None without such
     turned: TurnedLights | None
@@ -53,7 +88,7 @@ class ChannelFit:
     sensor_chi_square: float | None  # with the sensor's noise alone; None if unknown
     log_likelihood: float  # with the spread of the final residuals, where lights stand in the fit
     by_light: Float[np.ndarray, "lights 2"]  # `squared_errors` of the samples
-    # (lights, 2) turns and (lights, 2, 2) what the images tell of them, in units of the directions'
+    # (lights, 2) turns and (turns, turns) what the images tell of them, in units of the directions'
     # uncertainty; None without such
     turns_and_information: tuple[np.ndarray, np.ndarray] | None
     converged: bool  # whether the optimum was reached
@@ -65,7 +100,7 @@ class ChannelFit:
         return self.samples.form
 
     @property
-    def natural(self) -> Float[np.ndarray, " parameters"]:
+    def natural(self) -> Vector:
         """Parameters in their own units."""
         return natural_numbers(self.space, self.vector)
 
@@ -91,9 +126,9 @@ class ChannelFit:
 
     def log_evidence(self, design_effect: float) -> float:
         """Logarithm of the likelihood marginalised over the light directions, with e their most
-        likely rotations,
+        likely rotations and P their prior covariance,
 
-            ln L(e) - e^2 / 2 - ln det(1 + S^T S) / 2,
+            ln L(e) - e^T P^-1 e / 2 - ln det(1 + P S^T S) / 2,
 
         where ln L and S^T S are divided by a design effect.
         """
@@ -101,13 +136,9 @@ class ChannelFit:
         if self.turns_and_information is None:
             return evidence
         turns, information = self.turns_and_information
-        if self.turn_prior is None:
-            widening = np.linalg.slogdet(np.eye(2) + information / design_effect)[1]
-            return evidence - float(np.sum(turns**2) + widening.sum()) / 2
-        prior, flat = self.turn_prior, turns.ravel()
-        root = np.linalg.cholesky(prior)
-        told = root.T @ np.asarray(block_diag(*information)) @ root / design_effect
-        volume = np.linalg.slogdet(np.eye(len(flat)) + told)[1]
+        flat, told = turns.ravel(), information / design_effect
+        prior = np.eye(len(flat)) if self.turn_prior is None else self.turn_prior
+        volume = np.linalg.slogdet(np.eye(len(flat)) + prior @ told)[1]
         return evidence - float(flat @ np.linalg.solve(prior, flat) + volume) / 2
 
 
@@ -128,14 +159,18 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
     samples, prediction = found.samples, found.prediction
     space = parameter_space(samples.form)
     stated = stated_errors(known, channel, prediction, samples, selection, turns)
-    seen = residual_signal_slope(prediction, samples)
+    residual, signal, slope = seen = residual_signal_slope(prediction, samples)
     likeliest = weighted(prediction, samples, fit_spread(*seen, sensor=sensor))
     told = None
     if lights is not None:
         about = np.zeros_like(lights.turns) if turns is None else turns
         shifts = shifts_of_turns(known, about, channel, prediction.vector, likeliest, selection)
         told = about, information_on_turns(shifts, likeliest, selection, len(about))
-    dof = len(seen[0]) - len(space)
+
+    def chi_square(spread: Spread) -> float:
+        squares = residual**2 / variance(spread, signal, slope=slope)
+        return float(np.sum(squares) / (len(residual) - len(space)))
+
     return ChannelFit(
         channel=observation.channels[channel],
         requested=form,
@@ -149,8 +184,8 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         turned=lights,
         identifiability=identifiability(space, stated.left_of(found.information)),
         spread=found.spread,
-        chi_square=chi_square_per_dof(*seen, found.weights, dof),
-        sensor_chi_square=None if sensor is None else chi_square_per_dof(*seen, sensor, dof),
+        chi_square=chi_square(found.weights),
+        sensor_chi_square=None if sensor is None else chi_square(sensor),
         log_likelihood=float(log_likelihood_of_dn(prediction, likeliest)[0].sum()),
         by_light=squared_errors(prediction.dn, samples, selection),
         turns_and_information=told,
@@ -171,7 +206,7 @@ def robust_covariance(fit: ChannelFit, known: Int[np.ndarray, " known"]) -> Robu
 
 
 def squared_errors(
-    predicted: Float[np.ndarray, " samples"], samples: Samples, selection: Selection
+    predicted: OfSamples, samples: Samples, selection: Selection
 ) -> Float[np.ndarray, "lights 2"]:
     """Return (lights, 2) sums over a light's unsaturated samples of squared (predicted - measured)
     and of squared signals above black."""
@@ -195,8 +230,80 @@ def predicted_image(
 ) -> Float[np.ndarray, " pixels"]:
     """Return (pixels,) DN predicted under one light without noise, limited to the clip level. The
     observation must have `lights_as_fitted`."""
-    pixels = np.arange(observation.cosine.shape[1])
-    selection = Selection(np.full_like(pixels, light), pixels)
     channel = observation.channels.index(fit.channel)
-    samples = make_samples(observation, channel, fit.form, selection)
+    samples = image_samples(observation, channel, fit.form, light)
     return np.minimum(predict(fit.vector, samples).dn, observation.clip)
+
+
+# ---------------------------------------------------------------- posterior
+
+
+class Adjusted(eqx.Module):
+    """A log density with another curvature at its mode."""
+
+    density: Callable[[Array, Any], Array] = eqx.field(static=True)  # function of (vector, data)
+    data: Any  # of the density
+    mode: Float[Any, " parameters"]  # unconstrained
+    stretch: Float[Any, "parameters parameters"]  # the matrix C of mode + C (vector - mode)
+    # of the density at the mode, to be subtracted; None for 0
+    slope: Float[Any, " parameters"] | None = None
+
+
+def adjusted_log_density(vector: Float[Array, " parameters"], data: Adjusted) -> Array:
+    """Log density with its argument stretched about the mode, up to a constant."""
+    away = data.stretch @ (vector - data.mode)
+    own = data.density(data.mode + away, data.data)
+    return own if data.slope is None else own - data.slope @ away
+
+
+def composite(fit: ChannelFit, grouping: Grouping) -> Adjusted:
+    """Return the adjusted likelihood of cells and saturated samples, where the covariance of a fit
+    is known."""
+    assert fit.robustness is not None
+    cells = average(fit.samples, grouping, exact_at=predict(fit.vector, fit.samples))
+    data = cells, saturated_only(fit.samples)
+    stretch = curvature_stretch(fit.information, fit.robustness.gaussian_covariance)
+    slope = np.zeros(len(fit.vector))
+    for own in data:
+        if own is not None:
+            slope -= cost_and_information(predict(fit.vector, own), own)[1]
+    return Adjusted(total_log_likelihood, data, fit.vector, stretch, slope)
+
+
+def channel_posterior(
+    fit: ChannelFit, grouping: Grouping, *, sampling: Emcee | None, seed: int
+) -> Posterior:
+    """Return the posterior of one channel whose covariance is known."""
+    assert fit.robustness is not None
+    data, options = composite(fit, grouping), {"sampling": sampling, "seed": seed}
+    return adjusted_posterior(data, fit.space, fit.channel, **robust(fit.robustness), **options)
+
+
+def robust(covariance: Robustness) -> dict[str, Any]:
+    """The input of `adjusted_posterior` from a covariance over images. An interval of Student's t
+    is wider than its standard deviation, and a non-Gaussian density is stretched to it."""
+    return {
+        "covariance": covariance.covariance,
+        "wider": covariance.gaussian_covariance,
+        "freedom": covariance.freedom,
+    }
+
+
+def adjusted_posterior(
+    data: Adjusted,
+    space: ParameterSpace,
+    channel: str,
+    *,
+    covariance: Matrix,
+    wider: Matrix | None = None,
+    sampling: Emcee | None,
+    seed: int,
+    **judged: Any,
+) -> Posterior:
+    """Return draws by emcee if `sampling` is given, else Laplace's approximation, where it is
+    accurate."""
+    if sampling is None:
+        of = adjusted_log_density, space, data.mode, covariance, data
+        return laplace_where_it_holds(*of, seed=seed, wider=wider, **judged)
+    of = adjusted_log_density, space, data.mode, covariance if wider is None else wider, data
+    return sample(*of, options=for_group(sampling, channel), seed=seed)

@@ -2,13 +2,24 @@
 
 Variable projection finds the global optimum of unweighted least squares, without start values. Its
 residuals give the spread and the weights of the final fit, which is one step of feasible
-generalised least squares. If the misfit of the model exceeds the sensor's noise, the weights treat
-it as a constant (`spread`), because a wrong model must not reduce the weight of the highlights that
-it misses. Saturated pixels enter the likelihood as "at least this bright". Dropping them, or using
-their numbers, would bias the highlight.
+generalised least squares. A linear signal X (DN) has the variance
+
+    floor + shot X + (relative X)^2
+
+floor and shot are those of the sensor. `relative` is the misfit of the model: the pixels' own gains
+(PRNU), or a surface that differs from the model. A misfit is not noise. Weights that decrease with
+it would reduce the weight of the highlights that the model misses, although they dominate the
+errors of its pictures. The weights therefore treat a misfit as a constant,
+
+    floor + shot X + misfit^2,
+
+which is plain least squares if the misfit dominates, and efficient if there is none.
+
+Saturated pixels enter the likelihood as "at least this bright". Dropping them, or using their
+numbers, would bias the highlight.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -16,15 +27,30 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
+from jaxvision.sensor import QUANTISATION_VARIANCE
+
 from ...inference.newton import minimise_read
 from ...inference.parameters import names
 from ...inference.separable import SeparableFit, fit_amplitudes, fit_separable
 from ..models import has_lobe, is_searched, log_range, shape_of
-from .derivatives import Prediction, Vector, cost_and_information, predict
-from .geometry_cells import Grouping, average, saturated_only
-from .model import Samples, parameter_space
-from .signal import decoded, encoding_slope, lobe_with_slopes
-from .spread import Spread, fit_spread, flat_spread, variance
+from .samples import (
+    Grouping,
+    Prediction,
+    Samples,
+    average,
+    cost_and_information,
+    predict,
+    saturated_only,
+)
+from .signal import (
+    Matrix,
+    OfSamples,
+    Vector,
+    decoded,
+    encoding_slope,
+    lobe_with_slopes,
+    parameter_space,
+)
 
 GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
 NEARBY = 2.0  # of log parameters: weights move an optimum less, unless the data leave it open
@@ -34,6 +60,106 @@ MOST_STEPS = 300  # of the bounded search
 MOST_PARAMETERS = 5  # of any form: searches of all forms are one program
 FINER = 9  # shapes of each finer grid of the search
 SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is absent
+BINS = 64
+EXCESS = 3.0  # standard deviations by which chi-square must exceed its expectation
+
+
+# ---------------------------------------------------------------- spread
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Variance of the linear signal X: floor + shot X + (relative X)^2."""
+
+    floor: float  # DN^2
+    shot: float  # DN; the system gain, DN per electron
+    relative: float | None  # fraction of the signal; None where it is not significant
+
+
+def variance(spread: Spread, signal: OfSamples, *, slope: OfSamples | float = 1.0) -> OfSamples:
+    """Variance of the stored number in DN^2, including rounding, at a signal X in DN and a slope d
+    DN / d X."""
+    linear = spread.floor + spread.shot * np.maximum(signal, 0)
+    if spread.relative is not None:
+        linear = linear + (spread.relative * signal) ** 2
+    return slope**2 * linear + QUANTISATION_VARIANCE
+
+
+def sensor_spread(gain: float, read_noise: float) -> Spread:
+    """Spread of a sensor with a gain in DN/e- and a read noise in e-."""
+    return Spread((gain * read_noise) ** 2, gain, None)
+
+
+def fit_spread(
+    residual: OfSamples, signal: OfSamples, slope: OfSamples, *, sensor: Spread | None
+) -> Spread:
+    """Return the most likely spread of residuals (DN), from their mean squares in bins of signal
+    (DN).
+
+    With a known sensor, only the relative term is fitted, and only if chi-square exceeds its
+    expectation by three standard deviations. Without one, a constant and a relative term are
+    fitted.
+    """
+    bins = counts, squares, x, d = _binned(residual, signal, slope)
+    if sensor is not None:
+        excess = np.sum(counts * squares / variance(sensor, x, slope=d)) / counts.sum() - 1
+        if excess < EXCESS * np.sqrt(2 / counts.sum()):
+            return sensor
+
+    def spread_of(logs: np.ndarray) -> Spread:
+        if sensor is not None:
+            return Spread(sensor.floor, sensor.shot, float(np.exp(logs[0])))
+        return Spread(float(np.exp(2 * logs[1])), 0.0, float(np.exp(logs[0])))
+
+    typical = np.log(np.average(squares / d**2, weights=counts)) / 2
+    brightest = np.log(np.maximum(x.max(), 1.0))
+    start = [typical - brightest, typical - 1]
+    bounds = [(typical - brightest - 12, 2.0), (typical - 12, typical + 2)]
+    count = 2 if sensor is None else 1
+    deviance = _deviance(spread_of, *bins)
+    return spread_of(scipy.optimize.minimize(deviance, start[:count], bounds=bounds[:count]).x)
+
+
+def flat_spread(
+    residual: OfSamples, signal: OfSamples, slope: OfSamples, *, sensor: Spread | None
+) -> Spread:
+    """Return the spread that weights a fit: the sensor's plus the constant that makes residuals
+    most likely."""
+    bins = counts, squares, _, d = _binned(residual, signal, slope)
+    own = Spread(0.0, 0.0, None) if sensor is None else sensor
+
+    def with_misfit(log_square: float) -> Spread:
+        return Spread(own.floor + float(np.exp(log_square)), own.shot, None)
+
+    typical = np.log(np.average(squares / d**2, weights=counts))
+    bounds = (typical - 24, typical + 4)
+    deviance = _deviance(with_misfit, *bins)
+    return with_misfit(scipy.optimize.minimize_scalar(deviance, bounds=bounds).x)
+
+
+def _deviance(
+    spread_of: Callable[..., Spread], counts: Vector, squares: Vector, x: Vector, d: Vector
+) -> Callable[..., float]:
+    """-2 ln L per residual of binned residuals, by the logarithms that give a spread."""
+
+    def deviance(logs: np.ndarray) -> float:
+        v = variance(spread_of(logs), x, slope=d)
+        return float(np.sum(counts * (np.log(v) + squares / v)) / counts.sum())
+
+    return deviance
+
+
+def _binned(residual: OfSamples, signal: OfSamples, slope: OfSamples) -> tuple[np.ndarray, ...]:
+    """Counts, mean squares, mean signals and rms slopes in bins of equally many samples."""
+    order = np.argsort(signal)
+    edges = np.unique(np.linspace(0, len(order), min(BINS, len(order)) + 1).astype(int))
+    counts = np.diff(edges)
+    each = residual**2, signal, slope**2
+    squares, x, d = (np.add.reduceat(v[order], edges[:-1]) / counts for v in each)
+    return counts, squares, x, np.sqrt(d)
+
+
+# ---------------------------------------------------------------- optimum
 
 
 @dataclass(frozen=True)
@@ -45,7 +171,7 @@ class Optimum:
     # the same without the part that grows with the signal, where the model misses it
     weights: Spread
     prediction: Prediction  # of the samples at the optimum
-    information: Float[np.ndarray, "parameters parameters"]  # of the unconstrained vector
+    information: Matrix  # of the unconstrained vector
     converged: bool  # whether it was reached
 
     @property
@@ -92,11 +218,23 @@ def project(samples: Samples) -> tuple[Samples, Vector]:
     """Return the global optimum of the weighted squares of the unsaturated samples, with linearised
     deviations, and the samples in the form of that vector, which lacks every term of amplitude
     zero."""
-    if not samples.form.free_gamma:
-        return _present_terms(samples, _projected(samples, samples.gamma), None)
-    tried = [(gamma, _projected(samples, gamma)) for gamma in GAMMAS]
-    gamma, found = min(tried, key=lambda attempt: attempt[1].cost)
-    return _present_terms(samples, found, gamma)
+    form, gammas = samples.form, GAMMAS if samples.form.free_gamma else (samples.gamma,)
+    gamma, found = min(
+        ((gamma, _projected(samples, gamma)) for gamma in gammas), key=lambda tried: tried[1].cost
+    )
+    diffuse, ambient, specular = np.asarray(found.amplitudes[0])
+    if form.model != "lambert" and not has_lobe(form.model):
+        diffuse, specular = specular, 0.0
+    elif specular == 0:
+        form = replace(form, model="lambert")
+    form = replace(form, ambient=bool(form.ambient and ambient != 0))
+    smallest = SMALLEST_SHARE * max(diffuse, specular)
+    vector = [np.log(max(diffuse, smallest))]
+    vector += [np.log(specular)] if has_lobe(form.model) else []
+    vector += [found.nonlinear] if form.model != "lambert" else []
+    vector += [np.log(ambient)] if form.ambient else []
+    vector += [] if gamma is None or not form.free_gamma else [np.log(gamma)]
+    return replace(samples, form=form), np.array(vector)
 
 
 def _projected(samples: Samples, gamma: float | None) -> SeparableFit:
@@ -124,36 +262,14 @@ def _projected(samples: Samples, gamma: float | None) -> SeparableFit:
     return fit_separable(columns, fixed, *bands, lower=lower, upper=upper, finer=FINER)
 
 
-def _present_terms(
-    samples: Samples, found: SeparableFit, gamma: float | None
-) -> tuple[Samples, Vector]:
-    diffuse, ambient, specular = np.asarray(found.amplitudes[0])
-    rough = samples.form.model != "lambert" and not has_lobe(samples.form.model)
-    if rough:
-        diffuse, specular = specular, 0.0
-    elif specular == 0 and samples.form.model != "lambert":
-        samples = replace(samples, form=replace(samples.form, model="lambert"))
-    if ambient == 0 and samples.form.ambient:
-        samples = replace(samples, form=replace(samples.form, ambient=False))
-    form = samples.form
-    smallest = SMALLEST_SHARE * max(diffuse, specular)
-    vector = [np.log(max(diffuse, smallest))]
-    vector += [np.log(specular)] if has_lobe(form.model) else []
-    vector += [found.nonlinear] if form.model != "lambert" else []
-    vector += [np.log(ambient)] if form.ambient else []
-    vector += [np.log(gamma)] if gamma is not None else []
-    return samples, np.array(vector)
-
-
 def residual_signal_slope(
     prediction: Prediction, samples: Samples
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[OfSamples, OfSamples, OfSamples]:
     """Return measured - predicted (DN), linear signal (DN) and d DN / d X of the unsaturated
     samples, from which a spread is fitted."""
     trusted = slice(None) if samples.saturated is None else ~np.asarray(samples.saturated)
-    each = samples.dn - prediction.dn, prediction.signal, prediction.slope
-    residual, signal, slope = (np.asarray(x)[trusted] for x in each)
-    return residual, signal, slope
+    left = np.asarray(samples.dn - prediction.dn)
+    return left[trusted], prediction.signal[trusted], prediction.slope[trusted]
 
 
 def weighted(prediction: Prediction, samples: Samples, spread: Spread) -> Samples:
@@ -167,7 +283,7 @@ class Minimum:
     """Where a search by Newton's method ended."""
 
     vector: Vector
-    information: Float[np.ndarray, "parameters parameters"]
+    information: Matrix
     converged: bool
     last: Prediction  # of the last of the parts, where the search looked last
 
@@ -190,29 +306,23 @@ def minimise_samples(
             curvature[:count, :count] += information
         return total, slope, curvature
 
-    found = minimise_read(
-        derivatives, np.pad(start, (0, MOST_PARAMETERS - count)), tolerance=tolerance
-    )
-    return Minimum(
-        np.asarray(found.vector)[:count],
-        np.asarray(found.information)[:count, :count],
-        bool(found.converged),
-        last[0],
-    )
+    padded = np.pad(start, (0, MOST_PARAMETERS - count))
+    found = minimise_read(derivatives, padded, tolerance=tolerance)
+    information = np.asarray(found.information)[:count, :count]
+    return Minimum(np.asarray(found.vector)[:count], information, bool(found.converged), last[0])
 
 
-def optimum(start: Vector, samples: Samples) -> tuple[Prediction, np.ndarray, bool]:
+def optimum(start: Vector, samples: Samples) -> tuple[Prediction, Matrix, bool]:
     """Return the samples as predicted at the optimum, its information, and whether the search
     converged within the searched shapes. Newton's method starts next to it; if saturated pixels are
     in between, a bounded search comes first."""
     found = minimise_samples(start, [samples])
     if not found.converged:
         found = minimise_samples(_in_box(start, samples), [samples])
-    vector, form = found.vector, samples.form
-    natural = dict(zip(names(parameter_space(form)), np.exp(vector), strict=True))
-    within = form.model == "lambert" or is_searched(
-        form.model, float(natural[shape_of(form.model).name])
-    )
+    vector, model, within = found.vector, samples.form.model, True
+    if model != "lambert":
+        place = names(parameter_space(samples.form)).index(shape_of(model).name)
+        within = is_searched(model, float(np.exp(vector[place])))
     there = np.array_equal(found.last.vector, vector)
     prediction = found.last if there else predict(vector, samples)
     return prediction, found.information, found.converged and within

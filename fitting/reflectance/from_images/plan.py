@@ -19,13 +19,11 @@ from ...report.section import Section, Table
 from ..models import LABELS
 from ..names import Model
 from .calibration import ReflectanceCalibration
-from .derivatives import predict, scores_and_slopes
 from .fit import ChannelFit
-from .model import parameter_space
 from .optimum import weighted
 from .read import Photographs, angles
-from .samples import Selection, make_samples
-from .signal import Form
+from .samples import image_samples, predict, scores_and_slopes
+from .signal import Form, parameter_space
 
 FROM_VIEW = (0, 20, 40, 60, 80)  # degrees
 AROUND = (0, 45, 90, 135, 180, 225, 270, 315)  # degrees, from the right counter-clockwise
@@ -74,10 +72,8 @@ def added_information(
 ) -> Float[np.ndarray, "parameters parameters"]:
     """Fisher information (P, P) of one more image of independent pixels, if the model is right."""
     lit = observation.cosine[light] > 0
-    pixel = np.arange(len(lit))
-    selection = Selection(np.full_like(pixel, light), pixel)
     channel = observation.channels.index(fit.channel)
-    samples = make_samples(observation, channel, fit.form, selection)
+    samples = image_samples(observation, channel, fit.form, light)
     prediction = predict(fit.vector, samples)
     samples = replace(
         weighted(prediction, samples, fit.spread),

@@ -1,12 +1,16 @@
-"""Images of a known shape under known lights, as samples. Each light and pixel has the digital
-number, the cosine of incidence, the angle to the mirror direction and the irradiance.
+"""Photographs of a known shape under known lights, from a rig or from memory. Each light and pixel
+has the digital number, the cosine of incidence, the angle to the mirror direction and the
+irradiance. Flats and darks of the camera in the same rig give gain and read noise by their temporal
+noise, and darks give the black level.
 
 The view is orthographic along +z (x right, y up, z toward the camera), so that the viewer's
 direction is the same everywhere. Angles are radians, digital numbers as stored.
 """
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,19 +18,35 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri
 
-from jaxvision import as_array, as_vec
+from jaxvision import ArrayLike, as_array, as_vec
+from jaxvision.core.plain_arrays import plain_array
 from jaxvision.errors import InputError
 from jaxvision.files.images import read_image
 from jaxvision.geometry import angle_between, mirror_direction
 from jaxvision.geometry.hemisphere import local_frame
 
-from ...frame_checks.frame import refuse_half
+from ...frame_checks.frame import FrameSample, frame_sample, refuse_half
 from ...frame_checks.heads import Stated, odd_heads
+from ...frame_checks.levels import odd_frames
 from ...inference.formatting import format_percent
 from ...lights.file import read_lights
-from ...observation import Load, in_region, one_site, read_mask, read_stack, to_one_site
+from ...noise.settings import require_one_setting
+from ...observation import (
+    Load,
+    in_memory,
+    in_region,
+    one_site,
+    read_mask,
+    read_stack,
+    require_as_many,
+    require_frames,
+    require_several_images,
+    to_one_site,
+)
 from ...rig import (
     Camera,
+    Dark,
+    Flat,
     Geometry,
     Light,
     Purpose,
@@ -138,6 +158,26 @@ class Photographs:
     def saturated(self) -> Bool[np.ndarray, "channels lights pixels"]:
         return self.dn >= self.clip
 
+    def of_pixels(self, some: slice) -> "Photographs":
+        """The same of some pixels."""
+        own = {name: getattr(self, name)[some] for name in ("normals", "rows", "columns")}
+        seen = {n: getattr(self, n)[:, some] for n in ("wi", "cosine", "mirror_angle", "falloff")}
+        return replace(self, **own, **seen, dn=self.dn[..., some])
+
+    def of_lights(self, kept: Bool[np.ndarray, " lights"]) -> "Photographs":
+        """The same of some lights."""
+        own = {n: getattr(self, n)[kept] for n in ("wi", "cosine", "mirror_angle", "falloff")}
+        return replace(
+            self,
+            **own,
+            files=tuple(name for name, stays in zip(self.files, kept, strict=True) if stays),
+            dn=self.dn[:, kept],
+            intensity=self.intensity[:, kept],
+            held_out=self.held_out[kept],
+            uncertain={name: sizes[kept] for name, sizes in self.uncertain.items()},
+            turn_prior=turn_prior_of(self, kept),
+        )
+
 
 def read_reflectance_observation(
     rig: Rig | str | os.PathLike[str], *, load: Load = read_image
@@ -169,7 +209,11 @@ def read_reflectance_observation(
     assert rig.geometry is not None
     frames = _read_frames(rig, load)
     shape = (frames.shape[2], frames.shape[3])
-    rows, columns, normals = _surface(rig, rig.geometry, shape, load)
+    named, mask = rig.geometry.mask, None
+    if named is not None:
+        mask = read_mask(rig.path(named), rig.camera, shape=shape, load=load)
+    useless = [f"The mask {named} leaves out no pixel; it has no effect."]
+    rows, columns, normals = _surface(rig, rig.geometry, shape, mask, load)
     wi, falloff = _light_field(rig, normals)
     cosine, mirror_angle = angles(normals, wi)
     camera = one_site(rig.camera)
@@ -205,7 +249,7 @@ def read_reflectance_observation(
             *told,
             *how,
             *([ASSUMED_BLACK] * (rig.camera.black_level is None)),
-            *_mask_without_effect(rig, shape, load),
+            *useless * (mask is not None and bool(mask.all())),
         ),
         uncertain={
             name: np.array([getattr(light, name) or 0.0 for light in rig.light])
@@ -304,18 +348,13 @@ def _read_frames(rig: Rig, load: Load) -> Float[np.ndarray, "channels lights h w
     mask = None if named is None else read_mask(rig.path(named), rig.camera, load=load)
     stored = read_stack(rig, [light.file for light in rig.light], load=load, mask=mask)
     stack = np.stack([to_one_site(image, rig.camera) for image in stored])
-    if stack.ndim == 3:
-        return stack[None]
-    return np.moveaxis(stack, 3, 0)
+    return stack[None] if stack.ndim == 3 else np.moveaxis(stack, 3, 0)
 
 
 def _surface(
-    rig: Rig, geometry: Geometry, shape: tuple[int, int], load: Load
+    rig: Rig, geometry: Geometry, shape: tuple[int, int], mask: np.ndarray | None, load: Load
 ) -> tuple[Int[np.ndarray, " pixels"], Int[np.ndarray, " pixels"], Float[np.ndarray, "pixels 3"]]:
     """Rows, columns and unit normals of the pixels that show the object."""
-    mask = None
-    if geometry.mask is not None:
-        mask = read_mask(rig.path(geometry.mask), rig.camera, shape=shape, load=load)
     if geometry.sphere is not None:
         normals, seen = _sphere_normals(geometry.sphere, shape, rig.camera)
     else:
@@ -330,13 +369,6 @@ def _surface(
             f"needs at least {FEWEST_PIXELS}, so check the mask, the sphere and the image size."
         )
     return rows, columns, normals[rows, columns]
-
-
-def _mask_without_effect(rig: Rig, shape: tuple[int, int], load: Load) -> tuple[str, ...]:
-    named = None if rig.geometry is None else rig.geometry.mask
-    if named is None or not read_mask(rig.path(named), rig.camera, shape=shape, load=load).all():
-        return ()
-    return (f"The mask {named} leaves out no pixel; it has no effect.",)
 
 
 def _sphere_normals(
@@ -529,3 +561,250 @@ def _refuse_clipped_or_dark(
             f"{np.median(lit_dn):g} DN over a black level of {observation.black:g} DN); expose "
             "more, or correct camera.black_level or the directions of the lights."
         )
+
+
+def read_joint_measurement(
+    rig: Rig | str | os.PathLike[str], *, load: Load = read_image
+) -> Photographs:
+    """Read and check the images of a rig, its flats and its darks.
+
+    Args:
+        rig: with `[[light]]` and `[geometry]`, and optional `[[flat]]` and `[[dark]]`; or its
+            folder or file.
+        load: function that reads an image from its path.
+
+    Returns:
+        The photographs, with the levels of flats and darks.
+
+    Raises:
+        InputError: as for the reflectance calibration, and for flats and darks that do not match.
+    """
+    rig = as_rig(rig)
+    observation = read_reflectance_observation(rig, load=load)
+    encoded = observation.gamma is not None
+    rig, findings = _without_odd_frames(rig, load)
+    if encoded and rig.dark:
+        findings.append(
+            "The files are gamma encoded: darks, at the foot of the curve, were left out."
+        )
+    return replace(
+        observation,
+        levels=_levels(rig, len(observation.channels), load, with_darks=not encoded),
+        findings=(*findings, *observation.findings),
+    )
+
+
+def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
+    """A rig without the flats and darks that deviate from the others, with the reason."""
+    sentences: list[str] = []
+    black = np.zeros(0)
+    kept: dict[str, list[Flat | Dark]] = {"dark": [], "flat": []}
+    for kind in kept:
+        entries: Sequence[Flat | Dark] = getattr(rig, kind)
+        if not entries:
+            continue
+        levels = [_samples_of(rig, entry, load) for entry in entries]
+        light = [getattr(entry, "photons", None) or entry.exposure for entry in entries]
+        is_flat = kind == "flat"
+        floor = np.median(black) if black.size else one_site(rig.camera).black_level or 0.0
+        odd = odd_frames(
+            levels, light=light, black=np.full(len(levels), floor) if is_flat else None
+        )
+        refuse_half(rig.folder, odd, sum(len(level) for level in levels))
+        sentences += [one.sentence for one in odd]
+        gone = {name for one in odd for name in one.names}
+        black = np.array([one.mean for level in levels for one in level if one.name not in gone])
+        for entry in entries:
+            if files := tuple(name for name in entry.files if name not in gone):
+                kept[kind].append(entry.model_copy(update={"files": files}))
+    return rig.model_copy(update={kind: tuple(own) for kind, own in kept.items()}), sentences
+
+
+def _samples_of(rig: Rig, entry: Flat | Dark, load: Load) -> list[FrameSample]:
+    """The summaries of a level's frames; for colours, of their mean."""
+    stack = read_stack(rig, entry.files, load=load)
+    grey = stack.mean(axis=3) if stack.ndim == 4 else stack
+    top = one_site(rig.camera).clip_level
+    return [
+        frame_sample(name, frame, top=top) for name, frame in zip(entry.files, grey, strict=True)
+    ]
+
+
+def _levels(
+    rig: Rig, channels: int, load: Load, *, with_darks: bool
+) -> tuple[UniformLevels, ...] | None:
+    entries = [*rig.flat, *(rig.dark if with_darks else ())]
+    if not entries:
+        return None
+    require_one_setting(rig, "give those of the images' gain and temperature alone")
+    rows = np.array([_level(rig, entry.files, channels, load) for entry in entries])
+    dark = np.arange(len(entries)) >= len(rig.flat)
+    levels = tuple(UniformLevels(*rows[:, channel].T, dark=dark) for channel in range(channels))
+    for channel in levels:
+        if (channel.variance <= 0).any():
+            first = entries[int(np.argmax(channel.variance <= 0))].files[0]
+            raise InputError(
+                f"{rig.path(first)}: its frames are equal in every pixel, so they are copies, "
+                "clipped or saturated; give independent frames at another level."
+            )
+    return levels
+
+
+def _level(rig: Rig, files: tuple[str, ...], channels: int, load: Load) -> np.ndarray:
+    """(channels, 4): mean, temporal variance, its degrees of freedom, error of the mean."""
+    stack = np.stack([to_one_site(f, rig.camera) for f in read_stack(rig, files, load=load)])
+    stack = stack[..., None] if stack.ndim == 3 else stack
+    if stack.shape[3] != channels:
+        raise InputError(
+            f"{rig.path(files[0])}: has {stack.shape[3]} channels, the object's images have "
+            f"{channels}; give flats and darks of the same kind."
+        )
+    if (stack >= one_site(rig.camera).clip_level).any():
+        raise InputError(
+            f"{rig.path(files[0])}: has saturated pixels; leave this level out of the rig."
+        )
+    frames, height, width = stack.shape[:3]
+    pixels = height * width
+    # frames may drift together, which is not the noise of pixels
+    noise = stack - stack.mean(axis=(1, 2), keepdims=True)
+    variance = noise.var(axis=0, ddof=1).mean(axis=(0, 1)) * pixels / (pixels - 1)
+    of_pixels = stack.mean(axis=0).reshape(pixels, channels)
+    error = np.sqrt(of_pixels.var(axis=0, ddof=1) / pixels)
+    freedom = np.full(channels, (frames - 1.0) * (pixels - 1))
+    return np.stack([of_pixels.mean(axis=0), variance, freedom, error], axis=1)
+
+
+# What a caller calls the keys of the entries.
+CALLED = {
+    "light.direction": "lights",
+    "light.position": "lights",
+    "light.intensity": "intensities",
+    "light.intensity_sd": "intensity_sd",
+    "light.direction_sd": "direction_sd",
+    "light.exposure_sd": "exposure_sd",
+    "light.stray_sd": "stray_sd",
+}
+
+
+def from_photographs(
+    images: Sequence[ArrayLike],
+    lights: Float[np.ndarray, "lights 3"],
+    *,
+    camera: Camera,
+    normals: Float[np.ndarray, "h w 3"] | None = None,
+    sphere: SphereGeometry | None = None,
+    mask: Bool[np.ndarray, "h w"] | None = None,
+    intensities: ArrayLike | None = None,
+    intensity_sd: ArrayLike | None = None,
+    direction_sd: ArrayLike | None = None,
+    exposure_sd: ArrayLike | None = None,
+    stray_sd: ArrayLike | None = None,
+    held_out: Sequence[int] = (),
+    point_lights: bool = False,
+    flats: Sequence[Sequence[ArrayLike]] = (),
+    darks: Sequence[Sequence[ArrayLike]] = (),
+) -> Photographs:
+    """Photographs in memory, for `reflectance.calibrate` and `joint.calibrate`.
+
+    The view is orthographic along +z (x right, y up, z toward the camera). Each standard deviation
+    is one number for all images or one for each; None for exact.
+
+    Args:
+        images: one for each light, (h, w) or (h, w, 3) DN.
+        lights: (lights, 3) unit vectors from the object toward distant lights.
+        camera: its bits, other known properties, and their errors (`black_sd`, `gamma_sd`,
+            `gain_sd`, `read_noise_sd`, `prnu_sd`).
+        normals: (h, w, 3) unit, 0 beside the object. Pass either these or a sphere.
+        sphere: in orthographic projection.
+        mask: (h, w), true where the object is; None for all pixels of the shape.
+        intensities: (lights,) or (lights, channels) irradiance on a surface that faces the light, W
+            m^-2 or relative; for point lights, radiant intensity. None for 1.
+        intensity_sd: relative standard deviation of the intensities.
+        direction_sd: standard deviation of the directions, rad along each of two axes across them;
+            or the covariance of all lights together, (lights, 4, lights, 4), as
+            `fitting.lights.calibrate` finds it (of its intensities, `intensity_sd` counts).
+        exposure_sd: relative standard deviation of the images' exposures.
+        stray_sd: rms of stray light on all pixels, relative to the irradiance.
+        held_out: indices of the lights that are kept for the test; none keeps every fourth.
+        point_lights: whether `lights` are positions from the centre of the sphere, m.
+        flats: for each level of light two or more frames, (h, w) or (h, w, 3) DN; a joint
+            calibration estimates gain and read noise from them.
+        darks: two or more frames each, without light.
+
+    Returns:
+        The photographs, after the same checks as those of a folder.
+
+    Raises:
+        InputError: for lists of unequal length, and for images that cannot be used.
+
+    Example:
+        >>> from fitting.reflectance import Camera, SphereGeometry, from_photographs
+        >>> lights = np.array([[0.6, 0, 0.8], [-0.6, 0, 0.8], [0, 0.6, 0.8], [0, 0, 1.0]])
+        >>> images = [np.full((20, 20), 100)] * 4  # DN
+        >>> ball = SphereGeometry(centre=(9.5, 9.5), radius=8.0)  # pixels
+        >>> seen = from_photographs(images, lights, camera=Camera(bits=8), sphere=ball)
+        >>> print(seen.channels, seen.shape, seen.held_out)
+        ('grey',) (20, 20) [False False False  True]
+    """
+    lights, intensities = plain_array("lights", lights), plain_array("intensities", intensities)
+    require_several_images("images", images)
+    require_as_many("lights", lights, "images", images)
+    strengths = np.ones(len(lights)) if intensities is None else np.asarray(intensities)
+    require_as_many("intensities", strengths, "images", images)
+    together = None
+    if np.ndim(direction_sd) == 4:  # type: ignore[arg-type]
+        together, direction_sd = np.asarray(plain_array("direction_sd", direction_sd)), None
+        if together.shape != 2 * (len(lights), 4):
+            raise InputError(
+                f"direction_sd: a covariance of {len(lights)} lights is ({len(lights)}, 4, "
+                f"{len(lights)}, 4), got {together.shape}."
+            )
+    uncertain = {
+        "intensity_sd": intensity_sd,
+        "direction_sd": direction_sd,
+        "exposure_sd": exposure_sd,
+        "stray_sd": stray_sd,
+    }
+    sizes = {name: _each(name, sd, images) for name, sd in uncertain.items() if sd is not None}
+    entries: dict[str, Any] = {"geometry": {} if sphere is None else {"sphere": sphere}}
+    entries["light"] = [
+        {
+            "file": f"images[{i}]",
+            "position" if point_lights else "direction": np.asarray(light).tolist(),
+            "intensity": np.atleast_1d(strength).tolist(),
+            "held_out": i in held_out,
+        }
+        | {name: float(each[i]) for name, each in sizes.items() if each[i] != 0}
+        for i, (light, strength) in enumerate(zip(lights, strengths, strict=True))
+    ]
+    named: dict[str, ArrayLike] = {f"images[{i}]": image for i, image in enumerate(images)}
+    for name, array in (("normals", normals), ("mask", mask)):
+        if array is not None:
+            named[name] = array
+            entries["geometry"][name] = name
+    for kind, sets in (("flat", flats), ("dark", darks)):
+        if len(sets):
+            require_frames(f"{kind}s", sets)
+        files = [[f"{kind}s[{i}][{j}]" for j in range(len(set_))] for i, set_ in enumerate(sets)]
+        for of_level, frames in zip(files, sets, strict=True):
+            named |= dict(zip(of_level, frames, strict=True))
+        entries[kind] = [{"files": of_level, "exposure": 1.0} for of_level in files]
+    rig, load = in_memory(named, called=CALLED, camera=camera, **entries)
+    found = read_joint_measurement(rig, load=load)
+    if together is None:
+        return found
+    scale = np.linalg.norm(lights, axis=1)
+    components = together[:, :3, :, :3] / scale[:, None, None, None] / scale[:, None]
+    return with_covariance(found, components)
+
+
+def _each(name: str, sd: ArrayLike, images: Sequence[ArrayLike]) -> Float[np.ndarray, " lights"]:
+    sizes = np.asarray(plain_array(name, sd))
+    if sizes.dtype.kind not in "fiu" or sizes.ndim > 1:
+        raise InputError(
+            f"{name}: give one number for all images or a list of one for each, got {sd!r:.60}."
+        )
+    if sizes.ndim == 0:
+        return np.full(len(images), float(sizes))
+    require_as_many(f"values of {name}", sizes, "images", images)
+    return sizes

@@ -1,14 +1,78 @@
-"""The samples of a fit: lights and pixels chosen from photographs, with their geometry."""
+"""Samples of photographs, their prediction by a surface and an encoding, and their likelihood.
+
+A sample is a lit pixel under one light, or a cell: the mean of pixels of one light with similar
+geometry, so that the work of a fit does not grow with the number of pixels. The curvature of the
+model inside a cell changes its mean. This correction is computed at given parameters, where cells
+and pixels then agree exactly.
+
+A pixel at or above the clip level states only that its value is at least that large. It is censored
+(Tobin, Econometrica 26, 1958) and contributes log Phi((predicted - clip) / deviation).
+
+Searches take derivatives in NumPy. A model is a program only in its lobe, whose values and slopes
+JAX computes (`signal`). All else follows by the chain rule, so that neither pixels nor channels nor
+terms have programs of their own. With X the signal, D its digital number and ln L = sum l(D),
+
+    d ln L / d_i = sum l' D_i,    d2 ln L / d_i d_j = sum l'' D_i D_j + l' D_ij,
+    D_i = f' X_i,                 D_ij = f'' X_i X_j + f' X_ij.
+
+All parameters are logarithms. For an amplitude a and a shape s, X_aa = X_a and X_as = X_s if the
+lobe is a's, 0 otherwise. Chains evaluate the same density traced by JAX.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Array, Bool, Float, Int
+from scipy.special import erfcx, log_ndtr
 
-from .model import Samples
+from ...inference import tails
+from ...inference.parameters import names, to_natural
+from ..models import has_lobe, shape_of
 from .read import VIEW, Photographs
-from .signal import Form, Geometry, in_plane
+from .signal import (
+    Form,
+    Geometry,
+    Matrix,
+    OfSamples,
+    Vector,
+    encoded,
+    encoding_slope,
+    in_plane,
+    lobe_with_slopes,
+    parameter_space,
+    signal,
+)
+
+COSINE_STEP = 0.05  # of a cell in n.l
+FEWEST_SATURATED = 64  # samples of a program of saturated ones
+UNCERTAIN = 1e12  # DN, standard deviation of a sample without information
+FINE_ANGLE, ANGLE_RATIO = 0.1, 1.1  # cells are 0.01 rad wide at the mirror direction, 0.11 at 1 rad
+
+
+class Samples(eqx.Module):
+    """Lit pixels of one channel, or cells of similar pixels: arrays of NumPy or of JAX."""
+
+    form: Form = eqx.field(static=True)
+    geometry: Geometry
+    dn: Float[Any, " samples"]  # DN
+    # DN; a cell of equal pixels is one sample of smaller deviation
+    deviation: Float[Any, " samples"]
+    saturated: Bool[Any, " samples"] | None  # None where nothing clips
+    black: Float[Any, ""]  # DN without light
+    white: Float[Any, ""]  # DN of full scale above black
+    clip: Float[Any, ""]  # DN from which a pixel is saturated
+    gamma: Float[Any, ""] | None  # known encoding; None for linear files or where it is free
+    # DN added to a cell's prediction: by how much the mean over its pixels differs from the value
+    # at their mean geometry
+    offset: Float[Any, " samples"] | None = None
+
+
+# ---------------------------------------------------------------- pixels
 
 
 @dataclass(frozen=True)
@@ -30,16 +94,15 @@ def select(
     seen = observation.cosine > minimum_cosine
     if form.ambient:
         seen = seen | (observation.cosine <= 0)
-    light, pixel = np.nonzero(seen & (observation.held_out == held_out)[:, None])
-    return Selection(light, pixel)
+    return Selection(*np.nonzero(seen & (observation.held_out == held_out)[:, None]))
 
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
     """Values that all fits of one selection share, gathered once from an observation."""
 
-    observation: Photographs  # of the object
-    selection: Selection  # of its samples
+    observation: Photographs
+    selection: Selection
     geometry: dict[int, Geometry]  # of each channel by its index
     dn: dict[int, np.ndarray]  # (samples,) of each channel, DN
     # (samples,) of each channel; None where nothing clips in any
@@ -86,25 +149,266 @@ def make_samples(
     observation: Photographs, channel: int, form: Form, selection: Selection
 ) -> Samples:
     """The selected samples of one channel, with a deviation of 1 DN."""
-    found = gather(observation, selection, channels=(channel,))
-    return found.samples(channel, form)
+    return gather(observation, selection, channels=(channel,)).samples(channel, form)
+
+
+def image_samples(observation: Photographs, channel: int, form: Form, light: int) -> Samples:
+    """All pixels of the object under one light, with a deviation of 1 DN."""
+    pixels = np.arange(observation.cosine.shape[1])
+    return make_samples(observation, channel, form, Selection(np.full_like(pixels, light), pixels))
 
 
 def of_some_pixels(
     observation: Photographs, selection: Selection, step: int
 ) -> tuple[Photographs, Selection]:
     """Return an observation of every `step`-th pixel, and its part of a selection."""
-    some = slice(None, None, step)
-    fewer = replace(
-        observation,
-        normals=observation.normals[some],
-        rows=observation.rows[some],
-        columns=observation.columns[some],
-        **{
-            name: getattr(observation, name)[:, some]
-            for name in ("wi", "cosine", "mirror_angle", "falloff")
-        },
-        dn=observation.dn[..., some],
-    )
     kept = selection.pixel % step == 0
-    return fewer, Selection(selection.light[kept], selection.pixel[kept] // step)
+    fewer = Selection(selection.light[kept], selection.pixel[kept] // step)
+    return observation.of_pixels(slice(None, None, step)), fewer
+
+
+# ---------------------------------------------------------------- prediction
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Samples as predicted at an unconstrained vector."""
+
+    vector: Vector
+    signal: OfSamples  # X, DN above black
+    dn: OfSamples  # D before clipping
+    slope: OfSamples  # d D / d X, where X counts as 1 DN at least
+    slopes: Float[np.ndarray, "parameters samples"]  # D_i, DN
+    # the sums over samples of weights times D_ij follow from these
+    of_signal: Float[np.ndarray, "parameters samples"]  # X_i, DN
+    bend: OfSamples | None  # X_ss, DN; None without a shape
+    encoding: tuple[np.ndarray, ...] | None  # of `_encoding`; None for linear files
+    shape: tuple[int, int] | None  # places of the lobe's amplitude and of its shape
+    free_gamma: bool
+
+    def curvature(self, weights: OfSamples) -> Matrix:
+        """Return the (P, P) sum over samples of weights times D_ij."""
+        of_x = weights if self.encoding is None else weights * self.encoding[1]
+        first = self.of_signal @ of_x
+        found = np.diag(first)
+        if self.shape is not None:
+            amplitude, shape = self.shape
+            found[shape, shape] = self.bend @ of_x
+            found[amplitude, shape] = found[shape, amplitude] = first[shape]
+        if self.encoding is not None:
+            _, _, second, _, mixed, twice = self.encoding
+            found += (self.of_signal * (weights * second)) @ self.of_signal.T
+            if self.free_gamma:
+                found[-1] = found[:, -1] = self.of_signal @ (weights * mixed)
+                found[-1, -1] = weights @ twice
+        return found
+
+
+@np.errstate(all="ignore")  # a search refuses what is not finite
+def predict(vector: Vector, samples: Samples) -> Prediction:
+    """Predict samples at an unconstrained vector."""
+    vector = np.asarray(vector, np.float64)
+    form, geometry = samples.form, samples.geometry
+    known = names(parameter_space(form))
+    natural = dict(zip(known, np.exp(vector), strict=True))
+    light, cosine = np.asarray(geometry.irradiance), np.asarray(geometry.wi.z)
+    of_signal, bend, shape = np.zeros((len(vector), cosine.size)), None, None
+    if form.model == "lambert" or has_lobe(form.model):
+        of_signal[0] = natural["diffuse"] * light * np.maximum(cosine, 0)
+    if form.model != "lambert":
+        shape = int(has_lobe(form.model)), known.index(shape_of(form.model).name)
+        unit = lobe_with_slopes(form, vector[shape[1]], geometry)
+        of_signal[shape[0]], of_signal[shape[1]], bend = np.exp(vector[shape[0]]) * light * unit
+    if form.ambient:
+        of_signal[known.index("ambient")] = natural["ambient"]
+    amplitudes = [i for i, name in enumerate(known) if name in ("diffuse", "specular", "ambient")]
+    signal = of_signal[amplitudes].sum(axis=0)
+    gamma, white = natural["gamma"] if form.free_gamma else samples.gamma, float(samples.white)
+    encoding, dn, slopes = None, signal, of_signal
+    if gamma is not None:
+        gamma = float(gamma)
+        encoding = _encoding(signal, white, gamma)
+        dn, slopes = encoding[0], of_signal * encoding[1]
+        if form.free_gamma:
+            slopes[-1] = encoding[3]
+    dn = dn + samples.black
+    return Prediction(
+        vector=vector,
+        signal=signal,
+        dn=dn if samples.offset is None else dn + samples.offset,
+        slope=encoding_slope(signal, white, gamma),
+        slopes=slopes,
+        of_signal=of_signal,
+        bend=bend,
+        encoding=encoding,
+        shape=shape,
+        free_gamma=form.free_gamma,
+    )
+
+
+def _encoding(x: OfSamples, white: float, gamma: float) -> tuple[np.ndarray, ...]:
+    """f(X), f', f'', and by g = ln gamma df/dg, df'/dg and d2f/dg2; 0 without light."""
+    lit = x > 0
+    x, power = np.where(lit, x, white), 1 / gamma
+    log = power * np.log(x / white)
+    f = white * np.exp(log)
+    first = power * f / x
+    mixed = -power * (1 + log) * f / x
+    each = f, first, (power - 1) * first / x, -log * f, mixed, log * (1 + log) * f
+    return tuple(np.where(lit, values, 0) for values in each)
+
+
+# ---------------------------------------------------------------- likelihood
+
+
+def log_likelihood_of_dn(prediction: Prediction, samples: Samples) -> tuple[np.ndarray, ...]:
+    """Return (samples,) l(D), its slope in DN^-1 and its curvature in DN^-2."""
+    deviation = np.asarray(samples.deviation)
+    z = (prediction.dn - samples.dn) / deviation
+    value = -z * z / 2 - np.log(deviation) - np.log(2 * np.pi) / 2
+    slope, curvature = -z / deviation, -(deviation**-2.0)
+    if samples.saturated is not None:
+        at = np.flatnonzero(samples.saturated)
+        above = (prediction.dn[at] - samples.clip) / deviation[at]
+        hazard = np.sqrt(2 / np.pi) / erfcx(-above / np.sqrt(2))  # phi / Phi
+        value[at], slope[at] = log_ndtr(above), hazard / deviation[at]
+        curvature[at] = -hazard * (above + hazard) / deviation[at] ** 2
+    return value, slope, curvature
+
+
+@np.errstate(all="ignore")
+def cost_and_information(prediction: Prediction, samples: Samples) -> tuple[float, Vector, Matrix]:
+    """Return the negative log likelihood, its gradient and the observed information."""
+    value, slope, curvature = log_likelihood_of_dn(prediction, samples)
+    slopes = prediction.slopes
+    information = -(slopes * curvature) @ slopes.T - prediction.curvature(slope)
+    return -float(value.sum()), -(slopes @ slope), information
+
+
+def scores_and_slopes(prediction: Prediction, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+    """Return the gradient of each sample's log likelihood and of its prediction in standard
+    deviations, (parameters, samples) each; slopes of saturated samples are 0."""
+    _, slope, _ = log_likelihood_of_dn(prediction, samples)
+    return prediction.slopes * slope, prediction.slopes * inverse_deviation(samples)
+
+
+def inverse_deviation(samples: Samples) -> OfSamples:
+    """1 / deviation in DN^-1; 0 for saturated samples, whose residuals have no linear model."""
+    weight = 1 / np.asarray(samples.deviation, np.float64)
+    return weight if samples.saturated is None else np.where(samples.saturated, 0, weight)
+
+
+def log_likelihoods(vector: Float[Array, " parameters"], samples: Samples) -> Array:
+    """Log density of each measured value at an unconstrained vector, or log probability of a
+    saturated one.
+
+    Source:
+        Tobin, Econometrica 26, 1958.
+    """
+    space = parameter_space(samples.form)
+    values = dict(zip(names(space), to_natural(space, vector), strict=True))
+    gamma = values["gamma"] if samples.form.free_gamma else samples.gamma
+    x = signal(values, samples.form, samples.geometry)
+    predicted = samples.black + encoded(x, samples.white, gamma)
+    if samples.offset is not None:
+        predicted = predicted + samples.offset
+    z = (predicted - samples.dn) / samples.deviation
+    gaussian = -z * z / 2 - jnp.log(samples.deviation) - float(np.log(2 * np.pi)) / 2
+    if samples.saturated is None:
+        return gaussian
+    above = jnp.where(samples.saturated, (predicted - samples.clip) / samples.deviation, 0)
+    return jnp.where(samples.saturated, tails.log_ndtr(above), gaussian)
+
+
+def total_log_likelihood(
+    vector: Float[Array, " parameters"], data: tuple[Samples, Samples | None]
+) -> Array:
+    """Log likelihood of cells, and of the saturated samples, which belong to no cell."""
+    each = [jnp.sum(log_likelihoods(vector, own)) for own in data if own is not None]
+    return jnp.sum(jnp.stack(each))
+
+
+# ---------------------------------------------------------------- cells
+
+
+@dataclass(frozen=True)
+class Grouping:
+    """Which samples share a cell."""
+
+    cell: Int[np.ndarray, " samples"]  # its index for each
+    count: int  # of cells
+
+
+def group(
+    light: Int[np.ndarray, " samples"],
+    cosine: OfSamples,
+    mirror_angle: OfSamples,
+    *,
+    width: float = 1.0,
+) -> Grouping:
+    """Group samples by light, n.l and mirror angle (rad), most finely near the mirror direction;
+    `width` scales the cells."""
+    row = np.floor(cosine / (width * COSINE_STEP)).astype(np.int64)
+    angle = np.log1p(mirror_angle / FINE_ANGLE) / (width * np.log(ANGLE_RATIO))
+    column = np.floor(angle).astype(np.int64)
+    row, column = row - row.min(), column - column.min()
+    key = (light * (row.max() + 1) + row) * (column.max() + 1) + column
+    _, cell = np.unique(key, return_inverse=True)
+    return Grouping(cell, int(cell.max()) + 1)
+
+
+def cells_of(observation: Photographs, selection: Selection, *, width: float = 1.0) -> Grouping:
+    """The cells of a selection; `width` scales them."""
+    at = selection.light, selection.pixel
+    return group(at[0], observation.cosine[at], observation.mirror_angle[at], width=width)
+
+
+def average(samples: Samples, grouping: Grouping, *, exact_at: Prediction | None = None) -> Samples:
+    """Average the unsaturated samples of each cell, weighted by their inverse variances.
+
+    With `exact_at`, the samples as predicted at a vector, the cells predict the mean of their
+    pixels exactly there. An empty cell gets an enormous deviation, so that all channels have the
+    same number of cells.
+    """
+    weight = inverse_deviation(samples) ** 2
+    total = np.bincount(grouping.cell, weight, grouping.count)
+    filled = total > 0
+    whole = np.where(filled, total, 1)
+
+    def mean(values: Any) -> Float[np.ndarray, " cells"]:
+        return np.bincount(grouping.cell, weight * values, grouping.count) / whole
+
+    seen = samples.geometry
+    wi, wo = seen.wi, seen.wo
+    between = wi.x * wo.x + wi.y * wo.y + wi.z * wo.z
+    cells = replace(
+        samples,
+        geometry=in_plane(*map(mean, (wi.z, wo.z, between, seen.irradiance))),
+        dn=mean(samples.dn),
+        deviation=np.where(filled, 1 / np.sqrt(whole), UNCERTAIN),
+        saturated=None,
+    )
+    if exact_at is None:
+        return cells
+    return replace(cells, offset=mean(exact_at.dn) - predict(exact_at.vector, cells).dn)
+
+
+def saturated_only(samples: Samples) -> Samples | None:
+    """The saturated samples by themselves; None if there are none.
+
+    Their number is padded to a power of two, so that channels share a compiled program. The padding
+    counts as measured, with an enormous deviation.
+    """
+    if samples.saturated is None or not bool(np.any(samples.saturated)):
+        return None
+    chosen = np.flatnonzero(samples.saturated)
+    count = max(FEWEST_SATURATED, 1 << (len(chosen) - 1).bit_length())
+    real = np.arange(count) < len(chosen)
+    at = np.resize(chosen, count)
+    return replace(
+        samples,
+        geometry=jax.tree.map(lambda x: x[at], samples.geometry),
+        dn=samples.dn[at],
+        deviation=np.where(real, samples.deviation[at], UNCERTAIN),
+        saturated=real,
+    )

@@ -20,7 +20,7 @@ from .calibration import ReflectanceCalibration
 from .comparison import comparison_table, verdict
 from .findings import findings, misfit_table
 from .fit import ChannelFit, robust_covariance
-from .model import parameter_space
+from .signal import parameter_space
 
 
 def section(calibration: ReflectanceCalibration) -> Section:

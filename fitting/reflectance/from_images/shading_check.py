@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ...copies import Copies
 from ...inference.formatting import format_percent
-from .read import Photographs, lightless_images, turn_prior_of
+from .read import Photographs, lightless_images
 
 LIT = 0.1  # of the brightest: pixels that are surely neither in shadow nor background
 OUTLYING, ROUNDS = 2.5, 8  # median absolute deviations beyond which a pixel is highlight; passes
@@ -111,18 +111,8 @@ def without_strangers(observation: Photographs) -> Photographs:
     enough = np.count_nonzero(kept & ~observation.held_out) >= FEWEST_LEFT
     if kept.all() or not enough or kept.sum() < (1 - MOST) * len(kept):
         return observation
-    by_light = ("falloff", "wi", "cosine", "mirror_angle", "held_out")
     sentences = (f"{names[i]} was left out: {why}." for i, why in sorted(reasons.items()))
-    return replace(
-        observation,
-        files=tuple(name for name, stays in zip(names, kept, strict=True) if stays),
-        dn=observation.dn[:, kept],
-        intensity=observation.intensity[:, kept],
-        uncertain={name: sizes[kept] for name, sizes in observation.uncertain.items()},
-        turn_prior=turn_prior_of(observation, kept),
-        findings=(*sentences, *observation.findings),
-        **{name: getattr(observation, name)[kept] for name in by_light},
-    )
+    return replace(observation.of_lights(kept), findings=(*sentences, *observation.findings))
 
 
 def _stated(observation: Photographs) -> Float[np.ndarray, "lights 3"]:

@@ -41,6 +41,10 @@ DARKEST = 1.0  # DN: signals are taken as at least this where a slope or a varia
 GAMMA = Parameter("gamma", symbol="γ", unit="1", transform="log")
 
 Values = dict[str, Array]  # natural, by the parameter's name
+Vector = Float[np.ndarray, " parameters"]
+Matrix = Float[np.ndarray, "parameters parameters"]
+OfSamples = Float[np.ndarray, " samples"]
+OfLights = Float[np.ndarray, " lights"]
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,13 @@ def surface_parameters(form: Form) -> ParameterSpace:
     if form.model != "lambert":
         space.append(shape_of(form.model))
     return tuple(space)
+
+
+def parameter_space(form: Form) -> ParameterSpace:
+    """Parameters of the surface, the ambient term and gamma, as the form requires. All are positive
+    and searched as logarithms."""
+    ambient = (amplitude("ambient", "k_a", "DN"),) if form.ambient else ()
+    return (*surface_parameters(form), *ambient, *((GAMMA,) if form.free_gamma else ()))
 
 
 class Geometry(eqx.Module):
@@ -109,10 +120,7 @@ def local_geometry(
 
 
 def in_plane(
-    cos_i: Float[np.ndarray, " samples"],
-    cos_o: Float[np.ndarray, " samples"],
-    between: Float[np.ndarray, " samples"],
-    irradiance: Float[np.ndarray, " samples"],
+    cos_i: OfSamples, cos_o: OfSamples, between: OfSamples, irradiance: OfSamples
 ) -> Geometry:
     """Return directions with given cosines between light, normal and viewer, which are all that
     these models depend on: the viewer in the xz plane, the light at positive y."""

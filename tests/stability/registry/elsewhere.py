@@ -170,7 +170,6 @@ ELSEWHERE = (
         "test_photon_transfer test_joint test_response test_reflectance",
         """
             fitting.*.read.*
-            fitting.reflectance.from_images.uniform_frames.*
             fitting.noise.levels_table.*
             fitting.noise.usable.*
         """,
@@ -765,20 +764,16 @@ ELSEWHERE = (
         "test_joint test_joint_nuts test_joint_left_out test_joint_turns test_stated_errors",
         """
             fitting.joint.calibration: calibrate is_determined
-            fitting.joint.cells: cell_width make_grid pixels_at reduce_images
-            fitting.joint.candidates: with_misfit without_small_errors
-            fitting.joint.fit: fit_channel fit_turned image_errors is_searched_shape likeliest_turns
-            fitting.joint.freedom: degrees_of_freedom laplace_miss
-            fitting.joint.unequal_pixels: unequal_pixels
-            fitting.joint.halves: by_halves widened
-            fitting.joint.misfit: over_images
+            fitting.joint.cells: cell_width image_geometry make_grid pixels_at reduce_images
+            fitting.joint.fit: first_noise first_reflectance fit_channel fit_turned image_errors
+            fitting.joint.fit: is_searched_shape likeliest_turns with_misfit without_small_errors
+            fitting.joint.misfit: by_halves degrees_of_freedom laplace_miss over_images
+            fitting.joint.misfit: unequal_pixels widened
             fitting.joint.marginal: chi_square image_error_means log_density scatter_log_density
-            fitting.joint.model: cell_errors cost log_likelihood log_posterior predicted
-            fitting.joint.model: values_at weights by_image of_one_image
-            fitting.joint.model: log_likelihood_by_image black_level of_surface parameters
-            fitting.joint.model: predicted_parts scatter_scales
+            fitting.joint.model: black_level cell_errors cost log_likelihood log_likelihood_by_image
+            fitting.joint.model: log_posterior of_surface parameters predicted predicted_parts
+            fitting.joint.model: scatter_scales values_at weights
             fitting.joint.prediction: predict score
-            fitting.joint.start: first_noise first_reflectance
         """,
     ),
     Elsewhere(
@@ -805,38 +800,33 @@ ELSEWHERE = (
         """
             fitting.reflectance.from_images.calibration: calibrate mean_residual open_parameters
             fitting.reflectance.from_images.comparison: compare comparison_table difference
-            fitting.reflectance.from_images.comparison: equally_good relative_rms
-            fitting.reflectance.from_images.comparison: squares_by_light surpassed_by verdict
-            fitting.reflectance.from_images.fit: fit_channel lights_as_fitted predicted_image
+            fitting.reflectance.from_images.comparison: equally_good relative_rms squares_by_light
+            fitting.reflectance.from_images.comparison: surpassed_by verdict
+            fitting.reflectance.from_images.fit: adjusted_log_density adjusted_posterior
+            fitting.reflectance.from_images.fit: channel_posterior composite fit_channel
+            fitting.reflectance.from_images.fit: lights_as_fitted predicted_image robust
             fitting.reflectance.from_images.fit: robust_covariance squared_errors
-            fitting.reflectance.from_images.optimum: best minimise_samples optimum project
-            fitting.reflectance.from_images.optimum: residual_signal_slope
-            fitting.reflectance.from_images.optimum: weighed weighed_and_fitted weighted
-            fitting.reflectance.from_images.turns: among_turns with_wider_directions
-            fitting.reflectance.from_images.geometry_cells: average group saturated_only
-            fitting.reflectance.from_images.model: log_likelihoods parameter_space
-            fitting.reflectance.from_images.model: total_log_likelihood
-            fitting.reflectance.from_images.signal: decoded encoded encoding_slope
-            fitting.reflectance.from_images.signal: in_plane lobe_with_slopes local_geometry
-            fitting.reflectance.from_images.signal: signal stored surface_parameters unit_lobe
-            fitting.reflectance.from_images.derivatives: cost_and_information log_likelihood_of_dn
-            fitting.reflectance.from_images.derivatives: predict residuals scores_and_slopes
-            fitting.reflectance.from_images.plan: added_information check_target plan
-            fitting.reflectance.from_images.plan: plan_section
-            fitting.reflectance.from_images.posterior: channel_posterior composite
-            fitting.reflectance.from_images.posterior: adjusted_log_density adjusted_posterior
-            fitting.reflectance.from_images.posterior: robust
+            fitting.reflectance.from_images.lights: among_turns beyond_turns information_on_turns
+            fitting.reflectance.from_images.lights: likeliest_turns no_more_than shifts_of_turns
+            fitting.reflectance.from_images.lights: stated_errors turned with_stated_errors
+            fitting.reflectance.from_images.lights: with_wider_directions
+            fitting.reflectance.from_images.optimum: best fit_spread flat_spread minimise_samples
+            fitting.reflectance.from_images.optimum: optimum project residual_signal_slope
+            fitting.reflectance.from_images.optimum: sensor_spread variance weighed
+            fitting.reflectance.from_images.optimum: weighed_and_fitted weighted
+            fitting.reflectance.from_images.plan: added_information check_target plan plan_section
+            fitting.reflectance.from_images.samples: average cells_of cost_and_information gather
+            fitting.reflectance.from_images.samples: group image_samples inverse_deviation
+            fitting.reflectance.from_images.samples: log_likelihood_of_dn log_likelihoods
+            fitting.reflectance.from_images.samples: make_samples of_some_pixels predict
+            fitting.reflectance.from_images.samples: saturated_only scores_and_slopes select
+            fitting.reflectance.from_images.samples: total_log_likelihood
             fitting.reflectance.from_images.shading_check: contradictions directions_by_shading
             fitting.reflectance.from_images.shading_check: without_strangers
+            fitting.reflectance.from_images.signal: decoded encoded encoding_slope in_plane
+            fitting.reflectance.from_images.signal: lobe_with_slopes local_geometry parameter_space
+            fitting.reflectance.from_images.signal: signal stored surface_parameters unit_lobe
             fitting.reflectance.from_images.read: lightless_images
-            fitting.reflectance.from_images.samples: gather make_samples
-            fitting.reflectance.from_images.samples: of_some_pixels select
-            fitting.reflectance.from_images.spread: chi_square_per_dof fit_spread flat_spread
-            fitting.reflectance.from_images.spread: sensor_spread variance
-            fitting.reflectance.from_images.stated: no_more_than stated_errors
-            fitting.reflectance.from_images.stated: with_stated_errors
-            fitting.reflectance.from_images.turns: beyond_turns likeliest_turns
-            fitting.reflectance.from_images.turns: information_on_turns shifts_of_turns turned
         """,
     ),
 )

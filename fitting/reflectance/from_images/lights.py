@@ -1,0 +1,376 @@
+"""Errors that the rig states, of lights above all, and light directions estimated from the images.
+
+An error e of one standard deviation changes the prediction of each sample by s. To first order, the
+best parameters change by
+
+    d theta = I^-1 p,    p = sum slope * s / deviation,
+
+where slope is the gradient of the prediction in standard deviations and I the information. Errors
+of a light (`intensity_sd`, `exposure_sd`, `stray_sd`) shift the samples of its image only. The
+residuals contain them too, so the covariance over a few lights is replaced by the stated one,
+unless the residuals are larger. Errors of all images at once (`black_sd`, `gamma_sd`) look like
+another surface. No residual shows them, and their covariance is added. The gain only weights the
+samples, so `gain_sd` changes no parameter to first order. Errors that change the distribution of
+the samples by at most a tenth of their noise are dropped (`inference.left_out`).
+
+A rig's `direction_sd` is a normal prior for the two rotations e of each light. In units of standard
+deviations, the residuals r of the images change by S e to first order, so that
+
+    e = K^-1 S^T r,    K = P^-1 + S^T S,
+
+are the most likely rotations for given parameters. P is the covariance of all rotations: 1, or that
+of lights which were measured together, on a ball whose outline they share. Marginalising over the
+rotations leaves the information
+
+    I - J^T S K^-1 S^T J,    1 - S K^-1 S^T = (1 + S P S^T)^-1,
+
+for the parameters, whose derivatives are J and whose information was I.
+
+A highlight is not linear in its light's direction. If lights have errors of a degree and the rig's
+directions are kept, the fit shows the mean of displaced highlights, which is wider and weaker than
+each of them. All images are affected equally, so scatter between them does not reveal it. Rotations
+and parameters are therefore fitted in alternation, each linearised about the last ones
+(Gauss-Newton).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import block_diag, solve_triangular
+from scipy.special import chdtri
+
+from ...inference.clustering import Robustness
+from ...inference.left_out import LeftOut, distance, negligible
+from .optimum import Optimum, Spread, weighed, weighed_and_fitted
+from .read import Photographs, across, angles
+from .samples import (
+    Gathered,
+    Grouping,
+    Prediction,
+    Samples,
+    Selection,
+    inverse_deviation,
+    make_samples,
+    of_some_pixels,
+    predict,
+    scores_and_slopes,
+)
+from .signal import Matrix, Vector
+
+STEP = 0.5  # standard deviations to either side, of a slope
+LEAST_INFORMATION = 1e-12  # least information of an image on a rotation, in units of the prior's
+MOST_TURNS = 10  # of the lights
+SETTLED = 0.05  # standard deviations of a light's direction
+IMPLAUSIBLE = 1e-3  # chance that lights as good as stated are off by as much
+WIDEST = 3.0  # times the stated size, from which the model misses something else
+ABSURD = 2 * WIDEST  # standard deviations, of a step, which the next ones may take back
+ENOUGH = 20_000  # samples that put lights nearly where all samples do
+ROUNDING = 1e-9
+CHANCE = 0.05  # that residuals of lights as good as stated seem to show more
+
+Turns = Float[np.ndarray, "lights 2"]  # in units of `direction_sd` unless stated
+Shifts = Float[np.ndarray, "2 samples"]  # DN
+Prior = Float[np.ndarray, "turns turns"]  # P, in these units; None where it is 1
+
+
+# ---------------------------------------------------------------- directions
+
+
+def turned(observation: Photographs, angles_across: Turns) -> Photographs:
+    """Rotate the lights by (lights, 2) rad along two axes across them."""
+    moved = observation.wi + np.einsum("la,lac->lc", angles_across, across(observation.wi))[:, None]
+    moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
+    cosine, mirror = angles(observation.normals, moved)
+    return replace(observation, wi=moved, cosine=cosine, mirror_angle=mirror)
+
+
+def shifts_of_turns(
+    observation: Photographs,
+    turns: Turns,
+    channel: int,
+    vector: Vector,
+    samples: Samples,
+    selection: Selection,
+) -> Shifts:
+    """Return (2, samples) DN, the change of a prediction when its light rotates by one standard
+    deviation about each axis, at `turns`."""
+
+    def predicted(axis: int, step: float) -> np.ndarray:
+        moved = _about(observation, selection, channel, samples, turns + step * np.eye(2)[axis])
+        return predict(vector, replace(moved, gamma=samples.gamma)).dn
+
+    moves = [predicted(axis, STEP) - predicted(axis, -STEP) for axis in (0, 1)]
+    return np.stack(moves) / (2 * STEP)
+
+
+def likeliest_turns(
+    shifts: Shifts,
+    turns: Turns,
+    prediction: Prediction,
+    samples: Samples,
+    selection: Selection,
+    prior: Prior | None,
+) -> Turns:
+    """Return the (lights, 2) most likely rotations at given parameters, linearised about
+    `turns`."""
+    moves, light = shifts * inverse_deviation(samples), selection.light
+    left = (samples.dn - prediction.dn) * inverse_deviation(samples)
+    left = left + np.einsum("as,sa->s", moves, turns[light])
+    pulls = np.stack([np.bincount(light, m * left, len(turns)) for m in moves], axis=1)
+    information = information_on_turns(shifts, samples, selection, len(turns))
+    own = np.eye(turns.size) if prior is None else np.linalg.inv(prior)
+    return np.linalg.solve(own + information, pulls.ravel()).reshape(-1, 2)
+
+
+def information_on_turns(
+    shifts: Shifts, samples: Samples, selection: Selection, lights: int
+) -> Prior:
+    """S^T S, the information of the images about the rotations without the rig's."""
+    moves = shifts * inverse_deviation(samples)
+    products = [[np.bincount(selection.light, a * b, lights) for b in moves] for a in moves]
+    return np.asarray(block_diag(*np.moveaxis(np.array(products), -1, 0)))
+
+
+def beyond_turns(
+    values: Float[np.ndarray, "rows samples"],
+    shifts: Shifts,
+    samples: Samples,
+    selection: Selection,
+    lights: int,
+    *,
+    prior: Prior | None = None,
+) -> Float[np.ndarray, "rows samples"]:
+    """Return (1 + S P S^T)^(-1/2) x for slopes and errors x, (rows, samples) in standard
+    deviations.
+    Products of these equal x^T (1 - S K^-1 S^T) y, after marginalising over the light directions.
+    """
+    moves, light = shifts * inverse_deviation(samples), selection.light
+    told = information_on_turns(shifts, samples, selection, lights)
+    root = np.eye(2 * lights) if prior is None else np.linalg.cholesky(prior)
+    squares, axes = np.linalg.eigh(root.T @ told @ root)
+    squares, axes = np.maximum(squares, LEAST_INFORMATION), root @ axes
+    taken = (1 - 1 / np.sqrt(1 + squares)) / squares
+    pulls = np.array([[np.bincount(light, row * m, lights) for m in moves] for row in values])
+    pulls = np.swapaxes(pulls, 1, 2).reshape(len(values), -1)
+    back = ((pulls @ axes) * taken @ axes.T).reshape(len(values), lights, 2)
+    return values - np.einsum("as,rsa->rs", moves, back[:, light])
+
+
+@dataclass(frozen=True)
+class TurnedLights:
+    """The light directions from the images."""
+
+    turns: Turns
+    size: float  # their rms over the lights of uncertain direction
+    # factor by which `direction_sd` was taken larger, as such turns are no chance
+    widened: float = 1.0
+
+    @property
+    def followed(self) -> bool:
+        """Whether the fit uses these directions. If they are too far from the rig's, the model
+        misses something else and the fit keeps the rig's."""
+        return self.size <= WIDEST
+
+
+def among_turns(
+    nominal: Optimum, gathered: Gathered, channel: int, grouping: Grouping, sensor: Spread | None
+) -> tuple[Optimum, TurnedLights]:
+    """Alternate between parameters and light rotations until no light moves. If lights are off by
+    more than stated and chance allows, their uncertainty is taken from the images.
+
+    Returns `nominal`, the optimum at the rig's directions, if the rotations are not followed.
+    """
+    observation = gathered.observation
+    known = (observation.uncertain["direction_sd"] > 0) & ~observation.held_out
+    seen = 2 * int(np.count_nonzero(known))
+    most = float(np.sqrt(chdtri(seen, IMPLAUSIBLE) / seen))
+    root = np.eye(seen)
+    if observation.turn_prior is not None:
+        both = np.repeat(known, 2)
+        root = np.linalg.cholesky(observation.turn_prior[np.ix_(both, both)])
+
+    def size(turns: np.ndarray) -> float:
+        return _rms(solve_triangular(root, turns[known].ravel(), lower=True))
+
+    found, turns = _consistent_turns(nominal, gathered, known, channel, grouping, sensor)
+    lights = TurnedLights(turns, size(turns))
+    if most < lights.size <= WIDEST:
+        widened = lights.size
+        wider = replace(gathered, observation=with_wider_directions(observation, widened))
+        found, turns = _consistent_turns(nominal, wider, known, channel, grouping, sensor)
+        lights = TurnedLights(widened * turns, widened * size(turns), widened)
+    return (found if lights.followed else nominal), lights
+
+
+def with_wider_directions(observation: Photographs, factor: float) -> Photographs:
+    """Return the observation with a larger `direction_sd`."""
+    sizes = observation.uncertain | {"direction_sd": factor * observation.uncertain["direction_sd"]}
+    return replace(observation, uncertain=sizes)
+
+
+def _consistent_turns(
+    nominal: Optimum,
+    gathered: Gathered,
+    known: np.ndarray,
+    channel: int,
+    grouping: Grouping,
+    sensor: Spread | None,
+) -> tuple[Optimum, Turns]:
+    """Return the optimum and the rotations that agree with each other. With many samples, a subset
+    is used until no light moves, then all of them twice. It stops if lights move too far."""
+    whole = gathered.observation, gathered.selection
+    found, turns = nominal, np.zeros((len(known), 2))
+    step = max(1, len(whole[1].light) // ENOUGH)
+    stages = [(*whole, MOST_TURNS)]
+    if step > 1:
+        stages = [(*of_some_pixels(*whole, step), MOST_TURNS), (*whole, 2)]
+    for observation, selection, rounds in stages:
+        if step > 1:
+            samples = _about(observation, selection, channel, found.samples, turns)
+            samples, _, _, prediction = weighed(found.vector, samples, sensor)
+            found = replace(found, samples=samples, prediction=prediction)
+        for _ in range(rounds):
+            vector, samples = found.vector, found.samples
+            shifts = shifts_of_turns(observation, turns, channel, vector, samples, selection)
+            before = turns
+            turns = likeliest_turns(
+                shifts, before, found.prediction, samples, selection, observation.turn_prior
+            )
+            if _rms(turns[known]) > ABSURD:
+                return nominal, turns
+            samples = _about(observation, selection, channel, samples, turns)
+            found = weighed_and_fitted(vector, samples, grouping, sensor)
+            if np.abs(turns - before).max() < SETTLED:
+                break
+    return found, turns
+
+
+def _about(
+    observation: Photographs, selection: Selection, channel: int, like: Samples, turns: Turns
+) -> Samples:
+    """The samples of a form, seen under rotated lights."""
+    lights = turned(observation, turns * observation.uncertain["direction_sd"][:, None])
+    return make_samples(lights, channel, like.form, selection)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+# ---------------------------------------------------------------- stated errors
+
+
+@dataclass(frozen=True)
+class StatedErrors:
+    """The vectors p for the errors that a rig states, each of one standard deviation."""
+
+    of_lights: Float[np.ndarray, "errors parameters"]  # each of one image
+    common: Float[np.ndarray, "more parameters"]  # each of all images
+    # of the predictions, in standard deviations, as far as turns of the lights leave them; None
+    # where none are found
+    slopes: Float[np.ndarray, "parameters samples"] | None = None
+    # errors that the rig states and that are too small to matter
+    left_out: tuple[LeftOut, ...] = ()
+
+    def left_of(self, information: Matrix) -> Matrix:
+        """Return the (P, P) information left after marginalising over light directions.
+
+        It is the Gauss-Newton information. If the model has a misfit, the curvature of the
+        likelihood is not a sum of squares. After subtracting the part of the light directions, it
+        need not be positive.
+        """
+        return information if self.slopes is None else self.slopes @ self.slopes.T
+
+
+def stated_errors(
+    observation: Photographs,
+    channel: int,
+    prediction: Prediction,
+    samples: Samples,
+    selection: Selection,
+    turns: Turns | None,
+) -> StatedErrors:
+    """Return p for all errors that the rig states and a fit can notice. `turns` are the (lights, 2)
+    rotations of the samples' lights, if they were fitted."""
+    sizes, light, count = observation.uncertain, selection.light, len(prediction.vector)
+    lights, deviation = len(observation.files), np.asarray(samples.deviation, np.float64)
+
+    def by_light(values: np.ndarray) -> np.ndarray:
+        return np.bincount(light, values, lights)
+
+    # DN, (shifts, samples): the change of the prediction by each error of one standard deviation
+    relative = prediction.slope * prediction.signal
+    stray = prediction.slope * np.asarray(samples.geometry.irradiance)
+    along = {"intensity_sd": relative, "exposure_sd": relative, "stray_sd": stray}
+    own = {n: (sizes[n][light] * s)[None] for n, s in along.items() if np.any(sizes.get(n, 0))}
+    if np.any(sizes.get("direction_sd", 0)):
+        about = np.zeros((lights, 2)) if turns is None else turns
+        own["direction_sd"] = shifts_of_turns(
+            observation, about, channel, prediction.vector, samples, selection
+        )
+    shared = {}
+    if observation.black_sd:
+        shared["black_sd"] = np.full((1, len(samples.dn)), observation.black_sd)
+    if observation.gamma_sd and samples.gamma is not None:
+        up, down = (
+            predict(prediction.vector, replace(samples, gamma=samples.gamma + step)).dn
+            for step in (observation.gamma_sd, -observation.gamma_sd)
+        )
+        shared["gamma_sd"] = (up - down)[None] / 2
+    squares = {n: ((s / deviation) ** 2).sum(axis=0) for n, s in (own | shared).items()}
+    gone = negligible(
+        [LeftOut(n, float(np.median(sizes[n])), distance(by_light(squares[n]))) for n in own]
+        + [LeftOut(n, getattr(observation, n), distance(squares[n].sum())) for n in shared]
+    )
+    turnable = own.pop("direction_sd", None) if turns is not None else None
+    for error in gone:
+        own.pop(error.name, None)
+        shared.pop(error.name, None)
+        turnable = None if error.name == "direction_sd" else turnable
+
+    def left(values: np.ndarray) -> np.ndarray:
+        if turnable is None:
+            return values
+        prior = observation.turn_prior
+        return beyond_turns(values, turnable, samples, selection, lights, prior=prior)
+
+    slopes = left(scores_and_slopes(prediction, samples)[1])
+    of_lights = [
+        np.stack([by_light(row * shift) for row in slopes], axis=1)
+        for shifts in own.values()
+        for shift in left(shifts / deviation)
+    ]
+    common = [slopes @ shift for shifts in shared.values() for shift in left(shifts / deviation)]
+    return StatedErrors(
+        np.concatenate(of_lights) if of_lights else np.empty((0, count)),
+        np.array(common).reshape(-1, count),
+        None if turnable is None else slopes,
+        gone,
+    )
+
+
+def no_more_than(robust: Robustness, model: Matrix) -> bool:
+    """Whether the images' variances exceed a model's by no more than chance."""
+    least = np.maximum(robust.freedom, 1)
+    known = np.isfinite(robust.freedom)
+    likely = np.where(known, chdtri(least, CHANCE / len(least)) / least, 1 + ROUNDING)
+    return bool(np.all(np.diagonal(robust.covariance) <= likely * np.diagonal(model)))
+
+
+def with_stated_errors(
+    robust: Robustness, stated: StatedErrors, information: Matrix, known: Int[np.ndarray, " known"]
+) -> Robustness:
+    """Widen a covariance of the `known` parameters by the errors that the rig states, and adjust
+    its degrees of freedom."""
+    inverse = np.linalg.inv(information)
+    covariance, freedom = robust.covariance, robust.freedom
+    if len(stated.of_lights) or stated.slopes is not None:
+        moved = stated.of_lights[:, known] @ inverse
+        model = inverse + moved.T @ moved
+        if no_more_than(robust, model):
+            covariance, freedom = model, np.full(len(known), np.inf)
+    moved = stated.common[:, known] @ inverse
+    total = covariance + moved.T @ moved
+    share = np.diagonal(covariance) / np.diagonal(total)
+    return replace(robust, covariance=total, freedom=freedom / share**2)
