@@ -3,8 +3,10 @@
 Every operation of the function's jaxpr runs in float64 on its float32 operands. An inexact result
 is rounded to float32 at random, up or down, so that its expectation is exact; an exact one is kept,
 so that compensated sums and products work. The scatter over several runs is the error by rounding
-(Parker, "Monte Carlo Arithmetic", UCLA CSD-970002, 1997). Loops and branches count as one
-operation, which runs in float32.
+(Parker, "Monte Carlo Arithmetic", UCLA CSD-970002, 1997). Where the operation itself is further
+off in float32 than its last bit, as special functions and long sums are, that error is added with
+a random sign. A loop, a branch or the solution of equations has one name, and each of its
+operations is rounded.
 """
 
 from collections.abc import Callable
@@ -21,7 +23,12 @@ from ..errors import InputError
 
 WHOLE = float(-np.log10(np.finfo(np.float32).eps / 2))  # digits of float32
 _INSIDE = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # parameters that hold what a call runs
-_APART = ("scan", "while", "cond")
+_AS_ONE = ("scan", "while", "cond", "custom_linear_solve")
+_WIDE = {
+    np.dtype(np.float32): np.dtype(np.float64),
+    np.dtype(np.complex64): np.dtype(np.complex128),
+}
+_OWN = 2.0  # units in the last place, beyond which an operation has an error of its own
 _LOSS = 1.0  # digits, beyond which an operation is named
 
 
@@ -30,7 +37,7 @@ class Digits:
     """The digits that rounding leaves.
 
     Attributes:
-        digits: of each output, an array of its shape, at most 7.2.
+        digits: of each output, an array of its shape, at most 7.2; NaN where it is not finite.
         operation: where an output lost more than one digit, the operation that lost the most of
             its operands' digits, and its line; "" elsewhere.
         lost: digits that it lost.
@@ -42,12 +49,21 @@ class Digits:
 
     @property
     def fewest(self) -> float:
-        """The fewest digits of any finite output."""
-        known = [np.ravel(x)[np.isfinite(np.ravel(x))] for x in jax.tree.leaves(self.digits)]
-        return float(min((x.min() for x in known if x.size), default=WHOLE))
+        """The fewest digits of any finite output; NaN if none is finite."""
+        known = self._known()
+        finite = known[np.isfinite(known)]
+        return float(finite.min()) if finite.size else (WHOLE if not known.size else np.nan)
+
+    def _known(self) -> np.ndarray:
+        return np.concatenate([np.zeros(0), *(np.ravel(x) for x in jax.tree.leaves(self.digits))])
 
     def __str__(self) -> str:
+        unknown, count = int(np.isnan(self._known()).sum()), self._known().size
+        if count and unknown == count:
+            return "No result is finite at these arguments."
         left = f"{self.fewest:.1f} of {WHOLE:.1f} digits are left"
+        if unknown:
+            left = f"{unknown} of {count} results are not finite; of the others {left}"
         return f"{left}; {self.operation} loses {self.lost:.1f}." if self.operation else f"{left}."
 
 
@@ -109,12 +125,13 @@ def _single(x: Any) -> Any:
 
 def _digits_of(values: np.ndarray) -> np.ndarray:
     """Digits that all of (runs, ...) values share; those of float32 where they are equal."""
-    values = values.astype(np.float64)
+    values = values.astype(np.complex128 if np.iscomplexobj(values) else np.float64)
     if not np.size(values):
         return np.full(values.shape[1:], WHOLE)
     with np.errstate(all="ignore"):
         error = values.std(0, ddof=1) / np.abs(values.mean(0))
-        return np.clip(-np.log10(error), 0, WHOLE)  # NaN for 0 and for what is not finite
+        left = np.clip(-np.log10(error), 0, WHOLE)
+    return np.where(np.all(values == 0, axis=0), WHOLE, left)  # NaN for what is not finite
 
 
 def _fewest(values: list[np.ndarray]) -> float:
@@ -143,7 +160,9 @@ def _evaluated(
     for number, eqn in enumerate(jaxpr.eqns):
         own, inputs = jax.random.fold_in(key, number), [value(x) for x in eqn.invars]
         inner = next((eqn.params[word] for word in _INSIDE if word in eqn.params), None)
-        if inner is not None and eqn.primitive.name not in _APART:
+        if eqn.primitive.name in _AS_ONE:
+            results = _as_one(eqn, own, inputs)
+        elif inner is not None:
             open_ = getattr(inner, "jaxpr", inner)
             results, more = _evaluated(
                 open_, own, list(getattr(inner, "consts", ())), inputs, names=names
@@ -151,8 +170,9 @@ def _evaluated(
             traces += more
         else:
             results = _rounded(eqn, own, inputs)
+        if inner is None or eqn.primitive.name in _AS_ONE:
             floating = [x for x in inputs if jnp.issubdtype(x.dtype, jnp.floating)]
-            if jnp.issubdtype(results[0].dtype, jnp.floating) and floating:
+            if results and jnp.issubdtype(results[0].dtype, jnp.floating) and floating:
                 names.append(_named(eqn))
                 traces.append((floating, results[0]))
         known |= dict(zip(eqn.outvars, results, strict=True))
@@ -161,21 +181,76 @@ def _evaluated(
 
 def _rounded(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
     """The results of one operation, the inexact ones rounded at random."""
+
+    def bound(inputs: list[Any], params: dict[str, Any]) -> list[Any]:
+        results = eqn.primitive.bind(*inputs, **params)
+        return list(results) if eqn.primitive.multiple_results else [results]
+
     params = eqn.primitive.get_bind_params(eqn.params)
-    apart = (*_APART, "convert_element_type", "iota")
-    if eqn.primitive.name not in apart and any(x.aval.dtype == jnp.float32 for x in eqn.outvars):
-        inputs = [x.astype(jnp.float64) if x.dtype == jnp.float32 else x for x in inputs]
-        params = {n: None if n == "preferred_element_type" else v for n, v in params.items()}
-    results = eqn.primitive.bind(*inputs, **params)
-    results = list(results) if eqn.primitive.multiple_results else [results]
+    native = bound(inputs, params)
+    if eqn.primitive.name in ("convert_element_type", "iota") or not any(
+        x.dtype in _WIDE for x in native
+    ):
+        return native
+    wide = [x.astype(_WIDE.get(x.dtype, x.dtype)) for x in inputs]
+    params = {n: None if n == "preferred_element_type" else v for n, v in params.items()}
     return [
-        _at_random(x, jax.random.fold_in(key, i)) if x.dtype == jnp.float64 else x
-        for i, x in enumerate(results)
+        _at_random(x, own, jax.random.fold_in(key, i)) if x.dtype in _WIDE.values() else own
+        for i, (x, own) in enumerate(zip(bound(wide, params), native, strict=True))
     ]
 
 
-def _at_random(exact: Any, key: Any) -> Any:
-    """A float64 rounded to a neighbouring float32, so that its expectation is the number itself."""
+def _as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
+    """The results of a loop, a branch or a solution, each of whose operations is rounded."""
+    params = eqn.params
+
+    def run(inner: Any, key: Any, arguments: list[Any]) -> list[Any]:
+        return _evaluated(inner.jaxpr, key, list(inner.consts), arguments, names=[])[0]
+
+    match eqn.primitive.name:
+        case "scan":
+            first, ends = params["num_consts"], params["num_consts"] + params["num_carry"]
+
+            def step(carry: Any, x: Any) -> Any:
+                key, own = jax.random.split(carry[0])
+                out = run(params["jaxpr"], own, [*inputs[:first], *carry[1], *x])
+                return (key, out[: ends - first]), out[ends - first :]
+
+            start = (key, inputs[first:ends])
+            options = {name: params[name] for name in ("length", "reverse")}
+            (_, carry), stacked = jax.lax.scan(step, start, inputs[ends:], **options)
+            return [*carry, *stacked]
+        case "while":
+            counts = params["cond_nconsts"], params["body_nconsts"]
+            of_test, of_body = inputs[: counts[0]], inputs[counts[0] : sum(counts)]
+
+            def again(carry: Any) -> Any:
+                return run(params["cond_jaxpr"], carry[0], [*of_test, *carry[1]])[0]
+
+            def turn(carry: Any) -> Any:
+                key, own = jax.random.split(carry[0])
+                return key, run(params["body_jaxpr"], own, [*of_body, *carry[1]])
+
+            return jax.lax.while_loop(again, turn, (key, inputs[sum(counts) :]))[1]
+        case "cond":
+            ways = [partial(run, branch, key) for branch in params["branches"]]
+            return jax.lax.switch(jnp.int32(inputs[0]), ways, inputs[1:])
+    sizes, inner = params["const_lengths"], params["jaxprs"]
+    before = sizes.matvec + sizes.vecmat
+    consts, right = inputs[before : before + sizes.solve], inputs[sum(sizes) :]
+    return run(inner.solve, key, [*consts, *right])
+
+
+def _at_random(exact: Any, native: Any, key: Any) -> Any:
+    """A float64 rounded to a neighbouring float32, so that its expectation is the number itself;
+    `native` is the float32 of the operation itself, whose own error is taken with either sign."""
+    if jnp.iscomplexobj(exact):
+        parts = zip((exact.real, exact.imag), (native.real, native.imag), (2, 3), strict=True)
+        return jax.lax.complex(*(_at_random(x, y, jax.random.fold_in(key, i)) for x, y, i in parts))
+    near, off = exact.astype(jnp.float32), native.astype(jnp.float64) - exact
+    unit = jnp.abs(jnp.nextafter(near, jnp.float32(jnp.inf)) - near).astype(jnp.float64)
+    sign = jax.random.rademacher(jax.random.fold_in(key, 1), exact.shape, jnp.float64)
+    exact = jnp.where(jnp.isfinite(off) & (jnp.abs(off) > _OWN * unit), exact + sign * off, exact)
     near = exact.astype(jnp.float32)
     rest = exact - near.astype(jnp.float64)
     other = jnp.nextafter(near, jnp.where(rest > 0, jnp.inf, -jnp.inf).astype(jnp.float32))
