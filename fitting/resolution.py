@@ -48,6 +48,7 @@ _SIGNIFICANT = 4.0  # standard errors
 _FINEST = 1.0  # cycles per pixel, the highest frequency of the free MTF
 _NARROWEST = 1e-3  # pixels: of widths in a denominator
 _LEAST_DIFFRACTION = 0.02  # pixels
+_MOSAIC = 0.05  # of a side's level: what sites of a mosaic may differ by
 _PILED = 0.01  # of all pixels at an end of the range
 _ONE_VALUE = 0.2  # of all pixels, of a side without noise
 _CONDITION = 1e4  # of the frequencies' normal matrix
@@ -302,6 +303,7 @@ class _Pixels:
             flat = far > max(_LEAST / 2, far.max() / 2)
             plane = np.stack([np.ones(flat.sum()), *(x[flat] for x in self.inputs.values())], 1)
             missed = self.value[flat] - plane @ np.linalg.lstsq(plane, self.value[flat])[0]
+            _refuse_mosaic(self.row[flat], self.column[flat], missed, self.value[flat])
             self.level.append(float(self.value[flat].mean()))
             sd.append(float(np.sqrt(np.sum(missed**2) / max(flat.sum() - 3, 1))))
             noise[self.row[flat], self.column[flat]] = missed / max(sd[-1], 1e-30)
@@ -322,6 +324,25 @@ class _Pixels:
         across = picture.shape[1] // _BLOCK + 1
         blocks = self.row // _BLOCK * across + self.column // _BLOCK
         self.blocks = np.unique(blocks, return_inverse=True)[1] if _correlated(noise) else None
+
+
+def _refuse_mosaic(
+    row: np.ndarray, column: np.ndarray, missed: np.ndarray, value: np.ndarray
+) -> None:
+    """Refuse a flat side whose numbers depend on the site of a 2 x 2 mosaic."""
+    site = 2 * (row % 2) + column % 2
+    count = np.bincount(site, minlength=4)
+    if count.min() < _LEAST:  # of one band of a mosaic
+        return
+    mean = np.bincount(site, missed, minlength=4) / count
+    noise = np.sqrt(np.bincount(site, (missed - mean[site]) ** 2, minlength=4)) / count
+    apart, size = np.ptp(mean), abs(float(value.mean()))
+    if apart > _MOSAIC * size and apart > 2 * _SIGNIFICANT * noise.max():
+        raise InputError(
+            f"from_edge: on one side of the edge the sites of a 2 x 2 mosaic differ by "
+            f"{apart / size:.0%}; give one band of raw colour numbers by sensor= and band=, or a "
+            "developed picture."
+        )
 
 
 def _correlated(noise: Float[np.ndarray, "h w"]) -> bool:
@@ -613,8 +634,14 @@ def _findings(
     pixels: _Pixels,
 ) -> Iterator[str]:  # fmt: skip
     """What the reader should know, in sentences."""
-    yield from result.fit.failures
-    yield from result.fit.findings
+    for sentence in (*result.fit.failures, *result.fit.findings):
+        if "start" not in sentence and "Censored(" not in sentence:  # which this does not take
+            yield sentence
+    if result.fit.failures:
+        yield (
+            "The fit may have missed the best edge. Wrong pixels (mark them as NaN) or a second "
+            "edge in the region do this."
+        )
     yield from _plateau(pixels)
     if pixels.blocks is not None:
         yield (
@@ -638,7 +665,8 @@ def _findings(
     if np.abs(skew[0]).max() > _MATTERS and _p_value(*skew) < _CHANCE:
         yield (
             f"The blur is not symmetric about the edge: the transfer has an imaginary part of up "
-            f"to {np.abs(skew[0]).max():.3f}. `otf` is its real part."
+            f"to {np.abs(skew[0]).max():.3f}. `otf` is its real part. Coma does this, and so do "
+            "numbers that are not linear in the light: decode a gamma, as of sRGB, first."
         )
     over = (result.otf - 1) / np.sqrt(np.diag(result.otf_covariance))
     if over.max() > _SIGNIFICANT:

@@ -9,6 +9,7 @@ from scipy.stats import chi2, norm
 import jaxvision as jv
 from fitting import resolution
 from fitting.resolution import Blur, _edge, _free_transfer, _transfer
+from jaxvision.errors import InputError
 
 NODES = (np.arange(16) + 0.5) / 16 - 0.5
 ANGLES = 2 * np.pi * (np.arange(40) + 0.5) / 40
@@ -174,3 +175,17 @@ def test_a_synthetic_edge_of_8_bits_without_noise_is_measured():
     assert angle == pytest.approx(16.78, abs=0.005)
     assert 2.35482 * width == pytest.approx(2.101, abs=0.003)
     assert "highest value, 204" in " ".join(found.findings)
+
+
+def test_what_is_no_edge_in_linear_numbers_is_said():
+    """A mosaic without its sensor had been taken for a compressed picture."""
+    mean = expected((48, 48), 5.0, 0.3, 0.8)
+    rng = np.random.default_rng(2)
+    tiles = np.tile([[0.55, 1.0], [1.0, 0.4]], (24, 24))
+    with pytest.raises(InputError, match=r"sites of a 2 x 2 mosaic differ by \d+%; give one band"):
+        resolution.from_edge(noisy(mean * tiles, rng))
+    linear = noisy(mean, rng) / 1100
+    encoded = np.round(255 * np.asarray(jv.srgb_encode(jnp.asarray(np.clip(linear, 0, 1)))))
+    told = str(resolution.from_edge(encoded))
+    assert "decode a gamma" in told
+    assert "start" not in told
