@@ -62,7 +62,8 @@ class Coated(Material):
         distribution: "ggx" or "beckmann"; static.
 
     Raises:
-        ValueError: for another index, and if the body is a mirror or glass.
+        ValueError: for another index, and if the body is a mirror or glass, or reflects more than
+            it receives.
 
     Example:
         >>> white, up = jv.Lambert([1 / np.pi]), jnp.array([0.0, 0.0, 1.0])
@@ -85,6 +86,12 @@ class Coated(Material):
             raise ValueError(
                 f"Coated.body must have a BRDF in sr^-1, got {type(self.body).__name__}, a delta "
                 "function: a polished TorranceSparrow (roughness 1e-3) has one."
+            )
+        diffuse = getattr(self.body, "diffuse", None)
+        if diffuse is not None and is_known(diffuse) and np.any(np.pi * diffuse > 1 + 1e-3):
+            raise ValueError(
+                f"Coated.body reflects {float(np.pi * np.max(diffuse)):.3g} of its light, and at "
+                "most 1 is possible; diffuse is in sr^-1, the albedo over pi."
             )
         eta = self.interface.eta
         known = not is_known(eta) or bool(np.all((eta >= LEAST_INDEX) & (eta <= LARGEST_INDEX)))

@@ -6,6 +6,7 @@ numpy's: equal, half-open [edge, next edge), only the last one closed. NaN and v
 range are not counted.
 """
 
+import warnings
 from functools import partial
 
 import jax
@@ -16,7 +17,7 @@ from jaxtyping import Array, Float, Int, Shaped
 from ..core._arguments import in_range, takes_numbers
 from ..core._numerics import divide
 from ..core._shown import Shown
-from ..core._types import SHARE, Scalar, as_float, check_choice
+from ..core._types import SHARE, Scalar, as_float, check_choice, is_known
 from ._planes import (
     Binning,
     Pixels,
@@ -79,7 +80,22 @@ def exact_histogram(
         [1 2 0 3]
     """
     stack, chosen = as_stack(image), binning(image, bins, value_range)
-    return Histogram(per_plane(_exact(stack, chosen), image), _edges(stack, chosen))
+    counts = _exact(stack, chosen)
+    if value_range is None:
+        _warn_of_outside(image, counts)
+    return Histogram(per_plane(counts, image), _edges(stack, chosen))
+
+
+def _warn_of_outside(image: Pixels, counts: Array) -> None:
+    """Of values outside [0, 1], where nobody stated this range and the values are known."""
+    if is_known(counts) and jnp.issubdtype(image.dtype, jnp.floating):
+        missing = image.size - float(counts.sum())
+        if missing > 0.5:
+            warnings.warn(
+                f"{missing:.0f} of {image.size} values are outside [0, 1] or NaN, and are not "
+                "counted; state value_range.",
+                stacklevel=4,
+            )
 
 
 @takes_numbers
@@ -120,6 +136,8 @@ def soft_histogram(
     check_choice("kernel", kernel, ("linear", "cubic"))
     stack, chosen = as_stack(image), binning(image, bins, value_range)
     counts, departure = _soft(stack, chosen, kernel)
+    if value_range is None:
+        _warn_of_outside(image, counts)
     return Histogram(per_plane(counts, image), _edges(stack, chosen), per_plane(departure, image))
 
 
@@ -144,10 +162,10 @@ def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges
 @takes_numbers
 @in_range(q=SHARE)
 def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
-    """The smallest value that a fraction q of all values does not exceed.
+    """The smallest value that a fraction q of the counted values does not exceed.
 
-    Values are taken as uniform within their bin, so the result is within a bin's width of the exact
-    quantile.
+    Values outside the histogram's range are not among them. Values are taken as uniform within
+    their bin, so the result is within a bin's width of the exact quantile.
 
     Args:
         histogram: exact or soft.

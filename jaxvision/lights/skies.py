@@ -10,6 +10,8 @@ Distribution", Solar Energy 50(3) (1993) and its erratum. Angles in rad. The sky
 user's: these are models of luminance.
 """
 
+import warnings
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -90,22 +92,23 @@ def perez_sky(sun_zenith: float, clearness: float, brightness: float) -> Float[n
     Args:
         sun_zenith: rad, from the zenith to the sun.
         clearness: epsilon, no unit, 1 (overcast) to about 12 (clear).
-        brightness: Delta, no unit, 0 to about 0.6.
+        brightness: Delta, no unit, 0 to about 0.6; at most 1.
 
     Returns:
         a, b, c, d and e, no unit; d per rad.
 
     Raises:
-        ValueError: for a clearness below 1, a negative brightness, or a sun below the horizon.
+        ValueError: for a clearness below 1, a brightness outside [0, 1], or a sun below the
+            horizon.
 
     Example:
         >>> clear, overcast = jv.lights.perez_sky(0.6, 8.0, 0.1), jv.lights.perez_sky(0.6, 1.0, 0.2)
         >>> print(clear[0] < 0, overcast[0] > 0)  # brighter toward the horizon; toward the zenith
         True True
     """
-    if clearness < 1 or brightness < 0 or not 0 <= sun_zenith <= np.pi / 2:
+    if clearness < 1 or not 0 <= brightness <= 1 or not 0 <= sun_zenith <= np.pi / 2:
         raise ValueError(
-            "a Perez sky has a clearness of at least 1, a brightness of at least 0 and a sun above "
+            "a Perez sky has a clearness of at least 1, a brightness from 0 to 1 and a sun above "
             f"the horizon, got {clearness:g}, {brightness:g} and a zenith angle of "
             f"{sun_zenith:g} rad."
         )
@@ -177,6 +180,9 @@ def daylight(
     Raises:
         ValueError: for a sun below the horizon, and another kind.
 
+    Warns:
+        UserWarning: where the formula falls below 0, which counts as 0.
+
     Example:
         >>> sky = jv.lights.daylight(16, [0, 0, 1], irradiance=[100.0])
         >>> up, rule = jnp.array([0.0, 0.0, 1.0]), jv.Quadrature(64)
@@ -205,6 +211,13 @@ def daylight(
     nodes, weights = product_nodes(64, 256)
     level = weights @ (relative(nodes) * nodes[:, 2])
     picture = relative(at.reshape(-1, 3)).reshape(theta.shape)
+    dark = float((picture[np.cos(theta) > 0] == 0).mean())
+    if dark > 0:
+        warnings.warn(
+            f"the sky's formula falls below 0 in {dark:.0%} of the upper half, which counts as 0; "
+            "a sun, a clearness and a brightness that were measured together do not do this.",
+            stacklevel=2,
+        )
     return environment_map(picture[..., None] * (np.atleast_1d(irradiance) / level))
 
 

@@ -9,6 +9,7 @@ new in each frame. Errors of master frames, unequal pixels and the uncertainty o
 parameters are the same in all frames. They cancel in part in the difference of two frames.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal
@@ -30,11 +31,12 @@ from ..core._types import (
     check_choice,
     check_fields,
     check_shape,
+    is_known,
 )
 from ..filters.convolution import convolve
 from ..scene import Camera, Sensor, ShutterOffset
 from ._taps import factored, of_taps, total_gain
-from .adc import largest_number
+from .adc import amplified, largest_number
 from .brighter_fatter import gathered
 from .ccd import transferred
 from .exposure import (
@@ -128,8 +130,9 @@ class Calibrated(Shown):
 
     Attributes:
         image: (..., h, w, bands) photoelectrons for a pixel of mean sensitivity, or photons, or W
-            m^-2; NaN in defects and where the raw value was saturated.
+            m^-2; NaN in defects and where the raw value or the flat was saturated.
         parts: of its error.
+        saturated: (..., h, w, bands) where a raw value was; None where no end is known.
 
     Example:
         >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), gain=0.5, offset=10.0)
@@ -140,6 +143,7 @@ class Calibrated(Shown):
 
     image: Counts
     parts: tuple[Part, ...]
+    saturated: Bool[Array, "..."] | None = None
 
     @property
     def variance(self) -> Counts:
@@ -167,10 +171,23 @@ class Calibrated(Shown):
 
         Returns:
             Mean and variance (..., bands), in the unit of the image and its square.
+
+        Warns:
+            UserWarning: for saturated pixels in the patch, unless traced: the others are those
+                whose light or noise is low.
         """
         kept = jnp.isfinite(self.image)
         if where is not None:
             kept = kept & _beside(jnp.asarray(where)[..., None], kept)
+        if self.saturated is not None and is_known(self.saturated):
+            patch = jnp.ones(1, bool) if where is None else jnp.asarray(where)[..., None]
+            share = float(jnp.mean(self.saturated, where=_beside(patch, self.saturated)))
+            if share > 0:
+                warnings.warn(
+                    f"{share:.2g} of the patch's pixels are saturated and left out. The others are "
+                    "those whose light or noise is low, so that the mean is too low.",
+                    stacklevel=2,
+                )
         counted = kept.astype(self.image.dtype)
         weights = counted / jnp.sum(counted, axis=(-3, -2), keepdims=True)
         value = jnp.sum(jnp.where(kept, self.image, 0) * weights, axis=(-3, -2))
@@ -188,7 +205,7 @@ class Calibrated(Shown):
         """
         kernel = as_float(kernel)
         parts = (replace(part, kernel=_both(part.kernel, kernel)) for part in self.parts)
-        return Calibrated(convolve(self.image, kernel), tuple(parts))
+        return Calibrated(convolve(self.image, kernel), tuple(parts), self.saturated)
 
     def __sub__(self, other: "Calibrated") -> "Calibrated":
         """The difference of two frames of one camera. Errors that both share cancel."""
@@ -199,7 +216,9 @@ class Calibrated(Shown):
             if same is not None:
                 part = replace(part, amplitude=part.amplitude - same.amplitude)
             parts.append(part)
-        return Calibrated(self.image - other.image, (*parts, *lasting.values()))
+        ends = [x for x in (self.saturated, other.saturated) if x is not None]
+        saturated = ends[0] | ends[-1] if ends else None
+        return Calibrated(self.image - other.image, (*parts, *lasting.values()), saturated)
 
     def _sum(self, counts: Callable[[Part], bool]) -> Counts:
         found = [_variance(part) for part in self.parts if counts(part)]
@@ -283,8 +302,11 @@ def correct(
 
     Raises:
         ValueError: for an unknown unit, a unit that several bands or a colour filter make
-            ambiguous, user-defined effects or a curve without an inverse, and masters whose shape
-            differs from the frames'.
+            ambiguous, user-defined effects or a curve without an inverse, masters whose shape
+            differs from the frames', and a flat that is saturated throughout.
+
+    Warns:
+        UserWarning: for a dark master that is far from what the camera states, unless traced.
 
     Example:
         >>> sensor = jv.Sensor(nonlinearity=jv.Compression(0.05, electrons=1e4), offset=64.0)
@@ -321,21 +343,60 @@ def correct(
     ]
     if draws is not None:
         parts += _drawn(sensor, draws.sensor if isinstance(draws, Camera) else draws, image_by)
-    return Calibrated(jnp.where(_unusable(sensor, measured, masters), jnp.nan, image), tuple(parts))
-
-
-def _unusable(sensor: Sensor, raw: Counts, masters: Masters) -> Bool[Array, "..."]:
-    """Defects, and pixels at the end of the converter's range or within the noise of a full
-    well."""
-    bad = jnp.zeros(raw.shape, bool)
+    saturated = _saturated(sensor, measured)
+    bad = jnp.zeros(raw.shape, bool) if saturated is None else saturated
     if masters.defects is not None:
         bad = bad | _beside(masters.defects[..., None], raw)
+    if masters.flat is not None:
+        bad = bad | _beside(_ended(sensor, masters.flat), raw)
+    if masters.dark is not None:
+        _warn_of_dark(sensor, masters.dark)
+    return Calibrated(jnp.where(bad, jnp.nan, image), tuple(parts), saturated)
+
+
+def _saturated(sensor: Sensor, raw: Counts) -> Bool[Array, "..."] | None:
+    """Pixels at the end of the converter's range or within the noise of a full well."""
+    bad = None
     if sensor.bits is not None:
-        bad = bad | (raw >= largest_number(sensor.bits))
+        bad = raw >= largest_number(sensor.bits)
     if sensor.full_well is not None:
         noise = jnp.sqrt(read_out_variance(sensor, shape=raw.shape, dtype=raw.dtype))
-        bad = bad | (_charge(sensor, raw, None) + FAR * noise >= sensor.full_well)
+        full = _charge(sensor, raw, None) + FAR * noise >= sensor.full_well
+        bad = full if bad is None else bad | full
     return bad
+
+
+def _ended(sensor: Sensor, flat: Master) -> Bool[Array, "..."]:
+    """Pixels of a flat some of whose frames may have been saturated: within the noise of an end."""
+    if sensor.bits is None:
+        return jnp.zeros(flat.mean.shape, bool)
+    top = largest_number(sensor.bits)
+    gain = 1.0 if sensor.gain is None else jnp.max(sensor.gain)
+    near = FAR * jnp.sqrt(gain * top + QUANTISATION_VARIANCE)  # of electrons that fill the range
+    ended = flat.mean >= (top if sensor.shot_noise is None else top - near)
+    if is_known(ended) and bool(ended.all()):
+        raise ValueError(
+            "correct: masters.flat is saturated in all its pixels; take flats of half of full "
+            "scale."
+        )
+    return ended
+
+
+def _warn_of_dark(sensor: Sensor, dark: Master) -> None:
+    """Of a dark master that differs from what the camera states by more than twice its noise."""
+    held = mean_dark(sensor, dark.mean) + jnp.zeros_like(dark.mean)
+    beside = _unasked(sensor, dark.mean)  # which a covered lens may keep out
+    found, expected = jnp.median(dark.mean), jnp.median(amplified(sensor, held))
+    most = expected if beside is None else jnp.median(amplified(sensor, held + beside))
+    noise = jnp.sqrt(jnp.median(signal_variance(sensor, jnp.zeros_like(dark.mean))))
+    known = is_known(found) and is_known(expected) and is_known(most)
+    if known and (found < expected - 2 * noise or found > most + 2 * noise):
+        warnings.warn(
+            f"masters.dark has a median of {float(found):.4g} DN, where the camera states "
+            f"{float(expected):.4g} DN for its exposure time and temperature; the result is wrong "
+            "by the difference if the master's exposure time or temperature are not the frames'.",
+            stacklevel=4,
+        )
 
 
 def _times(x: Scalars, factor: Scalars | None) -> Scalars:

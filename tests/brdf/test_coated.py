@@ -174,3 +174,9 @@ def test_bounds_hold():
     more = (EVALUATE(rough, wi, wo) - EVALUATE(once, wi, wo))[:, 0]
     allowed = brdf.torrance_sparrow._largest_returned(Ends(rough, rough))
     assert float(more.max()) <= allowed < 1.5 * float(more.max())
+
+
+def test_a_body_that_reflects_more_than_it_receives_is_refused():
+    """An albedo in place of sr^-1 had given an albedo of -6.5."""
+    with pytest.raises(ValueError, match=r"reflects 1.88 of its light, and at most 1"):
+        jv.Coated(jv.Lambert([0.6]), jv.Dielectric([1.5]), 0.1)

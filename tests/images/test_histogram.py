@@ -79,8 +79,11 @@ def test_every_band_of_every_image_is_counted_alone():
 
 def test_nan_and_values_outside_are_not_counted():
     x = jnp.asarray([[jnp.nan, -0.1, 0.0, 1.0, 1.1, jnp.inf]])
-    for histogram in (exact_histogram(x, bins=4), soft_histogram(x, bins=4)):
+    for count in (exact_histogram, soft_histogram):
+        with pytest.warns(UserWarning, match=r"4 of 6 values are outside \[0, 1\] or NaN"):
+            histogram = count(x, bins=4)
         np.testing.assert_array_equal(histogram.counts, [1, 0, 0, 1])
+        count(x, bins=4, value_range=(0, 1))  # as asked for
 
 
 def test_soft_weights_against_the_loop():
@@ -93,7 +96,8 @@ def test_soft_weights_against_the_loop():
         weight[1] += weight[0]
         weight[-2] += weight[-1]
         expected += weight[1:-1]
-    np.testing.assert_allclose(soft_histogram(x, bins=bins).counts, expected, rtol=1e-12)
+    found = soft_histogram(x, bins=bins, value_range=(0, 1))
+    np.testing.assert_allclose(found.counts, expected, rtol=1e-12)
 
 
 def test_cubic_weights_are_the_b_spline():

@@ -143,3 +143,12 @@ def test_what_is_no_sky_is_named():
         lights.daylight(12, [0, 0, -1], irradiance=[1.0])
     with pytest.raises(ValueError, match="a Perez sky has a clearness of at least 1"):
         lights.perez_sky(0.5, 0.5, 0.2)
+
+
+def test_a_sky_that_its_formula_makes_negative_is_told():
+    with pytest.warns(UserWarning, match=r"falls below 0 in \d+% of the upper half"):
+        lights.daylight(
+            lights.perez_sky(0.6, 2.2, 0.05), [np.sin(0.6), 0, np.cos(0.6)], irradiance=[100.0]
+        )
+    with pytest.raises(ValueError, match="a brightness from 0 to 1"):
+        lights.perez_sky(0.5, 4.0, 30.0)

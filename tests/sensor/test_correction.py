@@ -357,3 +357,30 @@ def test_patches_of_cameras_that_differ_as_their_draws_do():
     assert abs(patch.var() - 1) < 4 * np.sqrt(2 / 200)
     assert abs(pixels.var() - 1) < 0.05
     assert share.max() < 0.5  # most of a patch's error is shared
+
+
+def test_masters_that_contradict_the_camera_are_told():
+    """A flat at full scale left the pattern in; a dark of ten times the time took off too much."""
+    sensor = replace(SIMPLE, dark_current=2000.0, exposure_time=0.02, bits=12)
+    shape, top = (SIDE, SIDE, 1), 4095.0
+    raw, dark = jnp.full(shape, 900.0), js.expected_signal(sensor, jnp.zeros(shape))
+    with pytest.raises(ValueError, match="flat is saturated in all its pixels"):
+        js.correct(raw, sensor, masters=js.Masters(flat=js.Master(jnp.full(shape, top), 8)))
+    flat = jnp.full(shape, 2000.0).at[3, 4].set(top)
+    found = js.correct(
+        raw, sensor, masters=js.Masters(dark=js.Master(dark, 8), flat=js.Master(flat, 8))
+    )
+    assert np.argwhere(np.isnan(found.image)).tolist() == [[3, 4, 0]]
+    with pytest.warns(UserWarning, match=r"has a median of .* DN, where the camera states"):
+        js.correct(raw, sensor, masters=js.Masters(dark=js.Master(dark + 200, 8)))
+
+
+def test_the_mean_of_a_patch_with_saturated_pixels_is_said_to_be_too_low():
+    raw = jnp.full((SIDE, SIDE, 1), 900.0).at[:6].set(2.0**14 - 1)
+    found = js.correct(raw, replace(SIMPLE, bits=14))
+    with pytest.warns(UserWarning, match="0.25 of the patch's pixels are saturated"):
+        found.mean()
+    below = np.arange(SIDE)[:, None] * np.ones(SIDE) >= 6
+    assert float(found.mean(below).mean[0]) > 0  # without a word
+    with pytest.warns(UserWarning, match="saturated"):
+        (found - js.correct(jnp.full_like(raw, 500.0), replace(SIMPLE, bits=14))).mean()
