@@ -9,6 +9,7 @@ import matplotlib
 matplotlib.use("agg")
 import jax
 import matplotlib.pyplot as plt
+from PIL import Image
 
 GALLERY = Path(__file__).parent / "gallery"
 FINE = 200  # dots per inch of figures without pixels of their own
@@ -35,8 +36,12 @@ def draw(script: Path, folder: Path) -> Path:
         picture = folder / f"{script.stem}.png"
         has_pixels = any(axes.images for axes in plt.gcf().axes)
         dots = STYLE["figure.dpi"] if has_pixels else FINE
-        plt.savefig(picture, metadata={"Software": None}, dpi=dots, pil_kwargs={"optimize": True})
+        plt.savefig(picture, metadata={"Software": None}, dpi=dots)
         plt.close("all")
+    image = Image.open(picture)
+    if not has_pixels:  # lines need few colours
+        image = image.quantize(256, method=Image.Quantize.FASTOCTREE)
+    image.save(picture, optimize=True)
     return picture
 
 

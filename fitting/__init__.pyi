@@ -8,6 +8,7 @@ from . import (
     reflectance as reflectance,
     resolution as resolution,
     response as response,
+    sensitivities as sensitivities,
 )
 from .fits.bands import (
     Bands as Bands,

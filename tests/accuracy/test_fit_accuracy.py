@@ -33,6 +33,7 @@ knots panels subdivisions degree refine cutoff
 # ... unless it is one of these, where the word means something else: a result, a number of things
 # or of data, repeats that are simulated, what several fits share, or what a certificate bounds.
 OTHER = words("""
+*.sensitivities.*
 *.Posterior.* *.Chain.* *.Bands.draws *.*Solution.steps *.Grouping.count *.Grid.count *.Cells.count
 *.budget.posterior *.budget.count *.plan.posterior *.method_of.posterior *.price.count *.unstarted.*
 *.beyond_chance.count *.SharedFit.posterior *.starts_about.* *.SamplingOptions.* *.NutsOptions.*

@@ -44,7 +44,7 @@ FITTING_FLOORS = [
     {"rig", "inference", "codes", "copies"},
     {"frame_checks", "observation", "poisson", "report", "rig_from_folder"},
     {"fits", "sensor_likelihoods"},
-    {"lights", "noise", "resolution", "response"},
+    {"lights", "noise", "resolution", "response", "sensitivities"},
     {"reflectance"},
     {"accuracy", "demo", "joint"},
     {"checks"},

@@ -239,6 +239,7 @@ ELSEWHERE = (
         """,
     ),
     Elsewhere(STATISTICS, "test_from_edge", "fitting.resolution: from_edge"),
+    Elsewhere(STATISTICS, "test_sensitivities", "fitting.sensitivities: from_patches"),
     Elsewhere(
         STATISTICS,
         "test_lights_calibration",

@@ -1,0 +1,367 @@
+"""Spectral sensitivities of a camera, its colour matrix and white balance, from patches or
+narrow-band light of known spectra.
+
+A reading is linear in the sensitivity s of its channel: y = sum over bands of L s, with noise. The
+prior of s is a Gaussian process over wavelength (Matern 5/2) whose size and correlation length
+follow from the evidence, and s >= 0. Draws are optima of randomised problems, exact for a Gaussian
+posterior: the prior's mean and the readings are drawn, and non-negative least squares finds s.
+Each draw has a draw of size, length and noise, so that their errors are part of the intervals.
+
+Source:
+    Rasmussen & Williams, Gaussian Processes for Machine Learning, chapters 2 and 5; Bardsley &
+    Fox, "An MCMC method for uncertainty quantification in nonnegativity constrained inverse
+    problems", Inverse Problems in Science and Engineering 20 (2012).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize, nnls
+
+from jaxvision import ArrayLike, colour_spaces
+from jaxvision.errors import InputError
+
+from .fits.bands import Bands, bands
+from .inference.given import plain_numbers
+from .inference.precision import in_double
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_FEWEST = 4  # readings of a channel
+_LENGTHS = 5e-9, 400e-9  # m, of the prior
+_STARTS = 25e-9, 60e-9, 120e-9  # m
+_OF_MODEL = 1e-4  # of the largest reading: what no description of light and camera is free of
+_LOUDER = 1.3  # times the stated noise: a misfit that is told
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """Sensitivities of a camera's channels, as draws of their posterior.
+
+    Attributes:
+        wavelengths: (bands,) m.
+        channels: names.
+        draws: (draws, bands, channels) of the sensitivities, in the unit of readings over that of
+            the light, at least 0.
+        length: (channels,) correlation length over wavelength, m.
+        noise: (channels,) standard deviation of the readings over what was stated, or in their
+            unit.
+        findings: sentences.
+    """
+
+    wavelengths: Float[np.ndarray, " bands"]
+    channels: tuple[str, ...]
+    draws: Float[np.ndarray, "draws bands channels"]
+    length: Float[np.ndarray, " channels"]
+    noise: Float[np.ndarray, " channels"]
+    findings: tuple[str, ...]
+
+    @cached_property
+    def curves(self) -> Bands:
+        """The sensitivities, (bands, channels), with intervals."""
+        return bands(self.draws)
+
+    def readings(self, light: ArrayLike) -> Bands:
+        """Readings of light, (..., channels), with the errors of the sensitivities.
+
+        Args:
+            light: (..., bands) as it was given to `from_patches`.
+
+        Returns:
+            Bands of the shape (..., channels), in the unit of the readings.
+        """
+        return bands(np.einsum("...b,dbc->d...c", self._light("light", light), self.draws))
+
+    def white_balance(self, illuminant: ArrayLike) -> Bands:
+        """Factors that give white the reading of the second channel in all channels.
+
+        Args:
+            illuminant: (bands,) spectrum of the light on a perfect white, relative.
+
+        Returns:
+            Bands of the shape (channels,), no unit.
+        """
+        white = self._light("illuminant", illuminant) @ self.draws
+        return bands(white[:, 1 % len(self.channels)][:, None] / white)
+
+    @in_double
+    def matrix(self, illuminant: ArrayLike, *, reflectances: ArrayLike | None = None) -> Bands:
+        """The 3 x 3 matrix from readings to XYZ that is best for a set of reflectances and right
+        for white.
+
+        Args:
+            illuminant: (bands,) spectrum of the light on a perfect white, relative.
+            reflectances: (patches, bands); None for the 24 of a colour chart.
+
+        Returns:
+            Bands of the shape (3, channels); XYZ are relative to a white of Y = 1.
+        """
+        raw, xyz = self._scene(illuminant, reflectances)
+        return bands(np.stack([_matrix(one, xyz) for one in raw]))
+
+    @in_double
+    def delta_e(self, illuminant: ArrayLike, *, reflectances: ArrayLike | None = None) -> Bands:
+        """CIEDE2000 between each reflectance and what the camera shows of it by the mean matrix.
+
+        The spread over draws is that of the camera's sensitivities: what they leave open. The
+        mean also has what no matrix can do.
+
+        Args:
+            illuminant: (bands,) spectrum of the light on a perfect white, relative.
+            reflectances: (patches, bands); None for the 24 of a colour chart.
+
+        Returns:
+            Bands of the shape (patches,).
+        """
+        raw, xyz = self._scene(illuminant, reflectances)
+        mean = np.mean([_matrix(one, xyz) for one in raw], axis=0)
+        shown = np.maximum(np.einsum("xc,dpc->dpx", mean, raw), 0)
+        labs = [
+            colour_spaces.xyz_to_lab(jnp.asarray(one[..., :-1, :]), jnp.asarray(xyz[-1]))
+            for one in (shown, xyz)
+        ]
+        return bands(
+            np.asarray(
+                colour_spaces.delta_e_2000(labs[0], jnp.broadcast_to(labs[1], labs[0].shape))
+            )
+        )
+
+    def _scene(
+        self, illuminant: ArrayLike, reflectances: ArrayLike | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Readings (draws, patches + 1, channels) and XYZ (patches + 1, 3), white last."""
+        if len(self.channels) != 3:
+            raise InputError(f"a matrix needs three channels, got {len(self.channels)}.")
+        light, at = self._light("illuminant", illuminant), jnp.asarray(self.wavelengths)
+        own = (
+            np.asarray(colour_spaces.chart_reflectances(at), float)
+            if reflectances is None
+            else self._light("reflectances", reflectances)
+        )
+        shown = light * np.concatenate([own, np.ones((1, len(light)))])
+        xyz = shown @ np.asarray(colour_spaces.observer(at), float)
+        return shown @ self.draws, xyz / xyz[-1, 1]
+
+    def _light(self, name: str, light: ArrayLike) -> np.ndarray:
+        found = np.asarray(plain_numbers(name, light), float)
+        if found.shape[-1:] != self.wavelengths.shape:
+            raise InputError(
+                f"{name} is {found.shape}; its last axis needs the {len(self.wavelengths)} bands "
+                "of the sensitivities."
+            )
+        return found
+
+    def __str__(self) -> str:
+        peaks = self.wavelengths[np.argmax(self.curves.mean, axis=0)]
+        rows = [
+            f"{name}: peak {value:.4g} ± {sd:.2g} at {1e9 * peak:.0f} nm, smooth over "
+            f"{1e9 * length:.0f} nm"
+            for name, peak, length, value, sd in zip(
+                self.channels,
+                peaks,
+                self.length,
+                self.curves.mean.max(axis=0),
+                np.take_along_axis(
+                    self.curves.sd, np.argmax(self.curves.mean, axis=0)[None], axis=0
+                )[0],
+                strict=True,
+            )
+        ]
+        return "\n".join((*rows, *self.findings))
+
+    def figure(self) -> "Figure":
+        """The sensitivities with 68 % and 95 % bands.
+
+        Returns:
+            The figure, of matplotlib.
+        """
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(6, 3.6), layout="constrained")
+        axes = figure.subplots()
+        colours = ("#c43b3b", "#2f8f4e", "#3b62c4") if len(self.channels) == 3 else ()
+        at = 1e9 * self.wavelengths
+        for i, name in enumerate(self.channels):
+            colour = colours[i] if colours else f"C{i}"
+            axes.plot(at, self.curves.mean[:, i], color=colour, label=name)
+            for ends, alpha in ((self.curves.interval_95, 0.15), (self.curves.interval_68, 0.25)):
+                axes.fill_between(at, *ends[..., i], color=colour, alpha=alpha, linewidth=0)
+        axes.set(xlabel="wavelength, nm", ylabel="sensitivity", ylim=(0, None))
+        axes.legend(frameon=False)
+        return figure
+
+
+def from_patches(
+    readings: ArrayLike,
+    light: ArrayLike,
+    wavelengths: ArrayLike,
+    *,
+    sd: ArrayLike | None = None,
+    channels: Sequence[str] = ("red", "green", "blue"),
+    draws: int = 200,
+    seed: int = 0,
+) -> Sensitivities:
+    """Sensitivities of a camera from its readings of known spectra.
+
+    The spectra may be those of a chart's patches (illuminant times reflectance), of narrow bands of
+    light, or both. Readings are linear in the light, of one exposure, and without black level.
+
+    Args:
+        readings: (patches, channels), NaN where saturated.
+        light: (patches, bands) spectrum of each patch, the same unit for all.
+        wavelengths: (bands,) m, increasing.
+        sd: (patches, channels), (patches, 1) or () standard deviations of the readings; None to
+            measure one for each channel from its misfit.
+        channels: names of the channels.
+        draws: of the posterior.
+        seed: of the draws.
+
+    Returns:
+        The sensitivities.
+
+    Raises:
+        InputError: for shapes that do not fit, fewer than 4 readings of a channel, wavelengths that
+            are not in m or do not increase, and standard deviations that are not above 0.
+
+    Example:
+        >>> from fitting import sensitivities
+        >>> nm = np.arange(400, 701, 10)
+        >>> at = jnp.asarray(1e-9 * nm)
+        >>> patches = jv.colour_spaces.chart_reflectances(at)
+        >>> light = patches * jv.colour_spaces.illuminant("D65", at) / 100
+        >>> readings = light @ jv.colour_spaces.camera_sensitivities("Nikon 5100 (NPL)", at)
+        >>> found = sensitivities.from_patches(readings, light, 1e-9 * nm, sd=0.01)
+        >>> print(nm[found.curves.mean.argmax(axis=0)])  # within 10 of the peaks
+        [600 520 460]
+    """
+    y = np.asarray(plain_numbers("readings", readings), float)
+    spectra = np.asarray(plain_numbers("light", light), float)
+    at = np.asarray(plain_numbers("wavelengths", wavelengths), float)
+    names = tuple(channels)
+    if y.ndim != 2 or y.shape[1] != len(names) or spectra.shape != (len(y), at.size):
+        raise InputError(
+            f"readings are {y.shape}, light {spectra.shape} and wavelengths {at.shape}; give "
+            f"(patches, {len(names)}), (patches, bands) and (bands,)."
+        )
+    if not np.isfinite(spectra).all() or spectra.min() < 0:
+        raise InputError("light must be finite and at least 0.")
+    if at.size < 2 or not (np.diff(at) > 0).all() or at[0] < 1e-7 or at[-1] > 1e-4:
+        raise InputError("wavelengths must increase, in metres; 550 nm are 550e-9.")
+    stated = None
+    if sd is not None:
+        stated = np.broadcast_to(np.asarray(plain_numbers("sd", sd), float), y.shape)
+        if not (np.isfinite(stated) & (stated > 0)).all():
+            raise InputError("sd must be above 0.")
+    rng = np.random.default_rng(seed)
+    found, lengths, noises, told = [], [], [], []
+    for i, name in enumerate(names):
+        kept = np.isfinite(y[:, i])
+        if kept.sum() < _FEWEST:
+            raise InputError(
+                f"{name}: {kept.sum()} readings that are numbers; {_FEWEST} are the least."
+            )
+        own = None if stated is None else stated[kept, i]
+        channel = _Channel(spectra[kept], y[kept, i], at, own)
+        best, spread = channel.best()
+        found.append(channel.draws(best, spread, draws, rng))
+        lengths.append(np.exp(best[1]))
+        noises.append(np.exp(best[2]) * (channel.unit if stated is None else 1.0))
+        if stated is not None and np.exp(best[2]) > _LOUDER:
+            told.append(
+                f"{name}: readings differ from any smooth sensitivity by {np.exp(best[2]):.2g} "
+                "times their standard deviation; intervals allow for it. Uneven light, a gamma, "
+                "stray light or wrong spectra do this."
+            )
+    return Sensitivities(
+        at, names, np.stack(found, axis=-1), np.array(lengths), np.array(noises), tuple(told)
+    )
+
+
+def _matrix(raw: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+    """(3, channels) least squares from readings to XYZ, exact for the last row, white."""
+    inverse = np.linalg.inv(raw[:-1].T @ raw[:-1])
+    free = (inverse @ raw[:-1].T @ xyz[:-1]).T
+    white = inverse @ raw[-1]
+    return free + np.outer(xyz[-1] - free @ raw[-1], white) / (raw[-1] @ white)
+
+
+class _Channel:
+    """One channel's readings, scaled to a largest of 1, with their evidence and draws."""
+
+    def __init__(
+        self, light: np.ndarray, y: np.ndarray, at: np.ndarray, sd: np.ndarray | None
+    ) -> None:
+        self.unit = float(np.abs(y).max()) or 1.0
+        self.scale = self.unit / max(float(light.sum(axis=1).max()), 1e-300)  # of a flat curve
+        self.light, self.y = light * (self.scale / self.unit), y / self.unit
+        self.sd = np.ones(len(y)) if sd is None else sd / self.unit
+        self.bounds = [
+            (np.log(0.05), np.log(100.0)),
+            tuple(np.log(_LENGTHS)),
+            (np.log(_OF_MODEL), 0.0) if sd is None else (0.0, np.log(100.0)),
+        ]
+        self.apart = np.abs(at[:, None] - at)
+
+    def prior(self, at: np.ndarray) -> np.ndarray:
+        """(bands, bands) covariance for logarithms of size, length and noise."""
+        r = np.sqrt(3) * self.apart / np.exp(at[1])
+        matern = (1 + r) * np.exp(-r)
+        return np.exp(2 * at[0]) * (matern + 1e-8 * np.eye(len(r)))
+
+    def noise(self, at: np.ndarray) -> np.ndarray:
+        return np.hypot(np.exp(at[2]) * self.sd, _OF_MODEL)
+
+    def cost(self, at: np.ndarray) -> float:
+        """Minus the logarithm of the evidence, with broad priors about a size of 1, a length of 60
+        nm and, of stated noise, a factor of 1."""
+        covariance = self.light @ self.prior(at) @ self.light.T + np.diag(self.noise(at) ** 2)
+        root = np.linalg.cholesky(covariance)
+        left = solve_triangular(root, self.y, lower=True)
+        prior = (at[0] / 2) ** 2 + (np.log(np.exp(at[1]) / 60e-9) / 1.0) ** 2
+        return float(left @ left / 2 + np.log(np.diag(root)).sum() + prior / 2)
+
+    def best(self) -> tuple[np.ndarray, np.ndarray]:
+        """The optimum of the evidence and its covariance."""
+        starts = [
+            np.array([0.0, np.log(length), np.log(0.02) if self.bounds[2][1] == 0 else 0.0])
+            for length in _STARTS
+        ]
+        tries = [
+            minimize(self.cost, start, bounds=self.bounds, method="L-BFGS-B") for start in starts
+        ]
+        best = min(tries, key=lambda one: one.fun).x
+        step = 0.05 * np.eye(3)
+        hessian = np.array(
+            [
+                [
+                    sum(s * t * self.cost(best + s * a + t * b) for s in (1, -1) for t in (1, -1))
+                    / (4 * 0.05**2)
+                    for b in step
+                ]
+                for a in step
+            ]
+        )
+        sizes, ways = np.linalg.eigh((hessian + hessian.T) / 2)
+        return best, ways @ np.diag(1 / np.maximum(sizes, 1.0)) @ ways.T  # at most a factor of e
+
+    def draws(
+        self, best: np.ndarray, spread: np.ndarray, count: int, rng: np.random.Generator
+    ) -> np.ndarray:
+        """(draws, bands) non-negative."""
+        low, high = np.array(self.bounds).T
+        found = []
+        for at in rng.multivariate_normal(best, spread, count):
+            at = np.clip(at, low, high)
+            root, noise = np.linalg.cholesky(self.prior(at)), self.noise(at)
+            whiten = solve_triangular(root, np.eye(len(root)), lower=True)
+            stacked = np.concatenate([self.light / noise[:, None], whiten])
+            right = np.concatenate([self.y / noise, np.zeros(len(root))])
+            found.append(nnls(stacked, right + rng.normal(size=right.size))[0])
+        return np.array(found) * self.scale

@@ -1,0 +1,135 @@
+"""Spectral sensitivities from simulated charts: against the cameras that made them, and against
+colour-science's recovery."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fitting import sensitivities
+from jaxvision import colour_spaces
+from jaxvision.errors import InputError
+
+NM = np.arange(400, 701, 10)
+AT = jnp.asarray(1e-9 * NM)
+DAY, NIGHT = (np.asarray(colour_spaces.illuminant(name, AT), float) / 100 for name in ("D65", "A"))
+CHART = np.asarray(colour_spaces.chart_reflectances(AT), float)
+NAMES = "Nikon 5100 (NPL)", "Sigma SDMerill (NPL)"
+
+
+def camera(name):
+    return np.asarray(colour_spaces.camera_sensitivities(name, AT), float)
+
+
+def chart(true, seed):
+    """Readings of a chart by daylight, and their noise."""
+    mean = (CHART * DAY) @ true
+    sd = np.hypot(0.005 * mean, 0.002 * mean.max())
+    return mean + sd * np.random.default_rng(seed).normal(size=mean.shape), sd
+
+
+def holds(bands, truth):
+    return (bands.interval_95[0] <= truth) & (truth <= bands.interval_95[1])
+
+
+def test_curves_matrix_and_balance_are_those_of_the_camera():
+    true = camera(NAMES[0])
+    readings, sd = chart(true, 0)
+    found = sensitivities.from_patches(readings, CHART * DAY, 1e-9 * NM, sd=sd, draws=100)
+    assert np.mean(holds(found.curves, true)) > 0.8
+    assert (found.draws >= 0).all()
+    raw = NIGHT @ true
+    balance = found.white_balance(NIGHT)
+    assert (np.abs(balance.mean - raw[1] / raw) <= 3.5 * balance.sd).all()
+    xyz = (NIGHT * CHART) @ np.asarray(colour_spaces.observer(AT), float)
+    white = NIGHT @ np.asarray(colour_spaces.observer(AT), float)
+    matrix = found.matrix(NIGHT)
+    np.testing.assert_allclose(matrix.mean @ raw, white / white[1], rtol=0.01)
+    shown = ((NIGHT * CHART) @ true) @ matrix.mean.T
+    error = np.asarray(
+        colour_spaces.delta_e_2000(
+            *(
+                colour_spaces.xyz_to_lab(
+                    jnp.asarray(np.maximum(x, 0)), jnp.asarray(white / white[1])
+                )
+                for x in (shown, xyz / white[1])
+            )
+        )
+    )
+    said = found.delta_e(NIGHT)
+    assert abs(error.mean() - said.draws.mean(1).mean()) < 4 * said.draws.mean(1).std()
+    assert "red: peak" in str(found)
+
+
+def test_narrow_bands_tell_the_curve_where_they_are():
+    true = camera(NAMES[0])
+    bands = np.exp(-(((NM - np.arange(410, 700, 20)[:, None]) / 8.0) ** 2))
+    readings = bands @ true
+    found = sensitivities.from_patches(readings, bands, 1e-9 * NM, sd=1e-3, draws=60)
+    np.testing.assert_allclose(found.curves.mean, true, atol=0.07)
+
+
+def test_louder_noise_is_found_and_said():
+    true = camera(NAMES[1])
+    readings, sd = chart(true, 3)
+    stated = sensitivities.from_patches(readings, CHART * DAY, 1e-9 * NM, sd=sd / 5, draws=20)
+    assert (stated.noise > 3).all()
+    assert "red: readings differ from any smooth sensitivity by" in str(stated)
+    free = sensitivities.from_patches(readings[:, :1], CHART * DAY, 1e-9 * NM, channels=["y"])
+    assert free.noise[0] == pytest.approx(np.sqrt(np.mean(sd[:, 0] ** 2)), rel=0.6)
+    with pytest.raises(InputError, match="needs three channels"):
+        free.matrix(DAY)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"wavelengths": NM}, "in metres"),
+        ({"light": CHART[:5]}, "give \\(patches, 3\\), \\(patches, bands\\) and \\(bands,\\)"),
+        ({"sd": 0.0}, "sd must be above 0"),
+        ({"readings": np.full((24, 3), np.nan)}, "red: 0 readings that are numbers"),
+        ({"light": -CHART}, "light must be finite and at least 0"),
+    ],
+)
+def test_what_cannot_be_used_is_a_sentence(change, said):
+    given = {"readings": np.ones((24, 3)), "light": CHART, "wavelengths": 1e-9 * NM}
+    with pytest.raises(InputError, match=said):
+        sensitivities.from_patches(**{**given, **change})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_intervals_hold(name):
+    """Curves that no Gaussian process has drawn: steep filters make them less than 95 %."""
+    true = camera(name)
+    rng = np.random.default_rng(99)
+    middle = rng.uniform(400, 700, (20, 1))
+    others = 0.05 + rng.uniform(0, 1, (20, 1)) * np.exp(-(((NM - middle) / 80) ** 2))
+    of_curves, of_readings = [], []
+    for seed in range(12):
+        readings, sd = chart(true, seed)
+        found = sensitivities.from_patches(readings, CHART * DAY, 1e-9 * NM, sd=sd, seed=seed)
+        of_curves.append(holds(found.curves, true))
+        of_readings.append(holds(found.readings(others * DAY), (others * DAY) @ true))
+    assert np.mean(of_curves) > 0.85
+    assert np.mean(of_readings) > 0.93
+
+
+@pytest.mark.slow
+def test_it_is_no_worse_than_a_basis_of_measured_cameras():
+    """Jiang's recovery with Dyer's basis, by colour-science, on the Sigma, which that basis does
+    not have."""
+    import colour
+
+    true = camera(NAMES[1]) / camera(NAMES[1]).max(0)
+    shape = colour.SpectralShape(400, 700, 10)
+    readings, sd = chart(true, 0)
+    ours = sensitivities.from_patches(readings, CHART * DAY, 1e-9 * NM, sd=sd).curves.mean
+    theirs = colour.recovery.RGB_to_msds_camera_sensitivities_Jiang2013(
+        readings,
+        colour.SDS_ILLUMINANTS["D65"].copy().align(shape),
+        colour.MultiSpectralDistributions(CHART.T, NM),
+        colour.recovery.BASIS_FUNCTIONS_DYER2017,
+        shape=shape,
+    ).values
+    errors = [np.sqrt(np.mean((x / x.max(0) - true) ** 2)) for x in (ours, theirs)]
+    assert errors[0] < 0.6 * errors[1]
