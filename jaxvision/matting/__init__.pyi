@@ -14,6 +14,7 @@ from .compositing import (
     unpremultiply as unpremultiply,
 )
 from .closed_form import Matte as Matte, closed_form_matte as closed_form_matte
+from .errors import MatteErrors as MatteErrors, matte_errors as matte_errors
 from .foreground import estimate_foreground as estimate_foreground
 from .keying import (
     blue_screen_matte as blue_screen_matte,

@@ -1,5 +1,6 @@
 """Mattes of a few pixels."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -26,6 +27,10 @@ EXAMPLES = {
     "matting.closed_form.closed_form_matte": (
         (IMAGE, TRIMAP),
         {"epsilon": 1e-2, "tolerance": 1e-13},
+    ),
+    "matting.errors.matte_errors": (
+        (jax.random.key(0), IMAGE, TRIMAP),
+        {"epsilon": 1e-2, "draws": 2},
     ),
     "matting.foreground.estimate_foreground": ((IMAGE, ALPHA), {}),
 }

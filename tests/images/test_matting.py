@@ -474,3 +474,72 @@ def test_a_nan_stays_in_its_own_pixel():
     ):
         assert jnp.isnan(alpha[4, 5]).all()
         assert int(jnp.isnan(alpha).sum()) == 1
+
+
+def hair(seed, *, side=24, texture=0.05, noise=0.003):
+    """A picture of strands before a background, its trimap and its true coverage."""
+    from scipy.ndimage import gaussian_filter
+
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[: 8 * side, : 8 * side] / 8
+    alpha = (x < 0.3 * side).astype(float)
+    for _ in range(10):
+        row, slope, end = rng.uniform([0, -0.5, 0.3 * side], [side, 0.5, 0.75 * side])
+        near = np.abs(y - row - slope * (x - 0.3 * side)) < rng.uniform(0.15, 0.6)
+        alpha[near & (x < end)] = 1
+    alpha = gaussian_filter(alpha.reshape(side, 8, side, 8).mean((1, 3)), 0.6)[..., None]
+    sides = [
+        np.array(colour)
+        + 5 * texture * gaussian_filter(rng.normal(size=(side, side, 3)), (2, 2, 0))
+        for colour in ([0.35, 0.2, 0.12], [0.3, 0.5, 0.7])
+    ]
+    seen = alpha * sides[0] + (1 - alpha) * sides[1] + noise * rng.normal(size=(side, side, 3))
+    trimap = np.full((side, side), 0.5)
+    trimap[:, : int(0.2 * side)], trimap[:, int(0.85 * side) + 1 :] = 1, 0
+    return np.maximum(seen, 0), trimap, alpha, sides[1]
+
+
+@pytest.mark.parametrize(
+    ("texture", "seeds"),
+    [(0.0, 2), *(pytest.param(x, 12, marks=pytest.mark.slow) for x in (0.0, 0.05, 0.1))],
+)
+def test_errors_of_mattes_are_those_of_simulated_hair(texture, seeds):
+    """Also of what is composed of them before another background."""
+    z, share, of_over = [], [], []
+    for seed in range(seeds):
+        image, trimap, alpha, _ = hair(seed, texture=texture)
+        found = matting.matte_errors(jax.random.key(seed), image, trimap)
+        unknown = (trimap > 0.1) & (trimap < 0.9)
+        sd = np.maximum(np.asarray(found.alpha_sd), 1e-3)[unknown]
+        off = np.asarray(found.alpha - alpha)[unknown]
+        z.append(np.mean((off / sd) ** 2))
+        share.append(np.mean(np.abs(off) < 1.96 * sd))
+        grey = jax.vmap(lambda a: over(jnp.concatenate([a, a], -1), jnp.full((24, 24, 2), 0.3)))
+        made = np.asarray(grey(found.draws))[..., 0][:, unknown]
+        true = (alpha + (1 - alpha) * 0.3)[unknown][:, 0]
+        wide = np.maximum(made.std(0), 1e-3)
+        of_over.append(np.mean(np.abs(made.mean(0) - true) < 2.5 * wide))
+    assert 0.7 < np.sqrt(np.mean(z)) < 1.5
+    assert np.mean(share) > 0.85
+    assert np.mean(of_over) > 0.8
+
+
+def test_the_inverse_of_the_laplacian_is_no_measure_of_a_mattes_errors():
+    """Dense, 24 x 24: the variance that its unit needs, over the energy of a pixel, which would be
+    1 if the energy were minus a log-probability, differs twentyfold between scenes."""
+    needed = []
+    for seed, texture in ((0, 0.0), (3, 0.05)):
+        image, trimap, alpha, _ = hair(seed, texture=texture)
+        laplacian = matting_laplacian(jnp.asarray(image), epsilon=1e-5)
+        units = jnp.eye(576).reshape(-1, 24, 24)
+        dense = np.asarray(jax.vmap(lambda x, s=laplacian: apply_stencil(s, x))(units))
+        dense = dense.reshape(576, 576)
+        unknown = ((trimap > 0.1) & (trimap < 0.9)).ravel()
+        matte = (trimap >= 0.9).astype(float).ravel()
+        inner = dense[np.ix_(unknown, unknown)]
+        matte[unknown] = -np.linalg.solve(inner, dense[np.ix_(unknown, ~unknown)] @ matte[~unknown])
+        variance = np.diag(np.linalg.inv(inner))
+        energy = matte @ dense @ matte / unknown.sum()
+        off = (matte - alpha.ravel())[unknown]
+        needed.append(np.mean(off**2 / variance) / energy)
+    assert needed[1] > 10 * needed[0]

@@ -530,6 +530,7 @@ ELSEWHERE = (
         "test_matting",
         """
             matting.foreground: estimate_foreground
+            matting.errors: matte_errors
         """,
     ),
     Elsewhere(

@@ -1,0 +1,127 @@
+"""How far a closed-form matte may be off, by a parametric bootstrap.
+
+What is off is mostly the model: colours of foreground and background vary, where closed-form
+matting takes them as lines in each window. New pictures of the same matte are drawn,
+
+    J = alpha F + (1 - alpha) B,    F, B = smooth colour + texture,
+
+with textures that have the covariance, over pixels and bands, of those in the known foreground and
+background: a texture convolved with white noise. Their mattes differ from alpha as alpha does from
+the true one. The inverse of the matting Laplacian, which would be the covariance if its energy were
+a probability, is no measure: on simulated hair the errors are 1.2 to 9 times as large as it says.
+
+Source:
+    Galerne, Gousseau & Morel, "Random Phase Textures: Theory and Synthesis", IEEE Trans. Image
+    Processing 20 (2011); Efron & Tibshirani, An Introduction to the Bootstrap, section 6.5.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..core._arguments import takes_numbers
+from ..core._shown import Shown
+from ..core._types import as_relative, check_count
+from ..filters import gaussian
+from .closed_form import BACKGROUND, FOREGROUND, closed_form_matte
+
+_SMOOTH = 32.0  # pixels over which the colour of a side varies
+_FAR = 1e-6  # weight of a side's mean where none of its pixels is near
+
+
+class MatteErrors(Shown):
+    """A coverage with its errors.
+
+    Attributes:
+        alpha: (h, w, 1) in [0, 1], no unit.
+        alpha_sd: (h, w, 1) standard deviation, no unit.
+        draws: (draws, h, w, 1) of the coverage, in [0, 1]. What is made of each, as by `over`,
+            scatters as its result is off.
+    """
+
+    alpha: Float[Array, "h w 1"]
+    alpha_sd: Float[Array, "h w 1"]
+    draws: Float[Array, "draws h w 1"]
+
+
+@takes_numbers
+def matte_errors(
+    key: Array,
+    image: Float[Array, "h w bands"],
+    trimap: Float[Array, "rows columns"],
+    *,
+    draws: int = 16,
+    epsilon: float = 1e-5,
+    confidence: float | None = None,
+) -> MatteErrors:
+    """The matte of a picture from a trimap, with its errors.
+
+    They are those that texture and noise of both sides cause. Colours that the known regions do not
+    have, and a wrong trimap, are not among them. On simulated hair the errors are 1 to 1.2 times
+    the standard deviations for sides of even colour with noise, and 1.4 on average (up to 2) where
+    textures vary by a fifth of the contrast or more. It takes as long as `draws` mattes.
+
+    Args:
+        key: of the draws.
+        image: (h, w, bands) linear relative light, as for `closed_form_matte`.
+        trimap: (h, w) no unit, likewise.
+        draws: number of pictures that are drawn, at least 2, static. With 16 a standard deviation
+            is known to a fifth.
+        epsilon: as for `closed_form_matte`.
+        confidence: likewise.
+
+    Returns:
+        The matte, its standard deviations, and draws.
+
+    Raises:
+        ValueError: for fewer than 2 draws, and as `closed_form_matte`.
+        InputError: as `closed_form_matte`.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> alpha = np.clip((20 - np.arange(32)) / 8, 0, 1)[None, :, None] * np.ones((24, 1, 1))
+        >>> noise = rng.normal(0, 0.01, (24, 32, 3))
+        >>> picture = alpha * [0.7, 0.2, 0.1] + (1 - alpha) * [0.1, 0.3, 0.6] + noise
+        >>> trimap = np.where(alpha[..., 0] == 1, 1, np.where(alpha[..., 0] == 0, 0, 0.5))
+        >>> found = jv.matting.matte_errors(jax.random.key(0), picture, trimap)
+        >>> off = np.abs(found.alpha - alpha)[:, 13:20]
+        >>> print(f"{np.mean(off < 2 * found.alpha_sd[:, 13:20]):.1f}")
+        0.9
+    """
+    check_count("draws", draws, 2)
+    image, trimap = as_relative(image), as_relative(trimap)
+    options = {"epsilon": epsilon, "confidence": confidence}
+    alpha = closed_form_matte(image, trimap, **options).alpha
+    sides = [_side(image, at[..., None]) for at in (trimap >= FOREGROUND, trimap <= BACKGROUND)]
+
+    def one(key: Array) -> Float[Array, "h w 1"]:
+        front, behind = (
+            jnp.maximum(smooth + _textured(own, texture), 0)
+            for own, (smooth, texture) in zip(jax.random.split(key), sides, strict=True)
+        )
+        drawn = alpha * front + (1 - alpha) * behind
+        return closed_form_matte(drawn, trimap, **options).alpha - alpha
+
+    off = jax.lax.map(one, jax.random.split(key, draws))
+    sd = jnp.sqrt(jnp.mean(off * off, axis=0))
+    return MatteErrors(alpha, sd, jnp.clip(alpha[None] - off, 0, 1))
+
+
+def _side(
+    image: Float[Array, "h w bands"], known: Array
+) -> tuple[Float[Array, "h w bands"], Float[Array, "h w bands"]]:
+    """The smooth colour of a side everywhere, and its texture where it is known, of which the sum
+    of squares is the variance."""
+    share = jnp.broadcast_to(known.astype(image.dtype), image.shape)
+    count = jnp.maximum(share[..., 0].sum(), 1)
+    mean = (image * share).sum((0, 1)) / count
+    near = gaussian(jnp.stack([image * share, share]), _SMOOTH, border="zero")
+    smooth = (near[0] + _FAR * mean[None, None]) / (near[1] + _FAR)
+    return smooth, (image - smooth) * share / jnp.sqrt(count)
+
+
+def _textured(key: Array, texture: Float[Array, "h w bands"]) -> Float[Array, "h w bands"]:
+    """White noise, one for all bands, convolved with a texture around the torus."""
+    noise = jax.random.normal(key, texture.shape[:2], texture.dtype)
+    found = jnp.fft.rfft2(texture, axes=(0, 1)) * jnp.fft.rfft2(noise)[..., None]
+    return jnp.fft.irfft2(found, s=texture.shape[:2], axes=(0, 1))
