@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from jaxvision import ArrayLike
+from jaxvision.errors import InputError
 
 from ..copies import Copies
 from .frame import COPIED, FrameSample, OddFrames, listed, refuse_half
@@ -15,6 +16,7 @@ from .frame import COPIED, FrameSample, OddFrames, listed, refuse_half
 BLANK = 0.999  # share of saturated pixels of an image without information
 LONGER = 1.2  # ratio of exposures from which the longer must be the brighter
 FEWEST_CLEAR, CONTRAST = 200, 0.02  # sampled pixels to compare scenes by; their spread, of scale
+LEAST_RISE = 0.01  # of full scale, by which a stop of exposure brightens any camera's codes
 UNLIKE, LIKE = 0.6, 0.9  # rank correlation of another scene at most, of one scene at least
 
 
@@ -42,6 +44,27 @@ def blank_images(frames: Sequence[FrameSample]) -> list[OddFrames]:
         for state in ["saturated" if frame.at_top > BLANK else f"{frame.mean:.4g} DN"]
         if frame.at_top > BLANK or np.ptp(frame.sample) == 0
     ]
+
+
+def refuse_toned(
+    where: str | Path, frames: Sequence[FrameSample], times: ArrayLike, *, full_scale: float
+) -> None:
+    """Refuse images of one brightness whatever their exposure: a camera or a converter has toned
+    each of them."""
+    seconds, rises = np.asarray(times, float), []
+    for i, j in combinations(np.argsort(seconds), 2):
+        stops, one, other = np.log2(seconds[j] / seconds[i]), frames[i].sample, frames[j].sample
+        middle = (one > 0.05 * full_scale) & (one < 0.95 * full_scale)
+        if stops >= 1 and one.shape == other.shape and middle.sum() >= FEWEST_CLEAR:
+            rises.append(float(np.median((other - one)[middle])) / full_scale / stops)
+    if rises and np.median(np.abs(rises)) < LEAST_RISE:
+        means, ratio = sorted(frame.mean for frame in frames), seconds.max() / seconds.min()
+        raise InputError(
+            f"{where}: the images are equally bright (means of {means[0]:.4g} to {means[-1]:.4g} "
+            f"DN) although their exposures differ by a factor of {ratio:.3g}, as with automatic "
+            "exposure, brightness or tone; give images of one still scene in one light, developed "
+            "without automatic corrections."
+        )
 
 
 def _clear(

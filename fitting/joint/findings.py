@@ -17,7 +17,6 @@ from ..reflectance.from_images.findings import (
     told,
 )
 from ..reflectance.from_images.read import ASSUMED_BLACK, Photographs
-from ..reflectance.names import SHOWS
 from ..report.section import Table
 from ..report.sentences import Finding, Numbers, said
 from .calibration import JointCalibration
@@ -37,10 +36,9 @@ NOTABLE = 2.5  # standard deviations of an image's error worth a word
 OfChannel = tuple[JointCalibration, JointFit]
 
 
-def findings(calibration: JointCalibration, *, scores: tuple[Score, ...] = ()) -> tuple[str, ...]:
-    """All sentences about a joint calibration and its predictions."""
+def findings(calibration: JointCalibration) -> tuple[str, ...]:
+    """All sentences about a joint calibration."""
     return (
-        *said(OF_PREDICTIONS, scores),
         *said(GIVEN, calibration),
         *said_of_channels(OF_CHANNEL, calibration, calibration.fits),
     )
@@ -220,28 +218,8 @@ def _odd_light(of: OfChannel) -> Numbers | None:
     }
 
 
-def _no_description(scores: tuple[Score, ...]) -> list[Numbers]:
-    """Channels in which the model fails to describe most images."""
-    errors = [(s.channel, s.fitted_error, s.unseen_error) for s in scores]
-    missed = [(name, fitted if unseen is None else unseen) for name, fitted, unseen in errors]
-    most = format_percent(SHOWS)
-    return [
-        {"channel": channel, "error": format_percent(error), "most": most}
-        for channel, error in missed
-        if error > SHOWS
-    ]
-
-
 # ---------------------------------------------------------------- sentences
 
-OF_PREDICTIONS = (
-    Finding(
-        "no description",
-        _no_description,
-        "{channel}: the model does not describe the images: its error is {error} of the signal,"
-        " above the limit of {most}.",
-    ),
-)
 GIVEN = (
     CONTRADICTED,
     Finding(

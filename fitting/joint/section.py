@@ -4,6 +4,7 @@ from functools import partial
 
 from ..inference.estimates import Estimate, not_determined
 from ..inference.posterior import estimates
+from ..reflectance.from_images.comparison import only_if_described
 from ..reflectance.material import material_files
 from ..reflectance.models import LABELS
 from ..report.left_out import left_out_tables
@@ -25,11 +26,11 @@ def section(calibration: JointCalibration) -> Section:
     )
     known = calibration.fits[0].data.known
     gone = left_out_tables((fit.channel, fit.left_out) for fit in calibration.fits)
-    return Section(
+    found = Section(
         kind="joint",
         title=f"Surface, response and sensor: {LABELS[calibration.model]}",
         estimates=_estimates(calibration),
-        findings=findings(calibration, scores=scores),
+        findings=findings(calibration),
         pictures=_pictures(calibration),
         tables=(score_table(scores), misfit_table(calibration), *gone),
         posteriors=calibration.posteriors,
@@ -49,6 +50,11 @@ def section(calibration: JointCalibration) -> Section:
             }
         ),
     )
+    errors = {
+        one.channel: one.fitted_error if one.unseen_error is None else one.unseen_error
+        for one in scores
+    }
+    return only_if_described(found, LABELS[calibration.model], errors)
 
 
 def _estimates(calibration: JointCalibration) -> tuple[Estimate, ...]:

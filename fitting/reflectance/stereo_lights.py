@@ -122,6 +122,8 @@ def _fitted(
         normals, rights = _normal_parts(scaled, weights, inverse, predicted, residuals, by_offset)
         step = np.linalg.pinv(normals.sum(axis=0), rcond=FLAT, hermitian=True) @ rights.sum(axis=0)
         if by_offset:
+            if not predicted.any():
+                return None
             offset += float(step[0])
             size = abs(float(step[0])) / float(np.abs(predicted).max())
         else:

@@ -26,6 +26,8 @@ def output() -> Console:
 def print_section(console: Console, section: Section) -> None:
     """The estimates of a calibration as tables, with its findings below."""
     console.print()
+    if section.headline:
+        console.print(f"[bold]{_escaped(section.headline)}", soft_wrap=not console.is_terminal)
     if section.estimates:
         found = sheet(section)
         for first in range(0, len(found.columns), COLUMNS):
@@ -38,7 +40,7 @@ def print_section(console: Console, section: Section) -> None:
     for table in section.tables:
         for part in plain_tables(table, console.width):
             console.print(part)
-    for finding in said_once(section.findings):
+    for finding in said_once([one for one in section.findings if one != section.headline]):
         console.print(f"• {finding}", soft_wrap=not console.is_terminal)
 
 

@@ -48,13 +48,16 @@ def section_html(section: Section) -> str:
         f"{f'<td>{escape(row.unit)}</td>' if units else ''}</tr>"
         for row in shown
     )
-    notes = "".join(f"<li>{escape(text)}</li>" for text in said_once(section.findings))
+    told = said_once([one for one in section.findings if one != section.headline])
+    notes = "".join(f"<li>{escape(text)}</li>" for text in told)
+    headline = f"<p><b>{escape(section.headline)}</b></p>" if section.headline else ""
     missing = "".join(
         f"<br><sup>{i}</sup> Not determined: {escape(note)}."
         for i, note in enumerate(found.notes, 1)
     )
     return (
-        f'<p><b>{escape(section.title)}</b></p><div style="overflow-x: auto"><table><tr>{head}</tr>'
+        f"{headline}<p><b>{escape(section.title)}</b></p>"
+        f'<div style="overflow-x: auto"><table><tr>{head}</tr>'
         f"{rows}</table></div><p>Value ± standard error, 95 % interval.{missing}</p>"
         f"<ul>{notes}</ul>"
     )

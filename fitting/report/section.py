@@ -1,7 +1,7 @@
 """The results of a calibration for a report: estimates, findings, tables and figures."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxvision.errors import InputError, nearest
 
-from ..inference.estimates import Estimate, find
+from ..inference.estimates import Estimate, find, not_determined
 from ..inference.posterior import Posterior
 from ..inference.precision import in_double
 
@@ -105,6 +105,8 @@ class Section:
         records: fitted records for use in a simulation: by the name of the file (ending in .toml),
             the function that writes it to a path.
         failure: why there are no results, as a sentence; empty where there are results.
+        headline: the finding that no model describes the data, which stands above the estimates;
+            empty if one does.
     """
 
     kind: str
@@ -123,6 +125,7 @@ class Section:
     data: dict[str, Columns] = field(default_factory=dict)
     records: dict[str, Callable[[Path], None]] = field(default_factory=dict)
     failure: str = ""
+    headline: str = ""
 
     def estimate(self, name: str, *, method: str = "", group: str = "") -> Estimate:
         """The first estimate with a given name."""
@@ -136,3 +139,21 @@ class Section:
                 f"there is no picture {name!r} of {self.kind}; {nearest(name, drawn)}."
             )
         return drawn[name]()
+
+
+def describing_nothing(section: Section, headline: str, groups: Collection[str]) -> Section:
+    """A section whose model does not describe the data of some groups: a headline says so, these
+    groups have no numbers, and no records are written."""
+    why = "the model does not describe the data (see the first sentence)"
+    return replace(
+        section,
+        headline=headline,
+        findings=(headline, *section.findings),
+        estimates=tuple(
+            not_determined(one, why, method=one.method, group=one.group)
+            if one.group in groups and one.value is not None
+            else one
+            for one in section.estimates
+        ),
+        records={},
+    )

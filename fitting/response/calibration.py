@@ -16,6 +16,7 @@ from ..inference.given import require_kind
 from ..inference.precision import in_double
 from ..report.notebook import ShownInNotebooks
 from .clipping import clear_of_clipping
+from .colour_rounding import COLOURS, shared_rounding, with_shared_rounding
 from .curve import ResponseCurve, fit_response_curve
 from .gamma import GammaFit, fit_gamma
 from .places import layout_of
@@ -41,6 +42,8 @@ class ChannelResponse:
             remain.
         hidden_peaks: whether there are clipped peaks whose codes do not show it.
         clear_of_hidden: whether the curve omits pixels near those too.
+        shared_rounding: rms error of its codes by the rounding of JPEG's colours that pixels of a
+            code share, DN; 0 where there is none.
     """
 
     plane: Plane
@@ -50,6 +53,7 @@ class ChannelResponse:
     clear: bool
     hidden_peaks: bool = False
     clear_of_hidden: bool = False
+    shared_rounding: float = 0.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -200,6 +204,9 @@ def _calibrate(
     hidden = not np.array_equal(strict, visible)
     attempts = [strict, visible, plane.codes] if hidden else [visible, plane.codes]
     curve, used = _first_that_fits(curve_of, attempts)
+    shared = _shared_rounding(plane, stack)
+    if shared is not None:
+        curve = with_shared_rounding(curve, shared)
     own = for_group(sampling, plane.label)
     gamma = fit_gamma(
         curve,
@@ -210,6 +217,7 @@ def _calibrate(
         seed=seed,
     )
     radiance = merge(plane.codes, plane.exposures, curve, signed=plane.black_measured)
+    seen = np.rint(curve.codes[curve.seen]).astype(int)
     return ChannelResponse(
         plane,
         curve,
@@ -218,7 +226,17 @@ def _calibrate(
         clear=used is not plane.codes,
         hidden_peaks=hidden,
         clear_of_hidden=hidden and used is strict,
+        shared_rounding=0.0 if shared is None else float(np.sqrt(np.mean(shared[seen] ** 2))),
     )
+
+
+def _shared_rounding(plane: Plane, stack: ExposureStack) -> np.ndarray | None:
+    """The rounding of JPEG's colours in a plane; None where there are no three colours."""
+    of_group = {one.channel: one for one in stack.planes if one.group == plane.group}
+    if tuple(of_group) != COLOURS:
+        return None
+    alike = [of_group[colour].codes for colour in COLOURS]
+    return shared_rounding(alike, plane.channel, plane.clip)
 
 
 def _first_that_fits(

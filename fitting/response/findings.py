@@ -8,7 +8,7 @@ from scipy.special import stdtrit
 from ..inference.formatting import format_percent, format_with_error
 from ..inference.trust import convergence_in_words
 from .calibration import ChannelResponse, ResponseCalibration
-from .curve import ripple
+from .curve import ResponseCurve, ripple
 from .shape import (
     CHANCE,
     PURE,
@@ -29,6 +29,8 @@ SHAKY = 0.1  # shutter error from which a time or a gain is more likely wrong
 APART_ERRORS = 3.0  # by which an image's exposure stands apart
 RARE, WIDE = 0.01, 8.0  # share of pixels at an image's lowest code; range of exposures
 BLACKS = 0.01  # error of exposure times from which they may be the cause
+LEAST_POWER = 0.01  # between the curves of colours, from which it is said
+SAID = 0.1  # DN, of rounding that pixels share, from which it is said
 NOTABLE_RIPPLE = (
     0.5  # share of the variance of a curve that its ripple makes, from which it is said
 )
@@ -43,6 +45,7 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     found += [_held_out_in_words(channels), _repeats_in_words(channels), _rough_in_words(channels)]
     found += [_near_clipped_in_words(channels), _hidden_in_words(channels)]
     found += [_busy_in_words(channels), _ripple_in_words(channels)]
+    found += [_one_hue_in_words(channels), _colours_apart_in_words(channels)]
     found += [
         f"{channel.plane.label or 'The grey channel'}: the measured curve is not monotone, so some "
         "codes share an exposure; look for misaligned images or a moving scene."
@@ -320,6 +323,50 @@ def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
         f"{format_percent(max(sizes), decimals=1)}. "
         "One more exposure, a stop from another, would settle this."
     )
+
+
+def _one_hue_in_words(channels: Sequence[ChannelResponse]) -> str:
+    shared = {c.plane.label: c.shared_rounding for c in channels if c.shared_rounding > SAID}
+    if not shared:
+        return ""
+    return (
+        "The pictures were JPEG, which rounds brightness and colour apart. In a scene of one hue "
+        "all pixels of a code share that error, which the error bands include: "
+        f"{max(shared.values()):.2g} DN rms ({', '.join(shared)}). A scene of several hues does "
+        "not have this error."
+    )
+
+
+def _colours_apart_in_words(channels: Sequence[ChannelResponse]) -> str:
+    """A finding if the curves of red and blue are powers of that of green."""
+    told = []
+    for green in (c for c in channels if c.plane.channel == "green"):
+        for other in channels:
+            if other.plane.group == green.plane.group and other.plane.channel in ("red", "blue"):
+                power, error = _power_of(other.curve, green.curve)
+                if abs(power - 1) > max(LEAST_POWER, APART_ERRORS * error):
+                    told.append(f"{other.plane.label} {format_with_error(power, error)}")
+    if not told:
+        return ""
+    return (
+        f"The exposures of equal codes are powers of those of green ({', '.join(told)}), as with a "
+        "white balance that changes from image to image with the exposure; curves and gammas are "
+        "then wrong by these powers. Fix the white balance, unless the camera has another curve in "
+        "each colour."
+    )
+
+
+def _power_of(curve: ResponseCurve, reference: ResponseCurve) -> tuple[float, float]:
+    """The exponent between the exposures of two curves, with its error if all codes err alike."""
+    codes = curve.codes[curve.seen]
+    x = np.interp(codes, reference.codes, reference.log_exposure)
+    x = np.where(np.interp(codes, reference.codes, reference.seen) > 0.5, x, 0.0)
+    y, errors = curve.log_exposure[curve.seen], curve.standard_error[curve.seen]
+    errors = np.hypot(errors, np.interp(codes, reference.codes, reference.standard_error))
+    square = float(x @ x)
+    if square == 0:
+        return 1.0, np.inf
+    return float(x @ y) / square, float(np.abs(x) @ errors) / square
 
 
 def _notable_ripple(channel: ChannelResponse) -> float:

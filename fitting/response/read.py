@@ -15,7 +15,7 @@ from jaxvision.errors import InputError
 from jaxvision.files.images import read_image
 
 from ..codes import Converter, converter_of
-from ..frame_checks.exposures import blank_images, odd_exposures
+from ..frame_checks.exposures import blank_images, odd_exposures, refuse_toned
 from ..frame_checks.frame import frame_sample, refuse_half
 from ..frame_checks.heads import Stated, odd_heads
 from ..inference.formatting import format_percent
@@ -163,6 +163,8 @@ def _without_odd_images(
         seen.append(
             frame_sample(entry.file, frame.mean(axis=2) if frame.ndim == 3 else frame, top=top)
         )
+    times = [entry.exposure for entry in entries]
+    refuse_toned(rig.folder, seen, times, full_scale=rig.camera.full_scale)
     blank = blank_images(seen)
     gone = {name for one in blank for name in one.names}
     clear = [entry.file for entry in entries if entry.file not in gone]
@@ -170,8 +172,8 @@ def _without_odd_images(
     moved = moved_exposures(clear, pictures, full_scale=full_scale, cell=rig.camera.cell)
     gone = {name for one in moved for name in one.names}
     still = [i for i, one in enumerate(seen) if one.name not in gone]
-    times = [entries[i].exposure for i in still]
-    odd = odd_exposures(rig.folder, [seen[i] for i in still], times, full_scale=full_scale)
+    kept = [times[i] for i in still]
+    odd = odd_exposures(rig.folder, [seen[i] for i in still], kept, full_scale=full_scale)
     odd = [*moved, *odd]
     refuse_half(rig.folder, odd, len(entries))
     # Blank images are not fitted, but show the black level and the clip level.

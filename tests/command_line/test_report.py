@@ -44,7 +44,7 @@ from fitting.report.console import plain_tables, print_section, section_text
 from fitting.report.inputs import MOST_PICTURES, inputs_of
 from fitting.report.notebook import ShownInNotebooks, section_html
 from fitting.report.page import as_html, as_json, write_report
-from fitting.report.section import Picture, Section, Table
+from fitting.report.section import Picture, Section, Table, describing_nothing
 from fitting.report.sentences import Finding, said, said_once
 from fitting.report.sheet import sheet
 from fitting.rig import Rig
@@ -403,6 +403,22 @@ def test_a_calibration_is_printed_by_its_estimates(section):
         assert finding in text
     assert not any(line.endswith(" ") for line in text.splitlines())
     assert all(vars(kind).get("__repr__") is None for kind in ShownInNotebooks.__subclasses__())
+
+
+def test_a_model_that_describes_nothing_heads_its_section_without_numbers(section):
+    """One sentence, before everything else, in the terminal, the page and the results."""
+    known = replace(section, records={"sensor": lambda path: None})
+    told = "Phong does not describe the images: its error is 41 % of the signal."
+    found = describing_nothing(known, told, {""})
+    text, page = section_text(found), as_html([found], title="Report")
+    assert text.startswith(told)
+    assert text.count(told) == 1
+    assert format_value(section.estimates[0]) not in text
+    assert "(1) Not determined: the model does not describe the data" in text
+    assert f"<p><b>{told}</b></p>" in page
+    assert page.count(told) == 1
+    assert json.loads(as_json([found], seed=0, settings={}))["sections"][0]["findings"][0] == told
+    assert found.records == {}
 
 
 def test_a_notebook_prints_nothing_while_it_asks_for_text(section, monkeypatch):

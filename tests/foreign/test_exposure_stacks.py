@@ -1,11 +1,13 @@
 """Exposure stacks of other people's cameras: mosaics and amplifiers that differ by site, brackets
 of three exposures, dim scenes, left-aligned numbers, and heads that contradict the rig."""
 
+import io
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from photographs import photograph
+from PIL import Image
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtri
 
@@ -22,8 +24,14 @@ from fitting.response import (
 )
 from fitting.response.calibration import radiance_images
 from fitting.response.code_bins import code_bins
+from fitting.response.colour_rounding import shared_rounding
 from fitting.response.curve import ripple
-from fitting.response.findings import _black_in_words, _own_blacks_in_words, _shutter_in_words
+from fitting.response.findings import (
+    _black_in_words,
+    _colours_apart_in_words,
+    _own_blacks_in_words,
+    _shutter_in_words,
+)
 from fitting.response.radiance_map import exposure_of_codes, merge
 from fitting.response.read import floor_level
 from fitting.response.section import _curve_table, section
@@ -33,6 +41,7 @@ from jaxvision.errors import InputError
 from jaxvision.files.images import write_image
 
 FIVE = (1 / 256, 1 / 64, 1 / 16, 1 / 4, 1.0)
+SIX = tuple(2.0**-n for n in range(2, 8))
 BRACKET = (1 / 64, 1 / 8, 1.0)
 SITES = {"red": 480.0, "green 1": 512.0, "green 2": 512.0, "blue": 560.0}
 
@@ -662,3 +671,116 @@ def test_times_as_printed_that_were_kept_are_left_alone():
     images = [shot(light * t, rng, read_noise=20.0, top=65535) for t in times]
     found = calibrate(from_stack(images, times, camera=Camera(bits=16, black_level=0.0)))
     np.testing.assert_array_equal(found.channels[0].plane.exposures, np.sort(times))
+
+
+def decoded(red, green, blue):
+    """Codes of a JPEG picture whose only loss is that of its three rounded numbers (T.871)."""
+    y, cb, cr = (
+        np.rint(part)
+        for part in (
+            0.299 * red + 0.587 * green + 0.114 * blue,
+            -0.168736 * red - 0.331264 * green + 0.5 * blue,
+            0.5 * red - 0.418688 * green - 0.081312 * blue,
+        )
+    )
+    found = y + 1.402 * cr, y - 0.344136 * cb - 0.714136 * cr, y + 1.772 * cb
+    return [np.rint(one).clip(0, 255).astype(np.uint16) for one in found]
+
+
+def test_pixels_of_one_hue_share_the_rounding_of_jpeg():
+    """Rounding of the three numbers alone, against the codes without any."""
+    ramp = 255 * np.linspace(0.05, 0.98, 60_000).reshape(6, 100, 100)
+    hue = 1.0, 0.8, 0.6
+    codes = decoded(*(factor * ramp for factor in hue))
+    for place, colour in enumerate(("red", "green", "blue")):
+        shared = shared_rounding(codes, colour, 255.0)
+        own, exact = codes[place].ravel(), hue[place] * ramp.ravel()
+        count = np.bincount(own, minlength=256)
+        apart = (np.bincount(own, exact, 256) / np.maximum(count, 1) - np.arange(256))[count > 30]
+        rms = np.sqrt(np.mean(shared[count > 30] ** 2))
+        assert 0.8 * np.std(apart) < rms < 2 * np.std(apart)
+    rng = np.random.default_rng(0)
+    many = [ramp * rng.uniform(0.6, 1.0, ramp.shape) for _ in range(3)]
+    codes = decoded(*many)
+    often = np.bincount(codes[0].ravel(), minlength=256) > 30
+    assert np.max(shared_rounding(codes, "red", 255.0)[often]) < 0.02
+    raw = [np.rint(one).astype(np.uint16) for one in many]
+    assert shared_rounding(raw, "red", 255.0) is None
+
+
+def jpeg_of_one_hue(seed, quality, subsampling, full_well):
+    """A stack of a smooth scene, whose colours are in proportion."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:96, :128] / 128 - 0.4
+    angle, bend = rng.uniform(0, 2 * np.pi), rng.uniform(-4, 4, 2)
+    light = np.exp(
+        4 * (np.cos(angle) * x + np.sin(angle) * y) + 0.5 * np.sin(bend[0] * x + bend[1])
+    )
+    images = []
+    for time in SIX:
+        exact = light[..., None] * time * np.array([1.0, 0.8, 0.6])
+        if full_well:
+            exact = rng.poisson(full_well * exact) / full_well
+        buffer = io.BytesIO()
+        picture = Image.fromarray(np.rint(255 * srgb_code(exact.clip(0, 1))).astype(np.uint8))
+        picture.save(buffer, "JPEG", quality=quality, subsampling=subsampling)
+        images.append(np.asarray(Image.open(buffer)).astype(np.uint16))
+    return images
+
+
+def srgb_code(x):
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("quality", "subsampling", "full_well"), [(95, 0, 0), (90, 2, 4000)])
+def test_bands_of_jpegs_of_one_hue_cover_the_curve(quality, subsampling, full_well):
+    """Twenty stacks; before, 53 and 76 % of the codes lay within their 95 % band."""
+    inside = []
+    for seed in range(20):
+        images = jpeg_of_one_hue(seed, quality, subsampling, full_well)
+        camera = Camera(bits=8, black_level=0.0, saturation=255.0)
+        for channel in calibrate(from_stack(images, SIX, camera=camera)).channels:
+            curve = channel.curve
+            seen = curve.seen & (curve.codes > 20) & (curve.codes < 250)
+            true = (
+                np.log(srgb(curve.codes / 255)) - np.log(srgb(curve.codes / 255))[curve.bins.middle]
+            )
+            off = np.abs(curve.log_exposure - true)
+            inside.append(np.mean((off <= curve.half_width)[seen]))
+    assert np.mean(inside) > 0.9
+
+
+@pytest.mark.parametrize("toned", [True, False])
+def test_images_that_were_toned_to_one_brightness_are_refused(toned):
+    rng = np.random.default_rng(0)
+    light = ramp(80, 100, low=0.02, high=1.0)
+    images = []
+    for time in SIX:
+        exact = light * (1.0 if toned else time) + 0.002 * rng.standard_normal(light.shape)
+        images.append(np.rint(255 * srgb_code(exact.clip(0, 1))).astype(np.uint16))
+    if toned:
+        with pytest.raises(InputError, match=r"equally bright .* differ by a factor of 32"):
+            from_stack(images, SIX, camera=Camera(bits=8))
+    else:
+        assert len(from_stack(images, SIX, camera=Camera(bits=8)).planes[0].files) == len(SIX)
+
+
+@pytest.mark.parametrize(("power", "said"), [(1.06, True), (1.002, False)])
+def test_a_white_balance_that_follows_the_exposure_is_named(power, said):
+    """Red exposures are a power of green ones, blue ones are equal; all known to half a percent."""
+    codes = np.arange(10.0, 240.0)
+    g, known = 2.2 * np.log(codes / 128), np.full(codes.size, 0.005)
+
+    def channel(colour, log_exposure):
+        curve = SimpleNamespace(
+            codes=codes, seen=codes > 20, log_exposure=log_exposure, standard_error=known
+        )
+        plane = SimpleNamespace(channel=colour, group="", label=colour)
+        return SimpleNamespace(plane=plane, curve=curve)
+
+    told = _colours_apart_in_words(
+        [channel("red", power * g), channel("green", g), channel("blue", g)]
+    )
+    assert ("red 1.060" in told and "white balance" in told) == said
+    assert "blue" not in told

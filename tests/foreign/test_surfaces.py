@@ -18,6 +18,7 @@ from fitting.reflectance.from_files.calibration import albedo
 from fitting.reflectance.from_files.fit import LobeFit, ModelFit
 from fitting.reflectance.from_files.read import from_samples, read_measured_brdf
 from fitting.reflectance.from_files.section import section
+from fitting.reflectance.from_images import findings as of_images
 from fitting.reflectance.from_images.section import section as images_section
 from fitting.reflectance.from_images.shading_check import without_strangers
 from fitting.report.sentences import said
@@ -351,3 +352,23 @@ def test_a_surface_darker_than_velvet_is_told():
     found = cornell_samples(lambda f, i, o: f / 1500)
     calibration = from_files.calibrate(found, model="lambert")
     assert any("less than that of black velvet" in one for one in section(calibration).findings)
+
+
+@pytest.mark.parametrize(("factors", "told"), [(0.12, True), (0.01, False)])
+def test_images_of_another_brightness_are_named_as_such(monkeypatch, factors, told):
+    """One factor for each image is the misfit of a tenth, or hardly any of it."""
+    each = factors * np.array([1.0, -1.0, 0.9, -1.1, 1.2, -1.0])
+    monkeypatch.setattr(of_images, "residual_of_images", lambda calibration: each)
+    misfit = SimpleNamespace(spread=SimpleNamespace(relative=0.12))
+    found = of_images._brightness(SimpleNamespace(reported=[misfit]))
+    assert (found is not None) == told
+    if told:
+        assert found["share"].startswith("12")
+
+
+@pytest.mark.parametrize("level", [0.0, 100.0, 4095.0])
+def test_equal_images_have_no_normals(level):
+    turns = np.radians(np.arange(6) * 60)
+    lights = direction(np.full(6, np.radians(30)), turns)
+    found = reflectance.photometric_stereo(np.full((6, 30, 30), level), lights)
+    assert found is not None

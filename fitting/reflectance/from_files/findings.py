@@ -68,16 +68,23 @@ def readable(name: str) -> str:
 # ---------------------------------------------------------------- one material
 
 
-def _no_description(calibration: BRDFCalibration) -> Numbers | None:
-    winner = best(calibration.held_out, calibration.objective)
-    found = calibration.held_out[winner]
-    if describes(found, calibration.objective):
-        return None
-    return {
-        "model": LABELS[winner],
-        "missed": 100 * found.relative,
-        "most": format_percent(DESCRIBES),
-    }
+def no_description(calibration: BRDFCalibration) -> str:
+    """The sentence that the reported model does not describe the file; empty if it does."""
+    held_out, objective = calibration.held_out, calibration.objective
+    own = held_out[calibration.model]
+    if describes(own, objective):
+        return ""
+    winner = best(held_out, objective)
+    about, missed = f"{LABELS[calibration.model]} does not describe this file", own
+    error = "its error"
+    if not describes(held_out[winner], objective):
+        about, missed = "No model here describes this file", held_out[winner]
+        error = f"the error of the best one ({LABELS[winner]})"
+    return (
+        f"{about}: at held-out angles of incidence, {error} is {100 * missed.relative:.1f} % of "
+        f"the signal's cosine-weighted RMS, more than {format_percent(DESCRIBES)}. Its parameters "
+        "are not properties of the surface."
+    )
 
 
 def _impossible(calibration: BRDFCalibration) -> Numbers | None:
@@ -410,13 +417,6 @@ VERDICT = (
     ),
 )
 FINDINGS = (
-    Finding(
-        "no description",
-        _no_description,
-        "No model here describes this file: at held-out angles of incidence, the error of the best "
-        "one ({model}) is {missed:.1f} % of the signal's cosine-weighted RMS, more than "
-        "{most}. Its parameters are not properties of the surface.",
-    ),
     Finding("verdict", _verdict, "{verdict}"),
     Finding(
         "impossible",

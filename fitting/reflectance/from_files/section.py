@@ -9,13 +9,13 @@ import numpy as np
 from ...inference.estimates import Estimate, gaussian_estimate, not_determined
 from ...inference.formatting import format_unit, format_with_error
 from ...inference.posterior import estimates
-from ...report.section import Picture, Section, Table
+from ...report.section import Picture, Section, Table, describing_nothing
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from ..names import MODELS, OBJECTIVES, Model, Objective
 from . import figures
 from .calibration import BRDFCalibration
 from .errors import METRICS, best, metric
-from .findings import findings, readable, which_axis_wins
+from .findings import findings, no_description, readable, which_axis_wins
 
 AXES = {"mirror": "mirror direction", "half": "half vector", "none": None}
 
@@ -24,7 +24,7 @@ def section(calibration: BRDFCalibration) -> Section:
     """The section of one material: estimates, findings, tables and figures."""
     measured = calibration.measured
     posterior = calibration.posterior
-    return Section(
+    found = Section(
         kind=f"brdf_{measured.name}",
         title=f"{readable(measured.name)}: {LABELS[calibration.model]}",
         estimates=_estimates(calibration),
@@ -42,6 +42,9 @@ def section(calibration: BRDFCalibration) -> Section:
             "held out": "each incidence in turn",
         },
     )
+    missed = no_description(calibration)
+    groups = {one.group for one in found.estimates}
+    return describing_nothing(found, missed, groups) if missed else found
 
 
 def materials_section(calibrations: Sequence[BRDFCalibration]) -> Section:

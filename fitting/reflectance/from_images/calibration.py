@@ -220,14 +220,25 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
 def mean_residual(calibration: ReflectanceCalibration) -> Float[np.ndarray, " pixels"]:
     """Return (pixels,) (measured - predicted) / predicted, summed over the lights and channels in
     which a pixel is lit and unsaturated; NaN if there is none."""
+    return _relative(calibration, axis=0)
+
+
+def residual_of_images(calibration: ReflectanceCalibration) -> Float[np.ndarray, " lights"]:
+    """Return (lights,) the same, summed over the pixels and channels of an image."""
+    return _relative(calibration, axis=1)
+
+
+def _relative(calibration: ReflectanceCalibration, *, axis: int) -> np.ndarray:
     observation = calibration.observation
-    difference, total = np.zeros((2, observation.cosine.shape[1]))
+    shape = observation.cosine.shape
+    difference, total = np.zeros(shape), np.zeros(shape)
     lit = observation.cosine > calibration.minimum_cosine
     for channel, fit in enumerate(calibration.reported):
         seen = lights_as_fitted(observation, fit)
         for light in range(len(observation.files)):
             used = lit[light] & (observation.dn[channel, light] < observation.clip)
             predicted = predicted_image(seen, fit, light)
-            difference += np.where(used, observation.dn[channel, light] - predicted, 0)
-            total += np.where(used, predicted - observation.black, 0)
-    return np.where(total > 0, difference / np.where(total > 0, total, 1), np.nan)
+            difference[light] += np.where(used, observation.dn[channel, light] - predicted, 0)
+            total[light] += np.where(used, predicted - observation.black, 0)
+    apart, signal = difference.sum(axis=axis), total.sum(axis=axis)
+    return np.where(signal > 0, apart / np.where(signal > 0, signal, 1), np.nan)

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from scipy.special import stdtrit
 
 from ...inference.formatting import format_percent, format_with_error
-from ...report.section import Table
+from ...report.section import Section, Table, describing_nothing
 from ..models import LABELS
 from ..names import SHOWS, Model
 from .fit import ChannelFit, lights_as_fitted, squared_errors
@@ -280,6 +280,22 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
         more = _more(by_model[runner], by_model[best])
         sentence += f" The next, {LABELS[runner]}, has {more} error."
     return sentence
+
+
+def only_if_described(section: Section, label: str, errors: Mapping[str, float]) -> Section:
+    """A section without the numbers of channels that the model of this label predicts with a
+    relative error above the limit."""
+    missed = {channel: error for channel, error in errors.items() if error > SHOWS}
+    if not missed:
+        return section
+    sizes = ", ".join(f"{format_percent(error)} ({name})" for name, error in missed.items())
+    return describing_nothing(
+        section,
+        f"{label} does not describe the images: its error is {sizes} of the signal, above the "
+        f"limit of {format_percent(SHOWS)}; its parameters are no properties of the surface, and "
+        "no material is written.",
+        missed,
+    )
 
 
 def _least(values: dict[Model, float]) -> Model:

@@ -17,7 +17,7 @@ from ...report.section import Table
 from ...report.sentences import Finding, Numbers, said
 from ..models import LABELS, facet_sentence
 from ..names import CLEAR, MODELS
-from .calibration import ReflectanceCalibration, mean_residual, open_parameters
+from .calibration import ReflectanceCalibration, mean_residual, open_parameters, residual_of_images
 from .comparison import equally_good, surpassed_by
 from .fit import ChannelFit
 from .shading_check import contradictions
@@ -31,6 +31,7 @@ FEWEST_SHADOWED = 100
 FEW_FREEDOM = 5.0  # below: Student's 95 % intervals are a third wider than Gaussian ones
 CALM = 0.5  # chi-square per degree of freedom below which the stated noise is too large
 HOPELESS = 2.0  # relative misfit from which a fit describes nothing
+FEWEST_IMAGES = 4  # whose factors show a scatter
 TEXTURED = 0.7  # of the misfit: what a mean over all lights leaves of that of a pixel's own
 COLOURED = 3.0  # standard errors between channels from which a highlight is called coloured
 
@@ -278,6 +279,23 @@ def _texture(calibration: ReflectanceCalibration) -> Numbers | None:
     return {"share": format_percent(own, decimals=1)}
 
 
+def _brightness(calibration: ReflectanceCalibration) -> Numbers | None:
+    """A finding if the misfit is one factor for each image."""
+    misfits = [fit.spread.relative for fit in calibration.reported if fit.spread.relative]
+    factors = residual_of_images(calibration)
+    factors = factors[np.isfinite(factors)]
+    if len(misfits) < len(calibration.reported) or factors.size < FEWEST_IMAGES:
+        return None
+    own = float(np.std(factors))
+    if own < max(TEXTURED * np.mean(misfits), NOTABLE_RESIDUAL):
+        return None
+    return {
+        "share": format_percent(own, decimals=1),
+        "low": format_percent(float(factors.min()), decimals=1),
+        "high": format_percent(float(factors.max()), decimals=1),
+    }
+
+
 def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
     """The assumptions of a fit on files, lights and camera, and how to change them."""
     observation = calibration.observation
@@ -460,6 +478,13 @@ OF_ALL = (
         _parts,
         "Averaged over all lights, the {part} of the object is {share} {why}, a surface that"
         " differs from the model, or a wrong assumption of the rig: {assumed}.",
+    ),
+    Finding(
+        "brightness",
+        _brightness,
+        "Most of the misfit is one factor for each image: as wholes they differ from the prediction"
+        " by {low} to {high} ({share} rms). Causes are lamps of another brightness than the rig"
+        " states, or automatic exposure; correct the intensities, or state intensity_sd.",
     ),
     Finding(
         "texture",

@@ -17,7 +17,7 @@ from ..models import LABELS
 from ..names import CLEAR
 from . import figures
 from .calibration import ReflectanceCalibration
-from .comparison import comparison_table, verdict
+from .comparison import comparison_table, only_if_described, verdict
 from .findings import findings, misfit_table
 from .fit import ChannelFit, robust_covariance
 from .signal import parameter_space
@@ -27,7 +27,7 @@ def section(calibration: ReflectanceCalibration) -> Section:
     """Report a calibrated reflectance: estimates, findings, tables and pictures."""
     observation = calibration.observation
     held_out = int(observation.held_out.sum())
-    return Section(
+    found = Section(
         kind="brdf",
         title=f"Reflectance: {LABELS[calibration.model]}",
         estimates=_estimates(calibration),
@@ -63,6 +63,12 @@ def section(calibration: ReflectanceCalibration) -> Section:
             }
         ),
     )
+    errors = {
+        one.channel: one.fitted_error if one.predicted_error is None else one.predicted_error
+        for one in calibration.scores
+        if one.model == calibration.model
+    }
+    return only_if_described(found, LABELS[calibration.model], errors)
 
 
 def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:

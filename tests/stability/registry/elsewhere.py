@@ -707,7 +707,7 @@ ELSEWHERE = (
         """
             fitting.codes: converter_of
             fitting.frame_checks.dialled: exact_times
-            fitting.frame_checks.exposures: blank_images odd_exposures
+            fitting.frame_checks.exposures: blank_images odd_exposures refuse_toned
             fitting.frame_checks.levels: odd_frames
             fitting.frame_checks.heads: odd_heads
             fitting.frame_checks.between_levels: distribution_of_levels light_of_levels
@@ -750,6 +750,7 @@ ELSEWHERE = (
             fitting.response.pilot: degrees_of_freedom fit_noise fit_pilot on_bins rising
             fitting.response.pixel_noise: noise_variance
             fitting.response.clipping: clear_of_clipping
+            fitting.response.colour_rounding: shared_rounding with_shared_rounding
             fitting.response.flat_places: in_register to_flat_places
             fitting.response.places: equal_classes layout_of tiles_of
             fitting.response.radiance_map: exposure_of_codes merge
@@ -801,8 +802,10 @@ ELSEWHERE = (
         "test_comparison",
         """
             fitting.reflectance.from_images.calibration: calibrate mean_residual open_parameters
+            fitting.reflectance.from_images.calibration: residual_of_images
             fitting.reflectance.from_images.comparison: compare comparison_table difference
-            fitting.reflectance.from_images.comparison: equally_good relative_rms squares_by_light
+            fitting.reflectance.from_images.comparison: equally_good only_if_described relative_rms
+            fitting.reflectance.from_images.comparison: squares_by_light
             fitting.reflectance.from_images.comparison: surpassed_by verdict
             fitting.reflectance.from_images.fit: adjusted_log_density adjusted_posterior
             fitting.reflectance.from_images.fit: channel_posterior composite fit_channel

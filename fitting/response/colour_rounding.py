@@ -1,0 +1,73 @@
+"""The rounding of JPEG's colours, which is one error for all pixels of one hue.
+
+A JPEG picture holds integers Y, Cb and Cr, from which the decoder computes (ITU-T T.871)
+
+    R = Y + 1.402 Cr,   G = Y - 0.344136 Cb - 0.714136 Cr,   B = Y + 1.772 Cb,
+
+and rounds each product again. In a scene of several hues the rounding errors of pixels with equal
+codes differ, and average out. In a scene of one hue they are equal, in every exposure and every
+part of the picture, so the codes deviate from a smooth response by half a code rms, and the scatter
+of pixels does not show it. The variance among pixels of one code tells how far the hue dithers the
+rounding (`weights.undithered`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, UInt16
+
+from .curve import ResponseCurve
+from .weights import undithered
+
+TO_YCC = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])
+OF_CHROMA = np.array([[0.0, 1.402], [-0.344136, -0.714136], [1.772, 0.0]])  # in R, G and B
+COLOURS = ("red", "green", "blue")
+DECODED = 0.9  # of the pixels, that integers Y, Cb and Cr give; of any other colours, a quarter
+FEWEST = 1000  # coloured pixels that tell it
+MOST_PIXELS = 1 << 19  # looked at
+
+
+def shared_rounding(
+    codes: Sequence[UInt16[np.ndarray, "exposures h w"]], colour: str, clip: float
+) -> Float[np.ndarray, "256"] | None:
+    """Standard deviation, DN, of the error that all pixels of a code share; None for pictures that
+    were no JPEG.
+
+    `codes`: of red, green and blue."""
+    if max(int(one.max()) for one in codes) > 255:
+        return None
+    every = max(1, codes[0].size // MOST_PIXELS)
+    pixels = np.stack([one.ravel()[::every] for one in codes], axis=1).astype(float)
+    ycc = pixels @ TO_YCC.T
+    whole = np.rint(ycc)
+    used = (pixels.min(axis=1) > 0) & (pixels.max(axis=1) < min(clip, 255))
+    used &= np.any(whole[:, 1:] != 0, axis=1)
+    if np.count_nonzero(used) < FEWEST:
+        return None
+    pixels, whole = pixels[used], whole[used]
+    again = np.rint(whole[:, 1:] @ OF_CHROMA.T) + whole[:, :1]
+    if np.mean(np.all(again == pixels, axis=1)) < DECODED:
+        return None
+    place = COLOURS.index(colour)
+    own = pixels[:, place].astype(int)
+    count = np.maximum(np.bincount(own, minlength=256), 1)
+    variance = np.ones(256)  # of the products' rounding, which either of the two undithers
+    total, share = np.zeros(256), np.zeros(256)
+    for weight, chroma in zip(OF_CHROMA[place], whole[:, 1:].T, strict=True):
+        if weight:
+            mean = np.bincount(own, chroma, 256) / count
+            spread = np.bincount(own, chroma**2, 256) / count - mean**2
+            left = undithered(np.maximum(spread - 1 / 12, 0))
+            total += weight**2 * left
+            share = np.maximum(share, left)
+    return np.sqrt((total + variance * share) / 12)
+
+
+def with_shared_rounding(curve: ResponseCurve, shared: Float[np.ndarray, "256"]) -> ResponseCurve:
+    """A curve whose errors include that of the codes, and that of mid-scale, where g = 0."""
+    error = shared[np.rint(curve.codes).astype(int)] * np.gradient(curve.log_exposure, curve.codes)
+    middle, variance = curve.bins.middle, error**2
+    added = np.diag(variance) + variance[middle]
+    added[middle], added[:, middle] = 0, 0
+    return replace(curve, covariance=curve.covariance + added)
