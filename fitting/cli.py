@@ -350,9 +350,7 @@ def init(
 ) -> None:
     """Write the rig.toml of a folder of images, from their names and metadata (times, ISO, dates),
     and list missing values."""
-    from .rig_from_folder import write_rig
-
-    path, found = write_rig(folder)
+    path, found = folders.init(folder)
     print(f"Rig: {path}")
     for sentence in found.left_out:
         print(f"Left out: {sentence}")

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from .noise.across_settings.calibration import CameraCalibration
     from .report.section import Section
     from .rig import Purpose, Rig
+    from .rig_from_folder import FoundRig
 
 Step = Callable[[str], AbstractContextManager[Progress]]  # shows a named step while a block runs
 Draws = Callable[[str, Progress], dict[str, Any]]  # how a calibration of a kind samples
@@ -42,6 +43,39 @@ def read_rig(path: Path, purpose: "Purpose") -> "Rig":
     require(rig, purpose)
     require_images(rig, purpose)
     return rig
+
+
+def init(folder: Path) -> "tuple[Path, FoundRig]":
+    """The rig of a folder of images, which is written into it, and what it lacks. The frames of
+    flats and darks show several amplifiers."""
+    from .rig_from_folder import write_rig
+
+    path, found = write_rig(folder)
+    if found.kind != "noise" or "pattern = " in found.text:
+        return path, found
+    from jaxvision.files.images import replaced_on_success
+
+    from .noise.levels import linear_levels
+    from .noise.periodic import periodic_structure, taps_in_words, taps_of
+    from .noise.raw_frames import processing_in_words
+    from .noise.read import read_photon_transfer
+
+    try:
+        measurement = read_photon_transfer(path)
+    except InputError:
+        return path, found  # the rig lacks values, as its sentences say
+    usable = linear_levels(measurement)
+    taps = taps_of(periodic_structure(measurement, usable))
+    if taps is not None and not processing_in_words(measurement, usable):
+        stated = f"taps = {taps_in_words(taps)}  # their pixels differ in the frames"
+        found.text = found.text.replace("[camera]\n", f"[camera]\n{stated}\n", 1)
+        with replaced_on_success(path) as partial:
+            partial.write_text(found.text, encoding="utf-8")
+        found.missing.append(
+            f"{stated.partition('  #')[0]} was written, because the amplifiers differ in the "
+            "frames; remove it to calibrate all pixels as one."
+        )
+    return path, found
 
 
 def _attempted(

@@ -161,6 +161,18 @@ class NoiseCalibration(ShownInNotebooks):
         shown = (self.shown["quantum_efficiency"].value or 0.0) / 100
         return at_mode if at_mode > 1 >= shown else shown
 
+    @property
+    def least_efficiency(self) -> float | None:
+        """Lower end of the 95 % interval of `efficiency`; None if photons are not known."""
+        if not self.measurement.photons_known:
+            return None
+        if self.likelihood is None:
+            values, errors = self.standard.values, self.standard.errors
+            value, error = (float(x["quantum_efficiency"]) for x in (values, errors))
+            return (value - 2 * error) / 100
+        interval = self.shown["quantum_efficiency"].interval_95
+        return None if interval is None else interval[0] / 100
+
 
 @in_double
 def calibrate(

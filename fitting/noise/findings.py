@@ -44,7 +44,7 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
         *(doubt.sentence for doubt in measurement.doubts),
         *flicker_in_words(measurement, calibration.flicker),
         *drifting_in_words(drifting(measurement, calibration.usable)),
-        *_processing(calibration),
+        *processing(calibration),
         *_efficiency(calibration),
         *periodic_findings(calibration),
         *_converter(calibration),
@@ -71,8 +71,8 @@ def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
 
 
 def is_impossible(calibration: NoiseCalibration) -> bool:
-    """Whether the quantum efficiency exceeds 1."""
-    return calibration.efficiency is not None and calibration.efficiency > 1
+    """Whether the quantum efficiency exceeds 1 by more than its error explains."""
+    return calibration.least_efficiency is not None and calibration.least_efficiency > 1
 
 
 def is_no_sensor(calibration: NoiseCalibration) -> bool:
@@ -85,7 +85,8 @@ def is_no_sensor(calibration: NoiseCalibration) -> bool:
     )
 
 
-def _processing(calibration: NoiseCalibration) -> list[str]:
+def processing(calibration: NoiseCalibration) -> list[str]:
+    """Sentences on how the files were processed; none for raw frames."""
     told = processing_in_words(calibration.measurement, calibration.usable)
     if not told:
         return []
@@ -125,7 +126,12 @@ def _efficiency(calibration: NoiseCalibration) -> list[str]:
             "photons per pixel and exposure)."
         ]
     if not is_impossible(calibration):
-        return []
+        if calibration.efficiency is None or calibration.efficiency <= 1:
+            return []
+        return [
+            f"The quantum efficiency, {100 * calibration.efficiency:.4g} %, is 100 % within its "
+            "error. The sensor file has 100 %, and a gain with the same signal."
+        ]
     return [
         f"The quantum efficiency is {100 * (calibration.efficiency or 0):.3g} %, which "
         "no sensor has. Either photons are stated too low (give photons per pixel and exposure, "

@@ -6,6 +6,8 @@ from functools import partial
 
 import numpy as np
 
+from jaxvision.errors import InputError
+
 from ..inference.estimates import Estimate, not_determined, quantile_estimate
 from ..inference.formatting import format_value
 from ..inference.parameters import names
@@ -14,15 +16,16 @@ from ..report.section import Section, Table
 from ..rig import Camera
 from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate, widened
+from .doubts import OF_DARK_NOISE
 from .emva1288 import is_floored, least_dark_variance
 from .figures import noise_pictures
-from .findings import findings, is_no_sensor
+from .findings import findings, is_no_sensor, processing
 from .misfit import MISFIT
 from .parts import deviation_quantiles
 from .pattern import PatternVariance, Spread
 from .prediction import section as prediction
 from .prediction.predict import predict_own_frames
-from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
+from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, ON_GAIN, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
 from .sites import sensor_of_sites, write_sensor_of_sites
 
@@ -42,7 +45,12 @@ KIND, TITLE = "noise", "Camera noise by photon transfer"
 def section(calibration: NoiseCalibration) -> Section:
     """The section of a calibrated camera."""
     likelihood = calibration.likelihood
-    predicted = None if is_no_sensor(calibration) else predict_own_frames(calibration)
+    predicted, failed = None, ()
+    if not is_no_sensor(calibration):
+        try:
+            predicted = predict_own_frames(calibration)
+        except (InputError, ArithmeticError, ValueError) as error:
+            failed = (f"The fit does not predict its own frames, so no sensor is written: {error}",)
     of_fit = {}
     if likelihood is not None:
         chosen = likelihood.chosen
@@ -60,6 +68,7 @@ def section(calibration: NoiseCalibration) -> Section:
         estimates=_sheet_estimates(calibration),
         findings=(
             *findings(calibration),
+            *failed,
             *(() if predicted is None else prediction.findings(predicted)),
         ),
         pictures=(
@@ -75,6 +84,7 @@ def section(calibration: NoiseCalibration) -> Section:
         posteriors={} if likelihood is None else {"": likelihood.posterior},
         records={} if predicted is None else {"sensor": partial(write_fitted_sensor, calibration)},
         about=_operating_point(calibration),
+        headline=next(iter(processing(calibration)), ""),
         headings=HEADINGS,
         settings={
             "bright levels used by the likelihood": len(calibration.usable),
@@ -175,6 +185,9 @@ def _without_doubted(calibration: NoiseCalibration, listed: Sequence[Estimate]) 
     """The figures, with the reason in place of those that the frames do not determine."""
     doubts = calibration.measurement.doubts
     why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
+    if processing(calibration):
+        not_raw = "these files are no raw frames (see the first sentence)"
+        why |= dict.fromkeys((*ON_GAIN, *OF_DARK_NOISE), not_raw)
     return [
         one
         if one.name not in why or (one.value is None and one.name not in FROM_DARK_NOISE)

@@ -105,6 +105,14 @@ def drawn_numbers(
     return Numbers(about, np.concatenate([mode[None], natural]), beside)
 
 
+def bits_of(full_scale: float, converter: Converter) -> float:
+    """The bits of a converter whose largest number is known. A step that a file scaled is known to
+    a few digits; a range may end early."""
+    return float(
+        np.ceil(np.log2((full_scale - converter.origin) / (converter.step or 1.0) + 1) - WHOLE)
+    )
+
+
 def sensors_of(numbers: Numbers) -> Sensor:
     """Sensors with a leading axis at every field: the best estimate, then draws."""
     return _sensors(numbers.about, numbers.natural, numbers.beside)
@@ -222,7 +230,10 @@ def _sensors(about: About, natural: np.ndarray, known: dict[str, np.ndarray]) ->
 def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str, Array]) -> Sensor:
     """The sensor for one draw of the likelihood's parameters and of the other parameters."""
     values = dict(zip(about.labels, natural, strict=True))
-    gain, converter, scale = values["system_gain"], about.converter, about.full_scale
+    converter, scale = about.converter, about.full_scale
+    gain, read = values["system_gain"], (values["read_noise"] * values["system_gain"]) ** 2
+    if about.photons_known:  # no more than an electron for each photon
+        gain = jnp.maximum(gain, values["responsivity"])
     step, origin = converter.step or 1.0, converter.origin
     current = None if about.fades else values.get("dark_current")
     offset = values.get("light_offset")
@@ -230,12 +241,10 @@ def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str,
         offset = ShutterOffset(offset)
     # The sensor rounds once, by its step; what its file went through beyond that is read noise.
     rounding = converter.rounding - (0.0 if scale is None else step**2 / 12)
-    read = values["read_noise"] ** 2 + rounding / gain**2
-    read = read - sum(known[name] for name in LINES if name in known) / gain**2
+    read = read + rounding - sum(known[name] for name in LINES if name in known)
     rms = {name: jnp.sqrt(variance) for name, variance in known.items()}
     electrons = {name: deviation / gain for name, deviation in rms.items()}
-    # A step that a file scaled is known to a few digits; a range may end early.
-    bits = None if scale is None else float(np.ceil(np.log2((scale - origin) / step + 1) - WHOLE))
+    bits = None if scale is None else bits_of(scale, converter)
     return Sensor(
         shot_noise=PoissonShotNoise(),
         light_offset=offset,
@@ -244,7 +253,7 @@ def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str,
         nonlinearity=_compression(values, about.top),
         exposure_time=jnp.asarray(about.exposure),
         quantum_efficiency=values["responsivity"] / gain if about.photons_known else None,
-        read_noise=jnp.sqrt(jnp.maximum(read, 0)),
+        read_noise=jnp.sqrt(jnp.maximum(read, 0)) / gain,
         dark_current=None if current is None else jnp.maximum(current, 0),
         full_well=known["full_well"] / gain if "full_well" in known else None,
         gain=gain / step,

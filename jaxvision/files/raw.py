@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, install
-from ._tiff_tags import SAMPLE_FORMAT, tiff_pictures
+from ._tiff_tags import MOSAIC, PHOTOMETRIC, SAMPLE_FORMAT, tiff_pictures
 
 RAW_FORMATS = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2", ".pef", ".srw")
 FITS_FORMATS = (".fits", ".fit", ".fts")
@@ -34,11 +34,13 @@ def read_raw(file: Path) -> np.ndarray:
         InputError: for a file that rawpy cannot read, for several colours per pixel, and without
             the `raw` extra.
     """
-    if any(
-        picture.first(SAMPLE_FORMAT, 1) == 3 and not picture.is_copy
+    pictures = [
+        picture
         for page in tiff_pictures(file)
         for picture in (page, *page.inner)
-    ):
+        if not picture.is_copy
+    ]
+    if any(picture.first(SAMPLE_FORMAT, 1) == 3 for picture in pictures):
         raise InputError(
             f"{file}: holds floating numbers, which LibRaw scales by the brightest of each file; "
             "save a TIFF of floating numbers, or give the raw files that it was merged from."
@@ -47,6 +49,12 @@ def read_raw(file: Path) -> np.ndarray:
         if raw.raw_type.name != "Flat":
             raise InputError(
                 f"{file}: holds several colours a pixel, no mosaic; develop it and save a TIFF."
+            )
+        mosaics = sum(picture.first(PHOTOMETRIC, 0) == MOSAIC for picture in pictures)
+        if mosaics > 1:
+            warnings.warn(
+                f"{file}: not used: {mosaics - 1} of its {mosaics} raw pictures; LibRaw chose one.",
+                stacklevel=3,
             )
         if raw.sizes.flip:
             warnings.warn(
@@ -65,7 +73,10 @@ def opened_raw(file: Path) -> Iterator[Any]:
             yield raw
     except (rawpy.LibRawError, OSError) as error:
         told = str(error.args[0].decode() if isinstance(error.args[0], bytes) else error)
-        raise InputError(f"{file}: not readable as a raw file ({told}); copy it again.") from error
+        raise InputError(
+            f"{file}: not readable as a raw file ({told}); copy it again, or convert it to an "
+            "uncompressed DNG."
+        ) from error
 
 
 def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:

@@ -58,4 +58,5 @@ def clear_fraction(view: ThinLens, row: Scalar, column: Scalar) -> Scalar:
             shared = overlap_of_disc_and_polygon(
                 right, down, rim, signed * corners[0], signed * corners[1]
             )
-    return shared / aperture_area(view.aperture, 2 * radius)
+    # A sum of parts rounds to just below zero where the rim hides all of the aperture.
+    return jnp.where(shared <= 0, 0.0, shared) / aperture_area(view.aperture, 2 * radius)

@@ -120,3 +120,20 @@ def test_an_orientation_of_a_raw_file_is_named(tmp_path, codes):
         UserWarning, match=r"a\.dng: not used: its orientation: rows and columns are"
     ):
         np.testing.assert_array_equal(read_image(tmp_path / "a.dng"), codes)
+
+
+@pytest.mark.parametrize(("second", "told"), [(0, True), (65537, False)])
+def test_a_second_raw_picture_of_a_dng_is_named(tmp_path, recwarn, second, told):
+    """A preview, then two mosaics, of which the second is a frame of its own or a smaller copy."""
+    tifffile = pytest.importorskip("tifffile")
+    raw = np.random.default_rng(0).integers(64, 4000, (64, 96)).astype(np.uint16)
+    head = [(50706, "B", 4, bytes([1, 4, 0, 0]), True), (50708, "s", 0, "camera", True)]
+    cfa = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes([0, 1, 1, 2]), True)]
+    with tifffile.TiffWriter(tmp_path / "a.dng") as sink:
+        preview = np.zeros((16, 24, 3), np.uint8)
+        sink.write(preview, photometric="rgb", subfiletype=1, subifds=2, extratags=head)
+        sink.write(raw, photometric=32803, extratags=cfa)
+        sink.write(raw + 1, photometric=32803, subfiletype=second, extratags=cfa)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.dng"), raw)
+    said = " ".join(str(one.message) for one in recwarn)
+    assert ("1 of its 2 raw pictures" in said) == told

@@ -14,7 +14,7 @@ from fitting.frame_checks.frame import frame_sample
 from fitting.frame_checks.levels import odd_frames
 from fitting.joint import from_photographs as joint_photographs
 from fitting.noise import Camera, calibrate, from_frames, read_photon_transfer
-from fitting.noise.findings import _processing, is_no_sensor
+from fitting.noise.findings import is_no_sensor, processing
 from fitting.noise.levels import linear_levels
 from fitting.noise.raw_frames import processing_in_words, tone_curve
 from fitting.reflectance.from_images.read import read_reflectance_observation
@@ -387,10 +387,10 @@ def test_files_that_are_not_raw_make_no_sensor(measure, none):
     measured = measure()
     levels = linear_levels(measured)
     found = SimpleNamespace(
-        measurement=measured, usable=levels, efficiency=0.6, likelihood=SimpleNamespace()
+        measurement=measured, usable=levels, least_efficiency=0.6, likelihood=SimpleNamespace()
     )
     assert is_no_sensor(found) == none
-    assert any("No sensor file is written" in told for told in _processing(found)) == none
+    assert any("No sensor file is written" in told for told in processing(found)) == none
 
 
 @pytest.mark.parametrize("kind", ["gamma", "sRGB"])

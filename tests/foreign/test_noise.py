@@ -12,6 +12,7 @@ from PIL import Image
 from scipy.stats import norm, poisson
 
 from fitting import folders, noise
+from fitting.codes import Converter
 from fitting.noise.emva1288 import ranges
 from fitting.noise.findings import _by_the_dimmest_alone, _glow, _light_offset
 from fitting.noise.hits import hits
@@ -25,7 +26,7 @@ from fitting.noise.printed_times import printed_times_in_words
 from fitting.noise.quantised import quantised_moments, window_for
 from fitting.noise.raw_frames import combs, processing_in_words
 from fitting.noise.section import section
-from fitting.noise.sensor import fitted_sensor
+from fitting.noise.sensor import bits_of, fitted_sensor
 from jaxvision.files.images import write_image
 
 K, QE, SHAPE, PHOTONS = 0.25, 0.5, (64, 64), np.linspace(300, 28_000, 8)
@@ -165,6 +166,13 @@ def test_averages_in_the_darks_spoil_dark_noise_alone():
     assert found["read_noise"].value is None
     assert abs(found["system_gain"].value - K) < 4 * found["system_gain"].standard_error
     assert "too small and its quantum efficiency" not in told
+
+
+@pytest.mark.parametrize(
+    ("top", "step", "bits"), [(65520, 16.0, 12), (4095, 1.0, 12), (16383, 1.0, 14)]
+)
+def test_bits_of_a_converter_are_those_of_its_codes(top, step, bits):
+    assert bits_of(top, Converter(step=step)) == bits
 
 
 @pytest.mark.slow

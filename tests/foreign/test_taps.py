@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from fitting import joint
+from fitting import folders, joint
 from fitting.inference.posterior import estimates
 from fitting.reflectance import Camera, SphereGeometry, from_photographs
 from fitting.reflectance.from_images.calibration import calibrate
 from fitting.reflectance.from_images.section import section
+from jaxvision.files.images import write_image
 
 SIDE, READ = 48, 5.0
 GAIN, BLACK = np.array([0.5, 0.6]), np.array([50.0, 58.0])
@@ -58,3 +59,21 @@ def test_a_ball_through_two_amplifiers_has_its_reflectance(kind):
         for name, true in TRUTH.items():
             assert abs(by_name[name].value - true) < 3.5 * by_name[name].standard_error
     assert "misfit" not in {one.name for one in estimates(together.posteriors["grey"])}
+
+
+@pytest.mark.parametrize("kind", [*CAMERAS, ""])
+def test_init_states_the_amplifiers_that_differ(tmp_path, kind):
+    """Flats and darks of a folder, of one amplifier for the last."""
+    _, tap = CAMERAS.get(kind, (None, np.zeros((SIDE, SIDE), int)))
+    rng = np.random.default_rng(3)
+    for name, time, light in (("dark", 1, 0), *(("flat", t, 900 * t) for t in (1, 2, 3, 4, 5))):
+        for i in range(2):
+            electrons = rng.poisson(light, tap.shape) + READ * rng.standard_normal(tap.shape)
+            numbers = np.round(GAIN[tap] * electrons + BLACK[tap]).astype(np.uint16)
+            write_image(tmp_path / f"{name}_{time}ms_{i}.tif", numbers)
+    _, found = folders.init(tmp_path)
+    stated = {"columns": "taps = [1, 2]", "halves": 'taps = "top and bottom"', "": ""}[kind]
+    written = (tmp_path / "rig.toml").read_text()
+    assert stated in written
+    assert ("taps" in written) == bool(stated)
+    assert any("amplifiers differ" in sentence for sentence in found.missing) == bool(stated)

@@ -515,11 +515,15 @@ def test_the_scatter_of_a_pattern_variance_is_that_of_repetitions():
 
 
 @pytest.mark.parametrize(
-    ("efficiency", "said"),
-    [(None, ""), (0.6, ""), (5e-29, "photons are stated too high"), (1.3, "which no sensor has")],
+    ("efficiency", "least", "said"),
+    [
+        *((None, None, ""), (0.6, 0.59, ""), (5e-29, 5e-29, "photons are stated too high")),
+        *((1.3, 1.29, "which no sensor has"), (1.006, 0.993, "is 100 % within its error")),
+    ],
 )
-def test_an_efficiency_that_no_sensor_has_is_told(efficiency, said):
-    told = _efficiency(SimpleNamespace(efficiency=efficiency))  # pyright: ignore[reportArgumentType]
+def test_an_efficiency_that_no_sensor_has_is_told(efficiency, least, said):
+    found = SimpleNamespace(efficiency=efficiency, least_efficiency=least)
+    told = _efficiency(found)  # pyright: ignore[reportArgumentType]
     assert said in " ".join(told)
     assert bool(told) == bool(said)
 

@@ -9,6 +9,8 @@ import numpy as np
 from jaxvision.errors import InputError
 
 from ...inference.emcee_run import Emcee
+from ...inference.estimates import QUANTILES
+from ...inference.parameters import names
 from ...inference.posterior import Posterior
 from ...inference.precision import in_double
 from ...report.notebook import ShownInNotebooks
@@ -57,9 +59,11 @@ class CameraCalibration(ShownInNotebooks):
 
     @property
     def is_impossible(self) -> bool:
-        """Whether the quantum efficiency exceeds 1 at some setting."""
-        efficiency = self.figures.log_efficiency
-        return efficiency is not None and bool(efficiency.max() > 0)
+        """Whether the quantum efficiency exceeds 1 at some setting, by more than its error
+        explains."""
+        draws = zip(names(self.posterior.space), self.posterior.samples.T, strict=True)
+        own = [one for name, one in draws if name.partition("[")[0] == "quantum_efficiency"]
+        return any(np.quantile(one, QUANTILES[0]) > 1 for one in own)
 
     @property
     def processed(self) -> tuple[str, ...]:

@@ -155,16 +155,19 @@ def _sensor(
             ),
         )
     )
+    efficiency, above = None, 1.0
+    if at.log_efficiency is not None:  # no more than an electron for each photon
+        efficiency = jnp.exp(between(at.log_efficiency))
+        above = jnp.maximum(efficiency, 1.0)
+        efficiency = efficiency / above
     return Sensor(
         shot_noise=PoissonShotNoise(),
         exposure_time=jnp.median(jnp.concatenate([one.bright.exposure for one in lit])),
-        quantum_efficiency=None
-        if at.log_efficiency is None
-        else jnp.exp(between(at.log_efficiency)),
-        read_noise=jnp.sqrt(jnp.maximum(variance, 0)),
+        quantum_efficiency=efficiency,
+        read_noise=jnp.sqrt(jnp.maximum(variance, 0)) / above,
         dark_current=dark,
         full_well=well,
-        gain=gain,
+        gain=gain * above,
         offset=between(black),
         dsnu=None if dsnu is None else np.sqrt(dsnu),
         prnu=None if prnu is None else np.sqrt(prnu),

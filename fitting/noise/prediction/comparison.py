@@ -22,6 +22,7 @@ from scipy.linalg import eigh
 from scipy.special import chdtr, chdtrc
 
 from jaxvision import Sensor
+from jaxvision.errors import InputError
 
 from ..levels import PhotonTransfer
 from .moments import (
@@ -149,6 +150,8 @@ def compare(
         shown = shown & ~ended
     if not noise_known:
         found = replace(found, values=np.concatenate([found.values[:1], seen[1:]]))
+    if np.isinf(drawn).any():
+        raise InputError("a parameter is too uncertain, and predicts infinite variances.")
     own = noise(levels, found)
     spread = drawn - drawn.mean(axis=0)
     if unscaled:  # each draw has its own rate of the light, by the means

@@ -23,7 +23,7 @@ from ...inference.precision import in_double
 from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration
 from ..levels import PhotonTransfer, linear_levels
-from ..sensor import fitted_sensor
+from ..sensor import bits_of, fitted_sensor
 from ..sites import camera_of_taps, of_tap, stated_in_words, tap_of
 from .comparison import Comparison, compare
 from .missing import Missing, missing_effects
@@ -184,7 +184,7 @@ def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> Non
     """Refuse frames whose range of numbers differs from the camera's."""
     if camera.bits is None or measurement.full_scale is None:
         return
-    bits, seen = float(camera.bits), float(np.log2(measurement.full_scale + 1))
+    bits, seen = float(camera.bits), bits_of(measurement.full_scale, measurement.converter)
     if bits != seen:
         raise InputError(
             f"{name} has {bits:g} bits, and the frames {seen:g}; give frames of the same "
