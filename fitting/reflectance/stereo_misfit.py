@@ -216,7 +216,7 @@ class _Prior:
 def _prior(of: _Reduced, unshared: float, ratios: Float[np.ndarray, " ratios"]) -> _Prior:
     """The prior by maximum likelihood."""
     squares, volume = _squares(of, RATIOS)
-    most = min(max(float((squares[0] / of.freedom).max()), 1e-300), LOUDEST * unshared)
+    most = max(min(float((squares[0] / of.freedom).max()), LOUDEST * unshared), 1e-300)
     least = max(float(np.quantile(squares[-1] / of.freedom, 0.01)), QUIETEST * most)
     span = max(float(np.log(most / least)), 0.0)
     count = int(min(LEVELS, np.ceil(span / FINEST) + 2))
