@@ -237,6 +237,7 @@ from .point_ops import (
     srgb_encode as srgb_encode,
 )
 from .rendering import (
+    Edges as Edges,
     PixelSamples as PixelSamples,
     radiance_along as radiance_along,
     render as render,

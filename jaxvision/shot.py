@@ -22,7 +22,7 @@ from .development import develop
 from .effects import Certificate, Tolerance, prune
 from .lights import Rule
 from .optics import sensor_irradiance
-from .rendering import PixelSamples, Traced, render
+from .rendering import Edges, PixelSamples, Traced, render
 from .rendering.band_count import band_count
 from .rendering.shading import DEFAULT_RULE
 from .scene import Camera, PixelAperture, Scene, Sensor, View
@@ -83,6 +83,7 @@ def capture(
     die_key: Key | None = None,
     rule: Rule = DEFAULT_RULE,
     samples: PixelSamples | None = None,
+    edges: Edges | None = None,
     motion: Motion | None = None,
     moments: int = 8,
     tolerance: Tolerance | str | None = None,
@@ -91,7 +92,7 @@ def capture(
     """Take one picture of the scene, and return every stage.
 
     Derivatives with respect to positions of a lamp, the camera or a shape neglect moving edges of
-    shadows and outlines, as in `render`.
+    shadows and outlines, unless `edges` are given, as in `render`.
 
     Args:
         key: random key for everything that changes from frame to frame; None if the sensor does not
@@ -103,6 +104,7 @@ def capture(
         rule: sampling rule of extended lights without their own, as in `render`.
         samples: rays of each pixel, whose mean is taken, as in `render`; a thin lens needs it for
             defocus.
+        edges: moving edges in derivatives of direct light, as in `render`; None neglects them.
         motion: function of a time in s after the start of the first row's exposure, and of the
             scene and view at rest; it returns the scene and view at that time. None for no motion.
             The sensor must have an exposure time.
@@ -123,9 +125,9 @@ def capture(
     Raises:
         ValueError: for a key that is missing, a motion without exposure time, and a thin lens
             without samples, unless its f_number is inf or traced; for traced records with a
-            tolerance; for samples together with an integrator, or a tolerance with an integrator
-            that is a function. Bands of scene and sensor that differ, and a missing key (unless the
-            integrator is a function), are reported before rendering.
+            tolerance; for samples or edges together with an integrator, or a tolerance with an
+            integrator that is a function. Bands of scene and sensor that differ, and a missing key
+            (unless the integrator is a function), are reported before rendering.
 
     Example:
         A grey room that shines everywhere: its walls show themselves, and one another.
@@ -150,6 +152,8 @@ def capture(
         )
     if integrator is not None and samples is not None:
         raise ValueError("samples are of direct light: an integrator brings its own, leave them.")
+    if integrator is not None and edges is not None:
+        raise ValueError("edges are of direct light: leave them out with an integrator.")
     if motion is None and moments != 8:
         warn_caller("capture: moments has no effect without a motion; leave it out.")
     certificate = None
@@ -167,7 +171,7 @@ def capture(
         certificate = pruned.certificate
     if integrator is None or isinstance(integrator, Paths):
         _check_keys(key, die_key, camera, _bands(scene))
-    renderer = _renderer(integrator, key, rule, samples)
+    renderer = _renderer(integrator, key, rule, samples, edges)
     radiance, irradiance, error = _light_on_sensor(renderer, scene, camera, motion, moments)
     _check_unit(camera, irradiance)
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
@@ -249,10 +253,14 @@ def _check_unit(camera: Camera, light: Array) -> None:
 
 
 def _renderer(
-    integrator: Paths | Renderer | None, key: Key | None, rule: Rule, samples: PixelSamples | None
+    integrator: Paths | Renderer | None,
+    key: Key | None,
+    rule: Rule,
+    samples: PixelSamples | None,
+    edges: Edges | None,
 ) -> Renderer | Callable[[Scene, View], Traced]:
     if integrator is None:
-        return partial(render, rule=rule, samples=samples)
+        return partial(render, rule=rule, samples=samples, edges=edges)
     if not isinstance(integrator, Paths):
         return integrator
     if key is None:

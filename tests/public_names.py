@@ -91,6 +91,7 @@ EFFECTS = {  # decided and measured before anything is traced
 # `intersect`, `occluded`, `visibility`, `outgoing_radiance`, `render` and those of `transport`.
 STATIC = {
     "jaxvision.geometry.nearest.blocked",
+    "jaxvision.geometry.nearest.meets",
     "jaxvision.geometry.flat.plane_hit",
     "jaxvision.geometry.flat.disc_hit",
     "jaxvision.geometry.flat.quad_hit",
@@ -100,6 +101,7 @@ STATIC = {
     "jaxvision.rendering.shading.reflected_radiance",
     "jaxvision.rendering.direct.direct_along",
     "jaxvision.rendering.direct.sorted_scene",
+    "jaxvision.rendering.edges.moving_edges",
     "jaxvision.rendering.pixel_loop.each",
     "jaxvision.rendering.pixel_loop.in_blocks",
     "jaxvision.rendering.pixel_loop.mean_of_samples",

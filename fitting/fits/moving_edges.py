@@ -46,7 +46,8 @@ def warn_of_moving_edges(problem: Problem) -> None:
             f"The gradient neglects moving edges of shadows and outlines: by {most} it misses "
             f"{shares[most]:.0%} of the change of the picture at the start, averaged over blocks "
             "of pixels. fit uses finite differences at the optimum where this counts; the searches "
-            "that lead there, and NUTS, follow the gradient.",
+            "that lead there, and NUTS, follow the gradient. jaxvision.render and capture "
+            "include the edges of spheres, discs, quads and boxes by edges=jaxvision.Edges().",
             stacklevel=3,
         )
 

@@ -343,6 +343,17 @@ def blocked(
     )
 
 
+def meets(ray: Ray, shapes: Sorted, number: Int[Array, ""]) -> Bool[Array, ""]:
+    """Whether a ray meets the shape with that number, whatever lies before it; meshes never. No
+    gradient."""
+    ray, shapes = jax.lax.stop_gradient((ray, shapes))
+    met = jnp.zeros((), bool)
+    for members, group in zip(shapes.members, shapes.groups, strict=True):
+        shape, among = take(members, group, number)
+        met = met | (among & (_distance(ray, shape) < jnp.inf))
+    return met
+
+
 # ---------------------------------------------------------------- one shape of a kind
 
 

@@ -8,6 +8,7 @@ from . import (
     shadows as shadows,
 )
 from .direct import direct_along as direct_along, radiance_along as radiance_along, render as render
+from .edges import Edges as Edges
 from .light_field import render_light_field as render_light_field
 from .pixel_loop import (
     Along as Along,

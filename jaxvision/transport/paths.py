@@ -393,7 +393,7 @@ def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
 
     Light of points and directions that mirrors or glass cast onto other surfaces is missing, and no
     error estimate shows it: `transport.missing_light` names it. Derivatives with respect to
-    positions neglect moving edges, like those of `render`.
+    positions neglect moving edges, like those of `render` without `edges`.
 
     Args:
         key: random key.

@@ -20,7 +20,7 @@ max_iterations terms nodes knots panels subdivisions degree refine cutoff precis
 ANYWHERE = set(words("rule dtype split slots gather truncate shot_noise interpolation"))
 # ... unless it is one of these, where the word means something else: a derivative's order, a map of
 # depth, a count of things, data, a choice between definitions, the dtype of what is asked for, or
-# what takes no less time when it is turned down.
+# what takes no less time when it is turned down; or it changes derivatives alone.
 OTHER = words("""
 *.gaussians.*.order *.gaussian_kernel.order *.defocus.*.depth *.defocus.*.members *.Sorted.members
 *.split_by_rule.members *.files.scenes.* *.files.records.* *.bounce.count *.rules_of.*
@@ -34,7 +34,7 @@ OTHER = words("""
 *.register_extended.nodes *.register.moments *.demosaic_menon.refine *.nonlocal_means_filter.cutoff
 *.missing_light.depth *.missing_light.samples *.convolution.summed.method *.new_axes.polar
 *.for_rays.paths *.matte_errors.* *.MatteErrors.*
-*.zernike.count *.wavefront_kernel.samples *.Wavefront.samples
+*.zernike.count *.wavefront_kernel.samples *.Wavefront.samples *.Edges.nodes
 """)
 
 

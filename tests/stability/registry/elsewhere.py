@@ -427,6 +427,7 @@ ELSEWHERE = (
         """
             rendering.band_count: band_count
             rendering.direct: can_shade direct_along sorted_scene
+            rendering.edges: moving_edges
             rendering.pixel_loop: check_lens each in_blocks mean_of_samples numbers_of photograph
             rendering.shading: lighting reflected_radiance
             rendering.shadows: clear
@@ -444,7 +445,7 @@ ELSEWHERE = (
             geometry._size: largest_coordinate offset_length
             geometry.box: box_hit
             geometry.flat: disc_hit plane_hit quad_hit
-            geometry.nearest: blocked
+            geometry.nearest: blocked meets
         """,
     ),
     Elsewhere(
