@@ -256,7 +256,10 @@ def _soft(
 
 
 def _edges(stack: Stack, chosen: Binning) -> Float[Array, " edges"]:
-    return jnp.asarray(chosen.edges, as_float(stack).dtype)
+    integer = levels_of(stack) is not None
+    return jnp.asarray(
+        chosen.edges, jax.dtypes.canonicalize_dtype(float) if integer else stack.dtype
+    )
 
 
 def _weighted_counts(
