@@ -163,10 +163,11 @@ def _pair_counts(stack: Stack) -> Int[Array, "planes 256"]:
     for codes in planes:
         pairs = codes[:even].reshape(-1, 2).astype(jnp.int32)
         pairs = 256 * pairs[:, 0] + pairs[:, 1]
-        both = sum(
+        parts = [
             jnp.zeros(2**16, jnp.int32).at[part].add(1, mode="promise_in_bounds")
             for part in jnp.array_split(pairs, 2 if even >= 4 * BLOCK else 1)
-        )
+        ]
+        both = parts[0] if len(parts) == 1 else parts[0] + parts[1]
         table = both.reshape(256, 256)
         tables.append(table.sum(0) + table.sum(1))
     counts = jnp.stack(tables)

@@ -15,6 +15,8 @@ Source:
     Processing 20 (2011); Efron & Tibshirani, An Introduction to the Bootstrap, section 6.5.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -90,8 +92,22 @@ def matte_errors(
     """
     check_count("draws", draws, 2)
     image, trimap = as_relative(image), as_relative(trimap)
-    options = {"epsilon": epsilon, "confidence": confidence}
-    alpha = closed_form_matte(image, trimap, **options).alpha
+    alpha = closed_form_matte(image, trimap, epsilon=epsilon, confidence=confidence).alpha
+    off = _drawn(jax.random.split(key, draws), image, trimap, alpha, epsilon, confidence)
+    sd = jnp.sqrt(jnp.mean(off * off, axis=0))
+    return MatteErrors(alpha, sd, jnp.clip(alpha[None] - off, 0, 1))
+
+
+@jax.jit
+def _drawn(
+    keys: Array,
+    image: Float[Array, "h w bands"],
+    trimap: Float[Array, "h w"],
+    alpha: Float[Array, "h w 1"],
+    epsilon: Any,
+    confidence: Any,
+) -> Float[Array, "draws h w 1"]:
+    """By how much the matte of each drawn picture differs from that which made it."""
     sides = [_side(image, at[..., None]) for at in (trimap >= FOREGROUND, trimap <= BACKGROUND)]
 
     def one(key: Array) -> Float[Array, "h w 1"]:
@@ -100,11 +116,10 @@ def matte_errors(
             for own, (smooth, texture) in zip(jax.random.split(key), sides, strict=True)
         )
         drawn = alpha * front + (1 - alpha) * behind
-        return closed_form_matte(drawn, trimap, **options).alpha - alpha
+        found = closed_form_matte(drawn, trimap, epsilon=epsilon, confidence=confidence)
+        return found.alpha - alpha
 
-    off = jax.lax.map(one, jax.random.split(key, draws))
-    sd = jnp.sqrt(jnp.mean(off * off, axis=0))
-    return MatteErrors(alpha, sd, jnp.clip(alpha[None] - off, 0, 1))
+    return jax.lax.map(one, keys)
 
 
 def _side(
