@@ -224,5 +224,5 @@ def interpolated(
     index = jnp.clip(position.astype(jnp.int32), 0, bins - 1)
     start = group * (bins + 1) + index
     flat = tables.ravel()
-    below, above = (jnp.take(flat, start + i, mode="clip") for i in (0, 1))
+    below, above = (flat.at[start + i].get(mode="promise_in_bounds") for i in (0, 1))
     return below + (position - index.astype(x.dtype)) * (above - below)

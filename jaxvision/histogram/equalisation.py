@@ -130,7 +130,7 @@ def _equalise_codes(
     counts = bin_counts(stack, binning(stack, None, None))
     codes = materialise(table, counts, jnp.asarray(amount))
     entry = plane_numbers(stack) * levels + stack.astype(jnp.int32)
-    return jnp.take(codes.ravel(), entry, mode="clip")
+    return codes.ravel().at[entry].get(mode="promise_in_bounds")
 
 
 def _equalise_values(stack: Stack, chosen: Binning) -> Stack:

@@ -121,7 +121,7 @@ def _equalised(
     table, codes = materialise(to_table, counts, limit), stack.astype(jnp.int32)
 
     def look_up(group: Int[Array, "..."]) -> Float[Array, "..."]:
-        return jnp.take(table, group * levels + codes, mode="clip")
+        return table.at[group * levels + codes].get(mode="promise_in_bounds")
 
     blended = jnp.round(_blended(look_up, stack, tiles, tile))
     return jnp.clip(blended, 0, levels - 1).astype(stack.dtype)

@@ -61,7 +61,7 @@ def _match_codes(source: Stack, target: Stack, levels: int) -> Stack:
     counts, offered = (bin_counts(stack, binning(stack, None, None)) for stack in (source, target))
     table = materialise(_matching_codes, counts, offered).astype(source.dtype)
     entry = plane_numbers(source) * levels + source.astype(jnp.int32)
-    return jnp.take(table.ravel(), entry, mode="clip")
+    return table.ravel().at[entry].get(mode="promise_in_bounds")
 
 
 def _matching_codes(
