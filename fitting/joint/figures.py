@@ -36,8 +36,8 @@ def noise_figure(calibration: JointCalibration) -> Figure:
     axis = figure.subplots()
     for fit in calibration.fits:
         cells, values = fit.data.cells, fit.values
-        model, _, _ = predicted_parts(jnp.asarray(fit.vector), fit.data)
-        residual = cells.mean - model.mean
+        model, left = predicted_parts(jnp.asarray(fit.vector), fit.data)
+        residual = left.residual
         found = image_errors(fit)
         if found is not None:
             assert model.image_errors is not None

@@ -50,7 +50,6 @@ from .model import (
     Levels,
     black_level,
     cost,
-    error_precision,
     parameters,
     predicted_parts,
     scatter_scales,
@@ -262,16 +261,10 @@ def _rounds(
 
 def _chi_square(vector: Array, data: JointData) -> tuple[float, int]:
     """Chi-square of the cells' means, per degree of freedom, and the number of cells."""
-    model, weight, of_cells = predicted_parts(vector, data)
-    cells = int(jnp.sum(weight > 0))
-    found = eqx.filter_jit(marginal.chi_square)(
-        data.cells.mean - model.mean,
-        weight,
-        image_errors=model.image_errors,
-        cell_errors=of_cells,
-        precision=error_precision(data),
-    )
-    return float(found) / max(cells - len(data.space), 1), cells
+    _, left = predicted_parts(vector, data)
+    cells = int(jnp.sum(left.weight > 0))
+    found = float(eqx.filter_jit(marginal.chi_square)(left))
+    return found / max(cells - len(data.space), 1), cells
 
 
 def without_small_errors(
@@ -287,17 +280,17 @@ def without_small_errors(
     for parameter in scatters:
         most = parameter.prior.median * np.exp(LARGEST * parameter.prior.log_sd)
         natural = natural.at[data.space.index(parameter)].set(most)
-    model, weight, of_cells = predicted_parts(to_unconstrained(data.space, natural), data)
-    found, at = [], 0
+    _, shared = predicted_parts(to_unconstrained(data.space, natural), data)
+    weight, found, at = np.asarray(shared.weight), [], 0
     for parameter in scatters:
         name = parameter.name
         if name == "prnu":
-            squares = (np.asarray(weight) * np.asarray(of_cells) ** 2).sum(0)
+            squares = (weight * np.asarray(shared.cell_errors) ** 2).sum(0)
             count = np.asarray(data.cells.count).max(0)  # pixels of a cell, each of its own
         else:
             rows = 2 if name == "direction_scatter" else 1
-            errors = np.asarray(model.image_errors)[:, at : at + rows]
-            squares, count = (np.asarray(weight)[:, None] * errors**2).sum((1, 2)), 1.0
+            errors = np.asarray(shared.image_errors)[:, at : at + rows]
+            squares, count = (weight[:, None] * errors**2).sum((1, 2)), 1.0
             at += rows
         found.append(LeftOut(name, parameter.prior.median, distance(squares, parts=count)))
     gone = negligible(found)
@@ -322,10 +315,10 @@ def with_misfit(data: JointData, vector: Array) -> tuple[JointData, Array]:
     def starting(size: float) -> Array:
         return jnp.concatenate([vector, to_unconstrained((MISFIT,), jnp.asarray([size]))])
 
-    model, weight, _ = predicted_parts(starting(MOST_AT_FIRST), data)
+    model, left = predicted_parts(starting(MOST_AT_FIRST), data)
     unit = np.asarray(model.misfit) / MOST_AT_FIRST
-    seen = np.asarray(weight) > 0
-    squares = np.asarray(data.cells.mean - model.mean)[seen] ** 2
+    seen = np.asarray(left.weight) > 0
+    squares = np.asarray(left.residual)[seen] ** 2
     size = float(np.sqrt(squares.mean() / np.mean(unit[seen] ** 2)))
     return data, starting(min(size, MOST_AT_FIRST))
 
@@ -379,14 +372,8 @@ def image_errors(
     Returns:
         Means and standard deviations, (images, errors); None where the rig names none.
     """
-    model, weight, of_cells = predicted_parts(jnp.asarray(fit.vector), fit.data)
-    if model.image_errors is None:
+    _, left = predicted_parts(jnp.asarray(fit.vector), fit.data)
+    if left.image_errors is None:
         return None
-    mean, spread = eqx.filter_jit(marginal.image_error_means)(
-        fit.data.cells.mean - model.mean,
-        weight,
-        model.image_errors,
-        cell_errors=of_cells,
-        precision=error_precision(fit.data),
-    )
+    mean, spread = eqx.filter_jit(marginal.image_error_means)(left)
     return np.asarray(mean), np.asarray(spread)

@@ -18,79 +18,59 @@ Source:
     Components", 1992, chapter 6.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 from jaxtyping import Array, Float
 
 Table = Float[Array, "images cells"]
-ImageErrors = Float[Array, "images errors cells"]
+OfImages = Float[Array, "images errors"]
 
 
-def log_density(
-    residual: Table,
-    weight: Table,
-    *,
-    image_errors: ImageErrors | None = None,
-    cell_errors: Table | None = None,
-    precision: Array | None = None,
-) -> Float[Array, ""]:
-    """ln p(r) up to a constant.
+class Residuals(eqx.Module):
+    """Residuals of cells in images with the errors that they share."""
 
-    The (images, cells) residuals r, H and G are in DN and the weights w in DN^-2, 0 for a cell
-    without data. H or G is None if there is no such error.
-    """
-    square, log_volume = _parts(residual, weight, image_errors, cell_errors, precision)
+    residual: Table  # r, DN
+    weight: Table  # w, DN^-2; 0 for a cell without data
+    image_errors: Float[Array, "images errors cells"] | None = None  # H, DN; None for no such error
+    cell_errors: Table | None = None  # G, DN; None for no such error
+    # inverse covariance of u, (images x errors) squared; None where it is 1
+    precision: Array | None = None
+
+
+def log_density(of: Residuals) -> Float[Array, ""]:
+    """ln p(r) up to a constant."""
+    square, log_volume = _parts(of)
     return -(square + log_volume) / 2
 
 
-def chi_square(
-    residual: Table,
-    weight: Table,
-    *,
-    image_errors: ImageErrors | None = None,
-    cell_errors: Table | None = None,
-    precision: Array | None = None,
-) -> Float[Array, ""]:
-    """r' C^-1 r with C the covariance of r; its expectation is the number of cells with data.
-    Arguments as in `log_density`."""
-    return _parts(residual, weight, image_errors, cell_errors, precision)[0]
+def chi_square(of: Residuals) -> Float[Array, ""]:
+    """r' C^-1 r with C the covariance of r; its expectation is the number of cells with data."""
+    return _parts(of)[0]
 
 
-def _parts(
-    residual: Table,
-    weight: Table,
-    image_errors: ImageErrors | None,
-    cell_errors: Table | None,
-    precision: Array | None,
-) -> tuple[Array, Array]:
+def _parts(of: Residuals) -> tuple[Array, Array]:
     """r' C^-1 r and ln det C."""
-    square = jnp.sum(weight * residual**2)
-    log_volume = -jnp.sum(jnp.log(jnp.where(weight > 0, weight, 1)))
-    if cell_errors is not None:
-        pull, stiffness = _of_cells(residual, weight, cell_errors)
+    square = jnp.sum(of.weight * of.residual**2)
+    log_volume = -jnp.sum(jnp.log(jnp.where(of.weight > 0, of.weight, 1)))
+    if of.cell_errors is not None:
+        pull, stiffness = _of_cells(of, of.cell_errors)
         square = square - jnp.sum(pull**2 / stiffness)
         log_volume = log_volume + jnp.sum(jnp.log(stiffness))
-    if image_errors is None:
+    if of.image_errors is None:
         return square, log_volume
-    factor, pull = _of_images(residual, weight, image_errors, cell_errors, precision)
+    factor, pull = _of_images(of, of.image_errors)
     explained = jax.vmap(lambda L, b: solve_triangular(L, b, lower=True))(factor, pull)
     log_volume = log_volume + 2 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=1, axis2=2)))
     return square - jnp.sum(explained**2), log_volume
 
 
-def image_error_means(
-    residual: Table,
-    weight: Table,
-    image_errors: ImageErrors,
-    *,
-    cell_errors: Table | None = None,
-    precision: Array | None = None,
-) -> tuple[Float[Array, "images errors"], Float[Array, "images errors"]]:
-    """Posterior means and standard deviations of u given r, (images, errors), in units of the
-    prior's. Arguments as in `log_density`."""
-    factor, pull = _of_images(residual, weight, image_errors, cell_errors, precision)
-    shape = image_errors.shape[:2]
+def image_error_means(of: Residuals) -> tuple[OfImages, OfImages]:
+    """Posterior means and standard deviations of u given r, in units of the prior's."""
+    assert of.image_errors is not None
+    factor, pull = _of_images(of, of.image_errors)
+    shape = of.image_errors.shape[:2]
     mean = jax.vmap(lambda L, b: cho_solve((L, True), b))(factor, pull)
     unit = jnp.eye(factor.shape[1], dtype=factor.dtype)
     inverse = jax.vmap(lambda L: cho_solve((L, True), unit))(factor)
@@ -98,39 +78,32 @@ def image_error_means(
     return mean.reshape(shape), spread.reshape(shape)
 
 
-def _of_cells(residual: Table, weight: Table, cell_errors: Table) -> tuple[Array, Array]:
+def _of_cells(of: Residuals, errors: Table) -> tuple[Array, Array]:
     """G'W r and D, (cells,) each."""
-    pull = jnp.sum(weight * cell_errors * residual, axis=0)
-    return pull, 1 + jnp.sum(weight * cell_errors**2, axis=0)
+    pull = jnp.sum(of.weight * errors * of.residual, axis=0)
+    return pull, 1 + jnp.sum(of.weight * errors**2, axis=0)
 
 
-def _of_images(
-    residual: Table,
-    weight: Table,
-    image_errors: ImageErrors,
-    cell_errors: Table | None,
-    precision: Array | None,
-) -> tuple[Array, Array]:
+def _of_images(of: Residuals, image_errors: Array) -> tuple[Array, Array]:
     """Cholesky factor of M, and the right hand side H'W r minus the part that g explains: (blocks,
     n, n) and (blocks, n). A block is an image; if g couples the images there is one block."""
     images, errors, cells = image_errors.shape
-    weighted = weight[:, None] * image_errors
-    pull = jnp.einsum("jkc,jc->jk", weighted, residual)
+    weighted = of.weight[:, None] * image_errors
+    pull = jnp.einsum("jkc,jc->jk", weighted, of.residual)
     own = jnp.einsum("jkc,jlc->jkl", weighted, image_errors)
-    if precision is None:
+    if of.precision is None:
         own = own + jnp.eye(errors, dtype=own.dtype)[None]
-        if cell_errors is None:
+        if of.cell_errors is None:
             return jnp.linalg.cholesky(own), pull
     blocks = jnp.einsum("jkl,ji->jkil", own, jnp.eye(images, dtype=own.dtype))
-    matrix = blocks.reshape(images * errors, images * errors)
-    if precision is not None:
-        matrix = matrix + precision
-    if cell_errors is None:
-        return jnp.linalg.cholesky(matrix)[None], pull.reshape(1, -1)
-    cell_pull, stiffness = _of_cells(residual, weight, cell_errors)
-    across = (weighted * cell_errors[:, None]).reshape(images * errors, cells)
-    matrix = matrix - (across / stiffness[None]) @ across.T
-    pull = pull.reshape(-1) - across @ (cell_pull / stiffness)
+    matrix, pull = blocks.reshape(images * errors, images * errors), pull.reshape(-1)
+    if of.precision is not None:
+        matrix = matrix + of.precision
+    if of.cell_errors is not None:
+        cell_pull, stiffness = _of_cells(of, of.cell_errors)
+        across = (weighted * of.cell_errors[:, None]).reshape(images * errors, cells)
+        matrix = matrix - (across / stiffness[None]) @ across.T
+        pull = pull - across @ (cell_pull / stiffness)
     return jnp.linalg.cholesky(matrix)[None], pull[None]
 
 

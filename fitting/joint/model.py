@@ -249,23 +249,31 @@ def weights(cells: Cells, model: Prediction) -> Table:
     return jnp.where(seen, 1 / variance, 0)
 
 
-def cell_errors(values: Values, cells: Cells, model: Prediction) -> Table | None:
-    """G: the error of a cell's mean for pixel gains of one standard deviation, (images, cells) DN;
-    None if pixels are equal."""
-    if "prnu" not in values:
-        return None
-    seen = cells.count > 0
-    pixels = jnp.where(seen, cells.count, 1)
-    return jnp.where(seen, values["prnu"] * model.relative / jnp.sqrt(pixels), 0)
+def residuals(values: Values, model: Prediction, data: JointData) -> marginal.Residuals:
+    """The residuals of cells with the errors that they share. Pixel gains shift the mean of n
+    pixels by their size over the square root of n."""
+    cells, of_cells, precision = data.cells, None, None
+    if "prnu" in values:
+        seen = cells.count > 0
+        pixels = jnp.where(seen, cells.count, 1)
+        of_cells = jnp.where(seen, values["prnu"] * model.relative / jnp.sqrt(pixels), 0)
+    if data.turn_precision is not None and "direction_scatter" in data.relative:
+        images = len(data.turn_precision) // 2
+        first = 1 if "light_scatter" in data.relative else 0
+        errors = first + 2 + ("stray_scatter" in data.relative)
+        places = (errors * np.arange(images)[:, None] + first + np.arange(2)).ravel()
+        precision = jnp.eye(images * errors).at[np.ix_(places, places)].set(data.turn_precision)
+    left = cells.mean - model.mean
+    errors = model.image_errors, of_cells, precision
+    return marginal.Residuals(left, weights(cells, model), *errors)
 
 
 @eqx.filter_jit
-def predicted_parts(vector: Array, data: JointData) -> tuple[Prediction, Array, Array | None]:
-    """Return the prediction of cells, their weights in DN^-2, and their errors from pixel gains in
-    DN, or None if pixels are equal."""
+def predicted_parts(vector: Array, data: JointData) -> tuple[Prediction, marginal.Residuals]:
+    """Return the prediction of cells, and their residuals."""
     values = values_at(vector, data)
     model = predicted(values, data, data.cells)
-    return model, weights(data.cells, model), cell_errors(values, data.cells, model)
+    return model, residuals(values, model, data)
 
 
 def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Array:
@@ -300,32 +308,11 @@ def _log_likelihood(values: Values, model: Prediction, data: JointData) -> Array
     """The log likelihood of the images; of the values only the scale of the pixels' gains
     enters."""
     cells = data.cells
-    total = marginal.log_density(
-        cells.mean - model.mean,
-        weights(cells, model),
-        image_errors=model.image_errors,
-        cell_errors=cell_errors(values, cells, model),
-        precision=error_precision(data),
-    )
-    return total + marginal.scatter_log_density(
-        cells.scatter,
-        cells.count,
-        model.variance,
-        pixel_errors=values["prnu"] * model.relative if "prnu" in values else None,
-        products=cells.products,
-    )
-
-
-def error_precision(data: JointData) -> Array | None:
-    """Inverse covariance of the errors of all images, (images x errors) squared; None where it is
-    1."""
-    if data.turn_precision is None or "direction_scatter" not in data.relative:
-        return None
-    images = len(data.turn_precision) // 2
-    first = 1 if "light_scatter" in data.relative else 0
-    errors = first + 2 + ("stray_scatter" in data.relative)
-    places = (errors * np.arange(images)[:, None] + first + np.arange(2)).ravel()
-    return jnp.eye(images * errors).at[np.ix_(places, places)].set(data.turn_precision)
+    of_pixels = values["prnu"] * model.relative if "prnu" in values else None
+    own = cells.scatter, cells.count, model.variance
+    shared = {"pixel_errors": of_pixels, "products": cells.products}
+    of_scatter = marginal.scatter_log_density(*own, **shared)
+    return marginal.log_density(residuals(values, model, data)) + of_scatter
 
 
 def _of_levels(values: Values, data: JointData) -> Array:

@@ -82,11 +82,12 @@ def test_shared_errors_are_integrated_out(with_images, with_cells):
     kept |= {"cell_errors": gains if with_cells else None}
     places, matrix = dense(weight, *kept.values())
     given = {k: None if v is None else jnp.asarray(v) for k, v in kept.items()}
-    found = jax.jit(marginal.log_density)(jnp.asarray(residual), jnp.asarray(weight), **given)
+    of = marginal.Residuals(jnp.asarray(residual), jnp.asarray(weight), **given)
+    found = jax.jit(marginal.log_density)(of)
     normal = scipy.stats.multivariate_normal(np.zeros(len(matrix)), matrix)  # pyright: ignore
     expected = normal.logpdf(residual[places]) + len(matrix) * np.log(2 * np.pi) / 2
     np.testing.assert_allclose(found, expected, rtol=1e-12)
-    square = marginal.chi_square(jnp.asarray(residual), jnp.asarray(weight), **given)
+    square = marginal.chi_square(of)
     solved = np.linalg.solve(matrix, residual[places])
     np.testing.assert_allclose(square, residual[places] @ solved, rtol=1e-12)
 
@@ -95,10 +96,8 @@ def test_shared_errors_are_integrated_out(with_images, with_cells):
 def test_the_errors_of_images_are_their_conditional_means(with_cells):
     residual, weight, shared, gains = table()
     places, matrix = dense(weight, shared, gains if with_cells else None)
-    mean, spread = marginal.image_error_means(
-        *(jnp.asarray(x) for x in (residual, weight, shared)),
-        cell_errors=jnp.asarray(gains) if with_cells else None,
-    )
+    given = (residual, weight, shared, gains)[: 4 if with_cells else 3]
+    mean, spread = marginal.image_error_means(marginal.Residuals(*map(jnp.asarray, given)))
     for image, error in np.ndindex(mean.shape):
         loading = np.where(places[0] == image, shared[image, error, places[1]], 0)
         solved = np.linalg.solve(matrix, loading)
@@ -118,9 +117,9 @@ def test_the_scatter_of_pixels_and_its_mean_are_the_pixels():
     left = y - mean[:, None]
     column = {"variance": variance, "gains": gains, "mean": mean}
     column = {name: jnp.asarray(values)[:, None] for name, values in column.items()}
-    of_means = marginal.log_density(
-        column["mean"], n / column["variance"], cell_errors=column["gains"] / np.sqrt(n)
-    )
+    gains = column["gains"] / np.sqrt(n)
+    means = marginal.Residuals(column["mean"], n / column["variance"], cell_errors=gains)
+    of_means = marginal.log_density(means)
     of_scatter = marginal.scatter_log_density(
         jnp.asarray((left**2).sum(axis=1))[:, None],
         jnp.full((images, 1), float(n)),

@@ -39,7 +39,8 @@ def light_errors(vector, data):
     model = predicted(values, data, data.cells)
     weight = weights(data.cells, model)
     assert model.image_errors is not None
-    found = marginal.image_error_means(data.cells.mean - model.mean, weight, model.image_errors)
+    left = marginal.Residuals(data.cells.mean - model.mean, weight, model.image_errors)
+    found = marginal.image_error_means(left)
     return tuple(values["light_scatter"] * x[:, 0] for x in found)
 
 

@@ -297,13 +297,9 @@ def test_image_errors_with_a_common_precision_are_a_dense_gaussian(cells):
     errors, shared = rng.normal(size=(3, 2, 5)), rng.normal(size=(3, 5))
     root = rng.normal(size=(6, 6))
     prior = root @ root.T + np.eye(6)
-    found = marginal.log_density(
-        jnp.asarray(residual),
-        jnp.asarray(weight),
-        image_errors=jnp.asarray(errors),
-        cell_errors=jnp.asarray(shared) if cells else None,
-        precision=jnp.asarray(np.linalg.inv(prior)),
-    )
+    given = (residual, weight, errors, shared if cells else None, np.linalg.inv(prior))
+    arrays = (None if one is None else jnp.asarray(one) for one in given)
+    found = marginal.log_density(marginal.Residuals(*arrays))
     wide = block_diag(*(one.T for one in errors))
     whole = np.diag(1 / weight.ravel()) + wide @ prior @ wide.T
     if cells:

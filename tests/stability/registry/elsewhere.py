@@ -250,7 +250,6 @@ ELSEWHERE = (
             fitting.lights.matte: shading_of
             fitting.lights.outline: centre_of outline_of surface
             fitting.reflectance.from_images.read: across turn_prior_of with_covariance
-            fitting.joint.model: error_precision
         """,
     ),
     Elsewhere(
@@ -774,9 +773,9 @@ ELSEWHERE = (
             fitting.joint.misfit: by_halves degrees_of_freedom laplace_miss over_images
             fitting.joint.misfit: unequal_pixels widened
             fitting.joint.marginal: chi_square image_error_means log_density scatter_log_density
-            fitting.joint.model: black_level cell_errors cost log_likelihood log_likelihood_by_image
+            fitting.joint.model: black_level cost log_likelihood log_likelihood_by_image
             fitting.joint.model: log_posterior of_surface parameters predicted predicted_parts
-            fitting.joint.model: scatter_scales values_at weights
+            fitting.joint.model: residuals scatter_scales values_at weights
             fitting.joint.prediction: predict score
         """,
     ),
