@@ -46,8 +46,11 @@ SMALLEST_COSINE = 0.02  # of incidence: below, the outline's half-lit pixels
 
 @dataclass(frozen=True)
 class Grid:
-    """Which pixels share a cell, and how light falls on it."""
+    """Which pixels of a channel share a cell, and how light falls on it."""
 
+    observation: Photographs
+    channel: int
+    form: Form
     cell: Int[np.ndarray, "images pixels"]  # its index for each
     count: Float[np.ndarray, "images cells"]  # pixels; 0 for what only fills the table up
     lights: Int[np.ndarray, " images"]  # indices of the images in the fit
@@ -108,7 +111,8 @@ def make_grid(
         falloff = _means(observation.falloff[light], of_image, pixels)
         irradiance.append(observation.intensity[channel, light] * falloff)
     geometry = local_geometry(*(np.stack(a) for a in (normals, wi, irradiance)), turns=turns)
-    return Grid(cell, count, lights, geometry, float(np.median(np.bincount(levels[0]))), turns)
+    patch = float(np.median(np.bincount(levels[0])))
+    return Grid(observation, channel, form, cell, count, lights, geometry, patch, turns)
 
 
 def _levels(normals: np.ndarray, width: float) -> list[np.ndarray]:
@@ -144,18 +148,12 @@ def _divided(levels: list[np.ndarray], split: np.ndarray) -> np.ndarray:
 
 
 def reduce_images(
-    observation: Photographs,
-    channel: int,
-    grid: Grid,
-    reference: Values,
-    form: Form,
-    *,
-    within: Float[np.ndarray, "images cells"] | None = None,
+    grid: Grid, reference: Values, *, within: Float[np.ndarray, "images cells"] | None = None
 ) -> Cells:
-    """Return the cells of one channel about a model of natural `reference` values, which must
-    include gain and read noise. If unequal pixels are among them, the cells have products of two
-    images' deviations. `within` is the (images, cells) count of cells that may be used; None allows
-    all."""
+    """Return the cells of a grid about a model of natural `reference` values, which must include
+    gain and read noise. If unequal pixels are among them, the cells have products of two images'
+    deviations. `within` is the (images, cells) count of cells that may be used; None allows all."""
+    observation, channel, form = grid.observation, grid.channel, grid.form
     count, mean, scatter, offset = (np.zeros(grid.count.shape) for _ in range(4))
     left = np.zeros(grid.cell.shape)
     white = jnp.asarray(observation.white)

@@ -118,12 +118,12 @@ def fit_channel(
         data = eqx.tree_at(lambda d: d.cells.geometry, data, grid.geometry)
     data, start, gone = without_small_errors(data, start)
     about_start = data
-    data, solution = _rounds(observation, channel, grid, data, start)
+    data, solution = _rounds(grid, data, start)
     chi_square, cells = _chi_square(solution.vector, data)
     unexplained = None
     if chi_square - 1 > EXCESS * np.sqrt(2 / cells):
         unexplained = chi_square
-        data, solution = _rounds(observation, channel, grid, *with_misfit(about_start, start))
+        data, solution = _rounds(grid, *with_misfit(about_start, start))
         chi_square, cells = _chi_square(solution.vector, data)
     of_prior = -eqx.filter_jit(jax.hessian(log_prior, argnums=1))(data.space, solution.vector)
     by_data = np.asarray(solution.information - of_prior, np.float64)
@@ -173,7 +173,7 @@ def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid,
         turns="direction_scatter" in scales,
         shared="prnu" in scales,
     )
-    cells = reduce_images(observation, channel, grid, natural | known, form)
+    cells = reduce_images(grid, natural | known)
     seen = int(jnp.sum(cells.count > 0))
     if seen < FEWEST_CELLS:
         raise InputError(
@@ -240,16 +240,14 @@ def _gain_of_neighbours(observation: Photographs, channel: int, gamma: float | N
 # ---------------------------------------------------------------- search
 
 
-def _rounds(
-    observation: Photographs, channel: int, grid: Grid, data: JointData, vector: Array
-) -> tuple[JointData, NewtonSolution]:
+def _rounds(grid: Grid, data: JointData, vector: Array) -> tuple[JointData, NewtonSolution]:
     """The optimum with cells about it: the reference is updated until it no longer changes."""
     solution = minimise(cost, vector, data)
     for number in range(MOST_ROUNDS):
         reference = solution.vector
         within = None if number < FREE_ROUNDS else np.asarray(data.cells.count)
-        of = observation, channel, grid, values_at(reference, data), data.form
-        data = eqx.tree_at(lambda d: d.cells, data, reduce_images(*of, within=within))
+        cells = reduce_images(grid, values_at(reference, data), within=within)
+        data = eqx.tree_at(lambda d: d.cells, data, cells)
         solution = minimise(cost, reference, data)
         if not solution.converged:
             break

@@ -13,7 +13,7 @@ the mode is therefore subtracted, so that their density has the mode of all pixe
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -55,6 +55,7 @@ from .samples import (
     Grouping,
     Samples,
     Selection,
+    View,
     average,
     cost_and_information,
     image_samples,
@@ -146,25 +147,26 @@ class ChannelFit:
 def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping) -> ChannelFit:
     """Return the best fit of one channel with its robustness, misfit and evidence."""
     observation, selection = gathered.observation, gathered.selection
-    samples = gathered.samples(channel, form)
+    view, samples = View(observation, channel, selection), gathered.samples(channel, form)
     sensor = None
     if observation.gain is not None and observation.read_noise is not None:
         sensor = sensor_spread(observation.gain, observation.read_noise)
-    found, lights, turns, known = best(samples, grouping, sensor), None, None, observation
+    found, lights, turns = best(samples, grouping, sensor), None, None
     if np.any(observation.uncertain.get("direction_sd", 0) * ~observation.held_out):
-        found, lights = among_turns(found, gathered, channel, grouping, sensor)
+        found, lights = among_turns(found, view, grouping, sensor)
         if lights.followed:
             turns = lights.turns / lights.widened
-            known = with_wider_directions(observation, lights.widened)
+            wider = with_wider_directions(observation, lights.widened)
+            view = replace(view, observation=wider)
     samples, prediction = found.samples, found.prediction
     space = parameter_space(samples.form)
-    stated = stated_errors(known, channel, prediction, samples, selection, turns)
+    stated = stated_errors(view, prediction, samples, turns)
     residual, signal, slope = seen = residual_signal_slope(prediction, samples)
     likeliest = weighted(prediction, samples, fit_spread(*seen, sensor=sensor))
     told = None
     if lights is not None:
         about = np.zeros_like(lights.turns) if turns is None else turns
-        shifts = shifts_of_turns(known, about, channel, prediction.vector, likeliest, selection)
+        shifts = shifts_of_turns(view, about, prediction.vector, likeliest)
         told = about, information_on_turns(shifts, likeliest, selection, len(about))
 
     def chi_square(spread: Spread) -> float:
@@ -190,7 +192,7 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         by_light=squared_errors(prediction.dn, samples, selection),
         turns_and_information=told,
         converged=found.converged,
-        turn_prior=known.turn_prior,
+        turn_prior=observation.turn_prior,
     )
 
 

@@ -45,18 +45,16 @@ from ...inference.left_out import LeftOut, distance, negligible
 from .optimum import Optimum, Spread, weighed, weighed_and_fitted
 from .read import Photographs, across, angles
 from .samples import (
-    Gathered,
     Grouping,
     Prediction,
     Samples,
     Selection,
+    View,
     inverse_deviation,
-    make_samples,
-    of_some_pixels,
     predict,
     scores_and_slopes,
 )
-from .signal import Matrix, Vector
+from .signal import Form, Matrix, Vector
 
 STEP = 0.5  # standard deviations to either side, of a slope
 LEAST_INFORMATION = 1e-12  # least information of an image on a rotation, in units of the prior's
@@ -85,23 +83,22 @@ def turned(observation: Photographs, angles_across: Turns) -> Photographs:
     return replace(observation, wi=moved, cosine=cosine, mirror_angle=mirror)
 
 
-def shifts_of_turns(
-    observation: Photographs,
-    turns: Turns,
-    channel: int,
-    vector: Vector,
-    samples: Samples,
-    selection: Selection,
-) -> Shifts:
+def shifts_of_turns(view: View, turns: Turns, vector: Vector, samples: Samples) -> Shifts:
     """Return (2, samples) DN, the change of a prediction when its light rotates by one standard
     deviation about each axis, at `turns`."""
 
     def predicted(axis: int, step: float) -> np.ndarray:
-        moved = _about(observation, selection, channel, samples, turns + step * np.eye(2)[axis])
+        moved = _about(view, turns + step * np.eye(2)[axis], samples.form)
         return predict(vector, replace(moved, gamma=samples.gamma)).dn
 
     moves = [predicted(axis, STEP) - predicted(axis, -STEP) for axis in (0, 1)]
     return np.stack(moves) / (2 * STEP)
+
+
+def _about(view: View, turns: Turns, form: Form) -> Samples:
+    """The samples under rotated lights."""
+    seen = turned(view.observation, turns * view.observation.uncertain["direction_sd"][:, None])
+    return replace(view, observation=seen).samples(form)
 
 
 def likeliest_turns(
@@ -174,14 +171,14 @@ class TurnedLights:
 
 
 def among_turns(
-    nominal: Optimum, gathered: Gathered, channel: int, grouping: Grouping, sensor: Spread | None
+    nominal: Optimum, view: View, grouping: Grouping, sensor: Spread | None
 ) -> tuple[Optimum, TurnedLights]:
     """Alternate between parameters and light rotations until no light moves. If lights are off by
     more than stated and chance allows, their uncertainty is taken from the images.
 
     Returns `nominal`, the optimum at the rig's directions, if the rotations are not followed.
     """
-    observation = gathered.observation
+    observation = view.observation
     known = (observation.uncertain["direction_sd"] > 0) & ~observation.held_out
     seen = 2 * int(np.count_nonzero(known))
     most = float(np.sqrt(chdtri(seen, IMPLAUSIBLE) / seen))
@@ -193,12 +190,12 @@ def among_turns(
     def size(turns: np.ndarray) -> float:
         return _rms(solve_triangular(root, turns[known].ravel(), lower=True))
 
-    found, turns = _consistent_turns(nominal, gathered, known, channel, grouping, sensor)
+    found, turns = _consistent_turns(nominal, view, known, grouping, sensor)
     lights = TurnedLights(turns, size(turns))
     if most < lights.size <= WIDEST:
         widened = lights.size
-        wider = replace(gathered, observation=with_wider_directions(observation, widened))
-        found, turns = _consistent_turns(nominal, wider, known, channel, grouping, sensor)
+        wider = replace(view, observation=with_wider_directions(observation, widened))
+        found, turns = _consistent_turns(nominal, wider, known, grouping, sensor)
         lights = TurnedLights(widened * turns, widened * size(turns), widened)
     return (found if lights.followed else nominal), lights
 
@@ -210,48 +207,32 @@ def with_wider_directions(observation: Photographs, factor: float) -> Photograph
 
 
 def _consistent_turns(
-    nominal: Optimum,
-    gathered: Gathered,
-    known: np.ndarray,
-    channel: int,
-    grouping: Grouping,
-    sensor: Spread | None,
+    nominal: Optimum, view: View, known: np.ndarray, grouping: Grouping, sensor: Spread | None
 ) -> tuple[Optimum, Turns]:
     """Return the optimum and the rotations that agree with each other. With many samples, a subset
     is used until no light moves, then all of them twice. It stops if lights move too far."""
-    whole = gathered.observation, gathered.selection
     found, turns = nominal, np.zeros((len(known), 2))
-    step = max(1, len(whole[1].light) // ENOUGH)
-    stages = [(*whole, MOST_TURNS)]
+    step, prior = max(1, len(view.selection.light) // ENOUGH), view.observation.turn_prior
+    stages = [(view, MOST_TURNS)]
     if step > 1:
-        stages = [(*of_some_pixels(*whole, step), MOST_TURNS), (*whole, 2)]
-    for observation, selection, rounds in stages:
+        stages = [(view.of_some_pixels(step), MOST_TURNS), (view, 2)]
+    for seen, rounds in stages:
         if step > 1:
-            samples = _about(observation, selection, channel, found.samples, turns)
+            samples = _about(seen, turns, found.samples.form)
             samples, _, _, prediction = weighed(found.vector, samples, sensor)
             found = replace(found, samples=samples, prediction=prediction)
         for _ in range(rounds):
-            vector, samples = found.vector, found.samples
-            shifts = shifts_of_turns(observation, turns, channel, vector, samples, selection)
-            before = turns
+            vector, samples, before = found.vector, found.samples, turns
+            shifts = shifts_of_turns(seen, before, vector, samples)
             turns = likeliest_turns(
-                shifts, before, found.prediction, samples, selection, observation.turn_prior
+                shifts, before, found.prediction, samples, seen.selection, prior
             )
             if _rms(turns[known]) > ABSURD:
                 return nominal, turns
-            samples = _about(observation, selection, channel, samples, turns)
-            found = weighed_and_fitted(vector, samples, grouping, sensor)
+            found = weighed_and_fitted(vector, _about(seen, turns, samples.form), grouping, sensor)
             if np.abs(turns - before).max() < SETTLED:
                 break
     return found, turns
-
-
-def _about(
-    observation: Photographs, selection: Selection, channel: int, like: Samples, turns: Turns
-) -> Samples:
-    """The samples of a form, seen under rotated lights."""
-    lights = turned(observation, turns * observation.uncertain["direction_sd"][:, None])
-    return make_samples(lights, channel, like.form, selection)
 
 
 def _rms(values: np.ndarray) -> float:
@@ -284,17 +265,13 @@ class StatedErrors:
 
 
 def stated_errors(
-    observation: Photographs,
-    channel: int,
-    prediction: Prediction,
-    samples: Samples,
-    selection: Selection,
-    turns: Turns | None,
+    view: View, prediction: Prediction, samples: Samples, turns: Turns | None
 ) -> StatedErrors:
     """Return p for all errors that the rig states and a fit can notice. `turns` are the (lights, 2)
     rotations of the samples' lights, if they were fitted."""
-    sizes, light, count = observation.uncertain, selection.light, len(prediction.vector)
-    lights, deviation = len(observation.files), np.asarray(samples.deviation, np.float64)
+    observation, light, lights = view.observation, view.selection.light, view.lights
+    sizes, count = observation.uncertain, len(prediction.vector)
+    deviation = np.asarray(samples.deviation, np.float64)
 
     def by_light(values: np.ndarray) -> np.ndarray:
         return np.bincount(light, values, lights)
@@ -306,9 +283,7 @@ def stated_errors(
     own = {n: (sizes[n][light] * s)[None] for n, s in along.items() if np.any(sizes.get(n, 0))}
     if np.any(sizes.get("direction_sd", 0)):
         about = np.zeros((lights, 2)) if turns is None else turns
-        own["direction_sd"] = shifts_of_turns(
-            observation, about, channel, prediction.vector, samples, selection
-        )
+        own["direction_sd"] = shifts_of_turns(view, about, prediction.vector, samples)
     shared = {}
     if observation.black_sd:
         shared["black_sd"] = np.full((1, len(samples.dn)), observation.black_sd)
@@ -333,7 +308,7 @@ def stated_errors(
         if turnable is None:
             return values
         prior = observation.turn_prior
-        return beyond_turns(values, turnable, samples, selection, lights, prior=prior)
+        return beyond_turns(values, turnable, samples, view.selection, lights, prior=prior)
 
     slopes = left(scores_and_slopes(prediction, samples)[1])
     of_lights = [

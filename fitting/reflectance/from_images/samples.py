@@ -152,19 +152,34 @@ def make_samples(
     return gather(observation, selection, channels=(channel,)).samples(channel, form)
 
 
+@dataclass(frozen=True, eq=False)
+class View:
+    """One channel of photographs at the samples of a fit."""
+
+    observation: Photographs
+    channel: int
+    selection: Selection
+
+    @property
+    def lights(self) -> int:
+        """How many there are, held out or not."""
+        return len(self.observation.files)
+
+    def samples(self, form: Form) -> Samples:
+        """With a deviation of 1 DN."""
+        return make_samples(self.observation, self.channel, form, self.selection)
+
+    def of_some_pixels(self, step: int) -> "View":
+        """The samples of every `step`-th pixel."""
+        kept = self.selection.pixel % step == 0
+        some = Selection(self.selection.light[kept], self.selection.pixel[kept] // step)
+        return View(self.observation.of_pixels(slice(None, None, step)), self.channel, some)
+
+
 def image_samples(observation: Photographs, channel: int, form: Form, light: int) -> Samples:
     """All pixels of the object under one light, with a deviation of 1 DN."""
     pixels = np.arange(observation.cosine.shape[1])
     return make_samples(observation, channel, form, Selection(np.full_like(pixels, light), pixels))
-
-
-def of_some_pixels(
-    observation: Photographs, selection: Selection, step: int
-) -> tuple[Photographs, Selection]:
-    """Return an observation of every `step`-th pixel, and its part of a selection."""
-    kept = selection.pixel % step == 0
-    fewer = Selection(selection.light[kept], selection.pixel[kept] // step)
-    return observation.of_pixels(slice(None, None, step)), fewer
 
 
 # ---------------------------------------------------------------- prediction

@@ -823,9 +823,8 @@ ELSEWHERE = (
             fitting.reflectance.from_images.samples: average cells_of cost_and_information gather
             fitting.reflectance.from_images.samples: group image_samples inverse_deviation
             fitting.reflectance.from_images.samples: log_likelihood_of_dn log_likelihoods
-            fitting.reflectance.from_images.samples: make_samples of_some_pixels predict
-            fitting.reflectance.from_images.samples: saturated_only scores_and_slopes select
-            fitting.reflectance.from_images.samples: total_log_likelihood
+            fitting.reflectance.from_images.samples: make_samples predict saturated_only
+            fitting.reflectance.from_images.samples: scores_and_slopes select total_log_likelihood
             fitting.reflectance.from_images.shading_check: contradictions directions_by_shading
             fitting.reflectance.from_images.shading_check: without_strangers
             fitting.reflectance.from_images.signal: decoded encoded encoding_slope in_plane
