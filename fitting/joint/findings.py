@@ -21,7 +21,7 @@ from ..report.section import Table
 from ..report.sentences import Finding, Numbers, said
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
-from .misfit import APART, NOISE, unequal_pixels
+from .misfit import APART, NOISE, UnequalPixels, unequal_pixels
 from .model import MISFIT_AT
 from .prediction import Score
 
@@ -135,18 +135,25 @@ def _misfit(of: OfChannel) -> Numbers | None:
     return {"chi": fit.unexplained, "dark": dark, "bright": bright}
 
 
-def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
-    """Unequal pixels that are significant, or that could bias gain and read noise without being
-    significant."""
+def hiding_pixels(of: OfChannel) -> tuple[UnequalPixels, bool] | None:
+    """What the scatter of pixels says of their gains, and whether these hide gain and read noise;
+    None where it says nothing."""
     calibration, fit = of
     if "prnu" in fit.values or _posterior(of) is None or misses_as_noise(calibration, fit):
         return None
     seen = unequal_pixels(fit)
-    stated = calibration.observation.camera.prnu_sd is not None
-    if seen.found != found or not seen.hide_noise(stated):
+    return seen, seen.hide_noise(calibration.observation.camera.prnu_sd is not None)
+
+
+def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
+    """Unequal pixels that are significant, or that could bias gain and read noise without being
+    significant."""
+    judged = hiding_pixels(of)
+    if judged is None or not judged[1] or judged[0].found != found:
         return None
+    seen = judged[0]
     remedy = ", or flats and darks"
-    if fit.data.levels is not None:
+    if of[1].data.levels is not None:
         remedy = "; the flats and darks alone tell gain and read noise by `noise`"
     size, most = (format_percent(x, decimals=2) for x in (seen.size, seen.most))
     numbers = {"deviations": seen.deviations, "prnu": seen.size, "moved": seen.moved}
@@ -156,12 +163,11 @@ def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
 def _gain_of_scatter(of: OfChannel) -> Numbers | None:
     """A remark that only the scatter of the object's pixels determines the gain."""
     calibration, fit = of
-    if "prnu" in fit.values or _posterior(of) is None or misses_as_noise(calibration, fit):
+    known = "system_gain" in fit.data.known or fit.data.levels is not None
+    seen = hiding_pixels(of)
+    if known or seen is None or seen[1]:
         return None
     stated = calibration.observation.camera.prnu_sd is not None
-    known = "system_gain" in fit.data.known or fit.data.levels is not None
-    if known or unequal_pixels(fit).hide_noise(stated):
-        return None
     return {"why": "which the rig says are equal" if stated else "which shows no unequal pixels"}
 
 

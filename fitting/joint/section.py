@@ -5,14 +5,14 @@ from functools import partial
 from ..inference.estimates import Estimate, not_determined
 from ..inference.posterior import estimates
 from ..reflectance.from_images.comparison import only_if_described
-from ..reflectance.material import material_files
+from ..reflectance.from_images.section import what_was_fitted
 from ..reflectance.models import LABELS
 from ..report.left_out import left_out_tables
 from ..report.section import Picture, Section
 from . import figures
 from .calibration import JointCalibration
-from .findings import findings, misfit_table, misses_as_noise, score_table
-from .misfit import NOISE, unequal_pixels
+from .findings import findings, hiding_pixels, misfit_table, misses_as_noise, score_table
+from .misfit import NOISE
 from .prediction import score
 
 
@@ -33,21 +33,10 @@ def section(calibration: JointCalibration) -> Section:
         findings=findings(calibration),
         pictures=_pictures(calibration),
         tables=(score_table(scores), misfit_table(calibration), *gone),
-        posteriors=calibration.posteriors,
-        settings={
-            "model": calibration.model,
-            "lights fitted": int((~observation.held_out).sum()),
-            "lights held out": int(observation.held_out.sum()),
-            "pixels of the object": observation.cosine.shape[1],
-            "clip level [DN]": observation.clip,
-            **{f"{name}, taken as exact": float(value) for name, value in known.items()},
-        },
-        records=material_files(
-            {
-                fit.channel: (fit.data.form.model, fit.data.form.index, posterior)
-                for fit in calibration.fits
-                if (posterior := calibration.posteriors.get(fit.channel)) is not None
-            }
+        **what_was_fitted(
+            calibration,
+            calibration.fits,
+            {f"{name}, taken as exact": float(value) for name, value in known.items()},
         ),
     )
     errors = {
@@ -60,24 +49,22 @@ def section(calibration: JointCalibration) -> Section:
 def _estimates(calibration: JointCalibration) -> tuple[Estimate, ...]:
     rows: list[Estimate] = []
     for fit in calibration.fits:
-        if fit.channel in calibration.posteriors:
-            found = estimates(calibration.posteriors[fit.channel], group=fit.channel)
-            stated = calibration.observation.camera.prnu_sd is not None
-            hidden = "prnu" not in fit.values and unequal_pixels(fit).hide_noise(stated)
-            why = "pixels may be unequal (see the findings)"
-            if misses_as_noise(calibration, fit):
-                hidden, why = True, "the model misses the surface (see the findings)"
-            endless = calibration.posteriors[fit.channel].endless
-            reasons: dict[str, str] = dict.fromkeys(NOISE, why) if hidden else {}
-            if endless:
-                reasons[endless] = "the data bound it on one side only (see the findings)"
-            rows += [
-                not_determined(e, reasons[e.name], group=fit.channel) if e.name in reasons else e
-                for e in found
-            ]
-        else:
+        posterior, group = calibration.posteriors.get(fit.channel), fit.channel
+        reasons: dict[str, str] = {}
+        if posterior is None:
             why = "the data leave a direction open (see the findings)"
-            rows += [not_determined(parameter, why, group=fit.channel) for parameter in fit.space]
+            rows += [not_determined(parameter, why, group=group) for parameter in fit.space]
+            continue
+        if misses_as_noise(calibration, fit):
+            reasons = dict.fromkeys(NOISE, "the model misses the surface (see the findings)")
+        elif (judged := hiding_pixels((calibration, fit))) is not None and judged[1]:
+            reasons = dict.fromkeys(NOISE, "pixels may be unequal (see the findings)")
+        if posterior.endless:
+            reasons[posterior.endless] = "the data bound it on one side only (see the findings)"
+        rows += [
+            not_determined(e, reasons[e.name], group=group) if e.name in reasons else e
+            for e in estimates(posterior, group=group)
+        ]
     return tuple(rows)
 
 

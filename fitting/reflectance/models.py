@@ -34,7 +34,7 @@ from jaxvision.brdf.torrance_sparrow import Distribution, TorranceSparrow
 from jaxvision.errors import InputError
 from jaxvision.scene import Material
 
-from ..inference.parameters import Parameter
+from ..inference.parameters import Parameter, ParameterSpace
 from .names import Axis, Model
 
 HIGHEST_INDEX = 10.0  # of refraction: beyond any material
@@ -158,6 +158,15 @@ def check_index(index: float) -> None:
     """`InputError` for an index of refraction that no clear material has."""
     if not 1 < index < HIGHEST_INDEX:
         raise InputError(f"index = {index:g}: give an index of refraction above 1 and below 10.")
+
+
+def surface_space(model: Model, diffuse: str, specular: str) -> ParameterSpace:
+    """diffuse; specular; the lobe's shape: those that the model has, with the units of the
+    amplitudes."""
+    space = [amplitude("diffuse", "k_d", diffuse)]
+    if has_lobe(model):
+        space.append(amplitude("specular", "k_s", specular))
+    return tuple(space) if model == "lambert" else (*space, shape_of(model))
 
 
 def has_lobe(model: Model) -> bool:

@@ -27,7 +27,7 @@ from ...inference.posterior import Posterior, laplace, laplace_or_emcee
 from ...inference.precision import in_double
 from ...inference.problem import Problem, log_density
 from ...report.notebook import ShownInNotebooks
-from ..models import REFLECTANCES, amplitude, check_index, has_lobe, shape_range
+from ..models import REFLECTANCES, check_index, shape_range, surface_space
 from ..names import INDEX, Model, Objective
 from .errors import Errors, best, errors, prediction_of_held_out
 from .fit import LobeFit, ModelFit, OfBands, brdf, fit_models, problem_of
@@ -122,7 +122,7 @@ def calibrate(
     }
     reported = best(held_out, objective) if model is None else model
     chosen = fits[reported]
-    space = parameter_space(reported)
+    space = surface_space(reported, "sr^-1", REFLECTANCES[reported].unit)  # means over bands
     mean = _natural(chosen.whole, space)
     covariance = _log_covariance(chosen, space)
     reasons = _open_parameters(reported, space, mean, covariance)
@@ -146,17 +146,6 @@ def calibrate(
         open_parameters=reasons,
         posterior=posterior,
     )
-
-
-def parameter_space(model: Model) -> ParameterSpace:
-    """diffuse; specular; shape: those that the model has, with amplitudes averaged over bands."""
-    row = REFLECTANCES[model]
-    space = [amplitude("diffuse", "k_d", "sr^-1")]
-    if has_lobe(model):
-        space.append(amplitude("specular", "k_s", row.unit))
-    if row.shape is not None:
-        space.append(row.shape)
-    return tuple(space)
 
 
 # ---------------------------------------------------------------- uncertainty

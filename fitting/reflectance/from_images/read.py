@@ -25,7 +25,7 @@ from jaxvision.files.images import read_image
 from jaxvision.geometry import angle_between, mirror_direction
 from jaxvision.geometry.hemisphere import local_frame
 
-from ...frame_checks.frame import FrameSample, frame_sample, refuse_half
+from ...frame_checks.frame import frame_sample, refuse_half
 from ...frame_checks.heads import Stated, odd_heads
 from ...frame_checks.levels import odd_frames
 from ...inference.formatting import format_percent
@@ -498,15 +498,27 @@ def _held_out(rig: Rig) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
 
 
 def _refuse_unusable(rig: Rig, observation: Photographs) -> None:
-    lit = observation.cosine > 0
+    lit, black = observation.cosine > 0, observation.black
     for name, of_light in zip(observation.files, lit, strict=True):
         if not of_light.any():
             raise InputError(
                 f"{rig.folder}: light {name} reaches no visible pixel; its direction must point "
                 "from the object toward the light (x right, y up, z toward the camera)."
             )
-    for channel, dn in zip(observation.channels, observation.dn, strict=True):
-        _refuse_clipped_or_dark(rig, observation, channel, dn[lit])
+    for channel, dn in zip(observation.channels, observation.dn[:, lit], strict=True):
+        clipped = float(np.mean(dn >= observation.clip))
+        if clipped > 0.9:
+            raise InputError(
+                f"{rig.folder}: {format_percent(clipped)} of the lit pixels of the {channel} "
+                f"channel are saturated (at or above {observation.clip:g} DN); expose less, or "
+                "correct camera.saturation."
+            )
+        if np.median(dn) - black < 1:
+            raise InputError(
+                f"{rig.folder}: the lit pixels of the {channel} channel are dark (median "
+                f"{np.median(dn):g} DN over a black level of {black:g} DN); expose more, or "
+                "correct camera.black_level or the directions of the lights."
+            )
     lightless = lightless_images(observation)
     if 2 * len(lightless) > len(observation.files) or len(observation.files) - len(lightless) < 3:
         for i, state in lightless.items():
@@ -545,24 +557,6 @@ def _dark(observation: Photographs) -> Bool[np.ndarray, " lights"]:
     return at_black & (median < DARK_SHARE * expected)
 
 
-def _refuse_clipped_or_dark(
-    rig: Rig, observation: Photographs, channel: str, lit_dn: Float[np.ndarray, " lit"]
-) -> None:
-    clipped = float(np.mean(lit_dn >= observation.clip))
-    if clipped > 0.9:
-        raise InputError(
-            f"{rig.folder}: {format_percent(clipped)} of the lit pixels of the {channel} channel "
-            f"are saturated (at or above {observation.clip:g} DN); expose less, or correct "
-            "camera.saturation."
-        )
-    if np.median(lit_dn) - observation.black < 1:
-        raise InputError(
-            f"{rig.folder}: the lit pixels of the {channel} channel are dark (median "
-            f"{np.median(lit_dn):g} DN over a black level of {observation.black:g} DN); expose "
-            "more, or correct camera.black_level or the directions of the lights."
-        )
-
-
 def read_joint_measurement(
     rig: Rig | str | os.PathLike[str], *, load: Load = read_image
 ) -> Photographs:
@@ -597,16 +591,23 @@ def read_joint_measurement(
 def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
     """A rig without the flats and darks that deviate from the others, with the reason."""
     sentences: list[str] = []
-    black = np.zeros(0)
+    camera, black = one_site(rig.camera), np.zeros(0)
     kept: dict[str, list[Flat | Dark]] = {"dark": [], "flat": []}
     for kind in kept:
         entries: Sequence[Flat | Dark] = getattr(rig, kind)
         if not entries:
             continue
-        levels = [_samples_of(rig, entry, load) for entry in entries]
+        levels = []
+        for entry in entries:
+            stack = read_stack(rig, entry.files, load=load)
+            grey = stack.mean(axis=3) if stack.ndim == 4 else stack
+            frames = zip(entry.files, grey, strict=True)
+            levels.append(
+                [frame_sample(name, frame, top=camera.clip_level) for name, frame in frames]
+            )
         light = [getattr(entry, "photons", None) or entry.exposure for entry in entries]
         is_flat = kind == "flat"
-        floor = np.median(black) if black.size else one_site(rig.camera).black_level or 0.0
+        floor = np.median(black) if black.size else camera.black_level or 0.0
         odd = odd_frames(
             levels, light=light, black=np.full(len(levels), floor) if is_flat else None
         )
@@ -618,16 +619,6 @@ def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
             if files := tuple(name for name in entry.files if name not in gone):
                 kept[kind].append(entry.model_copy(update={"files": files}))
     return rig.model_copy(update={kind: tuple(own) for kind, own in kept.items()}), sentences
-
-
-def _samples_of(rig: Rig, entry: Flat | Dark, load: Load) -> list[FrameSample]:
-    """The summaries of a level's frames; for colours, of their mean."""
-    stack = read_stack(rig, entry.files, load=load)
-    grey = stack.mean(axis=3) if stack.ndim == 4 else stack
-    top = one_site(rig.camera).clip_level
-    return [
-        frame_sample(name, frame, top=top) for name, frame in zip(entry.files, grey, strict=True)
-    ]
 
 
 def _levels(

@@ -4,7 +4,9 @@ Several models are fitted to the same lights and compared on the others. The req
 reported in full, with the reasons to doubt it.
 """
 
+from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +28,7 @@ from .signal import parameter_space
 def section(calibration: ReflectanceCalibration) -> Section:
     """Report a calibrated reflectance: estimates, findings, tables and pictures."""
     observation = calibration.observation
-    held_out = int(observation.held_out.sum())
+    held_out, index = int(observation.held_out.sum()), calibration.reported[0].requested.index
     found = Section(
         kind="brdf",
         title=f"Reflectance: {LABELS[calibration.model]}",
@@ -38,29 +40,16 @@ def section(calibration: ReflectanceCalibration) -> Section:
             misfit_table(calibration),
             *left_out_tables((fit.channel, fit.stated.left_out) for fit in calibration.reported),
         ),
-        posteriors=calibration.posteriors,
-        settings={
-            "model": calibration.model,
-            "lights fitted": int((~observation.held_out).sum()),
-            "lights held out": held_out,
-            "pixels of the object": observation.cosine.shape[1],
-            "samples per channel": len(calibration.fitted.light),
-            "smallest n.l": calibration.minimum_cosine,
-            "black level [DN]": observation.black,
-            "clip level [DN]": observation.clip,
-            "gamma": observation.gamma or 1.0,
-            **(
-                {"index of refraction": calibration.reported[0].requested.index}
-                if calibration.model in CLEAR
-                else {}
-            ),
-        },
-        records=material_files(
+        **what_was_fitted(
+            calibration,
+            calibration.reported,
             {
-                fit.channel: (fit.form.model, fit.form.index, calibration.posteriors[fit.channel])
-                for fit in calibration.reported
-                if fit.channel in calibration.posteriors
+                "samples per channel": len(calibration.fitted.light),
+                "smallest n.l": calibration.minimum_cosine,
+                "black level [DN]": observation.black,
+                "gamma": observation.gamma or 1.0,
             }
+            | ({"index of refraction": index} if calibration.model in CLEAR else {}),
         ),
     )
     errors = {
@@ -69,6 +58,30 @@ def section(calibration: ReflectanceCalibration) -> Section:
         if one.model == calibration.model
     }
     return only_if_described(found, LABELS[calibration.model], errors)
+
+
+def what_was_fitted(
+    calibration: Any, fits: Sequence[Any], settings: dict[str, Any]
+) -> dict[str, Any]:
+    """The posteriors, settings and files that the sections of both calibrations have."""
+    observation, posteriors = calibration.observation, calibration.posteriors
+    common = {
+        "model": calibration.model,
+        "lights fitted": int((~observation.held_out).sum()),
+        "lights held out": int(observation.held_out.sum()),
+        "pixels of the object": observation.cosine.shape[1],
+        "clip level [DN]": observation.clip,
+    }
+    materials = {
+        fit.channel: (fit.form.model, fit.form.index, posteriors[fit.channel])
+        for fit in fits
+        if fit.channel in posteriors
+    }
+    return {
+        "posteriors": posteriors,
+        "settings": common | settings,
+        "records": material_files(materials),
+    }
 
 
 def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:

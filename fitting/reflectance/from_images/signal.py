@@ -31,7 +31,7 @@ from jaxvision.sensor import QUANTISATION_VARIANCE
 
 from ...inference.parameters import Parameter, ParameterSpace
 from ...inference.precision import in_double
-from ..models import amplitude, has_lobe, shape_of, unit_shading
+from ..models import amplitude, has_lobe, shape_of, surface_space, unit_shading
 from ..names import INDEX, Model
 from .read import VIEW
 
@@ -58,14 +58,8 @@ class Form:
 
 
 def surface_parameters(form: Form) -> ParameterSpace:
-    """diffuse; specular; the lobe's shape: those that the model has. All are positive and therefore
-    searched as logarithms."""
-    space = [amplitude("diffuse", "k_d", COEFFICIENT_UNIT)]
-    if has_lobe(form.model):
-        space.append(amplitude("specular", "k_s", COEFFICIENT_UNIT))
-    if form.model != "lambert":
-        space.append(shape_of(form.model))
-    return tuple(space)
+    """The parameters of the surface."""
+    return surface_space(form.model, COEFFICIENT_UNIT, COEFFICIENT_UNIT)
 
 
 def parameter_space(form: Form) -> ParameterSpace:
