@@ -15,14 +15,13 @@ from jaxvision.errors import InputError
 from ..observation import Load
 from ..reflectance.from_images.fit import ChannelFit, adjusted_log_density, composite, fit_channel
 from ..reflectance.from_images.optimum import TOLERANCE, minimise_samples
-from ..reflectance.from_images.read import Photographs, read_reflectance_observation
+from ..reflectance.from_images.read import read_reflectance_observation
 from ..reflectance.from_images.samples import (
     Grouping,
     Samples,
-    Selection,
+    View,
     average,
-    gather,
-    group,
+    cells_of,
     predict,
     saturated_only,
     select,
@@ -39,10 +38,9 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     observation = read_reflectance_observation(rig, load=load)
     form = Form("phong")
     chosen = select(observation, held_out=False, form=form, minimum_cosine=0.0)
-    usual = _grouping(observation, chosen, 1.0)
-    every = range(len(observation.channels))
-    gathered = gather(observation, chosen, channels=every)
-    fits = (fit_channel(gathered, channel, form, usual) for channel in every)
+    usual = cells_of(observation, chosen)
+    every = (View(observation, channel, chosen) for channel in range(len(observation.channels)))
+    fits = (fit_channel(view, form, usual) for view in every)
     fit = next((one for one in fits if one.robustness is not None), None)
     if fit is None or fit.robustness is None:
         raise InputError(
@@ -68,7 +66,7 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     def cells(width: float | str) -> Compute:
         if isinstance(width, str):
             return lambda seed: searched(fit.samples)
-        grouping = _grouping(observation, chosen, width)
+        grouping = cells_of(observation, chosen, width=width)
         saturated = saturated_only(fit.samples)
         apart = [] if saturated is None else [saturated]
 
@@ -103,12 +101,6 @@ def _part(samples: Samples, chosen: np.ndarray) -> Samples:
         },
         offset=jax.tree.map(of, samples.offset),
     )
-
-
-def _grouping(observation: Photographs, chosen: Selection, width: float) -> Grouping:
-    light, pixel = chosen.light, chosen.pixel
-    angles = observation.cosine[light, pixel], observation.mirror_angle[light, pixel]
-    return group(light, *angles, width=width)
 
 
 def _density(fit: ChannelFit, grouping: Grouping) -> Density:

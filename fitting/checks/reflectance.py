@@ -11,7 +11,7 @@ from jaxvision.errors import InputError
 from ..reflectance.from_images.calibration import open_parameters
 from ..reflectance.from_images.fit import channel_posterior, fit_channel
 from ..reflectance.from_images.read import Photographs, from_photographs
-from ..reflectance.from_images.samples import Grouping, Selection, gather, group, select
+from ..reflectance.from_images.samples import Grouping, Selection, View, cells_of, select
 from ..reflectance.from_images.signal import Form
 from ..rig import Camera, SphereGeometry
 from .simulations import places_in
@@ -95,9 +95,7 @@ class Sphere:
         )
         observation = replace(observation, held_out=np.zeros(self.lights, bool))
         chosen = select(observation, held_out=False, form=Form("phong"))
-        at = chosen.light, chosen.pixel
-        cells = group(chosen.light, observation.cosine[at], observation.mirror_angle[at])
-        return observation, chosen, cells
+        return observation, chosen, cells_of(observation, chosen)
 
 
 SPHERE = Sphere()
@@ -163,8 +161,8 @@ def places(sphere: Sphere, seed: int) -> np.ndarray:
     """The position of the true values in the posterior of one fit."""
     observation, chosen, cells = sphere.observed
     dn = photographs(sphere, seed)[None][:, :, observation.rows, observation.columns]
-    again = gather(replace(observation, dn=dn), chosen, channels=(0,))
-    found, matt = (fit_channel(again, 0, Form(model), cells) for model in ("phong", "lambert"))
+    view = View(replace(observation, dn=dn), 0, chosen)
+    found, matt = (fit_channel(view, Form(model), cells) for model in ("phong", "lambert"))
     if found.robustness is None or open_parameters(found, matt):
         raise InputError("the data leave a parameter open.")
     posterior = channel_posterior(found, cells, sampling=None, seed=seed)

@@ -39,7 +39,7 @@ from ..inference.parameters import (
 from ..reflectance.from_images.lights import SETTLED, WIDEST, turned
 from ..reflectance.from_images.optimum import project
 from ..reflectance.from_images.read import Photographs, turn_prior_of
-from ..reflectance.from_images.samples import Selection, average, cells_of, make_samples, select
+from ..reflectance.from_images.samples import Selection, View, average, cells_of, select
 from ..reflectance.from_images.signal import Form, Matrix, Values, Vector, decoded, parameter_space
 from ..reflectance.models import is_searched, shape_of
 from . import marginal
@@ -201,7 +201,7 @@ def first_reflectance(
     chosen = select(observation, held_out=False, form=form)
     every = -(-len(chosen.light) // MOST_AT_START)
     chosen = Selection(chosen.light[::every], chosen.pixel[::every])
-    samples = make_samples(observation, channel, form, chosen)
+    samples = View(observation, channel, chosen).samples(form)
     found, vector = project(average(samples, cells_of(observation, chosen)))
     space = parameter_space(found.form)
     start = dict(zip(names(space), natural_numbers(space, vector).tolist(), strict=True))

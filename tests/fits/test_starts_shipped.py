@@ -15,7 +15,7 @@ from fitting.noise.calibration import calibrate as calibrate_noise
 from fitting.noise.model import cost as noise_cost
 from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.optimum import optimum
-from fitting.reflectance.from_images.samples import cost_and_information, gather, predict
+from fitting.reflectance.from_images.samples import View, cost_and_information, predict
 from fitting.reflectance.from_images.signal import Form
 from fitting.reflectance.models import has_lobe, is_searched, shape_range
 from fitting.reflectance.names import MODELS
@@ -48,8 +48,8 @@ def judge(found, at_least):
 def test_reflectance(model):
     """Amplitudes from a hundredth to ten times the light, shapes over the searched range."""
     observation, chosen, cells = reflectance.SPHERE.observed
-    gathered = gather(observation, chosen, channels=(0,))
-    fit = fit_channel(gathered, 0, Form(model), cells)
+    view = View(observation, 0, chosen)
+    fit = fit_channel(view, Form(model), cells)
     rng = np.random.default_rng(7)
     ranges = [(0.01, 10.0)] * (1 + has_lobe(model))
     ranges += [] if model == "lambert" else [shape_range(model)]
@@ -110,8 +110,8 @@ def test_a_lobe_beyond_the_range_that_is_searched_is_no_optimum():
     """A start on the plateau of facets so rough that they no longer shine: the gradient vanishes,
     and the fit says that it failed."""
     observation, chosen, cells = reflectance.SPHERE.observed
-    gathered = gather(observation, chosen, channels=(0,))
-    fit = fit_channel(gathered, 0, Form("torrance-sparrow-beckmann"), cells)
+    view = View(observation, 0, chosen)
+    fit = fit_channel(view, Form("torrance-sparrow-beckmann"), cells)
     assert fit.converged
     *_, converged = optimum(np.array([-0.9, 8.5, 11.4]), fit.samples)
     assert not converged

@@ -19,7 +19,7 @@ from fitting.reflectance import Camera, from_photographs, photometric_stereo
 from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.lights import beyond_turns
 from fitting.reflectance.from_images.read import across, read_reflectance_observation
-from fitting.reflectance.from_images.samples import gather, group, select
+from fitting.reflectance.from_images.samples import View, group, select
 from fitting.reflectance.from_images.signal import Form
 from fitting.rig import SiteCamera
 from jaxvision.errors import InputError
@@ -362,7 +362,7 @@ def test_intervals_of_a_reflectance_hold_through_the_lights():
         chosen = select(patch, held_out=False, form=form)
         at = chosen.light, chosen.pixel
         cells = group(chosen.light, patch.cosine[at], patch.mirror_angle[at])
-        fit = fit_channel(gather(patch, chosen, channels=(0,)), 0, form, cells)
+        fit = fit_channel(View(patch, 0, chosen), form, cells)
         assert fit.robustness is not None
         z.append(np.log(fit.natural[0] / 0.9) / np.sqrt(fit.robustness.covariance[0, 0]))
     assert np.mean(np.abs(z) < 1.96) >= 0.86

@@ -45,9 +45,9 @@ from fitting.reflectance.from_images.fit import (
 )
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.reflectance.from_images.samples import (
+    View,
     average,
     cost_and_information,
-    gather,
     group,
     log_likelihoods,
     predict,
@@ -89,8 +89,8 @@ def with_frames(observation, frames):
 def fit(observation, model="phong", **options):
     form = Form(model, **options)
     chosen = select(observation, held_out=False, form=form)
-    gathered = gather(observation, chosen, channels=(0,))
-    return fit_channel(gathered, 0, form, cells(observation, chosen))
+    view = View(observation, 0, chosen)
+    return fit_channel(view, form, cells(observation, chosen))
 
 
 def cells(observation, chosen, width=1.0):
@@ -522,7 +522,7 @@ def test_derivatives_are_those_that_jax_takes_of_the_density(observation, form, 
     """Of pixels and, with an offset, of cells; some of them saturated."""
     seen = dataclasses.replace(observation, **{"clip": 1500.0, **changes})
     chosen = select(seen, held_out=False, form=form)
-    samples = gather(seen, chosen, channels=(0,)).samples(0, form)
+    samples = View(seen, 0, chosen).samples(form)
     deviation = np.random.default_rng(0).uniform(5, 20, len(chosen.light))
     samples = dataclasses.replace(samples, deviation=deviation)
     at = np.log(vector)

@@ -25,9 +25,8 @@ from fitting.reflectance.from_images.lights import (
 )
 from fitting.reflectance.from_images.samples import (
     Selection,
-    gather,
+    View,
     log_likelihoods,
-    make_samples,
     predict,
     scores_and_slopes,
 )
@@ -42,8 +41,8 @@ def fitted():
     observation, chosen, cells = SPHERE.observed
 
     def fit(**changed):
-        gathered = gather(replace(observation, **changed), chosen, channels=(0,))
-        return fit_channel(gathered, 0, Form("phong"), cells)
+        view = View(replace(observation, **changed), 0, chosen)
+        return fit_channel(view, Form("phong"), cells)
 
     return observation, fit
 
@@ -167,7 +166,7 @@ def test_turns_take_the_information_that_a_fit_of_them_takes(fitted, core):
         ends = []
         for size in (-1e-4, 1e-4):
             moved = replace(observation, **turned_by_hand(observation, size, about))
-            ends.append(predict(vector, make_samples(moved, 0, found.form, found.selection)).dn)
+            ends.append(predict(vector, View(moved, 0, found.selection).samples(found.form)).dn)
         columns.append(slope(ends[0], ends[1], 2e-4 / 5e-3))
     design = np.stack(columns, axis=1)
     whole = design.T @ design + np.diag([0, 0, 0, 1, 1])

@@ -22,7 +22,7 @@ from ..names import INDEX, MODELS, Model
 from .comparison import ModelScore, compare
 from .fit import ChannelFit, channel_posterior, fit_channel, lights_as_fitted, predicted_image
 from .read import Photographs
-from .samples import Selection, cells_of, gather, select
+from .samples import Selection, View, cells_of, select
 from .shading_check import without_strangers
 from .signal import Form, parameter_space
 
@@ -140,11 +140,10 @@ def calibrate(
             "lights; lower minimum_cosine, enlarge the mask or add lights."
         )
     cells = cells_of(observation, fitted)
-    channels = range(len(observation.channels))
-    gathered = gather(observation, fitted, channels=channels)
+    views = [View(observation, channel, fitted) for channel in range(len(observation.channels))]
 
     def fitted_channels(form: Form) -> tuple[ChannelFit, ...]:
-        return tuple(fit_channel(gathered, channel, form, cells) for channel in channels)
+        return tuple(fit_channel(view, form, cells) for view in views)
 
     # the channels of a model in turn: its lobe is compiled once
     pieces = [partial(fitted_channels, form) for form in forms.values()]

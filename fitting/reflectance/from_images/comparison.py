@@ -24,7 +24,7 @@ from ..models import LABELS
 from ..names import SHOWS, Model
 from .fit import ChannelFit, lights_as_fitted, squared_errors
 from .read import Photographs
-from .samples import Selection, make_samples, predict
+from .samples import Selection, View, predict
 
 LEVEL = 0.975  # quantile of Student's t within which a difference counts as none
 SAME = 1e-6  # of an error: a smaller difference is where the solvers stopped, not the models'
@@ -95,8 +95,8 @@ def squares_by_light(
     and of squared signals above black; None without samples."""
     if not len(selection.light):
         return None
-    channel = observation.channels.index(fit.channel)
-    samples = make_samples(lights_as_fitted(observation, fit), channel, fit.form, selection)
+    seen = View(lights_as_fitted(observation, fit), fit.view.channel, selection)
+    samples = seen.samples(fit.form)
     return squared_errors(predict(fit.vector, samples).dn, samples, selection)
 
 

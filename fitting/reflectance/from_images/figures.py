@@ -13,7 +13,7 @@ from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from .calibration import ReflectanceCalibration, mean_residual
 from .fit import ChannelFit, lights_as_fitted, predicted_image
 from .read import Photographs
-from .samples import Selection, make_samples
+from .samples import Selection, View
 from .signal import decoded, lobe_with_slopes
 
 MARKERS = {"red": "o", "green": "s", "blue": "^", "grey": "o"}
@@ -201,8 +201,8 @@ def _per_unit_light(
     observation = calibration.observation
     step = max(1, len(calibration.fitted.light) // MOST_POINTS)
     selection = Selection(calibration.fitted.light[::step], calibration.fitted.pixel[::step])
-    channel = observation.channels.index(fit.channel)
-    samples = make_samples(lights_as_fitted(observation, fit), channel, fit.form, selection)
+    channel = fit.view.channel
+    samples = View(lights_as_fitted(observation, fit), channel, selection).samples(fit.form)
     natural = {p.name: v for p, v in zip(fit.space, fit.natural, strict=True)}
     gamma = natural.get("gamma", samples.gamma)
     linear = decoded(samples.dn, float(samples.black), float(samples.white), gamma)

@@ -51,14 +51,13 @@ from .optimum import (
 )
 from .read import Photographs
 from .samples import (
-    Gathered,
     Grouping,
     Samples,
     Selection,
     View,
     average,
     cost_and_information,
-    image_samples,
+    image_view,
     log_likelihood_of_dn,
     predict,
     saturated_only,
@@ -72,11 +71,9 @@ from .signal import Form, Matrix, OfSamples, Vector, parameter_space
 class ChannelFit:
     """A fitted channel. Its form lacks the terms whose best amplitude is zero."""
 
-    channel: str
+    view: View
     requested: Form  # the form asked for
     samples: Samples  # with the form and the deviations of the fit
-    selection: Selection
-    places: Float[np.ndarray, "lights 3"]  # of the lights, in units that compare
     space: ParameterSpace
     vector: Vector  # unconstrained
     information: Matrix  # on that scale, as if all samples were independent
@@ -93,8 +90,14 @@ class ChannelFit:
     # uncertainty; None without such
     turns_and_information: tuple[np.ndarray, np.ndarray] | None
     converged: bool  # whether the optimum was reached
-    # (turns, turns) covariance of the rotations where lights err together, in these units
-    turn_prior: np.ndarray | None = None
+
+    @property
+    def channel(self) -> str:
+        return self.view.observation.channels[self.view.channel]
+
+    @property
+    def selection(self) -> Selection:
+        return self.view.selection
 
     @property
     def form(self) -> Form:
@@ -112,7 +115,8 @@ class ChannelFit:
     @cached_property
     def regions(self) -> Int[np.ndarray, " lights"]:
         """Of lights that err alike; each its own where neighbours do not."""
-        return regions(self._scores_and_slopes[0], self.selection.light, self.places)
+        places = self.view.observation.wi.mean(axis=1)
+        return regions(self._scores_and_slopes[0], self.selection.light, places)
 
     @cached_property
     def robustness(self) -> Robustness | None:
@@ -138,16 +142,16 @@ class ChannelFit:
             return evidence
         turns, information = self.turns_and_information
         flat, told = turns.ravel(), information / design_effect
-        prior = np.eye(len(flat)) if self.turn_prior is None else self.turn_prior
+        prior = self.view.observation.turn_prior
+        prior = np.eye(len(flat)) if prior is None else prior
         volume = np.linalg.slogdet(np.eye(len(flat)) + prior @ told)[1]
         return evidence - float(flat @ np.linalg.solve(prior, flat) + volume) / 2
 
 
 @in_double
-def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping) -> ChannelFit:
+def fit_channel(view: View, form: Form, grouping: Grouping) -> ChannelFit:
     """Return the best fit of one channel with its robustness, misfit and evidence."""
-    observation, selection = gathered.observation, gathered.selection
-    view, samples = View(observation, channel, selection), gathered.samples(channel, form)
+    observation, selection, samples = view.observation, view.selection, view.samples(form)
     sensor = None
     if observation.gain is not None and observation.read_noise is not None:
         sensor = sensor_spread(observation.gain, observation.read_noise)
@@ -174,11 +178,9 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         return float(np.sum(squares) / (len(residual) - len(space)))
 
     return ChannelFit(
-        channel=observation.channels[channel],
+        view=view,
         requested=form,
         samples=samples,
-        selection=selection,
-        places=observation.wi.mean(axis=1),
         space=space,
         vector=prediction.vector,
         information=found.information,
@@ -192,7 +194,6 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         by_light=squared_errors(prediction.dn, samples, selection),
         turns_and_information=told,
         converged=found.converged,
-        turn_prior=observation.turn_prior,
     )
 
 
@@ -232,8 +233,7 @@ def predicted_image(
 ) -> Float[np.ndarray, " pixels"]:
     """Return (pixels,) DN predicted under one light without noise, limited to the clip level. The
     observation must have `lights_as_fitted`."""
-    channel = observation.channels.index(fit.channel)
-    samples = image_samples(observation, channel, fit.form, light)
+    samples = image_view(observation, fit.view.channel, light).samples(fit.form)
     return np.minimum(predict(fit.vector, samples).dn, observation.clip)
 
 

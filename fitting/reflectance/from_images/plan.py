@@ -22,7 +22,7 @@ from .calibration import ReflectanceCalibration
 from .fit import ChannelFit
 from .optimum import weighted
 from .read import Photographs, angles
-from .samples import image_samples, predict, scores_and_slopes
+from .samples import image_view, predict, scores_and_slopes
 from .signal import Form, parameter_space
 
 FROM_VIEW = (0, 20, 40, 60, 80)  # degrees
@@ -72,8 +72,7 @@ def added_information(
 ) -> Float[np.ndarray, "parameters parameters"]:
     """Fisher information (P, P) of one more image of independent pixels, if the model is right."""
     lit = observation.cosine[light] > 0
-    channel = observation.channels.index(fit.channel)
-    samples = image_samples(observation, channel, fit.form, light)
+    samples = image_view(observation, fit.view.channel, light).samples(fit.form)
     prediction = predict(fit.vector, samples)
     samples = replace(
         weighted(prediction, samples, fit.spread),

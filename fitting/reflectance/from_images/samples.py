@@ -19,8 +19,8 @@ All parameters are logarithms. For an amplitude a and a shape s, X_aa = X_a and 
 lobe is a's, 0 otherwise. Chains evaluate the same density traced by JAX.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import equinox as eqx
@@ -98,61 +98,6 @@ def select(
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
-    """Values that all fits of one selection share, gathered once from an observation."""
-
-    observation: Photographs
-    selection: Selection
-    geometry: dict[int, Geometry]  # of each channel by its index
-    dn: dict[int, np.ndarray]  # (samples,) of each channel, DN
-    # (samples,) of each channel; None where nothing clips in any
-    saturated: dict[int, np.ndarray | None]
-
-    def samples(self, channel: int, form: Form) -> Samples:
-        """The samples of one channel, with a deviation of 1 DN."""
-        observation = self.observation
-        gamma = None if form.free_gamma else observation.gamma
-        return Samples(
-            form=form,
-            geometry=self.geometry[channel],
-            dn=self.dn[channel],
-            deviation=np.ones_like(self.dn[channel]),
-            saturated=self.saturated[channel],
-            black=np.float64(observation.black),
-            white=np.float64(observation.white),
-            clip=np.float64(observation.clip),
-            gamma=None if gamma is None else np.float64(gamma),
-        )
-
-
-def gather(observation: Photographs, selection: Selection, *, channels: Iterable[int]) -> Gathered:
-    """Gather the values of a selection that all fits share."""
-    light, pixel = selection.light, selection.pixel
-    clips = bool(observation.saturated[:, light, pixel].any())
-    dn = {channel: observation.dn[channel, light, pixel] for channel in channels}
-    falloff = observation.falloff[light, pixel]
-    normals, wi = observation.normals[pixel], observation.wi[light, pixel]
-    cosine = np.einsum("sc,sc->s", normals, wi)
-    shared = in_plane(cosine, normals @ VIEW, wi @ VIEW, falloff)
-    return Gathered(
-        observation=observation,
-        selection=selection,
-        geometry={
-            c: replace(shared, irradiance=observation.intensity[c, light] * falloff) for c in dn
-        },
-        dn=dn,
-        saturated={c: values >= observation.clip if clips else None for c, values in dn.items()},
-    )
-
-
-def make_samples(
-    observation: Photographs, channel: int, form: Form, selection: Selection
-) -> Samples:
-    """The selected samples of one channel, with a deviation of 1 DN."""
-    return gather(observation, selection, channels=(channel,)).samples(channel, form)
-
-
-@dataclass(frozen=True, eq=False)
 class View:
     """One channel of photographs at the samples of a fit."""
 
@@ -167,7 +112,30 @@ class View:
 
     def samples(self, form: Form) -> Samples:
         """With a deviation of 1 DN."""
-        return make_samples(self.observation, self.channel, form, self.selection)
+        gamma = None if form.free_gamma else self.observation.gamma
+        return replace(self._samples, form=form, gamma=None if gamma is None else np.float64(gamma))
+
+    @cached_property
+    def _samples(self) -> Samples:
+        """What the fits of all forms share."""
+        seen, light, pixel = self.observation, self.selection.light, self.selection.pixel
+        dn, falloff = seen.dn[self.channel, light, pixel], seen.falloff[light, pixel]
+        normals, wi = seen.normals[pixel], seen.wi[light, pixel]
+        cosine = np.einsum("sc,sc->s", normals, wi)
+        irradiance = seen.intensity[self.channel, light] * falloff
+        # all channels have limits where one clips, so that they share programs
+        clips = any((one[light, pixel] >= seen.clip).any() for one in seen.dn)
+        return Samples(
+            form=Form("lambert"),
+            geometry=in_plane(cosine, normals @ VIEW, wi @ VIEW, irradiance),
+            dn=dn,
+            deviation=np.ones_like(dn),
+            saturated=dn >= seen.clip if clips else None,
+            black=np.float64(seen.black),
+            white=np.float64(seen.white),
+            clip=np.float64(seen.clip),
+            gamma=None,
+        )
 
     def of_some_pixels(self, step: int) -> "View":
         """The samples of every `step`-th pixel."""
@@ -176,10 +144,10 @@ class View:
         return View(self.observation.of_pixels(slice(None, None, step)), self.channel, some)
 
 
-def image_samples(observation: Photographs, channel: int, form: Form, light: int) -> Samples:
-    """All pixels of the object under one light, with a deviation of 1 DN."""
+def image_view(observation: Photographs, channel: int, light: int) -> View:
+    """All pixels of the object under one light."""
     pixels = np.arange(observation.cosine.shape[1])
-    return make_samples(observation, channel, form, Selection(np.full_like(pixels, light), pixels))
+    return View(observation, channel, Selection(np.full_like(pixels, light), pixels))
 
 
 # ---------------------------------------------------------------- prediction

@@ -820,11 +820,11 @@ ELSEWHERE = (
             fitting.reflectance.from_images.optimum: sensor_spread variance weighed
             fitting.reflectance.from_images.optimum: weighed_and_fitted weighted
             fitting.reflectance.from_images.plan: added_information check_target plan plan_section
-            fitting.reflectance.from_images.samples: average cells_of cost_and_information gather
-            fitting.reflectance.from_images.samples: group image_samples inverse_deviation
-            fitting.reflectance.from_images.samples: log_likelihood_of_dn log_likelihoods
-            fitting.reflectance.from_images.samples: make_samples predict saturated_only
-            fitting.reflectance.from_images.samples: scores_and_slopes select total_log_likelihood
+            fitting.reflectance.from_images.samples: average cells_of cost_and_information group
+            fitting.reflectance.from_images.samples: image_view inverse_deviation
+            fitting.reflectance.from_images.samples: log_likelihood_of_dn log_likelihoods predict
+            fitting.reflectance.from_images.samples: saturated_only scores_and_slopes select
+            fitting.reflectance.from_images.samples: total_log_likelihood
             fitting.reflectance.from_images.shading_check: contradictions directions_by_shading
             fitting.reflectance.from_images.shading_check: without_strangers
             fitting.reflectance.from_images.signal: decoded encoded encoding_slope in_plane
