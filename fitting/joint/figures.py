@@ -35,21 +35,16 @@ def noise_figure(calibration: JointCalibration) -> Figure:
     figure = Figure(figsize=(6.8, 4.2), layout="constrained")
     axis = figure.subplots()
     for fit in calibration.fits:
-        cells, values = fit.data.cells, fit.values
+        cells = fit.data.cells
         model, left = predicted_parts(jnp.asarray(fit.vector), fit.data)
         residual = left.residual
         found = image_errors(fit)
         if found is not None:
             assert model.image_errors is not None
             residual = residual - np.einsum("jk,jkc->jc", found[0], model.image_errors)
-        variance = model.variance
-        if "prnu" in values:
-            variance = variance + (values["prnu"] * model.relative) ** 2
-        if model.misfit is not None:
-            variance = variance + model.misfit**2
         squares = cells.scatter + cells.count * residual**2
         count, squares, mean, variance = (
-            np.asarray(a).ravel() for a in (cells.count, squares, cells.mean, variance)
+            np.asarray(a).ravel() for a in (cells.count, squares, cells.mean, model.of_pixels)
         )
         seen = count > 0
         edges = np.quantile(mean[seen], np.linspace(0, 1, BINS + 1))

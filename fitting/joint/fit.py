@@ -47,7 +47,6 @@ from .cells import Grid, cell_width, make_grid, reduce_images
 from .model import (
     SCATTERS,
     JointData,
-    Levels,
     black_level,
     cost,
     parameters,
@@ -181,10 +180,7 @@ def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid,
             f"({observation.clip:g} DN); expose differently, or correct "
             "camera.black_level and camera.saturation."
         )
-    levels = None
-    if observation.levels is not None:
-        own = observation.levels[channel]
-        levels = Levels(*(jnp.asarray(a) for a in (own.mean, own.variance, own.freedom)))
+    levels = None if observation.levels is None else observation.levels[channel]
     relative = {n: jnp.asarray(size[grid.lights]) for n, (_, size) in scales.items() if n != "prnu"}
     prior = turn_prior_of(observation, grid.lights)
     precision = None if prior is None else jnp.asarray(np.linalg.inv(prior))

@@ -41,7 +41,7 @@ from jaxvision import Vec
 
 from ..inference.parameters import Parameter, ParameterSpace, log_prior, names, to_natural
 from ..inference.priors import LogNormal, Normal
-from ..reflectance.from_images.read import Photographs
+from ..reflectance.from_images.read import Photographs, UniformLevels
 from ..reflectance.from_images.signal import (
     GAMMA,
     Form,
@@ -158,14 +158,6 @@ class Cells(eqx.Module):
     products: Float[Array, "cells images images"] | None = None
 
 
-class Levels(eqx.Module):
-    """Uniform frames, whose temporal variance adds information on gain and read noise."""
-
-    mean: Float[Array, " levels"]  # DN
-    variance: Float[Array, " levels"]  # DN^2
-    freedom: Float[Array, " levels"]  # its degrees of freedom
-
-
 class JointData(eqx.Module):
     """Everything that the log density of one channel needs."""
 
@@ -173,7 +165,8 @@ class JointData(eqx.Module):
     form: Form = eqx.field(static=True)
     known: Values  # numbers that are exact, by name
     cells: Cells
-    levels: Levels | None  # flats and darks; None without any
+    # flats and darks, whose temporal variance adds information on gain and read noise; None without
+    levels: UniformLevels | None
     white: Array  # W, DN
     # by name of an error of images, its size in each image relative to its scale, (images,)
     relative: dict[str, Float[Array, " images"]]
@@ -197,6 +190,13 @@ class Prediction(eqx.Module):
     # DN for errors of one standard deviation; None if there are none
     image_errors: Float[Array, "images errors cells"] | None
     misfit: Table | None  # DN, standard deviation of what the model misses; None where nothing is
+    gains: Table | None = None  # DN for pixel gains of one standard deviation; None for equal ones
+
+    @property
+    def of_pixels(self) -> Table:
+        """Variance of one pixel without errors of its image, DN^2."""
+        own = (one for one in (self.gains, self.misfit) if one is not None)
+        return self.variance + sum(one**2 for one in own)
 
 
 def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
@@ -236,6 +236,7 @@ def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
         relative=slope * x,
         image_errors=jnp.stack(errors, axis=1) if errors else None,
         misfit=misfit,
+        gains=values["prnu"] * slope * x if "prnu" in values else None,
     )
 
 
@@ -249,14 +250,13 @@ def weights(cells: Cells, model: Prediction) -> Table:
     return jnp.where(seen, 1 / variance, 0)
 
 
-def residuals(values: Values, model: Prediction, data: JointData) -> marginal.Residuals:
+def residuals(model: Prediction, data: JointData) -> marginal.Residuals:
     """The residuals of cells with the errors that they share. Pixel gains shift the mean of n
     pixels by their size over the square root of n."""
     cells, of_cells, precision = data.cells, None, None
-    if "prnu" in values:
+    if model.gains is not None:
         seen = cells.count > 0
-        pixels = jnp.where(seen, cells.count, 1)
-        of_cells = jnp.where(seen, values["prnu"] * model.relative / jnp.sqrt(pixels), 0)
+        of_cells = jnp.where(seen, model.gains / jnp.sqrt(jnp.where(seen, cells.count, 1)), 0)
     if data.turn_precision is not None and "direction_scatter" in data.relative:
         images = len(data.turn_precision) // 2
         first = 1 if "light_scatter" in data.relative else 0
@@ -271,24 +271,22 @@ def residuals(values: Values, model: Prediction, data: JointData) -> marginal.Re
 @eqx.filter_jit
 def predicted_parts(vector: Array, data: JointData) -> tuple[Prediction, marginal.Residuals]:
     """Return the prediction of cells, and their residuals."""
-    values = values_at(vector, data)
-    model = predicted(values, data, data.cells)
-    return model, residuals(values, model, data)
+    model = predicted(values_at(vector, data), data, data.cells)
+    return model, residuals(model, data)
 
 
 def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Array:
     """ln p(images, flats and darks | unconstrained vector) up to a constant, with the shared errors
     marginalised."""
     values = values_at(vector, data)
-    total = _log_likelihood(values, predicted(values, data, data.cells), data)
+    total = _log_likelihood(predicted(values, data, data.cells), data)
     return total if data.levels is None else total + _of_levels(values, data)
 
 
 def log_likelihood_by_image(
     vectors: Float[Array, "images parameters"], data: JointData
 ) -> Float[Array, ""]:
-    """Log likelihood of the images alone if each had its own row of (images, P) vectors. The scale
-    of the pixels' gains takes the mean over images."""
+    """Log likelihood of the images alone if each had its own row of (images, P) vectors."""
     about = data.cells.geometry.about
     cells = replace(data.cells, geometry=replace(data.cells.geometry, about=None), products=None)
 
@@ -300,19 +298,16 @@ def log_likelihood_by_image(
         return jax.tree.map(lambda x: x[0], predicted(values_at(vector, alone), alone, own))
 
     images = cells, data.relative, None if about is None else about.T
-    shared = values_at(jnp.mean(vectors, axis=0), data)
-    return _log_likelihood(shared, jax.vmap(of)(vectors, images), data)
+    return _log_likelihood(jax.vmap(of)(vectors, images), data)
 
 
-def _log_likelihood(values: Values, model: Prediction, data: JointData) -> Array:
-    """The log likelihood of the images; of the values only the scale of the pixels' gains
-    enters."""
+def _log_likelihood(model: Prediction, data: JointData) -> Array:
+    """The log likelihood of the images."""
     cells = data.cells
-    of_pixels = values["prnu"] * model.relative if "prnu" in values else None
     own = cells.scatter, cells.count, model.variance
-    shared = {"pixel_errors": of_pixels, "products": cells.products}
+    shared = {"pixel_errors": model.gains, "products": cells.products}
     of_scatter = marginal.scatter_log_density(*own, **shared)
-    return marginal.log_density(residuals(values, model, data)) + of_scatter
+    return marginal.log_density(residuals(model, data)) + of_scatter
 
 
 def _of_levels(values: Values, data: JointData) -> Array:

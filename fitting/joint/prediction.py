@@ -74,16 +74,11 @@ def _moments(vector: Array, covariance: Array, data: JointData) -> tuple[Array, 
     def mean_of(vector: Array) -> Array:
         return predicted(values_at(vector, data), data, data.cells).mean[0]
 
-    values = values_at(vector, data)
-    model = predicted(values, data, data.cells)
+    model = predicted(values_at(vector, data), data, data.cells)
     slopes = jax.jacfwd(mean_of)(vector)
-    variance = model.variance[0] + jnp.sum((slopes @ covariance) * slopes, axis=1)
+    variance = model.of_pixels[0] + jnp.sum((slopes @ covariance) * slopes, axis=1)
     if model.image_errors is not None:
         variance = variance + jnp.sum(model.image_errors[0] ** 2, axis=0)
-    if "prnu" in values:
-        variance = variance + (values["prnu"] * model.relative[0]) ** 2
-    if model.misfit is not None:
-        variance = variance + model.misfit[0] ** 2
     return model.mean[0], variance
 
 

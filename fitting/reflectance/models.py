@@ -42,22 +42,15 @@ HIGHEST_INDEX = 10.0  # of refraction: beyond any material
 
 @dataclass(frozen=True)
 class Reflectance:
-    """One model.
+    """One model."""
 
-    Attributes:
-        label: its name in reports.
-        axis: direction about which the lobe is centred.
-        shape: its parameter; None for Lambert.
-        material: function from a shape and an index of refraction to the record, with unit
-            amplitude and no other part; None for Lambert.
-        unit: of k_s in a BRDF.
-    """
-
-    label: str
-    axis: Axis
-    shape: Parameter | None = None
+    label: str  # its name in reports
+    axis: Axis  # direction about which the lobe is centred
+    shape: Parameter | None = None  # None for Lambert
+    # function from a shape and an index of refraction to the record, with unit amplitude and no
+    # other part; None for Lambert
     material: Callable[[Array, float], Material] | None = None
-    unit: str = "sr^-1"
+    unit: str = "sr^-1"  # of k_s in a BRDF
 
 
 def amplitude(name: str, symbol: str, unit: str) -> Parameter:
@@ -65,40 +58,24 @@ def amplitude(name: str, symbol: str, unit: str) -> Parameter:
     return Parameter(name, symbol=symbol, unit=unit, transform="log")
 
 
+def _one(shape: Array) -> Array:
+    return jnp.ones(1, shape.dtype)
+
+
 def _lobe(record: Callable[[Array, Array, Array], Material]) -> Callable[[Array, float], Material]:
     """The parameters (0, 1, shape) for a record of (diffuse, specular, shape)."""
-
-    def material(shape: Array, index: float) -> Material:
-        del index
-        return record(jnp.zeros(1, shape.dtype), jnp.ones(1, shape.dtype), shape)
-
-    return material
+    return lambda shape, index: record(0 * _one(shape), _one(shape), shape)
 
 
 def _facets(
     distribution: Distribution, *, clear: bool = True
 ) -> Callable[[Array, float], Material]:
     def material(shape: Array, index: float) -> Material:
-        return TorranceSparrow(
-            jnp.zeros(1, shape.dtype),
-            jnp.ones(1, shape.dtype),
-            shape,
-            interface=Dielectric(jnp.full(1, index, shape.dtype)) if clear else None,
-            distribution=distribution,
-        )
+        interface = Dielectric(jnp.full(1, index, shape.dtype)) if clear else None
+        lobe = 0 * _one(shape), _one(shape), shape
+        return TorranceSparrow(*lobe, interface=interface, distribution=distribution)
 
     return material
-
-
-def _rough_body(shape: Array, index: float) -> Material:
-    del index
-    return OrenNayar(jnp.ones(1, shape.dtype), shape)
-
-
-def _facets_that_light_each_other(shape: Array, index: float) -> Material:
-    del index
-    one = jnp.ones(1, shape.dtype)
-    return EON(one, shape, facet_albedo=one)
 
 
 _EXPONENT = Parameter("exponent", symbol="n", unit="1", transform="log")
@@ -118,8 +95,18 @@ SEARCHED = {
 
 REFLECTANCES: dict[Model, Reflectance] = {
     "lambert": Reflectance("Lambert", "none"),
-    "oren-nayar": Reflectance("Oren-Nayar", "none", _BODY_ROUGHNESS, _rough_body),
-    "eon": Reflectance("EON", "none", _SHARE_OF_ROUGHNESS, _facets_that_light_each_other),
+    "oren-nayar": Reflectance(
+        "Oren-Nayar",
+        "none",
+        _BODY_ROUGHNESS,
+        lambda shape, index: OrenNayar(_one(shape), shape),
+    ),
+    "eon": Reflectance(
+        "EON",
+        "none",
+        _SHARE_OF_ROUGHNESS,
+        lambda shape, index: EON(_one(shape), shape, facet_albedo=_one(shape)),
+    ),
     "phong": Reflectance("Phong", "mirror", _EXPONENT, _lobe(Phong)),
     "normalised-phong": Reflectance(
         "normalised Phong", "mirror", _EXPONENT, _lobe(NormalisedPhong), "1"

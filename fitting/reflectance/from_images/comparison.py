@@ -52,15 +52,13 @@ class Difference:
     """The difference of two models' errors on held-out lights."""
 
     value: float  # of the relative RMS
-    error: float  # its standard error; infinite with fewer than two lights
-    freedom: int  # degrees of freedom of that
+    error: float = float("inf")  # its standard error; infinite with fewer than two lights
+    freedom: int = 0  # degrees of freedom of that
 
     @property
     def half_width(self) -> float:
         """Half the width of the 95 % interval."""
-        return (
-            float("inf") if self.freedom < 1 else self.error * float(stdtrit(self.freedom, LEVEL))
-        )
+        return self.error * float(stdtrit(self.freedom, LEVEL)) if self.freedom else float("inf")
 
     @property
     def none(self) -> bool:
@@ -75,17 +73,15 @@ def difference(one: ModelScore, other: ModelScore) -> Difference:
     with an error of 0.
     """
     if one.by_light is None or other.by_light is None or len(one.by_light) < 2:
-        value = (one.predicted_error or 0.0) - (other.predicted_error or 0.0)
-        return Difference(value, float("inf"), 0)
-    count = len(one.by_light)
+        return Difference((one.predicted_error or 0.0) - (other.predicted_error or 0.0))
+    freedom = len(one.by_light) - 1
     sums = np.stack([one.by_light, other.by_light])
     total = sums.sum(axis=1)
     whole, without = (np.sqrt(x[..., 0] / x[..., 1]) for x in (total, total[:, None] - sums))
     if abs(whole[0] - whole[1]) <= SAME * whole.min():
-        return Difference(0.0, 0.0, count - 1)
-    gaps = without[0] - without[1]
-    error = float(np.sqrt((count - 1) * np.var(gaps)))
-    return Difference(float(whole[0] - whole[1]), error, count - 1)
+        return Difference(0.0, 0.0, freedom)
+    error = float(np.sqrt(freedom * np.var(without[0] - without[1])))
+    return Difference(float(whole[0] - whole[1]), error, freedom)
 
 
 def squares_by_light(

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -78,15 +79,14 @@ PILED = (
 )
 
 
-@dataclass(frozen=True)
-class UniformLevels:
+class UniformLevels(eqx.Module):
     """Flats and darks of one channel, one level for each entry of the rig."""
 
-    mean: Float[np.ndarray, " levels"]  # over frames and pixels, DN
-    variance: Float[np.ndarray, " levels"]  # temporal, of one pixel, DN^2
-    freedom: Float[np.ndarray, " levels"]  # degrees of freedom of the variance
-    mean_error: Float[np.ndarray, " levels"]  # standard error of the mean, DN
-    dark: Bool[np.ndarray, " levels"]  # which are darks
+    mean: Float[Any, " levels"]  # over frames and pixels, DN
+    variance: Float[Any, " levels"]  # temporal, of one pixel, DN^2
+    freedom: Float[Any, " levels"]  # degrees of freedom of the variance
+    mean_error: Float[Any, " levels"]  # standard error of the mean, DN
+    dark: Bool[Any, " levels"]  # which are darks
 
 
 @dataclass(frozen=True)

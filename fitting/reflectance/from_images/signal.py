@@ -12,6 +12,12 @@ and k_s are in DN per unit of E. `lobe` is the SHADING of one of `reflectance.mo
 Phong, Blinn and the Gaussian lobe are as published, without a cosine. All others are f_r
 cos(theta_i). Oren-Nayar has k_d lobe in place of both terms. Terms that a `Form` does not name are
 not parameters and not traced.
+
+Two calibrations invert this model. They differ in what the rig knows:
+
+                      surface   f, b, K, sigma                    errors of lights and pixels
+    reflectance       free      known, or K and sigma weights     widen the covariance
+    joint             free      known, with a prior, or free      marginalised, their scale free
 """
 
 from dataclasses import dataclass
@@ -44,7 +50,6 @@ Values = dict[str, Array]  # natural, by the parameter's name
 Vector = Float[np.ndarray, " parameters"]
 Matrix = Float[np.ndarray, "parameters parameters"]
 OfSamples = Float[np.ndarray, " samples"]
-OfLights = Float[np.ndarray, " lights"]
 
 
 @dataclass(frozen=True)

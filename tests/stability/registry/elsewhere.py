@@ -784,7 +784,6 @@ ELSEWHERE = (
         "test_brdf_fit test_comparison test_fitted_material foreign/test_surfaces",
         """
             fitting.reflectance.from_files.calibration: albedo amplitudes calibrate
-            fitting.reflectance.from_files.calibration: parameter_space
             fitting.reflectance.from_files.errors: best describes errors exceeds_signal in_words
             fitting.reflectance.from_files.errors: best_about_axis metric ratio
             fitting.reflectance.from_files.errors: prediction_of_held_out
@@ -793,7 +792,7 @@ ELSEWHERE = (
             fitting.reflectance.from_files.fit: in_metric problem_of reflected
             fitting.reflectance.models: amplitude check_index facet_sentence has_lobe log_range
             fitting.reflectance.models: is_searched
-            fitting.reflectance.models: shape_of shape_range unit_brdf unit_shading
+            fitting.reflectance.models: shape_of shape_range surface_space unit_brdf unit_shading
         """,
     ),
     Elsewhere(
