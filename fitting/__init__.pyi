@@ -19,6 +19,10 @@ from .fits.budget import (
 from .fits.called_for import (
     called_for as called_for,
 )
+from .fits.influence import (
+    Influence as Influence,
+    influence as influence,
+)
 from .checks.problem import (
     Check as Check,
     check as check,

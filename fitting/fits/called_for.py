@@ -3,11 +3,12 @@
 `jaxvision.effects` bounds the change that each effect makes in a pixel's distribution, over the
 whole box of the fitted parameters. Effects below a tolerance are dropped from the records, and so
 from the prediction and from the likelihood of the sensor. The problem has the certificate, and the
-report of a fit lists it.
+report of a fit lists it. With a target, what moves it by little at the best fit is dropped too.
 """
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Collection
+from dataclasses import replace
+from itertools import count, islice
 
 import equinox as eqx
 import jax
@@ -21,19 +22,20 @@ from jaxvision.errors import InputError
 from jaxvision.rendering import PixelSamples
 
 from ..inference.given import require_kind
-from ..inference.parameters import Parameter, scalars
 from ..inference.problem import Problem, likelihood_at, prediction, values_at
-from ..inference.records import head, is_path, reach, read, replaced
+from .depicted import box_of, named_record, records_of, without_effects
+from .influence import measured
+from .information import Target, in_words
+from .solve import fit
 
-BEYOND = 1e-9  # probability that a prior leaves to either side of the box
-
-Box = dict[str, tuple[Any, Any]]
+_PROVED = 0.1  # of the tolerance, which goes to bounds before a fit
 
 
 def called_for(
     problem: Problem,
     *,
     tolerance: float = 0.1,
+    target: Target | None = None,
     samples: PixelSamples | None = None,
     depth: int | None = None,
 ) -> Problem:
@@ -48,6 +50,12 @@ def called_for(
             unchanged. Each parameter whose path leads into them has bounds or a prior.
         tolerance: largest change of the expected data, in standard deviations of the noise of all
             data together, as the sensor has it in the dark.
+        target: a fitted number, as in `influence`. The problem is then fitted, and effects that
+            together move this number by at most the tolerance in its standard errors are dropped
+            too, unless its standard error changes by as large a share or the data are described
+            worse. Their bounds hold near the best fit and not over all ranges. In the certificate
+            they have rank "estimate", and `bound` is the change of all data that would move as
+            much. None drops what is negligible for every number, and nothing is fitted.
         samples, depth: of the images that `predict` renders, as in `jaxvision.effects.inspect`.
 
     Returns:
@@ -78,20 +86,96 @@ def called_for(
         1
     """
     require_kind("called_for: problem", problem, Problem)
-    seen, camera = _named(problem, Scene), _named(problem, Camera)
-    fixed = {name: value for name, value in problem.fixed.items() if is_path(name)}
-    records = replaced(problem.records, fixed)
-    box = dict(_boxes(problem, records, (seen, camera)))
-    box |= _lights_before(records[seen], box)
-    count = problem.data.size if problem.present is None else int(problem.present.sum())
+    seen, camera = named_record(problem, Scene), named_record(problem, Camera)
+    records = records_of(problem)
+    size = problem.data.size if problem.present is None else int(problem.present.sum())
     if problem.stream is not None:  # of which the data are a sample
-        count *= problem.stream.count / problem.data.shape[0]
-    each = Tolerance(tolerance / np.sqrt(max(count, 1)), "sigma", place=0.0)
-    pruned = prune(records[seen], records[camera], each, free=box, samples=samples, depth=depth)
+        size *= problem.stream.count / problem.data.shape[0]
+    share, each = 1.0 if target is None else _PROVED, tolerance / np.sqrt(max(size, 1))
+    pruned = prune(
+        records[seen],
+        records[camera],
+        Tolerance(share * each, "sigma", place=0.0),
+        free=box_of(problem),
+        samples=samples,
+        depth=depth,
+    )
     left = problem.records | {seen: pruned.scene, camera: pruned.camera}
     smaller = problem.with_records(left, left_out=pruned.certificate)
-    _refuse_another_law(problem, smaller, 1 + 10 * tolerance)
-    return smaller
+    _refuse_another_law(problem, smaller, _limit(tolerance))
+    if target is None:
+        return smaller
+    left_over = (1 - _PROVED) * tolerance
+    return _unseen_by(target, smaller, left_over, each / tolerance, samples, depth)
+
+
+def _limit(tolerance: float) -> float:
+    """The largest change of the log density of all data by what was left out."""
+    return 1 + 10 * tolerance
+
+
+def _unseen_by(
+    target: Target,
+    problem: Problem,
+    tolerance: float,
+    each: float,
+    samples: PixelSamples | None,
+    depth: int | None,
+) -> Problem:
+    """The problem without the effects that together move a fitted number by at most the tolerance,
+    in standard errors. `each`: change of every datum, in standard deviations, for one standard
+    error."""
+    _, _, measure = measured(fit(problem), target)
+    effects, left = without_effects(problem, samples=samples, depth=depth)
+
+    def moved(names: Collection[str]) -> float:
+        """inf where another law of the data results, or another standard error."""
+        less = left(names)
+        if less is None:
+            return np.inf
+        found = measure("", less)
+        same = abs(np.log(found.ratio)) <= tolerance and abs(found.fall) <= _limit(tolerance)
+        return found.bound if same else np.inf
+
+    bounds = {name: moved((name,)) for name in effects}
+    ranked = sorted(bounds, key=lambda name: bounds[name])
+    within = np.cumsum([bounds[name] for name in ranked]) <= tolerance
+    gone = [name for name, fits in zip(ranked, within, strict=True) if fits]
+    while gone and not moved(gone) <= tolerance:
+        gone.pop()
+    if not gone:
+        return problem
+    smaller, proved = left(gone), problem.left_out
+    before = {effect.name for effect in proved.dropped}
+    names = {_numbered_before(name, before): name for name in gone}
+    dropped, kept = [], []
+    for effect in proved.kept:
+        name = names.get("shadows" if effect.name.startswith("shadows[") else effect.name)
+        if name is None:
+            kept.append(effect)
+            continue
+        why = f"moves {in_words(target)} by at most {bounds[name]:.2g} standard errors"
+        dropped.append(replace(effect, bound=bounds[name] * each, rank="estimate", why=why))
+    certificate = replace(
+        proved,
+        kept=tuple(kept),
+        dropped=(*proved.dropped, *dropped),
+        estimated=sum(bounds[name] for name in gone) * each,
+        tolerance=proved.tolerance / _PROVED,
+    )
+    assert smaller is not None
+    return smaller.with_records(smaller.records, left_out=certificate)
+
+
+def _numbered_before(name: str, gone: set[str]) -> str:
+    """The name of an effect with the number of its light or surface before some were dropped."""
+    kind, _, rest = name.partition("[")
+    number, _, field = rest.partition("]")
+    whole = "lights" if kind == "shadows" else kind
+    if not number.isdigit() or whole not in ("lights", "surfaces"):
+        return name
+    left = (k for k in count() if f"{whole}[{k}]" not in gone)
+    return f"{kind}[{next(islice(left, int(number), None))}]{field}"
 
 
 def _refuse_another_law(whole: Problem, left: Problem, limit: float) -> None:
@@ -118,75 +202,3 @@ def _log_ratio(whole: Problem, left: Problem) -> Array:
     return jnp.sum(
         second - first if whole.present is None else jnp.where(whole.present, second - first, 0)
     )
-
-
-def _named(problem: Problem, kind: type) -> str:
-    found = [name for name, record in problem.records.items() if isinstance(record, kind)]
-    if len(found) != 1:
-        raise InputError(
-            f"called_for: the records hold {len(found)} of {kind.__name__}; exactly one is needed."
-        )
-    return found[0]
-
-
-def _boxes(
-    problem: Problem, records: dict[str, Any], among: tuple[str, ...]
-) -> Iterator[tuple[str, tuple[Any, Any]]]:
-    """Return the range of each free field, by name. Fixed fields, and fields that depend on others,
-    have one value or none."""
-    for name in problem.tied:
-        if is_path(name) and head(name) in among:
-            raise InputError(f"called_for: {name} is tied, so that nothing is known of its range.")
-    known = {p.name: _ends(p) for p in problem.free} | {n: (v, v) for n, v in problem.fixed.items()}
-    fields: dict[str, list[np.ndarray]] = {}
-    for path, ends in known.items():
-        if not is_path(path) or head(path) not in among:
-            continue
-        field, within = _field(records, path)
-        own = np.asarray(read(records, field), float)
-        low, high = fields.setdefault(field, [own.copy(), own.copy()])
-        low[within], high[within] = ends
-    for field, (low, high) in fields.items():
-        yield field[len(head(field)) + 1 :], (low, high)
-
-
-def _field(records: dict[str, Any], path: str) -> tuple[str, Any]:
-    """The array to which or into which a path leads, and the index in it."""
-    parent, _, last = path.rpartition("[")
-    if parent and last[:-1].isdigit() and isinstance(reach(records, parent), Array):
-        return parent, int(last[:-1])
-    return path, ...
-
-
-def _ends(parameter: Parameter) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest and largest value that bounds and priors allow."""
-    shape = parameter.shape or ()
-    each = np.array([_ends_of(number) for number in scalars(parameter, shape)])
-    if not np.isfinite(each).all():
-        raise InputError(
-            f"called_for: {parameter.name} has no end; give it bounds or a prior, so that what is "
-            "left out stays small wherever the fit may go."
-        )
-    low, high = each.T
-    return low.reshape(shape), high.reshape(shape)
-
-
-def _ends_of(number: Parameter) -> tuple[float, float]:
-    low = max(float(np.asarray(number.lower)), 0.0 if number.transform == "log" else -np.inf)
-    high = float(np.asarray(number.upper))
-    if number.prior is None:
-        return low, high
-    least, most = number.prior.quantile(np.array([BEYOND, 1 - BEYOND]))
-    return max(low, float(least)), min(high, float(most))
-
-
-def _lights_before(scene: Scene, box: Box) -> Box:
-    """Boxes with a single value, for lights before the last one that a path names, so that the
-    indices stay valid."""
-    numbers = [int(name[7:].partition("]")[0]) for name in box if name.startswith("lights[")]
-    found = {}
-    for k in range(max(numbers, default=0)):
-        name = scene.lights[k].spectra[0]
-        value = np.asarray(getattr(scene.lights[k], name))
-        found.setdefault(f"lights[{k}].{name}", (value, value))
-    return {name: ends for name, ends in found.items() if name not in box}

@@ -50,7 +50,14 @@ from .moving_edges import warn_of_moving_edges
 from .prior_check import blamed, conflicts, loosened
 from .result import Fit
 from .widening import Widening, residual_sums, residuals_at, widening
-from .words import about_chains, about_posterior, about_search, is_confirmed, verdict
+from .words import (
+    about_chains,
+    about_left_out,
+    about_posterior,
+    about_search,
+    is_confirmed,
+    verdict,
+)
 
 ROUNDS = 4  # of starts, as long as the best of all stands alone
 OTHER_SEED = 1_000_003  # between the seeds of rounds
@@ -193,7 +200,7 @@ def fit(
     carried = () if problem.prior is None else problem.prior.words
     remarks += (*contradicted, *carried)
     findings = (*remarks, *(() if why else about_posterior(problem, optimum, drawn)))
-    findings = (*map(str, choices), *findings)
+    findings = (*map(str, choices), *about_left_out(problem), *findings)
     settings = {
         "starts": len(optimum.costs),
         "posterior": type(method).__name__.lower(),

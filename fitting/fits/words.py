@@ -115,6 +115,12 @@ def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
     ]
 
 
+def about_left_out(problem: Problem) -> list[str]:
+    """How far each effect that was left out for a fitted number may move it."""
+    gone = () if problem.left_out is None else problem.left_out.dropped
+    return [f"Leaving out {e.name} {e.why}." for e in gone if e.rank == "estimate"]
+
+
 def about_chains(posterior: Posterior) -> list[str]:
     """Why the draws of a posterior are unreliable; empty if they are reliable."""
     return [] if is_trusted(posterior) else [convergence_in_words(posterior)]

@@ -115,6 +115,7 @@ class Choice:
         proved, estimated = self._sums(rows, bounds)
         place, rare = self.place + sum(row.effect.place for row in rows), self.rare
         few = self.level is None and all(row.effect.rare > 0 for row in rows)
+        few = few and bool(np.isfinite(bounds).all())
         if few and proved + estimated > self.goal.value:  # a few pixels may differ by any amount
             bounds = [0.0] * len(rows)
             rare += sum(row.effect.rare for row in rows)

@@ -26,7 +26,7 @@ from .cells import lens_radius
 from .certificate import IRRADIANCE, Effect
 from .pixel import INF, clean
 from .sampling import oversampling_row, samples_row, times
-from .stages import Arriving, Draft, Drop, Ends, OnSensor, Row
+from .stages import Arriving, Draft, Ends, OnSensor, Row
 
 _SHARES = 2e-5  # to which the shares of `airy_kernel` are good
 # Fields of the views that say where the camera stands and how much light there is: nothing can be
@@ -349,8 +349,7 @@ def _row(name: str, amount: np.ndarray, place: float, why: str) -> Row:
     bound = clean(np.max(amount))
     rank = "exact" if bound == 0 and place == 0 else "bound"
     effect = Effect(f"view.{name}", True, why, bound, place, IRRADIANCE, rank)
-    droppable: Drop | None = drop if math.isfinite(bound + place) else None
-    return Row(effect, amount, droppable, saves=0.3)
+    return Row(effect, amount, drop, saves=0.3)
 
 
 def _rounding(grids: _Grids) -> float:

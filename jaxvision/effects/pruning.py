@@ -1,6 +1,7 @@
 """`inspect` lists the effects of a scene and a camera, and `prune` drops those within a tolerance.
 Eager; radiance in W m^-2 sr^-1."""
 
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any
 
@@ -12,9 +13,9 @@ from ..errors import InputError
 from ..rendering import PixelSamples, render
 from ..scene import Camera, Scene, Sensor, ThinLens, View
 from ..transport import missing_light
-from .boxes import Box, ends_of, refuse_tracers, unbounded
+from .boxes import Box, ends_of, keeps, refuse_tracers, unbounded
 from .certificate import Effect, Pruned, Tolerance, parse
-from .choice import Chain, Choice, concerns, finished
+from .choice import Chain, Choice, bands_of, concerns, finished
 from .development import development_stage
 from .moments import scene_rows
 from .motion import moments_of, motion_stage, same
@@ -306,6 +307,37 @@ def prune(
         if not alone:
             return choice.result(scene, camera)
         chain = replace(chain, rows=tuple(_kept_with(row, alone, why) for row in chain.rows))
+
+
+def removals(
+    scene: Scene, camera: Camera, **asked: Any
+) -> tuple[dict[str, Effect], Callable[[Collection[str]], tuple[Scene, Camera] | None]]:
+    """The effects that can be dropped, by name, and a function from some names to the records
+    without them, whatever their bounds; None where they cannot go together. `asked`: `free`,
+    `samples` and `depth`, as in `inspect`."""
+    free = tuple(asked.pop("free", None) or ())
+    usual = {"motion": None, "moments": 1, "estimates": False, "whole_paths": False}
+    asked = {"samples": None, "depth": None, "caustics": False} | usual | asked
+    chain = _chain_of(scene, camera, None, whole=True, **asked)
+    start = _start(scene, camera, asked["samples"], None, 1, asked["depth"])
+    parties: dict[str, list[Row]] = {}
+    for row in chain.rows:
+        if row.effect.present and row.drop is not None and not row.ladder:
+            parties.setdefault(row.together or row.effect.name, []).append(row)
+
+    def left(names: Collection[str]) -> tuple[Scene, Camera] | None:
+        rows = [row for name in parties if name in names for row in parties[name]]
+        gone, draft = {row.effect.name for row in rows}, start
+        if not all(row.needs <= gone and not row.instead_of & gone for row in rows):
+            return None
+        for row in rows:
+            if row.part_of not in gone and row.drop is not None:
+                draft = row.drop(draft)
+        whole = all(keeps(draft, name, scene, camera) for name in free)
+        same = whole and bands_of(draft) == bands_of(start)
+        return (finished(scene, draft), draft.camera) if same else None
+
+    return {name: rows[0].effect for name, rows in parties.items()}, left
 
 
 def _new_kinds(scene: Scene, draft: Draft) -> tuple[str, ...]:

@@ -132,7 +132,7 @@ def _row(
 
     first = bound(pixel(frozenset()))
     dn = after(frozenset())
-    fixed = (name in SCALES or math.isinf(dn)) and not identity
+    fixed = name in SCALES and not identity
     why = "it is 1: nothing changes" if identity else first.why
     needs = frozenset()
     if name == "full_well" and sensor.high.blooming is not None:
@@ -176,7 +176,7 @@ def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Ro
     why = kind if math.isfinite(dn) else f"no bound of {kind} is known"
     rank = "exact" if dn == 0 else "bound"
     effect = Effect(name, True, why, dn, unit=DN, rank=rank)
-    return Row(effect, np.asarray(dn), drop if math.isfinite(dn) else None, after)
+    return Row(effect, np.asarray(dn), drop, after)
 
 
 def _faster(

@@ -573,11 +573,13 @@ ELSEWHERE = (
     ),
     Elsewhere(
         SOLVERS,
-        "test_problem test_plan_and_budget test_called_for test_prior_check",
+        "test_problem test_plan_and_budget test_called_for test_prior_check test_influence",
         """
             fitting.fits.bands: bands pushed simulated thinned_draws
             fitting.fits.budget: budget
             fitting.fits.called_for: called_for
+            fitting.fits.depicted: box_of named_record records_of without_effects
+            fitting.fits.influence: influence measured
             fitting.fits.data_checks: data_check data_check_of_map
             fitting.fits.prior_check: blamed conflicts loosened
             fitting.fits.information: expected_information slope_of with_inputs

@@ -1,0 +1,135 @@
+"""The scene and the camera of a problem, and what of them its parameters name."""
+
+from collections.abc import Callable, Collection, Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array
+
+from jaxvision import Camera, Scene
+from jaxvision.effects.certificate import Effect
+from jaxvision.effects.pruning import removals
+from jaxvision.errors import InputError
+from jaxvision.rendering import PixelSamples
+
+from ..inference.parameters import Parameter, scalars
+from ..inference.problem import Problem
+from ..inference.records import head, is_path, reach, read, replaced
+
+BEYOND = 1e-9  # probability that a prior leaves to either side of the box
+
+Box = dict[str, tuple[Any, Any]]
+
+
+def named_record(problem: Problem, kind: type) -> str:
+    """The name of the only record of a kind."""
+    found = [name for name, record in problem.records.items() if isinstance(record, kind)]
+    if len(found) != 1:
+        raise InputError(
+            f"The records of the problem hold {len(found)} of {kind.__name__}; exactly one is "
+            "needed."
+        )
+    return found[0]
+
+
+def records_of(problem: Problem) -> dict[str, Any]:
+    """The records with the fixed numbers in them."""
+    fixed = {name: value for name, value in problem.fixed.items() if is_path(name)}
+    return replaced(problem.records, fixed)
+
+
+def box_of(problem: Problem) -> Box:
+    """The range of each number of the scene and the camera that a parameter names."""
+    seen, camera = named_record(problem, Scene), named_record(problem, Camera)
+    records = records_of(problem)
+    box = dict(_boxes(problem, records, (seen, camera)))
+    return box | _lights_before(records[seen], box)
+
+
+def without_effects(
+    problem: Problem, *, samples: PixelSamples | None = None, depth: int | None = None
+) -> tuple[dict[str, Effect], Callable[[Collection[str]], Problem | None]]:
+    """The effects that may be left out of a problem's records, by name, and a function from some
+    names to the problem without them; None where a parameter needs one or they cannot go
+    together."""
+    seen, camera = named_record(problem, Scene), named_record(problem, Camera)
+    records = records_of(problem)
+    named = (*(parameter.name for parameter in problem.free), *problem.fixed, *problem.tied)
+    fields = (_field(records, n)[0] for n in named if is_path(n) and head(n) in (seen, camera))
+    kept: dict[str, Any] = {field[len(head(field)) + 1 :]: () for field in fields}
+    kept |= _lights_before(records[seen], kept)
+    effects, left = removals(
+        records[seen], records[camera], free=kept, samples=samples, depth=depth
+    )
+
+    def without(names: Collection[str]) -> Problem | None:
+        both = left(names)
+        if both is None:
+            return None
+        changed = problem.records | {seen: both[0], camera: both[1]}
+        return problem.with_records(changed, left_out=problem.left_out)
+
+    return effects, without
+
+
+def _boxes(
+    problem: Problem, records: dict[str, Any], among: tuple[str, ...]
+) -> Iterator[tuple[str, tuple[Any, Any]]]:
+    """Return the range of each free field, by name. Fixed fields, and fields that depend on others,
+    have one value or none."""
+    for name in problem.tied:
+        if is_path(name) and head(name) in among:
+            raise InputError(f"called_for: {name} is tied, so that nothing is known of its range.")
+    known = {p.name: _ends(p) for p in problem.free} | {n: (v, v) for n, v in problem.fixed.items()}
+    fields: dict[str, list[np.ndarray]] = {}
+    for path, ends in known.items():
+        if not is_path(path) or head(path) not in among:
+            continue
+        field, within = _field(records, path)
+        own = np.asarray(read(records, field), float)
+        low, high = fields.setdefault(field, [own.copy(), own.copy()])
+        low[within], high[within] = ends
+    for field, (low, high) in fields.items():
+        yield field[len(head(field)) + 1 :], (low, high)
+
+
+def _field(records: dict[str, Any], path: str) -> tuple[str, Any]:
+    """The array to which or into which a path leads, and the index in it."""
+    parent, _, last = path.rpartition("[")
+    if parent and last[:-1].isdigit() and isinstance(reach(records, parent), Array):
+        return parent, int(last[:-1])
+    return path, ...
+
+
+def _ends(parameter: Parameter) -> tuple[np.ndarray, np.ndarray]:
+    """The smallest and largest value that bounds and priors allow."""
+    shape = parameter.shape or ()
+    each = np.array([_ends_of(number) for number in scalars(parameter, shape)])
+    if not np.isfinite(each).all():
+        raise InputError(
+            f"called_for: {parameter.name} has no end; give it bounds or a prior, so that what is "
+            "left out stays small wherever the fit may go."
+        )
+    low, high = each.T
+    return low.reshape(shape), high.reshape(shape)
+
+
+def _ends_of(number: Parameter) -> tuple[float, float]:
+    low = max(float(np.asarray(number.lower)), 0.0 if number.transform == "log" else -np.inf)
+    high = float(np.asarray(number.upper))
+    if number.prior is None:
+        return low, high
+    least, most = number.prior.quantile(np.array([BEYOND, 1 - BEYOND]))
+    return max(low, float(least)), min(high, float(most))
+
+
+def _lights_before(scene: Scene, box: Box) -> Box:
+    """Boxes with a single value, for lights before the last one that a path names, so that the
+    indices stay valid."""
+    numbers = [int(name[7:].partition("]")[0]) for name in box if name.startswith("lights[")]
+    found = {}
+    for k in range(max(numbers, default=0)):
+        name = scene.lights[k].spectra[0]
+        value = np.asarray(getattr(scene.lights[k], name))
+        found.setdefault(f"lights[{k}].{name}", (value, value))
+    return {name: ends for name, ends in found.items() if name not in box}

@@ -1,0 +1,234 @@
+"""How far each effect of a scene and a camera moves a fitted number.
+
+Without an effect the log posterior L becomes L'. Its maximum moves from the optimum v by
+
+    -H'^-1 (grad L'(v) - grad L(v)) = H^-1 J^T W (change of the prediction) + ...,
+
+a step of Newton's method. Each further step is smaller by about the same factor q, so that at most
+q / (1 - q) of the last one is missing: the bound is the shift of all steps and this rest. Where the
+steps do not contract, a search of the smaller problem begins at the optimum.
+
+Source:
+    Becker and Rannacher, "An optimal control approach to a posteriori error estimation in finite
+    element methods", Acta Numerica 10, 2001: the error of one number, by the adjoint at a solution.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxvision.core.in_notebooks import record_html
+from jaxvision.errors import InputError, nearest
+from jaxvision.rendering import PixelSamples
+
+from ..inference.differences import seen_by_differences
+from ..inference.formatting import format_with_error
+from ..inference.problem import Problem
+from ..inference.search import derivatives, search
+from ..inference.streams import chunks
+from .depicted import without_effects
+from .information import Target, in_words, slope_of
+from .result import Fit
+from .solve import fit
+
+_STEPS = 8  # of Newton's method, before a search
+_SHARE = 0.1  # of a shift, or _LEAST standard errors: a rest that needs no further step
+_LEAST = 1e-4
+_SLOWEST = 0.5  # ratio of two steps, from which the rest is not trusted
+
+
+@dataclass(frozen=True)
+class Moved:
+    """The shift of an estimate without an effect.
+
+    Attributes:
+        effect: its name, as in `jaxvision.effects.inspect`.
+        shift: of the estimate without it, in standard errors.
+        bound: the shift is at most this, in standard errors; inf where nothing is known.
+        ratio: standard error without the effect, relative to that with it.
+        fall: of the log density at the best fit, as a model without the effect describes the data.
+    """
+
+    effect: str
+    shift: float
+    bound: float
+    ratio: float
+    fall: float
+
+
+@dataclass(frozen=True)
+class Influence:
+    """The effects of a scene and a camera on a fitted number, largest first. Print it.
+
+    Attributes:
+        target: in words.
+        value: of the target at the best fit, in its unit.
+        sd: its standard error.
+        effects: each by itself, the largest bound first.
+
+    Example:
+        >>> from fitting.fits.influence import Influence, Moved
+        >>> dark = Moved("sensor.dark_current", 0.02, 0.021, 1.0, 0.1)
+        >>> Influence("gain", 0.25, 0.001, (dark,)).of("sensor.dark_current").bound
+        0.021
+    """
+
+    target: str
+    value: float
+    sd: float
+    effects: tuple[Moved, ...]
+
+    def of(self, effect: str) -> Moved:
+        """The shift by one effect.
+
+        Args:
+            effect: its name.
+
+        Returns:
+            The shift and its bound, in standard errors.
+
+        Raises:
+            InputError: for an unknown effect.
+        """
+        known = {one.effect: one for one in self.effects}
+        if effect not in known:
+            raise InputError(f"No effect {effect!r}; {nearest(effect, known)}.")
+        return known[effect]
+
+    def __str__(self) -> str:
+        width = max((len(one.effect) for one in self.effects), default=0)
+        rows = [
+            "  ".join(["", name.ljust(width), f"{shift:>9}", most.ljust(15), *rest])
+            for name, shift, most, *rest in self._rows()
+        ]
+        return "\n".join([self._heading(), *rows])
+
+    def _heading(self) -> str:
+        found = format_with_error(self.value, self.sd)
+        return f"{self.target} = {found}; without an effect it moves by, in standard errors"
+
+    def _rows(self) -> list[tuple[str, str, str, str, str]]:
+        return [
+            (
+                one.effect,
+                f"{one.shift:+.2g}",
+                f"at most {one.bound:.2g}",
+                f"s.e. x {one.ratio:.3g}",
+                f"ln p {-one.fall:+.2g}",
+            )
+            if np.isfinite(one.bound)
+            else (one.effect, "?", "not bounded", "", "")
+            for one in self.effects
+        ]
+
+    def _repr_html_(self) -> str:
+        """The table that a notebook shows."""
+        heads = ("without", "moves by", "at most", "its standard error", "log density")
+        return record_html(heads, self._rows(), title=self._heading())
+
+
+def influence(
+    fitted: Fit | Problem,
+    target: Target,
+    *,
+    samples: PixelSamples | None = None,
+    depth: int | None = None,
+) -> Influence:
+    """How far each effect of the scene and the camera, if left out, would move a fitted number.
+
+    Nothing is fitted again: a few gradients at the best fit give the shift and a bound on it, with
+    the change of every pixel's prediction and of its noise. Only where an effect is so large that
+    Newton's steps do not contract is the problem without it searched from there. The bound assumes
+    that the steps go on to contract as the last two did, and that no other optimum becomes better.
+
+    Args:
+        fitted: a fit, or a problem, which is fitted. It has one `Scene` and one `Camera` among its
+            records, and `predict` renders them unchanged.
+        target: a free number by its name or the last part of its path, or a JAX function that
+            returns one number.
+        samples, depth: of the images that `predict` renders, as in `jaxvision.effects.inspect`.
+
+    Returns:
+        For each effect that can be dropped, the shift of the target and its bound in standard
+        errors, and what becomes of the standard error and of the log density.
+
+    Raises:
+        InputError: for records without a scene and a camera, an unknown target, and a fit that did
+            not end at a maximum.
+
+    Example:
+        >>> import jaxvision as jv
+        >>> from fitting import Gaussian, Parameter, Problem, influence
+        >>> floor = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.25]))
+        >>> lamps = [jv.PointLight([0, 0, 2], [8.0]), jv.PointLight([0, 0, 20], [8.0])]
+        >>> down = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
+        >>> view = jv.Orthographic([0, 0, 3], down, 0.2, resolution=(4, 4))
+        >>> problem = Problem(
+        ...     {"scene.lights[0].intensity": Parameter(lower=1.0, upper=20.0)},
+        ...     predict=lambda scene, camera: jv.render(scene, camera.view),
+        ...     likelihood=Gaussian(sd=0.01),
+        ...     data=jv.render(jv.Scene(floor, lamps), view),
+        ...     records={"scene": jv.Scene(floor, lamps), "camera": jv.Camera(view, jv.Sensor())},
+        ... )
+        >>> round(influence(problem, "intensity[0]").of("lights[1]").shift, 1)
+        0.6
+    """
+    found = fit(fitted) if isinstance(fitted, Problem) else fitted
+    value, sd, measure = measured(found, target)
+    effects, left = without_effects(found.problem, samples=samples, depth=depth)
+    alone = {name: left((name,)) for name in effects}
+    moved = [measure(name, less) for name, less in alone.items() if less is not None]
+    ranked = sorted(moved, key=lambda one: -one.bound)
+    return Influence(in_words(target), value, sd, tuple(ranked))
+
+
+def measured(found: Fit, target: Target) -> tuple[float, float, Callable[[str, Problem], Moved]]:
+    """The target, its standard error, and a function from the name of some effects and the problem
+    without them to what they move."""
+    problem, optimum = found.problem, found.optimum
+    if optimum.saddle or not optimum.stationary:
+        raise InputError(f"influence: the fit has no maximum. {' '.join(found.failures)}")
+    at, information = np.asarray(optimum.vector, np.float64), optimum.curvature
+    value, slope = slope_of(problem, target, at)
+    sd = float(np.sqrt(slope @ found.posterior.covariance @ slope))
+    linear = float(np.sqrt(slope @ np.linalg.solve(information, slope)))
+    begun, start = (x[0] for x in derivatives(at[None], problem, parts=chunks(problem))[:2])
+    own = np.sqrt(2 * max(optimum.decrement, 0.0))  # standard errors that the fit itself lacks
+
+    def moved(name: str, end: np.ndarray, rest: float, cost: float, curvature: Any) -> Moved:
+        there, slope = slope_of(problem, target, end)
+        ratio = float(np.sqrt(slope @ np.linalg.solve(curvature, slope))) / linear
+        shift = (there - value) / sd
+        return Moved(name, shift, abs(shift) + rest + own, ratio, float(cost - begun))
+
+    def by_steps(name: str, less: Problem) -> Moved | None:
+        by, before = np.zeros_like(at), np.inf
+        for _ in range(_STEPS):
+            cost, gradient, curvature = (
+                x[0] for x in derivatives((at + by)[None], less, parts=chunks(less))
+            )
+            if not (np.isfinite(gradient).all() and np.linalg.eigvalsh(curvature)[0] > 0):
+                return None
+            step = -np.linalg.solve(curvature, gradient - start)
+            by, size = by + step, float(np.sqrt(step @ information @ step))
+            ratio = size / before if before > 0 else 0.0
+            if np.isfinite(before) and ratio < _SLOWEST:
+                found = moved(name, at + by, size * ratio / (1 - ratio), cost, curvature)
+                if found.bound - abs(found.shift) <= max(_SHARE * abs(found.shift), _LEAST) + own:
+                    return found
+            before = size
+        return None
+
+    def by_search(name: str, less: Problem) -> Moved:
+        end = seen_by_differences(less, search(less, at[None]))
+        if not end.stationary or end.saddle or less.stream is not None:
+            return Moved(name, np.nan, np.inf, np.nan, np.nan)
+        rest = np.sqrt(2 * max(end.decrement, 0.0))
+        return moved(name, end.vector, rest, end.cost, end.curvature)
+
+    def both(name: str, less: Problem) -> Moved:
+        return (None if optimum.unseen else by_steps(name, less)) or by_search(name, less)
+
+    return value, sd, both

@@ -1,0 +1,99 @@
+"""How far effects move a fitted number, against fits without them."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxvision as jv
+from fitting import Parameter, Problem, SensorNoise, called_for, fit, influence
+from fitting.fits.depicted import without_effects
+from jaxvision.optics import sensor_irradiance
+
+DOWN = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
+INTENSITY, EXPONENT, DIFFUSE = (
+    "scene.lights[0].intensity",
+    "scene.surfaces[1].material.exponent",
+    "scene.surfaces[1].material.diffuse",
+)
+FREE = {
+    INTENSITY: Parameter(lower=1e3, upper=1e5),
+    EXPONENT: Parameter(lower=3.0, upper=200.0),
+    DIFFUSE: Parameter(lower=0.01, upper=0.9),
+}
+
+
+def shown(scene, camera):
+    return sensor_irradiance(camera.view, jv.render(scene, camera.view))
+
+
+def planted(seed):
+    """A ball on a floor under a lamp, with effects of random sizes: from what no fit can see to
+    what moves its numbers by several standard errors."""
+    rng = np.random.default_rng([56, seed])
+
+    def some(least, most):
+        return float(np.exp(rng.uniform(np.log(least), np.log(most))))
+
+    place = [rng.uniform(-0.8, 0.8), rng.uniform(-0.8, 0.8), 2.0]
+    lamps = [
+        jv.PointLight(place, [some(1e4, 3e4)]),
+        jv.PointLight([0, 0, 9.0], [some(1.0, 1e4)]),
+    ]
+    ball = jv.Phong([rng.uniform(0.1, 0.5)], [rng.uniform(0.2, 0.5)], some(8, 50))
+    surfaces = [
+        jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.25])),
+        jv.Surface(jv.Sphere([0.0, 0, 0.3], 0.25), ball),
+    ]
+    view = jv.Orthographic([0, 0, 3], DOWN, 0.04, resolution=(18, 18), f_number=4.0)
+    sensor = jv.Sensor(
+        shot_noise=jv.GaussianShotNoise(),
+        dark_current=some(1e-3, 10),
+        mixing=jv.sensor.even_mixing(some(1e-5, 0.03)),
+        read_noise=3.0,
+        row_noise=some(0.01, 1),
+        gain=0.5,
+        exposure_time=1.0,
+    )
+    scene = jv.Scene(surfaces, lamps, ambient=jv.AmbientLight([some(1e-3, 20)]))
+    light = np.asarray(jax.jit(shown)(scene, jv.Camera(view, sensor)))
+    data = SensorNoise(sensor).draw(jax.random.key(seed), light)
+    records = {"scene": scene, "camera": jv.Camera(view, sensor)}
+    return Problem(FREE, shown, SensorNoise("camera.sensor"), data, records=records)
+
+
+@pytest.mark.slow
+def test_no_refit_moves_further_than_its_bound():
+    """Each effect of 40 problems is left out, and the problem fitted again: a target moves by no
+    more than is promised, and the promise is close."""
+    ratios = []
+    for seed in range(40):
+        whole, target = planted(seed), list(FREE)[seed % 3]
+        found = fit(whole, starts=2)
+        values = {name: found.values[name] for name in FREE}
+        (name,) = (n.name for n in whole.space if n.name.startswith(target))
+        promised = influence(found, name)
+        _, left = without_effects(whole)
+        for effect in promised.effects:
+            again = fit(left((effect.effect,)), start=values)
+            moved = (again.values[target] - found.values[target]).item() / promised.sd
+            assert abs(moved) <= effect.bound + 1e-5 or not again.optimum.stationary
+            if abs(moved) > 1e-4:
+                ratios.append(effect.bound / abs(moved))
+    assert len(ratios) > 150
+    assert np.median(ratios) < 2
+
+
+@pytest.mark.slow
+def test_a_problem_leaves_out_what_does_not_move_its_target():
+    """More is dropped for one number than for all; the number and its error stay, and the fit names
+    what was left out. Read noise moves the number little, but the data need it."""
+    whole = planted(0)
+    small, smaller = called_for(whole), called_for(whole, target="exponent")
+    before, after = ({e.name for e in one.left_out.dropped} for one in (small, smaller))
+    assert before < after
+    assert "sensor.read_noise" not in after
+    one, two = fit(whole, starts=4), fit(smaller, starts=4)
+    sd = influence(one, "exponent").sd
+    assert abs(one.values[EXPONENT] - two.values[EXPONENT]) < 0.1 * sd
+    told = [x for x in two.findings if "moves exponent by at most" in x]
+    assert len(told) == len([e for e in smaller.left_out.dropped if e.rank == "estimate"]) > 0
