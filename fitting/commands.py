@@ -6,9 +6,10 @@ Results are printed and written only when all of them are complete.
 
 import inspect
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial, update_wrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -163,15 +164,23 @@ def run(
                 raise InputError(f"--{name}: only a chain takes it; add --mcmc, or leave it out.")
         if options.out is not None and options.out.exists() and not options.out.is_dir():
             raise InputError(f"{options.out}: is a file; give --out a folder.")
+        begun = time.perf_counter()
         with _folder(options.out):
             sections, images = calibrate(reporter)
+        seconds = time.perf_counter() - begun
         from jaxvision.files.images import write_image
 
+        from .inference.trust import cost_in_words
         from .report.console import output, print_section
         from .report.page import as_json, write_report
         from .report.short_chains import without_short_chains
 
         kept = options.out is not None
+        costs = [cost_in_words(own.posteriors.values(), seconds, typed=True) for own in sections]
+        sections = [
+            replace(own, findings=(*own.findings, *filter(None, (cost,))))
+            for own, cost in zip(sections, costs, strict=True)
+        ]
         sections = [without_short_chains(section, kept=kept) for section in sections]
         without = [section.failure for section in sections if section.failure]
         if len(without) == len(sections) > 0 and options.out is None:

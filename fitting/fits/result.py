@@ -26,6 +26,7 @@ from ..inference.on_host import on_host
 from ..inference.posterior import Posterior, estimates
 from ..inference.problem import Problem, as_arrays, records_at, values_from
 from ..inference.search import Optimum
+from ..inference.trust import cost_in_words
 from ..report.section import Picture, Section, Table
 from .bands import Bands, bands, pushed, simulated, thinned_draws
 from .budget import Budget, Noise, budget
@@ -52,6 +53,7 @@ class Fit:
         noise: factor by which the noise of the data was widened because of a misfit; 1 for none.
         settings: of the fit, for its report.
         choices: whether each candidate was kept, and the evidence.
+        seconds: time that the fit took, s.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit
@@ -73,6 +75,7 @@ class Fit:
     noise: float = 1.0
     settings: dict[str, Any] = field(default_factory=dict)
     choices: tuple[Choice, ...] = ()
+    seconds: float = float("nan")
 
     @property
     def converged(self) -> bool:
@@ -393,7 +396,8 @@ class Fit:
             "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
             for row in rows
         ]
-        remarks = [f"• {sentence}" for sentence in (*self.failures, *self.findings)]
+        cost = cost_in_words([self.posterior], self.seconds)
+        remarks = [f"• {sentence}" for sentence in (*self.failures, *self.findings, cost)]
         text = [self._heading(), *lines, self.summary(), *remarks]
         return "\n".join(line.rstrip() for line in text)
 
@@ -407,7 +411,10 @@ class Fit:
             self._rows(),
             title=self._heading(),
             summary=self.summary(),
-            notes=(*self.failures, *self.findings),
+            notes=(
+                *(*self.failures, *self.findings),
+                cost_in_words([self.posterior], self.seconds),
+            ),
         )
 
 
@@ -435,6 +442,7 @@ def section(fit: Fit, title: str) -> Section:
     )
     left_out = fit.problem.left_out
     gone = () if left_out is None else (left_out_table(left_out),)
+    cost = cost_in_words([fit.posterior], fit.seconds)
     state = ("The fit did not converge.",) if fit.failures else ()
     picture = Picture(
         "residuals",
@@ -446,7 +454,7 @@ def section(fit: Fit, title: str) -> Section:
         kind="fit",
         title=title,
         estimates=fit.estimates,
-        findings=(*state, *fit.failures, f"{fit.summary()}.", *fit.findings),
+        findings=(*state, *fit.failures, f"{fit.summary()}.", *fit.findings, cost),
         pictures=(picture,),
         tables=(table, *(terms,) * bool(fit.choices), *gone),
         posteriors={"": fit.posterior},

@@ -1,5 +1,6 @@
 """`fit`: from a problem to its posterior, with a verdict."""
 
+import time
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
@@ -152,6 +153,7 @@ def fit(
         >>> abs(float(result.values["rate"]) - 1.3) < 0.05
         True
     """
+    begun = time.perf_counter()
     require_seed(seed)
     require_kind("fit: problem", problem, Problem)
     if start is not None and not isinstance(start, Mapping):
@@ -213,6 +215,7 @@ def fit(
         noise=wide.noise,
         settings=settings,
         choices=choices,
+        seconds=time.perf_counter() - begun,
     )
 
 
@@ -518,7 +521,8 @@ def _draw(
         run = (density[0], space, vector, wide.covariance, density[1])
         found = laplace_where_it_holds(*run, seed=seed, **told)
         if isinstance(method, Laplace):
-            return found
+            untested = failed or problem.stream is not None
+            return replace(found, miss=np.nan) if untested else found
         if found.method != "Laplace":
             covariance = found.covariance
     run = (density[0], space, vector, covariance, density[1])

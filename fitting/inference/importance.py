@@ -84,7 +84,7 @@ def laplace_where_it_holds(
     if missed is None:
         missed = gaussian_miss(log_density, mode, spread, args)
     if np.max(missed) <= TOLERATED:
-        return drawn
+        return replace(drawn, miss=float(np.max(missed)))
     found = _importance(log_density, space, mode, spread, args, seed)
     worst = names(space)[int(np.argmax(missed))]
     if found is None and not by_chain:

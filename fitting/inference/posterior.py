@@ -74,6 +74,8 @@ class Posterior:
         missed: parameter that the Gaussian describes worst, where this matters.
         endless: parameter that the data bound on one side only, as found by a chain.
         effective: effective number of draws of importance sampling.
+        miss: largest difference of the fall of the log density at two standard deviations from a
+            Gaussian's, where Laplace's approximation was tested; else NaN.
         blocks: the whole chain, from which a longer run continues; empty for Laplace.
     """
 
@@ -95,6 +97,7 @@ class Posterior:
     missed: str = ""
     endless: str = ""
     effective: float = float("nan")
+    miss: float = float("nan")
     blocks: tuple[Block, ...] = field(default=(), repr=False)
 
     @property

@@ -1,18 +1,21 @@
 """Importance sampling where Laplace fails: densities with known quantiles, Jeffreys' prior of
 scatters, and what a posterior says of itself."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.stats import norm, t
 
+from fitting import Gaussian, Problem, fit
 from fitting.inference import importance
 from fitting.inference.emcee_run import Emcee
 from fitting.inference.importance import gaussian_miss, laplace_where_it_holds
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import estimates
-from fitting.inference.trust import convergence_in_words
+from fitting.inference.trust import convergence_in_words, cost_in_words
 from fitting.noise.model import NoiseData, scatter_prior
 
 SPACE = (Parameter("a"), Parameter("scale", transform="log"))
@@ -101,3 +104,23 @@ def test_a_chain_that_nobody_asked_for_is_not_needed(monkeypatch):
     found = laplace_where_it_holds(level, SPACE, mode, covariance, data, seed=1)
     assert (found.method, found.missing_steps) == ("Laplace", 0)
     assert "far from a Gaussian, so Laplace's intervals may mislead" in convergence_in_words(found)
+
+
+@pytest.mark.slow
+def test_a_fit_says_what_its_approximation_costs():
+    """The ends of Laplace's 95 % interval lie as far from those of the integrated density as the
+    fit says. Of draws, it is the standard error of that quantile of a Gaussian's."""
+    problem = Problem({"u": Parameter(start=0.7)}, lambda u: jnp.exp(u)[None], Gaussian(0.1), [2.0])
+    found = fit(problem, starts=2)
+    u = np.linspace(0.3, 1.1, 200_001)
+    places = np.cumsum(np.exp(-((np.exp(u) - 2) ** 2) / 0.02))
+    exact = np.interp([0.025, 0.975], places / places[-1], u)
+    one = found.estimates[0]
+    apart = np.abs(np.array(one.interval_95) - exact).max() / one.standard_error
+    assert found.posterior.miss / 2 == pytest.approx(apart, rel=0.2)
+    assert "95 % intervals by about 0.1 standard errors, in " in str(found)
+    assert "posterior=Emcee() draws from the posterior itself." in str(found)
+    drawn = replace(found.posterior, method="importance sampling", effective=1e4)
+    error = np.sqrt(0.025 * 0.975 / 1e4) / norm.pdf(norm.ppf(0.975))
+    told = cost_in_words([drawn], np.nan, typed=True)
+    assert f"by about {error:.1g} standard errors; --mcmc" in told

@@ -15,10 +15,10 @@ INTENSITY, EXPONENT, DIFFUSE = (
     "scene.surfaces[1].material.exponent",
     "scene.surfaces[1].material.diffuse",
 )
-FREE = {
-    INTENSITY: Parameter(lower=1e3, upper=1e5),
-    EXPONENT: Parameter(lower=3.0, upper=200.0),
-    DIFFUSE: Parameter(lower=0.01, upper=0.9),
+FREE = {  # with starts, without which each problem's own would be compiled with it
+    INTENSITY: Parameter(start=[2e4], lower=1e3, upper=1e5),
+    EXPONENT: Parameter(start=20.0, lower=3.0, upper=200.0),
+    DIFFUSE: Parameter(start=[0.3], lower=0.01, upper=0.9),
 }
 
 

@@ -556,7 +556,7 @@ ELSEWHERE = (
             fitting.inference.on_host: on_host require_here
             fitting.inference.posterior: estimates evaluate_density laplace laplace_or_emcee sample
             fitting.inference.posterior: walkers_at_a_time
-            fitting.inference.trust: convergence_in_words is_trusted
+            fitting.inference.trust: convergence_in_words cost_in_words is_trusted
         """,
     ),
     Elsewhere(
