@@ -3,6 +3,7 @@
 Radiance in W m^-2 sr^-1, irradiance in W m^-2, raw data in DN, pictures relative to white.
 """
 
+import math
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,9 +20,11 @@ from .core._shown import Shown
 from .core._types import Image, Key, Scalar, check_given, in_short, is_known, print_by_name
 from .core.in_notebooks import preview_png, with_picture
 from .development import develop
-from .effects import Certificate, Tolerance, prune
-from .lights import Rule
+from .effects import Certificate, Pruned, Tolerance, prune
+from .effects.pruning import WORTH, looking_pays
+from .lights import Quadrature, Rule
 from .optics import sensor_irradiance
+from .programs import on_processor
 from .rendering import Edges, PixelSamples, Traced, render
 from .rendering.band_count import band_count
 from .rendering.shading import DEFAULT_RULE
@@ -46,7 +49,8 @@ class Capture(Shown):
         raw: (h, w, bands) DN; (h, w, 1) under a colour filter.
         picture: (h, w, colours) developed, relative to white; None for a camera without
             development.
-        certificate: of the removed effects, where a tolerance was given; static.
+        certificate: of the removed effects, where a tolerance was given or some change nothing;
+            static.
         error: (h, w, bands) W m^-2 sr^-1, the standard error of the radiance, for independent
             samples, by `Paths` of more than one sample. None for other integrators, with a motion,
             and where the pixels' aperture is rendered more finely.
@@ -88,6 +92,7 @@ def capture(
     moments: int = 8,
     tolerance: Tolerance | str | None = None,
     integrator: Paths | Renderer | None = None,
+    keep_all: bool = False,
 ) -> Capture:
     """Take one picture of the scene, and return every stage.
 
@@ -112,15 +117,19 @@ def capture(
             `sensor.exposure_slots` places them.
         tolerance: largest change of the raw values by removed effects, as in `effects.prune`, such
             as "0.5DN" or "0.1sigma"; outside of `jit` only. Radiance and irradiance then contain
-            the kept bands only. None removes nothing.
+            the kept bands only. None removes what is proved to change nothing where looking is
+            cheap: from large pictures by direct light with a quadrature, of a known scene at rest,
+            on a processor. Inside `jit` that is a scene that is no argument; the numbers of one
+            that is are unknown.
         integrator: static; the method that computes radiance. None for direct light, by `render`.
             `Paths` for reflected light as well; its paths are drawn by `key`, the same for every
             moment of a motion. Or any function of scene and view, such as one that calls
             `ray_traced` or `radiosity_image`.
+        keep_all: static; whether to remove nothing where there is no tolerance.
 
     Returns:
-        Radiance, irradiance, raw values and the developed picture; with a tolerance also the
-        certificate of the removed effects.
+        Radiance, irradiance, raw values and the developed picture; where effects were removed, also
+        their certificate.
 
     Raises:
         ValueError: for a key that is missing, a motion without exposure time, and a thin lens
@@ -169,6 +178,12 @@ def capture(
             integrator = replace(integrator, depth=pruned.depth)
         motion = None if pruned.moments is None else motion
         certificate = pruned.certificate
+    elif not keep_all and integrator is None and motion is None:
+        pruned = _nothing_lost(scene, camera, rule, samples)
+        if pruned is not None:
+            assert isinstance(pruned.camera, Camera)
+            scene, camera, samples = pruned.scene, pruned.camera, pruned.samples
+            certificate = pruned.certificate
     if integrator is None or isinstance(integrator, Paths):
         _check_keys(key, die_key, camera, _bands(scene))
     renderer = _renderer(integrator, key, rule, samples, edges)
@@ -177,6 +192,25 @@ def capture(
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
     picture = None if camera.development is None else develop(raw, camera.development)
     return Capture(radiance, irradiance, raw, picture, certificate, error)
+
+
+def _nothing_lost(
+    scene: Scene, camera: Camera, rule: Rule, samples: PixelSamples | None
+) -> Pruned | None:
+    """What is left without what is proved to change nothing; None for all of it, where looking
+    would take more than a twentieth of the picture's time or saves little."""
+    if not isinstance(rule, Quadrature) or scene.rules is not None or not on_processor():
+        return None
+    if not all(map(is_known, jax.tree.leaves((scene, camera)))):
+        return None
+    aperture = camera.sensor.pixel_aperture
+    finer = 1 if aperture is None else aperture.oversampling**2
+    rays = math.prod(camera.view.resolution) * finer * (1 if samples is None else samples.count)
+    if not looking_pays(scene, rays=rays, nodes=rule.order**2):
+        return None
+    pruned = prune(scene, camera, Tolerance(0.0, "DN"), samples=samples)
+    whole = _bands(pruned.scene) == _bands(scene)  # the radiance keeps its shape
+    return pruned if whole and pruned.certificate.saves > WORTH else None
 
 
 def _seen_as(shot: Capture) -> np.ndarray:

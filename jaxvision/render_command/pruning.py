@@ -12,18 +12,17 @@ import numpy as np
 
 from .. import effects
 from ..effects import Effect, Pruned, Tolerance
-from ..effects.illumination import has_size
+from ..effects.pruning import WORTH, looking_pays
 from ..errors import InputError
 from ..files.scenes import SceneFile
 from ..files.scenes.schema import RenderEntry
 from ..rendering import PixelSamples
 from ..rendering.band_count import band_count
-from ..scene import Camera, Scene, TriangleMesh, View
+from ..scene import Camera, View
 from .integrators import in_words_of
 
 CUT = "path", "light"  # integrators whose paths may be cut to fewer pieces
 _NAMED = 4  # effects in one line
-_WORTH = 0.03  # of the work, below which what changes nothing stays
 _ENDLESS = 400  # pieces of paths that radiosity follows to their end
 Box = dict[str, tuple[Any, Any]]
 
@@ -140,27 +139,13 @@ def nothing_lost(source: SceneFile, settings: RenderEntry) -> Pruned | None:
         What is left, by a tolerance of 0 of 1 W m^-2 sr^-1; None: all of it, also where less than
         3 % of the work would be saved.
     """
-    by_chance = settings.integrator not in ("direct", "rays") or settings.rule != "quadrature"
-    if by_chance or _looking(source.scene) > _picture(source, settings) / 20:
+    if settings.integrator not in ("direct", "rays") or settings.rule != "quadrature":
+        return None
+    rays = math.prod(source.view.resolution) * settings.samples
+    if not looking_pays(source.scene, rays=rays, nodes=settings.order**2):
         return None
     pruned = pruned_for(source, settings, Tolerance(0.0), level=1.0)
-    return pruned if pruned.certificate.saves > _WORTH else None
-
-
-def _looking(scene: Scene) -> float:
-    """s that `prune` takes, roughly, with its libraries."""
-    meshes = (s.shape for s in scene.surfaces if isinstance(s.shape, TriangleMesh))
-    faces = sum(len(mesh.faces) for mesh in meshes)
-    each = 2.5e-4 + 1.5e-4 * len(scene.lights)
-    return 0.15 + each * len(scene.surfaces) + 5e-6 * faces
-
-
-def _picture(source: SceneFile, settings: RenderEntry) -> float:
-    """s that a picture takes at least, roughly, without its program: a nanosecond for each ray and
-    surface."""
-    lamps = (settings.order**2 if has_size(light) else 1 for light in source.scene.lights)
-    rays = math.prod(source.view.resolution) * settings.samples * (1 + sum(lamps))
-    return 1e-9 * rays * (len(source.scene.surfaces) + 4)
+    return pruned if pruned.certificate.saves > WORTH else None
 
 
 def changing_nothing(source: SceneFile, pruned: Pruned) -> str:
@@ -242,7 +227,7 @@ def listed(found: Iterable[Effect]) -> str:
     rows = [("effect", "bound", "", "pixels", "ms" if timed else "saves", "rank", "why")]
     for effect in found:
         none = math.isinf(effect.bound)
-        bound, unit = ("none", "") if none else (f"{effect.bound:.3g}", effect.unit)
+        bound, unit = ("not bounded", "") if none else (f"{effect.bound:.3g}", effect.unit)
         why = effect.why if effect.present else "absent"
         taken = f"{100 * effect.saves:.0f} %"
         if timed:

@@ -655,7 +655,7 @@ def test_what_changes_nothing_is_left_out_unless_all_is_to_be_kept(tmp_path, mon
     (tmp_path / "scene.toml").write_text(SCENE + floor + far_balls(8))
     command = tmp_path / "scene.toml", "--no-preview", "--out"
     assert "Left out" not in run(*command, tmp_path / "less.exr")[1]  # too small to look
-    monkeypatch.setattr(pruning, "_looking", lambda scene: 0.0)
+    monkeypatch.setattr(pruning, "looking_pays", lambda *_, **__: True)
     status, said, _ = run(*command, tmp_path / "less.exr")
     assert status == 0
     assert "Left out what changes nothing: surfaces[2]" in said
@@ -681,7 +681,7 @@ def test_what_changes_nothing_is_left_out_unless_all_is_to_be_kept(tmp_path, mon
 
 @pytest.mark.slow
 def test_workers_leave_out_what_changes_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(pruning, "_looking", lambda scene: 0.0)
+    monkeypatch.setattr(pruning, "looking_pays", lambda *_, **__: True)
     (tmp_path / "scene.toml").write_text(SCENE + far_balls(8))
     command = tmp_path / "scene.toml", "--no-preview", "--out"
     assert "Left out" in run(*command, tmp_path / "here.exr")[1]

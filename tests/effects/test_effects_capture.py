@@ -147,3 +147,23 @@ def test_a_pruned_sensor_is_never_a_larger_program(seeds):
                 draft, gone = row.drop(draft), gone | {row.effect.name}
         less, full = equations(draft.camera.sensor), equations(sensor)
         assert less < full if gone else less == full
+
+
+@pytest.mark.slow
+def test_what_changes_nothing_is_left_out_without_asking(monkeypatch):
+    """Where looking is cheap, of a known scene: the dark lamp, a factor of 1 and what is 0. The
+    same numbers result, bit by bit, and a scene that is an argument of `jit` keeps all."""
+    view = replace(jv.Orthographic([0, 0, 3], DOWN, 0.05, resolution=(8, 8)), f_number=2.0)
+    camera = replace(CAMERA, view=view)
+    whole = capture(KEY, SCENE, camera, die_key=DIE)
+    assert whole.certificate is None  # looking at so few pixels would take longer than they do
+    monkeypatch.setattr("jaxvision.shot.looking_pays", lambda *_, **__: True)
+    less = capture(KEY, SCENE, camera, die_key=DIE)
+    gone = {effect.name for effect in less.certificate.dropped}
+    assert gone >= {"lights[1]", "sensor.prnu", "sensor.gain"}
+    assert less.certificate.total == 0
+    for name in ("radiance", "irradiance", "raw"):
+        np.testing.assert_array_equal(getattr(less, name), getattr(whole, name))
+    assert capture(KEY, SCENE, camera, die_key=DIE, keep_all=True).certificate is None
+    traced = jax.jit(lambda scene: capture(KEY, scene, camera, die_key=DIE).raw)(SCENE)
+    np.testing.assert_allclose(traced, whole.raw, rtol=1e-6)
