@@ -104,10 +104,11 @@ def ulps(got, true, scale=1.0, turn=None):
     return np.where(tiny | huge, 0.0, units)
 
 
-def conditions(entry, points):
-    """1 + sum |x df/dx| / |f| of each part, by differences of the oracle."""
-    m = DIGITS if entry.of_digits else LONG
-    columns, h = [m.array(column) for column in points], m.c("1e-6")
+def conditions(entry, points, step=None):
+    """1 + sum |x df/dx| / |f| of each part, by differences of the oracle; in 60 digits by a `step`,
+    relative, where slopes change within the usual one."""
+    m = DIGITS if entry.of_digits or step else LONG
+    columns, h = [m.array(column) for column in points], m.c(step or "1e-6")
     values = truth(entry, m, points)
     totals = [np.ones(len(points[0])) for _ in values]
     with np.errstate(all="ignore"):
@@ -188,9 +189,9 @@ def _flat(entry, arguments):
     return jnp.concatenate([leaf.reshape(-1) for leaf in leaves])[: len(entry.parts)]
 
 
-def errors_at(entry, got, points, m):
+def errors_at(entry, got, points, m, step=None):
     """Errors of each part at each point."""
-    scales = conditions(entry, points) if entry.conditioned else [1.0] * len(entry.parts)
+    scales = conditions(entry, points, step) if entry.conditioned else [1.0] * len(entry.parts)
     exact = truth(entry, m, points)
     turns = [entry.turn(m) if name == "hue" and entry.turn else None for name in entry.parts]
     return [ulps(*each) for each in zip(got, exact, scales, turns, strict=True)]

@@ -405,7 +405,7 @@ ENTRIES = [
         cs.hsl_to_rgb,
         from_hsl,
         (Columns(FRACTION),),
-        bound=8,
+        bound=9.0,
         parts=("R", "G", "B"),
         conditioned=True,
         note="where saturation takes the lightness away",

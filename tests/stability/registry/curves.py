@@ -265,6 +265,7 @@ ENTRIES = [
         (Range(1e-30, 1e25), Range(1e-2, 1e5)),
         ((1e20, 2.0), (1e30, 2.0), (4e19, 3.0), (1.0, 1e-3), (1e28, 1e13)),
         form="white",
+        bound=5.0,
     ),
     Entry(
         "point_ops.tone_mapping.filmic",
@@ -287,7 +288,7 @@ ENTRIES = [
             (2.0, 1e-35),
             (1e30, 1e30),
         ),
-        bound=5,
+        bound=6.0,
         note="a quotient of logarithms, which XLA knows to 2.5 units where 1 + x is rounded",
     ),
     Entry(
@@ -305,7 +306,7 @@ ENTRIES = [
         ),
         (Columns(Range(1e-2, 1e2)),),
         ((np.array([1.0, 1.0, 1.0]),), (np.array([1e-3, 1.0, 1e2]),)),
-        bound=10,
+        bound=15.0,
         gradient=1e-4,
         note="the exponential of a mean logarithm",
     ),

@@ -157,7 +157,7 @@ ENTRIES = [
         lambda m, *a: field(m, *a)[0],
         (Range(0.3, 10), FOCAL, NUMBER, Range(1e-6, 1e-4)),
         form="near",
-        bound=5,
+        bound=6.0,
         note="seven roundings",
     ),
     Entry(

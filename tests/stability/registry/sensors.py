@@ -248,6 +248,7 @@ ENTRIES = [
         ratio_of,
         lambda m, p, r, k: p / m.sqrt(p + r * r),
         (Range(1e-2, 1e6), Range(0.1, 100), Range(0.01, 10)),
+        bound=5.0,
     ),
     Entry(
         "sensor.moments.pattern_variance",

@@ -115,6 +115,7 @@ ENTRIES = [
         parts=("x", "y", "z"),
         of_quotient=0.01,
         note="slopes of a component along its own axis are 1 less its square",
+        bound=5.0,
     ),
     Entry(
         "core._numerics.safe_sqrt",
@@ -135,7 +136,7 @@ ENTRIES = [
             (Z, unit(1e-6, 0, -1)),
             (Z, unit(1, 0, 0)),
         ),
-        bound=5,
+        bound=6.0,
         gradient=1e-4,
     ),
     Entry(
