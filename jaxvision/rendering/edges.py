@@ -95,6 +95,11 @@ class Edges(Shown):
     outlines of triangle meshes, lines where two surfaces cut each other, the outlines of other
     lamps, and the shadow that a surface casts on itself.
 
+    For scenes of a sphere, a disc, a quad and a box of 2 to 4 pixels on a floor under a point lamp,
+    the derivative along a random direction differed from central differences by 0.3 % (camera),
+    0.2 % (lamp) and 0.4 % to 1.2 % (shapes) of the gradient's length in the median, and by 2 %,
+    0.3 % and 4 % to 19 % in the worst of 19 scenes. More nodes help small shapes.
+
     The cost grows with the sides of the picture, not with its area or its samples. For four shapes
     on a floor in 64 x 64 pixels, a gradient took 2.2 times as long with 16 samples a pixel, and 4
     to 10 times as long with one. Compiling it takes half a minute to a minute more.
@@ -266,15 +271,23 @@ def _lengths(view: View, ends: Array, ahead: Array, shown: Array) -> Float[Array
     return jnp.where(shown[:-1] | shown[1:], lengths, lengths / 20)
 
 
-def _spread(lengths: Float[Array, " cells"], count: int) -> tuple[Array, Array, Array]:
-    """Nodes at equal distances along cells of these lengths: (cell, place in it from 0 to 1, share
-    of the cell that the node stands for), (count,) each."""
-    ends = jnp.cumsum(lengths)
-    reach = (jnp.arange(count, dtype=ends.dtype) + 0.5) / count * ends[-1]
-    cell = jnp.minimum(jnp.searchsorted(ends, reach, side="right"), len(lengths) - 1)
-    own = or_one(lengths[cell])
-    within = jnp.clip((reach - (ends[cell] - lengths[cell])) / own, 0, 1)
-    return cell, within, ends[-1] / count / own
+def _spread(lengths: Float[Array, "curves cells"], count: int) -> tuple[Array, Array, Array, Array]:
+    """Nodes at equal distances along curves, whose cells have these lengths: (curve, cell, place in
+    it from 0 to 1, share of the cell that the node stands for), (count,) each. No node stands for
+    parts of two curves, which would err at the corners of a shape."""
+    whole = lengths.sum(axis=1)
+    ends = jnp.cumsum(whole)
+    last = jnp.round(count * (ends / or_one(ends[-1]))).astype(jnp.int32)
+    node = jnp.arange(count, dtype=jnp.int32)
+    curve = jnp.minimum(jnp.searchsorted(last, node, side="right"), len(whole) - 1)
+    first = jnp.where(curve > 0, last[curve - 1], 0)
+    share = whole[curve] / jnp.maximum(last[curve] - first, 1).astype(ends.dtype)
+    reach = ((node - first).astype(ends.dtype) + 0.5) * share
+    sums = jnp.cumsum(lengths, axis=1)[curve]
+    cell = jnp.minimum((sums <= reach[:, None]).sum(axis=1), lengths.shape[1] - 1)
+    own = lengths[curve, cell]
+    begin = sums[node, cell] - own
+    return curve, cell, jnp.clip((reach - begin) / or_one(own), 0, 1), share / or_one(own)
 
 
 def _row(tree: Any, index: Array) -> Any:
@@ -407,9 +420,9 @@ def _of_outlines(
         return _lengths(view, *jax.vmap(end)(jnp.linspace(0, 1, _CELLS + 1, dtype=dtype)))
 
     curves = _curves(_seen_outlines(scene))
-    cell, within, share = jax.lax.stop_gradient(_spread(jax.vmap(cells)(curves).reshape(-1), count))
-    t, step = ((cell % _CELLS).astype(dtype) + within) / _CELLS, share / _CELLS
-    chosen = cell // _CELLS
+    lengths = jax.vmap(cells)(curves)
+    chosen, cell, within, share = jax.lax.stop_gradient(_spread(lengths, count))
+    t, step = (cell.astype(dtype) + within) / _CELLS, share / _CELLS
 
     def places(moving: Any, t: Array) -> tuple[Array, Array]:
         scene, view = again(moving)
@@ -509,12 +522,12 @@ def _of_shadows(
 
     some = lattice[:4, 2:] if extended else lattice[:1, 2:]
     each = jax.vmap(jax.vmap(jax.vmap(cells, (None, None, 0)), (None, 0, None)), (0, None, None))
-    lengths = each(lamps, curves, some).mean(2).reshape(-1)
+    lengths = each(lamps, curves, some).mean(2).reshape(-1, _CELLS)
     if extended:  # a curve that these places of the lamp do not show may be seen from others
         lengths = lengths + 0.2 * lengths.mean()
-    cell, within, share = jax.lax.stop_gradient(_spread(lengths, count))
-    t, step = ((cell % _CELLS).astype(dtype) + within) / _CELLS, share / _CELLS
-    chosen, lamp_number = cell // _CELLS % len(curves.kind), cell // _CELLS // len(curves.kind)
+    number, cell, within, share = jax.lax.stop_gradient(_spread(lengths, count))
+    t, step = (cell.astype(dtype) + within) / _CELLS, share / _CELLS
+    chosen, lamp_number = number % len(curves.kind), number // len(curves.kind)
 
     def node(
         lamp: Light, curve: Curves, t: Array, u: Array | None, of_lamp: Array
