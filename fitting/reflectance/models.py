@@ -64,7 +64,7 @@ def _one(shape: Array) -> Array:
 
 def _lobe(record: Callable[[Array, Array, Array], Material]) -> Callable[[Array, float], Material]:
     """The parameters (0, 1, shape) for a record of (diffuse, specular, shape)."""
-    return lambda shape, index: record(0 * _one(shape), _one(shape), shape)
+    return lambda shape, index: record(jnp.zeros(1, shape.dtype), _one(shape), shape)
 
 
 def _facets(
@@ -72,7 +72,7 @@ def _facets(
 ) -> Callable[[Array, float], Material]:
     def material(shape: Array, index: float) -> Material:
         interface = Dielectric(jnp.full(1, index, shape.dtype)) if clear else None
-        lobe = 0 * _one(shape), _one(shape), shape
+        lobe = jnp.zeros(1, shape.dtype), _one(shape), shape
         return TorranceSparrow(*lobe, interface=interface, distribution=distribution)
 
     return material
