@@ -82,9 +82,9 @@ def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
     )
     levels = sum(one.judged.lit.lit.size for one in predictions)
     kept = all(one.labels == ("levels kept out of its fit",) for one in predictions)
-    which = "which the fit of another camera like it was kept from,"
+    which = "which were held out in a second fit,"
     if not kept:
-        which = "some of them those of its fit, as there are too few to keep some out of it,"
+        which = "some of them those of its fit, because there are too few to hold some out,"
     words = [
         f"The camera over all settings alone predicts {levels} levels of {len(predictions)} "
         f"settings, {which} with chi-squares per degree of freedom of {told}."
@@ -94,7 +94,7 @@ def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
     words += [f"At {one.camera}: {' '.join(explanations(one))}" for one in missed[:SHOWN]]
     if len(missed) > SHOWN:
         others = ", ".join(one.camera for one in missed[SHOWN:])
-        words.append(f"Levels of {others} are missed by more than chance, too.")
+        words.append(f"The levels of {others} differ significantly, too.")
     return tuple(words)
 
 

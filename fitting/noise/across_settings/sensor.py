@@ -136,7 +136,11 @@ def _sensor(
     darks = [one if isinstance(one, Levels) else one.dark for one in frames]
     lit = [one for one in frames if isinstance(one, PhotonTransfer)]
     scale = lit[0].full_scale
-    black = jnp.stack([dark.mean[jnp.argmin(dark.exposure)] for dark in darks])
+    shortest = [jnp.argmin(one.exposure) for one in darks]
+    black = jnp.stack([one.mean[i] for one, i in zip(darks, shortest, strict=True)])
+    if at.dark_current is not None:
+        times = jnp.stack([one.exposure[i] for one, i in zip(darks, shortest, strict=True)])
+        black = black - jnp.exp(at.log_gain) * at.dark_current * times
     dark = None
     if "activation_energy" in values:
         dark = ArrheniusDarkCurrent(
