@@ -7,6 +7,7 @@ electrons. Its data are codes, or tables of how often each code occurs. Both hav
 ("camera.sensor"). Its fields can then be fitted, too ("camera.sensor.gain").
 """
 
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any, NamedTuple, cast
 
@@ -183,7 +184,8 @@ class SensorCounts(eqx.Module):
             numbers of pixels and frames with each code, and the prediction (..., codes) is the
             light of each table, repeated along its codes. Counts outside a table are unknown: its
             probabilities add up to 1. None where each datum is a code.
-        totals: () or (..., 1) total count of each table, for `draw`; None without.
+        totals: () or (..., 1) total count of each table, for `draw`; None takes those of the data
+            of a problem.
 
     Raises:
         InputError: for a sensor that does not count single electrons or whose pixels share charge,
@@ -217,18 +219,32 @@ class SensorCounts(eqx.Module):
         if not isinstance(self.sensor, str):
             _check_counts(self.sensor, self.reach)
         if self.codes is not None and is_concrete(self.codes):
-            _check_whole("codes", np.asarray(plain_numbers("SensorCounts: codes", self.codes)))
+            _check_codes(np.asarray(plain_numbers("SensorCounts: codes", self.codes)))
 
     def check_data(self, data: Numbers) -> None:
         """Refuse data that are neither codes nor counts of codes."""
         known = np.asarray(data)
         if self.codes is None:
             _check_whole("the data", known)
-        elif (known < 0).any():
+            return
+        listed, counted = (np.atleast_1d(x).shape[-1] for x in (self.codes, known))
+        if listed != counted:
             raise InputError(
-                f"SensorCounts: a table holds numbers of codes, at least 0, and one is "
-                f"{known.min():g}; mark a missing one by NaN."
+                f"SensorCounts: of each table {listed} codes are given and {counted} counts; give "
+                "the code of each count."
             )
+        wrong = known[np.isfinite(known) & ((known < 0) | (known != np.round(known)))]
+        if wrong.size:
+            raise InputError(
+                "SensorCounts: a table holds numbers of codes, whole and at least 0, and one is "
+                f"{wrong[0]:g}; give counts, no shares, and mark a missing one by NaN."
+            )
+
+    def for_data(self, data: Numbers) -> "SensorCounts":
+        """The same, whose tables are drawn of as many numbers as these."""
+        if self.codes is None or self.totals is not None:
+            return self
+        return replace(self, totals=jnp.sum(jnp.asarray(data), axis=-1, keepdims=True))
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """ln P of each code. For a table it is each count times ln P of its code, without the
@@ -452,6 +468,18 @@ def _check_whole(what: str, known: np.ndarray) -> None:
         raise InputError(
             f"SensorCounts: {what} are codes, whole numbers, and hold {wrong.flat[0]:g}; use "
             "SensorNoise for means of frames or corrected data."
+        )
+
+
+def _check_codes(codes: np.ndarray) -> None:
+    """Refuse the codes of a table that are no codes, or of which one occurs twice."""
+    _check_whole("codes", codes)
+    ordered = np.sort(np.atleast_1d(codes), axis=-1)
+    twice = ordered[..., 1:][ordered[..., 1:] == ordered[..., :-1]]
+    if twice.size or not np.isfinite(codes).all():
+        what = f"hold {twice[0]:g} twice" if twice.size else "hold one that is not finite"
+        raise InputError(
+            f"SensorCounts: codes {what}; give each code of a table once, with all its counts."
         )
 
 

@@ -4,12 +4,15 @@ bound.
     python -m fitting.checks.counts
 
 Tables of two levels of light are drawn and fitted by `fit_map`, with the same gain, read noise and
-black level. The Fisher information of the exact distribution is a sum over codes in NumPy. It uses
-central differences of Poisson probabilities times differences of the normal distribution function.
+black level. Where read noise hides the single electrons, these two do not determine black level,
+read noise and light: a third table without light is fitted, too. The Fisher information of the
+exact distribution is a sum over codes in NumPy. It uses central differences of Poisson
+probabilities times differences of the normal distribution function.
 """
 
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, poisson
@@ -23,8 +26,10 @@ from ..inference.problem import Problem
 from ..sensor_likelihoods import SensorCounts
 
 NAMES = ("gain", "read_noise", "black", "electrons[0]", "electrons[1]")
-GAIN, BLACK, ELECTRONS = 3.0, 40.0, (1.0, 6.0)
-READ_NOISES = (0.2, 0.5, 1.0, 5.0)
+BLACK, ELECTRONS = 40.0, (1.0, 6.0)
+GAINS = {0.2: 3.0, 0.5: 3.0, 1.0: 3.0, 5.0: 0.5}  # DN/e-, by read noise in e-
+HIDING = 2.0  # e- of read noise, above which a table without light is fitted, too
+CHUNK = 50  # fits at once
 NUMBERS = 200_000  # of each table
 DIFFERENCE = 1e-4  # relative, of the information's derivatives
 REACH = 8.5  # read noises that are summed
@@ -50,9 +55,12 @@ class Efficiency:
     claimed: Float[np.ndarray, " parameters"]
 
 
-def shares(values: Float[np.ndarray, " parameters"], codes: np.ndarray) -> np.ndarray:
+def shares(
+    values: Float[np.ndarray, " parameters"], codes: np.ndarray, *, dark: bool
+) -> np.ndarray:
     """(levels, codes) probability of each code by direct sums; values in the order of `NAMES`."""
     gain, read_noise, black, *electrons = values
+    electrons = [*[0.0] * dark, *electrons]
     n = np.arange(200)
     law = norm(black + gain * n[:, None], gain * read_noise)
     inside = law.cdf(codes + 0.5) - law.cdf(codes - 0.5)
@@ -60,28 +68,29 @@ def shares(values: Float[np.ndarray, " parameters"], codes: np.ndarray) -> np.nd
 
 
 def information(
-    values: Float[np.ndarray, " parameters"], codes: np.ndarray, numbers: int
+    values: Float[np.ndarray, " parameters"], codes: np.ndarray, numbers: int, *, dark: bool
 ) -> Float[np.ndarray, "parameters parameters"]:
     """The Fisher information of tables with so many counts."""
     slopes = []
     for i, value in enumerate(values):
         step = np.where(np.arange(len(values)) == i, DIFFERENCE * value, 0)
-        moved = shares(values + step, codes) - shares(values - step, codes)
+        moved = shares(values + step, codes, dark=dark) - shares(values - step, codes, dark=dark)
         slopes.append(moved / (2 * DIFFERENCE * value))
-    probability = np.maximum(shares(values, codes), 1e-300)
+    probability = np.maximum(shares(values, codes, dark=dark), 1e-300)
     return numbers * np.einsum("ilc,jlc->ij", np.stack(slopes) / probability, np.stack(slopes))
 
 
 @in_double
 def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficiency:
     """Draw tables, fit them and compare."""
-    truth = np.array([GAIN, read_noise, BLACK, *ELECTRONS])
-    beyond = REACH * GAIN * read_noise
-    codes = np.arange(np.floor(BLACK - beyond), np.ceil(BLACK + GAIN * 26 + beyond))
-    law = shares(truth, codes)
+    gain, dark = GAINS[read_noise], read_noise > HIDING
+    truth = np.array([gain, read_noise, BLACK, *ELECTRONS])
+    beyond = REACH * gain * read_noise
+    codes = np.arange(np.floor(BLACK - beyond), np.ceil(BLACK + gain * 26 + beyond))
+    law = shares(truth, codes, dark=dark)
     rng = np.random.default_rng(seed)
     drawn = np.stack([rng.multinomial(NUMBERS, p / p.sum(), simulations) for p in law])
-    sensor = Sensor(shot_noise=PoissonShotNoise(), read_noise=read_noise, gain=GAIN, offset=BLACK)
+    sensor = Sensor(shot_noise=PoissonShotNoise(), read_noise=read_noise, gain=gain, offset=BLACK)
     free = {
         "sensor.gain": Parameter(transform="log"),
         "sensor.read_noise": Parameter(transform="log"),
@@ -90,20 +99,20 @@ def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficie
     }
     problem = Problem(
         free,
-        lambda electrons, inputs: electrons[:, None] * inputs,
-        SensorCounts("sensor", int(np.ceil(REACH * read_noise + 1)), codes=codes),
+        lambda electrons, inputs: jnp.pad(electrons, (dark, 0))[:, None] * inputs,
+        SensorCounts("sensor", int(np.ceil(REACH * read_noise + 1 / gain)), codes=codes),
         drawn[:, 0],
         inputs=np.ones_like(law),
         records={"sensor": sensor},
     )
-    found = fit_map(problem, np.moveaxis(drawn, 1, 2), starts=1, chunk=100)
+    found = fit_map(problem, np.moveaxis(drawn, 1, 2), starts=1, chunk=CHUNK)
     estimates, errors = (
         np.concatenate([np.reshape(of[name], (-1, simulations)) for name in free])
         for of in (found.estimate, found.sd)
     )
     there = np.isfinite(estimates).all(axis=0)
     missed = estimates[:, there] - truth[:, None]
-    bound = information(truth, codes, NUMBERS)
+    bound = information(truth, codes, NUMBERS, dark=dark)
     squares = np.einsum("in,ij,jn->n", missed, bound, missed)
     scatter = np.mean(missed**2, axis=1)
     return Efficiency(
@@ -116,7 +125,7 @@ def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficie
 
 
 if __name__ == "__main__":
-    for noise in READ_NOISES:
+    for noise in GAINS:
         one = efficiency(noise, 500)
         figures = " | ".join(f"{ratio:.3f}" for ratio in (*one.ratios, one.whole))
         print(f"| {noise:g} | {one.fits} | {figures} |")

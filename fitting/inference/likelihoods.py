@@ -9,7 +9,8 @@ Each is a record with
 `least_squares` says whether ln p is -residual^2 / 2 plus constants, so that a fit may use the
 Levenberg-Marquardt method. `surrogate` is a least-squares likelihood with a similar best fit, for a
 likelihood that is hard to search, or None. A record of your own with these parts works as well. It
-may also have `check_data(data)`, which refuses invalid data. A field that is a string names a
+may also have `check_data(data)`, which refuses invalid data, and `for_data(data)`, which returns it
+with what its draws need of the data. A field that is a string names a
 parameter or a path into a record, and is replaced by its value.
 
 Residuals are quantile residuals (Dunn & Smyth, J. Comput. Graph. Stat. 5, 1996): the normal deviate
@@ -332,6 +333,10 @@ class Clustered(eqx.Module):
         """Refuse data that the inner likelihood refuses."""
         check_data(self.likelihood, data)
 
+    def for_data(self, data: Numbers) -> "Clustered":
+        """The same with the inner likelihood for these data."""
+        return eqx.tree_at(lambda own: own.likelihood, self, for_data(self.likelihood, data))
+
     @property
     def least_squares(self) -> bool:
         """That property of the inner likelihood."""
@@ -361,6 +366,11 @@ def check_data(likelihood: Any, data: Numbers) -> None:
     `data`: to check, 0 or NaN where missing."""
     if hasattr(likelihood, "check_data"):
         likelihood.check_data(data)
+
+
+def for_data(likelihood: Any, data: Numbers) -> Any:
+    """The likelihood whose draws are as many as the data, where these are counts."""
+    return likelihood.for_data(data) if hasattr(likelihood, "for_data") else likelihood
 
 
 def with_noise_scaled(likelihood: Any, factor: Any) -> Any:

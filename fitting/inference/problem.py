@@ -26,7 +26,7 @@ from jaxvision.errors import InputError, nearest
 from .candidates import Candidate
 from .given import plain_numbers, require_kind
 from .joint_prior import JointPrior, log_dependence, restricted, with_joint_prior
-from .likelihoods import Likelihood, check_data, names_within, with_values
+from .likelihoods import Likelihood, check_data, for_data, names_within, with_values
 from .on_host import on_host
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
 from .records import is_path, reach, read, replaced
@@ -417,7 +417,7 @@ def likelihood_at(problem: Problem, values: Values) -> Likelihood:
     def value_of(name: str) -> Any:
         return values[name] if name in values else reach(records_at(problem, values), name)
 
-    return with_values(problem.likelihood, value_of)
+    return for_data(with_values(problem.likelihood, value_of), problem.data)
 
 
 def log_likelihood_terms(vector: Vector, problem: Problem) -> Float[Array, "..."]:

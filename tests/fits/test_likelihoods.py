@@ -18,9 +18,10 @@ from fitting import (
     StudentT,
     fit,
 )
-from fitting.checks.counts import READ_NOISES, efficiency
+from fitting.checks.counts import GAINS, efficiency
 from fitting.inference.likelihoods import Likelihood, with_values
 from fitting.inference.misfit import judge
+from fitting.inference.problem import likelihood_at
 from fitting.inference.tails import log_ndtr, log_student
 from jaxvision import BrighterFatter, Compression, PoissonShotNoise, Sensor, Taps
 from jaxvision.errors import InputError
@@ -595,8 +596,21 @@ def test_a_table_of_codes_is_multinomial_within_its_codes():
     assert 1e-3 < stats.chi2.sf(pearson, 2 * (TABLE_CODES.size - 1)) < 1 - 1e-3
     with pytest.raises(InputError, match="give it, such as totals="):
         SensorCounts(tables.sensor, 4, codes=TABLE_CODES).draw(jax.random.key(0), lights)
-    with pytest.raises(InputError, match="at least 0, and one is -1"):
-        tables.check_data(np.array([-1.0, 2.0]))
+    with pytest.raises(InputError, match="whole and at least 0, and one is -"):
+        tables.check_data(-counts)
+    with pytest.raises(InputError, match=r"of each table \d+ codes are given and 2 counts;"):
+        tables.check_data(counts[:, :2])
+    with pytest.raises(InputError, match=r"one is 0\.5; give counts, no shares"):
+        tables.check_data(np.full(counts.shape, 0.5))
+    for codes, words in (([5, 6, 5], "hold 5 twice"), ([5, np.nan], "hold one that is not finite")):
+        with pytest.raises(InputError, match=f"codes {words}; give each code of a table once"):
+            SensorCounts(tables.sensor, 4, codes=codes)
+    # A problem draws tables of as many numbers as its data have.
+    space = {"mu": Parameter(shape=(2,), transform="log")}
+    one = SensorCounts(tables.sensor, 4, codes=TABLE_CODES)
+    problem = Problem(space, lambda mu: mu[:, None] * jnp.ones(TABLE_CODES.size), one, counts)
+    again = likelihood_at(problem, {"mu": jnp.array([1.0, 3.0])}).draw(jax.random.key(0), lights)
+    np.testing.assert_array_equal(again.sum(axis=1), [1000, 1000])
 
 
 @pytest.mark.slow
@@ -622,7 +636,7 @@ def test_residuals_of_tables_are_binomial_deviates(traced):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("read_noise", READ_NOISES[:3])
+@pytest.mark.parametrize("read_noise", GAINS)
 def test_tables_of_codes_give_all_that_they_tell(read_noise):
     """200 fits beside the Cramer-Rao bound of a plain sum: the whitened squares are known to 4 %,
     variances of single numbers to 10 %."""
