@@ -140,14 +140,15 @@ def _operating_point(calibration: NoiseCalibration) -> str:
     """The operating point that the standard requires with every sheet."""
     measurement = calibration.measurement
     bright, dark = measurement.bright, measurement.dark
-    exposures = [1e3 * float(end(bright.exposure)) for end in (np.min, np.max)]
+    shortest, longest = (f"{1e3 * float(end(bright.exposure)):.3g}" for end in (np.min, np.max))
+    exposures = f"exposure{'s' * (shortest != longest)} {shortest}"
+    exposures += f" to {longest}" * (shortest != longest)
     light = "in photons per pixel" if measurement.photons_known else "as exposure only"
     top = measurement.full_scale
     scale = "" if top is None else f"full scale {top:g} DN, "
     return (
         f"EMVA 1288: {scale}{int(bright.pixels)} pixels, {bright.mean.size} levels of light and "
-        f"{dark.mean.size} of dark, exposures {exposures[0]:.3g} to {exposures[1]:.3g} ms, light "
-        f"known {light}."
+        f"{dark.mean.size} of dark, {exposures} ms, light known {light}."
     )
 
 

@@ -16,7 +16,7 @@ from fitting.noise.levels import Levels, PhotonTransfer
 from fitting.noise.prediction.comparison import compare
 from fitting.noise.prediction.moments import Lit, clipped
 from fitting.noise.prediction.predict import levels_kept_out, predict_own_frames
-from fitting.noise.prediction.section import NOTHING_KNOWN, findings
+from fitting.noise.prediction.section import NOTHING_KNOWN, findings, section
 from fitting.noise.sensor import fitted_sensor
 from fitting.noise.shared import SharedVariance
 from jaxvision import (
@@ -155,6 +155,22 @@ def test_an_effect_of_no_known_kind_is_not_named():
     prediction = predict(PLAIN, replace(made, bright=bright))
     assert prediction.judged.missed == ["covariances of neighbours"]
     assert NOTHING_KNOWN in findings(prediction)
+
+
+def test_the_report_has_each_level_beside_its_prediction():
+    """Measured, predicted, and their difference over the error, of mean and variance."""
+    found = predict(PLAIN, measured(np.random.default_rng(1)))
+    told = section(found)
+    assert any("The frames agree with it within their errors" in one for one in told.findings)
+    (levels,) = [one for one in told.tables if one.title == "Levels"]
+    assert len(levels.rows) == found.judged.lit.lit.size
+    for row in (levels.rows[0], levels.rows[-1]):
+        assert len(row) == len(levels.columns) == 8
+    assert levels.rows[-1][0] == "dark"
+    z = [row[4] for row in levels.rows]
+    np.testing.assert_allclose(z, found.judged.residuals[0])
+    np.testing.assert_allclose([row[3] for row in levels.rows], found.judged.found.values[0])
+    np.testing.assert_allclose([row[5] for row in levels.rows], found.judged.measured[1])
 
 
 def test_frames_that_are_averages_scatter_too_little():

@@ -28,7 +28,7 @@ def section(prediction: Prediction) -> Section:
         estimates=(),
         findings=findings(prediction),
         pictures=(picture(prediction),),
-        tables=(table(prediction),),
+        tables=(table(prediction), levels_table(prediction)),
         about=f"{name} and {len(prediction.judged.lit.lit)} levels of light and dark.",
     )
 
@@ -73,6 +73,11 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
         sentences.append(
             "The chi-squares include errors that are not part of a camera file: from level to "
             f"level {' and '.join(errors)} rms."
+        )
+    if not judged.missed and not _scatter_alone(prediction):
+        least = min(one.p_value for one in judged.agreement.values())
+        sentences.append(
+            f"The frames agree with it within their errors (the least p-value is {least:.2g})."
         )
     return (*sentences, *prediction.remarks, *explanations(prediction))
 
@@ -149,6 +154,35 @@ def table(prediction: Prediction) -> Table:
     )
 
 
+def levels_table(prediction: Prediction) -> Table:
+    """Mean and variance of each level beside their prediction."""
+    judged = prediction.judged
+    lit, values, missed = judged.lit, judged.found.values, judged.residuals
+    several = range(2 if len(judged.agreement) > 1 else 1)
+    light = "light (its rate fitted)" if prediction.unscaled else "light [photons]"
+    rows = [
+        (
+            float(lit.light[i]) if lit.lit[i] else "dark",
+            1e3 * float(lit.exposure[i]),
+            *(
+                x
+                for one in several
+                for x in (judged.measured[one, i], values[one, i], missed[one, i])
+            ),
+        )
+        for i in range(len(lit.lit))
+    ]
+    heads = [light, "exposure [ms]", "mean [DN]", "predicted", "apart [σ]"]
+    heads += ["variance [DN²]", "predicted", "apart [σ]"][: 3 * (len(several) - 1)]
+    return Table(
+        "Levels",
+        tuple(heads),
+        tuple(rows),
+        "Apart: measured less predicted, in standard errors of the frames and of the camera's "
+        "draws.",
+    )
+
+
 def picture(prediction: Prediction) -> Picture:
     """The residuals of a prediction, drawn on request.
 
@@ -183,7 +217,9 @@ def residual_figure(prediction: Prediction) -> Figure:
             panel.plot(signal[lit], left[lit], ".", color=colour, ms=6, label=word)
             panel.plot(signal[~lit], left[~lit], "s", color=colour, ms=3.5, mfc="none")
         if words[0]:
-            panel.legend(fontsize=8)
+            above = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.2}
+            panel.legend(fontsize=8, ncols=2, frameon=False, **above)
         panel.set_ylabel(name.replace(" of ", "\nof "), fontsize=9)
     panels[-1].set_xlabel("mean signal above black [DN]")
+    figure.supylabel("measured less predicted [standard errors]", fontsize=9)
     return figure
