@@ -290,7 +290,9 @@ def plan(
 
         check_target(target, model)
         with reporter.step("reading images"):
-            observation = read_reflectance_observation(rig)
+            observation = read_reflectance_observation(
+                rig, channel="green" if rig.camera.pattern else ""
+            )
         with reporter.step("fitting reflectance"):
             calibration = calibrate(observation, model=model, index=index, seed=options.seed)
         with reporter.step("ranking lights"):

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from .noise.across_settings.calibration import CameraCalibration
+    from .noise.calibration import NoiseCalibration
     from .report.section import Section
     from .rig import Purpose, Rig
     from .rig_from_folder import FoundRig
@@ -149,13 +150,19 @@ def noise(
     unstated: list[tuple[Rig, tuple[str, ...]]] = []
 
     def fitted() -> "Section":
-        calibration = calibrate(measurement, **draws("noise", progress))
-        if rig is not None and (taps := unstated_taps(calibration)) is not None:
+        own = draws("noise", progress)
+        later = rig is not None and not channel and own["sampling"] is not None
+        if later:  # a chain is of one camera
+            own["sampling"] = None
+        calibration = calibrate(measurement, **own)
+        if rig is not None and not channel and (taps := unstated_taps(calibration)) is not None:
             camera = rig.camera.model_copy(update={"taps": taps})
             if not (camera.in_parts and camera.region):
                 told = periodic_findings(calibration, apart=True)
                 unstated.append((rig.model_copy(update={"camera": camera}), tuple(told)))
                 return Section(KIND, TITLE, (), ())  # all pixels together are no camera
+        if later:
+            calibration = calibrate(measurement, **draws("noise", progress))
         return section(calibration)
 
     with step("fitting photon transfer") as progress:
@@ -248,7 +255,7 @@ def predict(
     from .report.inputs import with_inputs
 
     taps = read_with_draws(file)[0].taps
-    if rig is not None and taps is not None and rig.camera.cell == (1, 1):
+    if rig is not None and taps is not None and rig.camera.layout == (1, 1):
         stated = camera_of_taps(taps)
         if stated is not None and not (stated.in_parts and rig.camera.region):
             told = (
@@ -298,17 +305,46 @@ def _camera_file(camera: str) -> Path:
 
 
 def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
-    """One section for each site of a mosaic, or for each tap."""
-    from .noise.calibration import calibrate
-    from .noise.read import read_photon_transfer
+    """One section for each site of a mosaic, or for each tap; also for taps of a mosaic that the
+    rig does not state."""
+    from .noise.findings import periodic_findings, unstated_taps
     from .noise.section import sections_of_sites
     from .report.inputs import with_inputs
+
+    looked_for = rig.camera.pattern is not None and rig.camera.taps is None
+    calibrations, failed = _each_site(rig, step, draws, chains=not looked_for)
+    if looked_for:
+        unstated = {site: unstated_taps(one) for site, one in calibrations.items()}
+        taps = {own for own in unstated.values() if own is not None}
+        camera = rig.camera.model_copy(update={"taps": taps.pop() if len(taps) == 1 else None})
+        if camera.taps is not None and not (camera.in_parts and camera.region):
+            site = next(site for site, own in unstated.items() if own is not None)
+            words = periodic_findings(calibrations[site], apart=True)
+            apart = rig.model_copy(update={"camera": camera})
+            first, *others = _noise_of_sites(apart, step, draws)
+            told = tuple(f"{site}: {sentence}" for sentence in words)
+            return [replace(first, findings=(*told, *first.findings)), *others]
+        if draws("noise", lambda done, total: None)["sampling"] is not None:
+            calibrations, failed = _each_site(rig, step, draws)
+    first, *others = sections_of_sites(calibrations, rig.camera)
+    told = tuple(f"{site} could not be calibrated: {error}" for site, error in failed)
+    first = replace(first, findings=(*told, *first.findings))
+    return [with_inputs(first, rig, "photon transfer"), *others]
+
+
+def _each_site(
+    rig: "Rig", step: Step, draws: Draws, *, chains: bool = True
+) -> "tuple[dict[str, NoiseCalibration], list[tuple[str, InputError]]]":
+    """The calibration of each site, and what fails. Without `chains` by Laplace alone."""
+    from .noise.calibration import calibrate
+    from .noise.read import read_photon_transfer
 
     sites = rig.camera.sites
     calibrations, failed = {}, []
     with step("fitting photon transfer of each site") as progress:
         for i, site in enumerate(sites):
             own = draws(f"noise_{i}" if i else "noise", lambda done, total: None)
+            own["sampling"] = own["sampling"] if chains else None
             try:
                 measurement = read_photon_transfer(rig, channel=site)
                 calibrations[site] = calibrate(measurement, **own)
@@ -317,10 +353,7 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
             progress(i + 1, len(sites))
     if not calibrations:
         raise failed[0][1]
-    first, *others = sections_of_sites(calibrations, rig.camera)
-    told = tuple(f"{site} could not be calibrated: {error}" for site, error in failed)
-    first = replace(first, findings=(*told, *first.findings))
-    return [with_inputs(first, rig, "photon transfer"), *others]
+    return calibrations, failed
 
 
 def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "list[Section]":
@@ -432,21 +465,42 @@ def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
     from .reflectance.from_images.calibration import calibrate
     from .reflectance.from_images.read import read_reflectance_observation
     from .reflectance.from_images.section import section
-    from .report.inputs import with_inputs
 
-    with step("reading images"):
-        observation = read_reflectance_observation(rig)
-    with step("compiling and fitting models of reflectance") as progress:
-        drawn = draws("brdf", progress)
-        by_fit = progress if drawn["sampling"] is None else None  # a chain shows its own
-        found = _attempted(
-            "brdf",
-            "Reflectance",
-            lambda: section(calibrate(observation, **settings, **drawn, progress=by_fit)),
-            known=observation.findings,
-        )
+    def of_colour(colour: str, of: str) -> "Section":
+        with step(f"reading images{of}"):
+            observation = read_reflectance_observation(rig, channel=colour)
+        with step(f"compiling and fitting models of reflectance{of}") as progress:
+            drawn = draws("_".join(filter(None, ("brdf", colour))), progress)
+            by_fit = progress if drawn["sampling"] is None else None  # a chain shows its own
+            return _attempted(
+                "brdf",
+                "Reflectance",
+                lambda: section(calibrate(observation, **settings, **drawn, progress=by_fit)),
+                known=observation.findings,
+            )
+
+    return _of_each_colour(rig, of_colour, settings), {}
+
+
+def _of_each_colour(
+    rig: "Rig", of_colour: "Callable[[str, str], Section]", settings: dict[str, Any]
+) -> "list[Section]":
+    """One section, or one for each colour of a mosaic: of the colour, and of its words."""
+    from .report.inputs import with_inputs
+    from .rig import COLOURS
+
+    mosaic = rig.camera.pattern is not None
+    found = [of_colour(one, f" of {one}") for one in COLOURS] if mosaic else [of_colour("", "")]
     free = settings.get("fit_gamma", False)
-    return [with_inputs(found, rig, "a reflectance calibration", fit_gamma=free)], {}
+    found[0] = with_inputs(found[0], rig, "a reflectance calibration", fit_gamma=free)
+    if mosaic:
+        found = [
+            replace(
+                one, kind=f"{one.kind}_{colour}" if i else one.kind, title=f"{one.title}: {colour}"
+            )
+            for i, (one, colour) in enumerate(zip(found, COLOURS, strict=True))
+        ]
+    return found
 
 
 def lights(
@@ -520,18 +574,18 @@ def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
     from .joint.calibration import calibrate
     from .joint.read import read_joint_measurement
     from .joint.section import section
-    from .report.inputs import with_inputs
 
-    with step("reading images"):
-        measurement = read_joint_measurement(rig)
-    with step("fitting surface, response and sensor") as progress:
-        drawn = draws("joint", progress)
-        by_channel = progress if drawn["sampling"] is None else None  # a chain shows its own
-        found = _attempted(
-            "joint",
-            "Surface, response and sensor",
-            lambda: section(calibrate(measurement, **settings, **drawn, progress=by_channel)),
-            known=measurement.findings,
-        )
-    free = settings.get("fit_gamma", False)
-    return [with_inputs(found, rig, "a reflectance calibration", fit_gamma=free)], {}
+    def of_colour(colour: str, of: str) -> "Section":
+        with step(f"reading images{of}"):
+            measurement = read_joint_measurement(rig, channel=colour)
+        with step(f"fitting surface, response and sensor{of}") as progress:
+            drawn = draws("_".join(filter(None, ("joint", colour))), progress)
+            by_channel = progress if drawn["sampling"] is None else None  # a chain shows its own
+            return _attempted(
+                "joint",
+                "Surface, response and sensor",
+                lambda: section(calibrate(measurement, **settings, **drawn, progress=by_channel)),
+                known=measurement.findings,
+            )
+
+    return _of_each_colour(rig, of_colour, settings), {}

@@ -236,6 +236,14 @@ def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
     return planes
 
 
+def pixels_of_colour(camera: Camera, shape: tuple[int, int], colour: str) -> np.ndarray:
+    """(h, w) true for the pixels of a mosaic that see one of `COLOURS`."""
+    found = np.zeros(shape, bool)
+    for name, plane in split_channels(found, camera).items():
+        plane[...] = name.split()[0] == colour
+    return found
+
+
 def one_site(camera: Camera) -> SiteCamera:
     """The camera for images that `to_one_site` has normalised."""
     if isinstance(camera.gain, tuple) and camera.encoding is not None:

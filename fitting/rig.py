@@ -10,6 +10,7 @@ import math
 import os
 from collections import Counter
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -209,7 +210,8 @@ class Camera(_Known):
     multiple of 2 x 2 and taps. black_level, saturation, gain and read_noise are each one number, or
     a list with one number for each site of this cell, in reading order from the first pixel of the
     whole frame: `black_level = [480, 512, 512, 560]` for a mosaic. RGB images take a list of three,
-    or of three for each site.
+    or of three for each site. If the parts of a frame are read by an amplifier each, the cells of
+    the parts count as if side by side: the first row of the left cell, then that of the right one.
 
     Attributes:
         black_level: DN without light.
@@ -242,7 +244,8 @@ class Camera(_Known):
         if not isinstance(content, dict) or not isinstance(content.get("sensor"), str):
             return content
         try:
-            told = _values_of_sensor(Path(content["sensor"]))
+            stated = {key: content[key] for key in ("pattern", "taps") if key in content}
+            told = _values_of_sensor(Path(content["sensor"]), stated)
         except InputError as error:
             raise ValueError(str(error).removesuffix(".")) from error
         for name, numbers in told.items():
@@ -255,10 +258,9 @@ class Camera(_Known):
         sites = len(self.sites)
         if self.taps == (1, 1):
             raise ValueError("taps = [1, 1] repeat at every pixel and separate nothing; remove it")
-        if self.in_parts and (self.pattern or self.region):
-            other = "region" if self.region else "pattern"
+        if self.in_parts and self.region:
             raise ValueError(
-                f'taps = "{self.taps}" are parts of a whole frame and go with no {other}; give one '
+                f'taps = "{self.taps}" are parts of a whole frame and go with no region; give one '
                 "part at a time as the region, without taps"
             )
         for name in BY_SITE:
@@ -267,7 +269,9 @@ class Camera(_Known):
                 continue
             lengths = " or ".join(map(str, self._lengths))
             cell = f"the cell of {self.cell[0]} x {self.cell[1]} pixels that pattern and taps make"
-            where = f'taps = "{self.taps}"' if self.in_parts else cell
+            where = f'taps = "{self.taps}"' if self.in_parts and not self.pattern else cell
+            if self.in_parts and self.pattern:
+                where = f'a mosaic with taps = "{self.taps}"'
             raise ValueError(
                 f"{name} lists {len(values)} numbers, but {where} has {sites} "
                 f"site{'s' * (sites > 1)}; give one number, or {lengths} in reading order"
@@ -287,30 +291,29 @@ class Camera(_Known):
 
     @property
     def layout(self) -> tuple[int, int]:
-        """Rows and columns of sites: of the cell, or of the parts of the frame."""
-        return PARTS[self.taps] if isinstance(self.taps, str) else self.cell
+        """Rows and columns of sites: of the cell, in each part of the frame if it has parts."""
+        (down, across), (rows, columns) = self.cell, PARTS.get(str(self.taps), (1, 1))
+        return down * rows, across * columns
 
     def places(self, height: int, width: int) -> list[tuple[slice, slice]]:
         """Rows and columns of each site, in the order of `sites`, within the region or frame."""
-        (down, across), (top, left) = self.layout, (self.region or (0, 0))[:2]
-        each = [(row, column) for row in range(down) for column in range(across)]
-        if not self.in_parts:
+        parts, (top, left) = PARTS.get(str(self.taps), (1, 1)), (self.region or (0, 0))[:2]
+
+        def lines(size: int, parts: int, period: int, first: int) -> list[slice]:
+            ends = [-(-size * i // parts) for i in range(parts + 1)]
             return [
-                (
-                    slice((row - top) % down, None, down),
-                    slice((column - left) % across, None, across),
-                )
-                for row, column in each
+                slice(start + (phase - first - start) % period, end, period)
+                for start, end in pairwise(ends)
+                for phase in range(period)
             ]
-        rows, columns = (
-            [-(-size * i // count) for i in range(count + 1)]
-            for size, count in ((height, down), (width, across))
-        )
-        return [(slice(*rows[i : i + 2]), slice(*columns[j : j + 2])) for i, j in each]
+
+        rows = lines(height, parts[0], self.cell[0], top)
+        return [(row, own) for row in rows for own in lines(width, parts[1], self.cell[1], left)]
 
     @property
     def cell(self) -> tuple[int, int]:
-        """The period of the sites in rows and columns; (1, 1) without sites."""
+        """The period of the sites in rows and columns, within a part of the frame if it has parts;
+        (1, 1) without sites that repeat."""
         down, across = (1, 1) if self.taps is None or isinstance(self.taps, str) else self.taps
         return (math.lcm(down, 2), math.lcm(across, 2)) if self.pattern else (down, across)
 
@@ -318,17 +321,18 @@ class Camera(_Known):
     def sites(self) -> tuple[str, ...]:
         """Names of the sites, in reading order: `grey`; `tap 0,1` (row and column in the cell) for
         several taps; `tap top left` and the like for parts of a frame; `red`, `green 1`, `green 2`
-        and `blue` for a mosaic; and `red tap 0,2` if several taps read a colour."""
+        and `blue` for a mosaic; and `red tap 0,2` or `red tap left` if several taps read a
+        colour."""
+        (rows, columns), (down, across) = self.layout, self.cell
+        places = [(row, column) for row in range(rows) for column in range(columns)]
         if isinstance(self.taps, str):
-            down, across = self.layout
-            rows, columns = (("top", "bottom")[:down], ("left", "right")[:across])
-            words = [
-                [row] * (down > 1) + [column] * (across > 1) for row in rows for column in columns
-            ]
-            return tuple(" ".join(["tap", *own]) for own in words)
-        down, across = self.taps or (1, 1)
-        places = [(row, column) for row in range(self.cell[0]) for column in range(self.cell[1])]
-        taps = [f"tap {row % down},{column % across}" for row, column in places]
+            of_rows = (" top", " bottom") if rows > down else ("",)
+            of_columns = (" left", " right") if columns > across else ("",)
+            taps = [f"tap{of_rows[i // down]}{of_columns[j // across]}" for i, j in places]
+        elif self.taps is not None:
+            taps = [f"tap {row % self.taps[0]},{column % self.taps[1]}" for row, column in places]
+        else:
+            taps = [""] * len(places)
         if self.pattern is None:
             return ("grey",) if self.taps is None else tuple(taps)
         of_mosaic = _mosaic_sites(self.pattern)
@@ -380,9 +384,10 @@ class Camera(_Known):
         return values[place if len(values) == len(names) else place // len(COLOURS)]
 
 
-def _values_of_sensor(file: Path) -> dict[str, dict[str, float]]:
-    """The values in a sensor file, by the rig's key that they replace. Standard deviations come
-    from the draws in the file next to it."""
+def _values_of_sensor(file: Path, stated: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The values in a sensor file, by the rig's key that they replace: lists for the taps of the
+    pattern and taps that the rig has `stated`. Standard deviations come from the draws in the file
+    next to it."""
     import numpy as np
 
     from jaxvision.files.cameras import read_sensor
@@ -390,11 +395,16 @@ def _values_of_sensor(file: Path) -> dict[str, dict[str, float]]:
 
     best, count = read_sensor(file), draws_beside(file)
     draws = read_sensor(file, draws=count) if count else None
-    if best.taps is not None:
-        raise InputError(
-            f"{file} has several taps, whose numbers a rig lists by site; give black_level, gain "
-            "and read_noise in place of sensor"
-        )
+    taps, tile = best.taps, [0]
+    if taps is not None:
+        tile = np.ravel(taps.pattern)
+        names = () if taps.names is None else tuple(taps.names[i] for i in tile)
+        if names != Camera(bits=16, **stated).sites:
+            raise InputError(
+                f"{file} has {len(set(tile))} taps, {', '.join(names) or 'without names'}; state "
+                "camera.pattern and camera.taps as its calibration had them, or give black_level, "
+                "gain and read_noise in place of sensor"
+            )
 
     def rms(sensor: Any, *names: str) -> Any:
         parts = [getattr(sensor, name) for name in names]
@@ -416,6 +426,13 @@ def _values_of_sensor(file: Path) -> dict[str, dict[str, float]]:
         if value is None:
             continue
         found[key] = {key: float(value)}
+        factors = getattr(taps, names[0], None)
+        if factors is not None and key == "black_level":
+            found[key] = {key: (float(value) + np.asarray(factors)[tile]).tolist()}
+        elif factors is not None and key in BY_SITE:
+            own = np.asarray(factors)[tile] * float(rms(best, names[0]))
+            beside = rms(best, *names[1:])
+            found[key] = {key: np.hypot(own, 0.0 if beside is None else beside).tolist()}
         spread = 0.0 if draws is None else float(np.std(rms(draws, *names)))
         if error and spread > 0:
             found[key][error] = spread

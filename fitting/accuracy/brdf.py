@@ -35,7 +35,8 @@ AWAY = 0.3  # of a logarithm: how far from the mode a search begins
 
 def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     """The settings of a rig's reflectance fit."""
-    observation = read_reflectance_observation(rig, load=load)
+    colour = "green" if rig.camera.pattern else ""
+    observation = read_reflectance_observation(rig, load=load, channel=colour)
     form = Form("phong")
     chosen = select(observation, held_out=False, form=form, minimum_cosine=0.0)
     usual = cells_of(observation, chosen)

@@ -107,15 +107,19 @@ def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
 def periodic_findings(calibration: NoiseCalibration, *, apart: bool = False) -> list[str]:
     """Findings on rows, columns, cells and parts of the frame that differ. `apart` names those that
     were calibrated separately."""
-    return periodic_in_words(_periodic(calibration), calibration.gain, apart=apart)
+    spacing = 1 if calibration.measurement.pattern is None else 2
+    return periodic_in_words(_periodic(calibration), calibration.gain, apart=apart, spacing=spacing)
 
 
 def unstated_taps(calibration: NoiseCalibration) -> tuple[int, int] | str | None:
     """The value of `camera.taps` for a camera whose pixels need separate calibrations; None if they
     agree, or if frames are not raw."""
-    if calibration.measurement.site is not None or is_no_sensor(calibration):
+    measurement = calibration.measurement
+    if is_no_sensor(calibration):
         return None
-    return taps_of(_periodic(calibration))
+    if measurement.pattern is not None:  # a site of a mosaic
+        return taps_of(_periodic(calibration), apart=2)
+    return None if measurement.site is not None else taps_of(_periodic(calibration))
 
 
 def _efficiency(calibration: NoiseCalibration) -> list[str]:

@@ -323,11 +323,12 @@ def taps_in_words(taps: tuple[int, int] | str | None) -> str:
     return f'"{taps}"' if isinstance(taps, str) else str(list(taps or ()))
 
 
-def taps_of(found: tuple[Periodic, ...]) -> tuple[int, int] | str | None:
-    """The `camera.taps` that describes the differing pixels; None if none does."""
-    periods = {one.where: one.period for one in found if one.period}
+def taps_of(found: tuple[Periodic, ...], *, apart: int = 1) -> tuple[int, int] | str | None:
+    """The `camera.taps` that describes the differing pixels; None if none does. Pixels of a site
+    lie `apart`: 2 in a mosaic."""
+    periods = {one.where: apart * one.period for one in found if one.period}
     if "mosaic" in periods:
-        return (2, 2)
+        return (2 * apart, 2 * apart)
     if periods:
         return periods.get("rows", 1), periods.get("columns", 1)
     return next((one.where for one in found if one.where != CENTRE), None)
@@ -339,9 +340,9 @@ def unequal_gains_of(found: tuple[Periodic, ...]) -> float:
 
 
 def periodic_in_words(
-    found: tuple[Periodic, ...], gain: float, *, apart: bool = False
+    found: tuple[Periodic, ...], gain: float, *, apart: bool = False, spacing: int = 1
 ) -> list[str]:
-    """One or two sentences for each structure."""
+    """One or two sentences for each structure, of pixels that lie `spacing` apart."""
     sentences = []
     for one in found:
         if one.where == "mosaic":
@@ -365,10 +366,11 @@ def periodic_in_words(
         if one.signals and not one.gains:
             span = 100 * (max(one.signals) / min(one.signals) - 1)
             parts.append(f"in signal by {span:.3g} %")
-        cause, remedy = "several amplifiers", f"give camera.taps = {taps_in_words(taps_of((one,)))}"
+        taps = taps_in_words(taps_of((one,), apart=spacing))
+        cause, remedy = "several amplifiers", f"give camera.taps = {taps}"
         if one.where == CENTRE:
             cause, remedy = "a correction of lens shading in the camera", "give frames without it"
-        elif one.signals and not one.gains and not one.offsets:
+        elif one.signals and not one.gains and not one.offsets and spacing == 1:
             cause = {"rows": "interlaced rows, or a mosaic", "mosaic": "a colour mosaic"}.get(
                 one.where, "several amplifiers, or a mosaic"
             )

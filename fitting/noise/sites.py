@@ -156,10 +156,8 @@ def camera_of_taps(taps: Taps) -> Camera | None:
     """The pattern and taps by which a rig states the taps of a sensor, whose `sites` are their
     names in reading order; None where no rig states them."""
     tile = np.asarray(taps.pattern)
-    known: dict[str, Any] = {"taps": tile.shape}
-    if taps.stretched:
-        known = {"taps": next((part for part in PARTS if PARTS[part] == tile.shape), None)}
-    elif taps.names is not None:
+    known: dict[str, Any] = {} if taps.names else {"taps": tile.shape}
+    if taps.names is not None:
         names = np.asarray(taps.names)[tile]
         phase = "".join(name[:1].upper() for name in names[:2, :2].ravel())
         ends = [re.findall(r"tap (\d+),(\d+)$", name) for name in names.ravel()]
@@ -167,7 +165,10 @@ def camera_of_taps(taps: Taps) -> Camera | None:
         if all(ends):
             last = np.array([end[0] for end in ends], int).max(axis=0)
             known["taps"] = tuple((last + 1).tolist())
-    elif taps.pattern in PHASES:
+    if taps.stretched:
+        parts = tuple(np.floor_divide(tile.shape, taps.cell))
+        known["taps"] = next((part for part in PARTS if PARTS[part] == parts), None)
+    elif taps.names is None and taps.pattern in PHASES:
         known = {"pattern": PHASES[taps.pattern]}
     try:
         camera = Camera(bits=16, **known)
@@ -345,6 +346,7 @@ def _joined(
             tuple(map(tuple, np.arange(len(each)).reshape(camera.layout).tolist())),
             offset=offsets - jnp.mean(offsets),
             stretched=camera.in_parts,
+            cell=camera.cell if camera.in_parts else (1, 1),
             names=camera.sites,
             **{name: values / safe[name] for name, values in own.items()},
         )

@@ -31,7 +31,7 @@ def _sites(rig: Rig, kind: str) -> Unused:
     camera = rig.camera
     if camera.taps is None:
         return
-    if camera.pattern is not None and camera.cell == (2, 2):
+    if camera.pattern is not None and camera.layout == (2, 2):
         yield ("camera.taps",), "camera.pattern sets the pixels of each apart already"
     several = any(isinstance(getattr(camera, name), tuple) for name in BY_SITE)
     if kind in ("brdf", "joint") and not several:

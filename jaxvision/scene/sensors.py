@@ -247,6 +247,9 @@ class Taps(Shown):
             For the sites of a mosaic, they hold in the light of the camera's calibration.
         stretched: whether the pattern covers the frame once instead of being repeated: ((0, 1), (2,
             3)) are then its quadrants. Static.
+        cell: rows and columns of a mosaic in each part of a stretched pattern, which has them part
+            by part: ((0, 1, 2, 3),) with the cell (1, 2) are odd and even columns of the left half
+            and of the right one. The mosaic begins at the first pixel of the frame. Static.
         names: of the taps, such as ("red", "green 1", "green 2", "blue"), which match frames of
             another mosaic phase; or None. Static.
 
@@ -273,6 +276,7 @@ class Taps(Shown):
         converter=as_optional_float, default=None, kw_only=True
     )
     stretched: bool = eqx.field(static=True, default=False, kw_only=True)
+    cell: tuple[int, int] = eqx.field(static=True, default=(1, 1), kw_only=True)
     names: tuple[str, ...] | None = eqx.field(static=True, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
@@ -285,6 +289,12 @@ class Taps(Shown):
                 check_tile("Taps.pattern", self.pattern, bands=values.shape[0], holder=holder)
         if self.names is not None:
             check_tile("Taps.pattern", self.pattern, bands=len(self.names), holder="Taps.names")
+        whole = min(self.cell) > 0 and not np.any(np.remainder(np.shape(self.pattern), self.cell))
+        if not whole or (self.cell != (1, 1) and not self.stretched):
+            raise ValueError(
+                f"Taps.cell {self.cell} must divide the rows and columns of a stretched pattern, "
+                f"{np.shape(self.pattern)}."
+            )
 
 
 def _as_effects(effects: Any) -> Any:

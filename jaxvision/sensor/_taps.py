@@ -19,7 +19,9 @@ def of_taps(
     tile = np.asarray(taps.pattern)
     rows, columns = np.arange(height), np.arange(width)
     if taps.stretched:
-        rows, columns = rows * tile.shape[0] // height, columns * tile.shape[1] // width
+        (down, across), (of_rows, of_columns) = taps.cell, np.floor_divide(tile.shape, taps.cell)
+        rows = rows * of_rows // height * down + rows % down
+        columns = columns * of_columns // width * across + columns % across
     else:
         rows, columns = rows % tile.shape[0], columns % tile.shape[1]
     found = values.astype(dtype)[tile][jnp.asarray(rows)][:, jnp.asarray(columns)]

@@ -212,13 +212,17 @@ def test_taps_that_bear_other_names_than_the_frames_are_refused():
 @pytest.mark.parametrize(
     "stated",
     [{"pattern": "GBRG"}, {"pattern": "BGGR", "taps": (1, 4)}, {"taps": (3, 1)}]
-    + [{"taps": part} for part in ("left and right", "top and bottom", "quadrants")],
+    + [{"taps": part} for part in ("left and right", "top and bottom", "quadrants")]
+    + [{"taps": part, "pattern": "GRBG"} for part in ("top and bottom", "quadrants")],
 )
 def test_taps_of_a_file_are_what_a_rig_stated(stated):
     camera = Camera(bits=16, **stated)
     tile = np.arange(len(camera.sites)).reshape(camera.layout).tolist()
     taps = jv.Taps(
-        tuple(map(tuple, tile)), names=camera.sites, stretched=isinstance(stated.get("taps"), str)
+        tuple(map(tuple, tile)),
+        names=camera.sites,
+        stretched=camera.in_parts,
+        cell=camera.cell if camera.in_parts else (1, 1),
     )
     assert camera_of_taps(taps) == camera
     assert [tap_of(taps, site, camera.pattern) for site in camera.sites] == [
@@ -329,14 +333,66 @@ def test_each_gain_of_several_has_one_camera_of_all_taps(tmp_path):
             assert "variances" not in noise.predict(file, measured).judged.missed
 
 
-def test_parts_of_a_frame_are_taps():
-    camera = Camera(bits=12, taps="quadrants", black_level=[1, 2, 3, 4])
-    assert camera.sites == ("tap top left", "tap top right", "tap bottom left", "tap bottom right")
-    assert camera.at("tap bottom left").black_level == 3
-    # The record of the sensor lays its taps over the frame alike, odd sizes too.
-    taps = jv.Taps(((0, 1), (2, 3)), offset=[0.0, 1.0, 2.0, 3.0], stretched=True)
+@pytest.mark.parametrize("pattern", [None, "RGGB"])
+def test_parts_of_a_frame_are_taps(pattern):
+    """By the rig and by the record of the sensor alike, in frames of odd sizes too."""
+    camera = Camera(
+        bits=12,
+        taps="quadrants",
+        pattern=pattern,
+        black_level=[1, 2, 3, 4, *[5] * 12][: 16 if pattern else 4],
+    )
+    if pattern is None:
+        parts = ("tap top left", "tap top right", "tap bottom left", "tap bottom right")
+        assert camera.sites == parts
+        assert camera.at("tap bottom left").black_level == 3
+    else:
+        assert camera.sites[1:4:2] == ("green 1 tap top left", "green 1 tap top right")
+        assert camera.at("red tap top right").black_level == 3
+    tile = np.arange(len(camera.sites)).reshape(camera.layout)
+    taps = jv.Taps(
+        tuple(map(tuple, tile.tolist())),
+        offset=np.arange(tile.size, dtype=float),
+        stretched=True,
+        cell=camera.cell,
+    )
     own = np.array(jv.expected_signal(jv.Sensor(taps=taps), np.zeros((5, 7, 1))))[..., 0]
     for i, place in enumerate(camera.places(5, 7)):
         assert (own[place] == i).all()
         own[place] = -1
     assert (own == -1).all()
+    column = np.indices((8, 12))[1]
+    half = jv.Taps(((0, 1, 2, 3),), offset=[0.0, 1.0, 2.0, 3.0], stretched=True, cell=(1, 2))
+    seen = np.asarray(jv.expected_signal(jv.Sensor(taps=half), np.zeros((8, 12, 1))))[..., 0]
+    assert (seen == 2 * (column >= 6) + column % 2).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stated", ["", ', taps = "left and right"'])
+def test_a_mosaic_that_is_read_in_halves_has_one_camera(tmp_path, stated):
+    """Eight sites; halves that the rig does not state are found in the planes of the mosaic."""
+    tap = (COLUMN >= 48) * 4 + BAYER
+    known = {
+        "gain": [0.25] * 4 + [0.265] * 4,
+        "black": [64] * 4 + [70] * 4,
+        "efficiency": 2 * [0.3, 0.5, 0.5025, 0.2],
+    }
+    written_rig(tmp_path, frames(30, tap, **known), f'bits = 12, pattern = "RGGB"{stated}')
+    sections, _ = folders.noise(tmp_path, step, lambda kind, progress: {"sampling": None})
+    assert len(sections) == 8
+    remedy = 'calibrated separately; give camera.taps = "left and right"'
+    assert any(remedy in one for one in sections[0].findings) == (not stated)
+    sections[0].records["sensor"](tmp_path / "sensor.toml")
+    sensor = jv.read_sensor(tmp_path / "sensor.toml")
+    draws = jv.read_sensor(tmp_path / "sensor.toml", draws=200)
+    order = [0, 1, 4, 5, 2, 3, 6, 7]  # of the numbers above, by rows of the cells side by side
+    of_sites = {name: np.asarray(own)[order] for name, own in known.items()}
+    assert np.abs(deviations(sensor, draws, of_sites, 8)).max() < 4
+    written_rig(tmp_path, frames(31, tap, **known), "bits = 12")
+    compared, _ = folders.predict(str(tmp_path / "sensor.toml"), tmp_path, step)
+    assert [one.title.rpartition(": ")[2] for one in compared][2] == "red tap right"
+    told = [sentence for one in compared for sentence in one.findings]
+    assert not any("differ significantly" in sentence for sentence in told)
+    photons = np.full((*SHAPE, 1), 8000.0)
+    raw = jv.expected_signal(sensor, photons / 0.01)  # of an exposure of .01 s
+    np.testing.assert_allclose(jv.sensor.correct(raw, sensor, unit="photons").image, photons)

@@ -1,9 +1,12 @@
 """Reading photographs of a known shape: the geometry is right, and what is wrong is named."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
-from oracles.sphere_photographs import light_directions, sphere_normals, write_rig
+from oracles.sphere_photographs import light_directions, shade, sphere_normals, write_rig
 
+from fitting import folders
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.rig import load_rig
 from jaxvision.errors import InputError
@@ -108,6 +111,90 @@ def test_colour_images_need_one_intensity_or_one_a_channel(tmp_path):
         read(rig_folder(tmp_path, frames=colour, intensity=[1.0, 2.0]))
 
 
+def test_a_colour_of_a_mosaic_is_its_own_pixels_at_their_own_places(tmp_path):
+    """GBRG; black and gain of each site, in reading order, are made those of their mean."""
+    colour = np.arange(1, 4) * (100 + np.arange(5 * SIZE**2).reshape(5, SIZE, SIZE, 1) % 250)
+    site = np.array([[1, 2], [0, 1]])
+    which = np.tile(site, (SIZE // 2, SIZE // 2))
+    black, gain = (
+        np.tile(x, (SIZE // 2, SIZE // 2)) for x in ([[60, 64], [68, 72]], [[1, 2], [2, 1]])
+    )
+    mosaic = black + gain * np.take_along_axis(colour, which[None, :, :, None], 3)[..., 0]
+    camera = {"bits": 12, "pattern": '"GBRG"', "black_level": [60, 64, 68, 72]}
+    camera["gain"] = [0.1, 0.2, 0.2, 0.1]
+    folder = rig_folder(tmp_path, frames=mosaic, camera=camera, intensity=[1.0, 2.0, 3.0])
+    rig, whole = load_rig(folder), 0
+    for i, name in enumerate(("red", "green", "blue")):
+        seen = read_reflectance_observation(rig, channel=name)
+        assert seen.channels == (name,)
+        assert (which[seen.rows, seen.columns] == i).all()
+        normals = sphere_normals(SIZE, RADIUS)[seen.rows, seen.columns]
+        np.testing.assert_allclose(seen.normals, normals, atol=1e-14)
+        np.testing.assert_array_equal(seen.intensity, np.full((1, 5), i + 1.0))
+        signal = 1.5 * colour[:, seen.rows, seen.columns, i]
+        np.testing.assert_allclose(seen.dn[0], seen.black + signal, rtol=1e-12)
+        whole += len(seen.rows)
+    (tmp_path / "grey").mkdir()
+    grey = rig_folder(tmp_path / "grey")
+    assert whole == len(read(grey).rows)
+    with pytest.raises(InputError, match=r"'red' is a colour of a mosaic; give camera\.pattern"):
+        read_reflectance_observation(grey, channel="red")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [folders.brdf, folders.joint])
+def test_photographs_of_a_raw_mosaic_tell_each_colour(tmp_path, command):
+    """Each colour by the pixels of its sites, with black levels and gains of the sites; flats and
+    darks of the joint fit, too."""
+    rng, size, radius = np.random.default_rng(3), 48, 22.0
+    directions = light_directions(16)
+    which = np.tile([[0, 1], [1, 2]], (size // 2, size // 2))
+    black, gain = (
+        np.tile(x, (size // 2, size // 2))
+        for x in ([[60, 64], [68, 72]], [[0.25, 0.26], [0.24, 0.25]])
+    )
+    diffuse = [0.5, 0.35, 0.2]
+
+    def exposed(electrons):
+        of = rng.poisson(electrons) + 5 * rng.standard_normal(electrons.shape)
+        return np.clip(np.round(black + gain * of), 0, 4095).astype(np.uint16)
+
+    lit = [shade(sphere_normals(size, radius), directions, "phong", d, 0.3, 30.0) for d in diffuse]
+    frames = exposed(9000 * np.take_along_axis(np.stack(lit, 3), which[None, ..., None], 3)[..., 0])
+    camera = {"bits": 12, "pattern": '"RGGB"', "black_level": [60, 64, 68, 72]}
+    camera["gain"] = [0.25, 0.26, 0.24, 0.25]
+    extra = []
+    if command is folders.joint:
+        for kind, level in [("dark", 0.0), *(("flat", e) for e in (1000.0, 4000.0, 8000.0))]:
+            names = [f"{kind}_{level:g}_{i}.npy" for i in range(2)]
+            for name in names:
+                np.save(tmp_path / name, exposed(np.full((size, size), level)))
+            extra += [f"[[{kind}]]", f"files = {names}", "exposure = 0.01"]
+    else:
+        camera["read_noise"] = 5.0
+    write_rig(
+        tmp_path,
+        frames,
+        directions,
+        [9000 * 0.25],
+        radius=radius,
+        camera=camera,
+        extra="\n".join(extra),
+    )
+    sections, _ = command(
+        tmp_path,
+        lambda label: nullcontext(lambda done, total: None),
+        lambda kind, progress: {"sampling": None, "seed": 0},
+        model="phong",
+    )
+    assert [one.title.rpartition(": ")[2] for one in sections] == ["red", "green", "blue"]
+    for one, truth in zip(sections, diffuse, strict=True):
+        found = next(e for e in one.estimates if e.symbol == "k_d")
+        print(found)
+        assert abs(found.value - truth) < 4 * found.standard_error
+        assert found.standard_error < 0.01 * truth
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -117,7 +204,10 @@ def test_colour_images_need_one_intensity_or_one_a_channel(tmp_path):
         ({"radius": 3.0}, "leave 1. pixels"),
         ({"directions": [[0.0, 0.0, -1.0]] * 5}, "reaches no visible pixel"),
         ({"camera": CAMERA | {"bits": 8}}, "do not fit 8 bits"),
-        ({"camera": CAMERA | {"pattern": '"RGGB"'}}, "mosaic"),
+        (
+            {"camera": CAMERA | {"pattern": '"RGGB"'}},
+            "are a Bayer mosaic; read one colour at a time, by a channel of red, green, blue",
+        ),
     ],
 )
 def test_bad_folders_are_refused_in_one_sentence(tmp_path, changes, message):

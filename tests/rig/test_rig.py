@@ -38,6 +38,33 @@ sphere = { centre = [10.0, 11.0], radius = 5.0 }
 """
 
 
+def test_a_sensor_of_a_mosaic_states_the_numbers_of_each_site(tmp_path):
+    """By the names of its taps; a rig of another layout is refused."""
+    stated = {"pattern": "RGGB", "taps": "left and right"}
+    names = Camera(bits=12, **stated).sites
+    taps = jv.Taps(
+        ((0, 1, 2, 3), (4, 5, 6, 7)),
+        offset=np.arange(8.0) - 3.5,
+        gain=np.linspace(0.9, 1.1, 8),
+        stretched=True,
+        cell=(2, 2),
+        names=names,
+    )
+    best = jv.Sensor(gain=0.5, offset=64.0, read_noise=4.0, row_noise=3.0, taps=taps)
+    jv.write_sensor(best, tmp_path / "sensor.toml")
+    rig = 'camera = {bits = 12, pattern = "RGGB", sensor = "sensor.toml"'
+    camera = load_rig(write_rig(tmp_path, rig + ', taps = "left and right"}')).camera
+    np.testing.assert_allclose(camera.black_level, 60.5 + np.arange(8))
+    np.testing.assert_allclose(camera.gain, 0.5 * np.linspace(0.9, 1.1, 8))
+    assert camera.read_noise == pytest.approx(5.0)
+    assert camera.at("red tap right").black_level == 62.5
+    write_rig(tmp_path, rig + "}")
+    with pytest.raises(
+        InputError, match=r"has 8 taps, red tap left, .*; state camera\.pattern and"
+    ):
+        load_rig(tmp_path)
+
+
 def test_a_sensor_file_states_what_the_rig_leaves_out(tmp_path):
     """Temporal noise of a pixel is that of pixels, rows and frames together."""
     rng = np.random.default_rng(0)
@@ -260,7 +287,14 @@ def test_numbers_by_site_are_had_by_name(tmp_path):
         ({"black_level": [1, 2, -3]}, r"black_level\[3\] = -3: must be greater than or equal to 0"),
         ({"black_level": []}, "black_level lists 0; give at least 1"),
         ({"taps": "top and bottom", "gain": [1, 2, 3]}, "taps = .* has 2 sites; give one number"),
-        ({"taps": "quadrants", "pattern": "RGGB"}, "parts of a whole frame and go with no pattern"),
+        (
+            {"taps": "quadrants", "region": (0, 0, 8, 8)},
+            "parts of a whole frame and go with no reg",
+        ),
+        (
+            {"taps": "left and right", "pattern": "RGGB", "gain": [1, 2]},
+            "a mosaic with taps = .* has 8 sites; give one number, or 8 in reading order",
+        ),
         (
             {"taps": "thirds"},
             r"'thirds' are no taps; give rows and columns, as in \[1, 2\], or one of",

@@ -37,6 +37,7 @@ from ...observation import (
     in_memory,
     in_region,
     one_site,
+    pixels_of_colour,
     read_mask,
     read_stack,
     require_as_many,
@@ -45,6 +46,7 @@ from ...observation import (
     to_one_site,
 )
 from ...rig import (
+    COLOURS,
     Camera,
     Dark,
     Flat,
@@ -180,7 +182,7 @@ class Photographs:
 
 
 def read_reflectance_observation(
-    rig: Rig | str | os.PathLike[str], *, load: Load = read_image
+    rig: Rig | str | os.PathLike[str], *, load: Load = read_image, channel: str = ""
 ) -> Photographs:
     """Read and check all files that a rig's `[[light]]` and `[geometry]` entries name.
 
@@ -190,6 +192,7 @@ def read_reflectance_observation(
     Args:
         rig: with `[[light]]` and `[geometry]`, or its folder or file.
         load: function that reads an image from its path.
+        channel: the colour of a mosaic to read, "red", "green" or "blue"; only its pixels are used.
 
     Returns:
         The observation.
@@ -200,10 +203,12 @@ def read_reflectance_observation(
     """
     rig = as_rig(rig)
     require(rig, PURPOSE)
-    if rig.camera.pattern is not None:
+    if rig.camera.pattern is None and channel:
+        raise InputError(f"{rig.folder}: {channel!r} is a colour of a mosaic; give camera.pattern.")
+    if rig.camera.pattern is not None and channel not in COLOURS:
         raise InputError(
-            f"{rig.folder}: camera.pattern says the images are a Bayer mosaic; {PURPOSE} needs "
-            "demosaicked images (or one plane), so convert them and remove the pattern."
+            f"{rig.folder}: camera.pattern says the images are a Bayer mosaic; read one colour at "
+            f"a time, by a channel of {', '.join(COLOURS)}."
         )
     rig, told = _without_odd_heads(rig)
     assert rig.geometry is not None
@@ -213,7 +218,7 @@ def read_reflectance_observation(
     if named is not None:
         mask = read_mask(rig.path(named), rig.camera, shape=shape, load=load)
     useless = [f"The mask {named} leaves out no pixel; it has no effect."]
-    rows, columns, normals = _surface(rig, rig.geometry, shape, mask, load)
+    rows, columns, normals = _surface(rig, rig.geometry, shape, mask, load, channel)
     wi, falloff = _light_field(rig, normals)
     cosine, mirror_angle = angles(normals, wi)
     camera = one_site(rig.camera)
@@ -225,10 +230,10 @@ def read_reflectance_observation(
         told = [*told, PILED.format(count=pile[1], top=pile[0])]
     held_out, how = _held_out(rig)
     observation = Photographs(
-        channels=("grey",) if len(frames) == 1 else ("red", "green", "blue"),
+        channels=COLOURS if len(frames) > 1 else (channel or "grey",),
         files=tuple(light.file for light in rig.light),
         dn=dn,
-        intensity=_intensities(rig, len(frames)),
+        intensity=_intensities(rig, len(frames), channel),
         falloff=falloff,
         wi=wi,
         cosine=cosine,
@@ -352,7 +357,12 @@ def _read_frames(rig: Rig, load: Load) -> Float[np.ndarray, "channels lights h w
 
 
 def _surface(
-    rig: Rig, geometry: Geometry, shape: tuple[int, int], mask: np.ndarray | None, load: Load
+    rig: Rig,
+    geometry: Geometry,
+    shape: tuple[int, int],
+    mask: np.ndarray | None,
+    load: Load,
+    channel: str,
 ) -> tuple[Int[np.ndarray, " pixels"], Int[np.ndarray, " pixels"], Float[np.ndarray, "pixels 3"]]:
     """Rows, columns and unit normals of the pixels that show the object."""
     if geometry.sphere is not None:
@@ -362,6 +372,8 @@ def _surface(
         normals, seen = _stored_normals(rig, geometry.normals, shape, mask, load)
     if mask is not None:
         seen = seen & mask
+    if channel:
+        seen = seen & pixels_of_colour(rig.camera, shape, channel)
     rows, columns = np.nonzero(seen)
     if len(rows) < FEWEST_PIXELS:
         raise InputError(
@@ -463,7 +475,11 @@ def angles(
     return tuple(np.stack([np.asarray(x) for x in kind]) for kind in zip(*per_light, strict=True))
 
 
-def _intensities(rig: Rig, channels: int) -> Float[np.ndarray, "channels lights"]:
+def _intensities(
+    rig: Rig, channels: int, channel: str = ""
+) -> Float[np.ndarray, "channels lights"]:
+    if channel:
+        return _intensities(rig, len(COLOURS))[[COLOURS.index(channel)]]
     columns = []
     for light in rig.light:
         if len(light.intensity) not in (1, channels):
@@ -558,7 +574,7 @@ def _dark(observation: Photographs) -> Bool[np.ndarray, " lights"]:
 
 
 def read_joint_measurement(
-    rig: Rig | str | os.PathLike[str], *, load: Load = read_image
+    rig: Rig | str | os.PathLike[str], *, load: Load = read_image, channel: str = ""
 ) -> Photographs:
     """Read and check the images of a rig, its flats and its darks.
 
@@ -566,6 +582,7 @@ def read_joint_measurement(
         rig: with `[[light]]` and `[geometry]`, and optional `[[flat]]` and `[[dark]]`; or its
             folder or file.
         load: function that reads an image from its path.
+        channel: the colour of a mosaic to read, "red", "green" or "blue"; only its pixels are used.
 
     Returns:
         The photographs, with the levels of flats and darks.
@@ -574,7 +591,7 @@ def read_joint_measurement(
         InputError: as for the reflectance calibration, and for flats and darks that do not match.
     """
     rig = as_rig(rig)
-    observation = read_reflectance_observation(rig, load=load)
+    observation = read_reflectance_observation(rig, load=load, channel=channel)
     encoded = observation.gamma is not None
     rig, findings = _without_odd_frames(rig, load)
     if encoded and rig.dark:
@@ -583,7 +600,7 @@ def read_joint_measurement(
         )
     return replace(
         observation,
-        levels=_levels(rig, len(observation.channels), load, with_darks=not encoded),
+        levels=_levels(rig, observation.channels, load, with_darks=not encoded),
         findings=(*findings, *observation.findings),
     )
 
@@ -622,7 +639,7 @@ def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
 
 
 def _levels(
-    rig: Rig, channels: int, load: Load, *, with_darks: bool
+    rig: Rig, channels: tuple[str, ...], load: Load, *, with_darks: bool
 ) -> tuple[UniformLevels, ...] | None:
     entries = [*rig.flat, *(rig.dark if with_darks else ())]
     if not entries:
@@ -630,7 +647,7 @@ def _levels(
     require_one_setting(rig, "give those of the images' gain and temperature alone")
     rows = np.array([_level(rig, entry.files, channels, load) for entry in entries])
     dark = np.arange(len(entries)) >= len(rig.flat)
-    levels = tuple(UniformLevels(*rows[:, channel].T, dark=dark) for channel in range(channels))
+    levels = tuple(UniformLevels(*own.T, dark=dark) for own in np.moveaxis(rows, 1, 0))
     for channel in levels:
         if (channel.variance <= 0).any():
             first = entries[int(np.argmax(channel.variance <= 0))].files[0]
@@ -641,10 +658,14 @@ def _levels(
     return levels
 
 
-def _level(rig: Rig, files: tuple[str, ...], channels: int, load: Load) -> np.ndarray:
+def _level(rig: Rig, files: tuple[str, ...], names: tuple[str, ...], load: Load) -> np.ndarray:
     """(channels, 4): mean, temporal variance, its degrees of freedom, error of the mean."""
     stack = np.stack([to_one_site(f, rig.camera) for f in read_stack(rig, files, load=load)])
+    if rig.camera.pattern is not None:
+        own = pixels_of_colour(rig.camera, stack.shape[1:3], names[0])
+        stack = stack[:, own][:, :, None]
     stack = stack[..., None] if stack.ndim == 3 else stack
+    channels = len(names)
     if stack.shape[3] != channels:
         raise InputError(
             f"{rig.path(files[0])}: has {stack.shape[3]} channels, the object's images have "
@@ -694,6 +715,7 @@ def from_photographs(
     point_lights: bool = False,
     flats: Sequence[Sequence[ArrayLike]] = (),
     darks: Sequence[Sequence[ArrayLike]] = (),
+    channel: str = "",
 ) -> Photographs:
     """Photographs in memory, for `reflectance.calibrate` and `joint.calibrate`.
 
@@ -721,6 +743,7 @@ def from_photographs(
         flats: for each level of light two or more frames, (h, w) or (h, w, 3) DN; a joint
             calibration estimates gain and read noise from them.
         darks: two or more frames each, without light.
+        channel: the colour of a mosaic to use, "red", "green" or "blue".
 
     Returns:
         The photographs, after the same checks as those of a folder.
@@ -781,7 +804,7 @@ def from_photographs(
             named |= dict(zip(of_level, frames, strict=True))
         entries[kind] = [{"files": of_level, "exposure": 1.0} for of_level in files]
     rig, load = in_memory(named, called=CALLED, camera=camera, **entries)
-    found = read_joint_measurement(rig, load=load)
+    found = read_joint_measurement(rig, load=load, channel=channel)
     if together is None:
         return found
     scale = np.linalg.norm(lights, axis=1)
