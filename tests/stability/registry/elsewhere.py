@@ -260,7 +260,7 @@ ELSEWHERE = (
             fitting.noise.flicker: flicker_in_words
             fitting.noise.drifting: drifting_in_words
             fitting.*.section.*
-            fitting.noise.prediction.section: picture residual_figure section table
+            fitting.noise.prediction.section: levels_table picture residual_figure section table
             fitting.noise.prediction.section: explanations findings
             fitting.noise.across_settings.prediction: findings table
             fitting.report.*
@@ -630,7 +630,7 @@ ELSEWHERE = (
             fitting.inference.estimates: find gaussian_estimate not_determined quantile_estimate
             fitting.inference.estimates: from_the_end sampled_estimate
             fitting.inference.given.*
-            fitting.inference.likelihoods: check_data named_width names_within numerics
+            fitting.inference.likelihoods: check_data for_data named_width names_within numerics
             fitting.inference.likelihoods: with_noise_scaled with_values
             fitting.inference.misfit: judge
             fitting.inference.channels: by_channel
