@@ -43,7 +43,8 @@ class Efficiency:
         read_noise: e-.
         fits: number of fits that converged.
         ratios: (parameters,) the bound over the variance of the estimates, in the order of `NAMES`.
-        whole: the same ratio for all parameters together, from their whitened squared errors.
+        whole: the same ratio for all parameters together, from their whitened squared errors (of
+            logarithms, but for the black level).
         claimed: (parameters,) mean variance that the fits report, over the variance of the
             estimates.
     """
@@ -113,7 +114,11 @@ def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficie
     there = np.isfinite(estimates).all(axis=0)
     missed = estimates[:, there] - truth[:, None]
     bound = information(truth, codes, NUMBERS, dark=dark)
-    squares = np.einsum("in,ij,jn->n", missed, bound, missed)
+    # In logarithms, in which the nearly constant product of gain and light is a straight line.
+    scale = np.where(np.isin(NAMES, ["black"]), 1.0, truth)
+    relative = np.log(estimates[:, there] / truth[:, None])
+    relative[NAMES.index("black")] = missed[NAMES.index("black")]
+    squares = np.einsum("in,ij,jn->n", relative, bound * np.outer(scale, scale), relative)
     scatter = np.mean(missed**2, axis=1)
     return Efficiency(
         read_noise=read_noise,

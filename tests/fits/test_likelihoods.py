@@ -608,7 +608,7 @@ def test_a_table_of_codes_is_multinomial_within_its_codes():
     # A problem draws tables of as many numbers as its data have.
     space = {"mu": Parameter(shape=(2,), transform="log")}
     one = SensorCounts(tables.sensor, 4, codes=TABLE_CODES)
-    problem = Problem(space, lambda mu: mu[:, None] * jnp.ones(TABLE_CODES.size), one, counts)
+    problem = Problem(space, lambda mu: mu[:, None] * jnp.ones((1, TABLE_CODES.size)), one, counts)
     again = likelihood_at(problem, {"mu": jnp.array([1.0, 3.0])}).draw(jax.random.key(0), lights)
     np.testing.assert_array_equal(again.sum(axis=1), [1000, 1000])
 
