@@ -11,18 +11,22 @@ import numpy as np
 from jaxvision.accuracy.records import Compute
 
 from ..inference.newton import minimise
+from ..inference.problem import log_density
+from ..inference.search import negative_log_density
 from ..noise.calibration import BY_NAME, LIKELIHOOD, NoiseCalibration, calibrate
 from ..noise.emva1288 import evaluate, ranges
-from ..noise.fit import (
+from ..noise.levels import PhotonTransfer, linear_levels
+from ..noise.read import reduce_rig
+from ..noise.statement import (
     base_space,
-    fit_space,
+    fitted,
     likelihood_sheet,
     noise_data,
+    posterior_problem,
+    restated,
     start_vector,
+    stated,
 )
-from ..noise.levels import PhotonTransfer, linear_levels
-from ..noise.model import cost, log_density
-from ..noise.read import reduce_rig
 from ..noise.usable import check
 from ..noise.window import needed_window, offset_data, window_of
 from ..observation import Load
@@ -48,7 +52,7 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     def of_sheet(sheet: Mapping[str, object]) -> np.ndarray:
         return np.array([float(np.asarray(sheet[name])) for name in names]) / errors
 
-    def fitted(measured: PhotonTransfer, *, exact: bool | None = None) -> np.ndarray:
+    def of_linear(measured: PhotonTransfer, *, exact: bool | None = None) -> np.ndarray:
         """The sheet of a linear camera, with exact moments, usual moments, or those that the data
         require."""
         usable, within = linear_levels(measured), ranges(measured)
@@ -56,19 +60,19 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         if exact and window is None:
             window = window_of(measured, usable)
         offsets = None if window is None else offset_data(measured, usable)
-        data = noise_data(measured, usable, window=window, offsets=offsets)
+        inputs, rows = noise_data(measured, usable, window=window, offsets=offsets)
         standard = eqx.filter_jit(evaluate)(measured, within).values
         space = base_space(measured, within, offsets=offsets)
-        vector = fit_space(space, data, standard).vector
-        linearity = jnp.zeros(data.mean.size, bool)
-        args = (space, data, linearity)
+        fit = fitted(stated(space, inputs, rows), standard)
+        args = (space, inputs, jnp.zeros(len(rows), bool))
+        vector = jnp.asarray(fit.optimum.vector)
         return of_sheet(eqx.filter_jit(likelihood_sheet)(vector, within.saturation, args))
 
     def likelihood(setting: str) -> Compute:
         if setting == "moments":
             sheet = eqx.filter_jit(evaluate)
             return lambda seed: of_sheet(sheet(measurement, ranges(measurement)).values)
-        return lambda seed: fitted(measurement, exact=setting == "exact")
+        return lambda seed: of_linear(measurement, exact=setting == "exact")
 
     def pixels(share: float) -> Compute:
         def compute(seed: int) -> np.ndarray:
@@ -82,7 +86,7 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
                     places[size] = _window(size, share, rng)
                 return image[places[size]]
 
-            return fitted(reduce_rig(rig, load=part))
+            return of_linear(reduce_rig(rig, load=part))
 
         return compute
 
@@ -108,12 +112,13 @@ def _window(size: tuple[int, ...], share: float, rng: np.random.Generator) -> tu
 def _tolerance(calibration: NoiseCalibration) -> Turn:
     """The search for the chosen model, started at the standard's figures."""
     fit = calibration.chosen
-    start = start_vector(fit.space, calibration.standard.values, fit.data)
+    problem = restated(fit.problem, fit.space)
+    start = start_vector(problem, calibration.standard.values)
     errors = np.sqrt(np.diagonal(fit.covariance))
 
     def turned(tolerance: float) -> Compute:
         def compute(seed: int) -> np.ndarray:
-            found = minimise(cost, start, (fit.space, fit.data), tolerance=tolerance)
+            found = minimise(negative_log_density, start, problem, tolerance=tolerance)
             return np.asarray(found.vector) / errors
 
         return compute
@@ -122,8 +127,6 @@ def _tolerance(calibration: NoiseCalibration) -> Turn:
 
 
 def _of_posterior(calibration: NoiseCalibration) -> Mapping[str, Turn]:
-    fit = calibration.chosen
-    args = fit.space, fit.data, jnp.asarray(1 / fit.inflation)
-    posterior = calibration.posterior
+    posterior, problem = calibration.posterior, posterior_problem(calibration.chosen)
     mode = jnp.asarray(posterior.unconstrained_mode)
-    return chain_knobs(Density(log_density, fit.space, mode, posterior.covariance, args))
+    return chain_knobs(Density(log_density, posterior.space, mode, posterior.covariance, problem))

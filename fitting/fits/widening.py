@@ -237,7 +237,7 @@ def _residuals(
     problem: Problem, vector: Array, chance: np.ndarray, shift: float
 ) -> Float[np.ndarray, "..."]:
     predicted, likelihood = predicted_at(vector, problem)
-    place = on_host(predicted, dtype=np.float64) + shift
+    place = jax.tree.map(lambda x: on_host(x, dtype=np.float64) + shift, predicted)
     found = likelihood.residuals(place, on_host(problem.data), chance)
     found = on_host(found, dtype=np.float64)
     return found if problem.present is None else np.where(on_host(problem.present), found, np.nan)

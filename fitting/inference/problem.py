@@ -58,7 +58,7 @@ class Problem(eqx.Module):
         fixed: constants, by name.
         tied: numbers that are functions of others, by name.
         predict: function from the values to the prediction that the likelihood compares with the
-            data.
+            data: an array of their shape, or a record for a likelihood of your own.
         asks: names of the arguments of `predict`.
         likelihood: distribution of the data about the prediction.
         data: of any shape; 0 where missing.
@@ -289,7 +289,7 @@ def _check_shapes(problem: Problem) -> None:
     def terms(vector: Vector, problem: Problem) -> Array:
         values = values_at(problem, vector)
         seen = prediction(problem, values)
-        if seen.shape != problem.data.shape:
+        if hasattr(seen, "shape") and seen.shape != problem.data.shape:
             raise InputError(
                 f"predict gives an array of shape {seen.shape}, the data have "
                 f"{problem.data.shape}: they must be equal."
@@ -394,9 +394,8 @@ def start_of_data(problem: Problem) -> Values:
 
 
 def prediction(problem: Problem, values: Values, *, inputs: Any = None) -> Array:
-    """The prediction that the likelihood compares with the data.
-
-    Returns of the data's shape, in its unit."""
+    """The prediction that the likelihood compares with the data: of their shape and in their unit,
+    or a record that the likelihood takes."""
     return give(problem, problem.predict, values, problem.inputs if inputs is None else inputs)
 
 
@@ -450,7 +449,7 @@ def log_prior_at(problem: Problem, vectors: Float[Array, "... parameters"]) -> F
 
 
 def least_squares_residuals(vector: Vector, problem: Problem) -> Float[Array, " data"]:
-    """Standardised residuals of a likelihood that is a sum of squares."""
+    """Standardised residuals, those of an interval at its end; 0 where a datum is missing."""
     return residuals_from(to_natural(problem.space, vector), problem)
 
 

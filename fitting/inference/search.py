@@ -34,9 +34,9 @@ best. Cost, gradient and curvature are summed over the chunks in float64. Every 
 once.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import equinox as eqx
@@ -50,6 +50,7 @@ from scipy.special import ndtri
 from jaxvision.errors import InputError
 from jaxvision.programs import on_processor
 
+from .candidates import numbers_of
 from .compiled import compiled_briefly
 from .diagnostics import UNDETERMINED, listed
 from .given import require_whole
@@ -89,9 +90,11 @@ MANY_STEPS = 1000  # of a solver that a user gives: those that know no curvature
 BEYOND, NOTHING = 30, 1e-6  # most steps beyond the end of a search, and share of its tolerance
 EDGE = 1e-3  # of a range, the nearest to an end that a search begins
 SAME_PLACE = 0.5  # rise in cost within which two searches ended at one optimum
+FARTHEST = 700.0  # unconstrained, in place of infinity: the exponential of more overflows
 TOGETHER = 16  # vectors of one call: as many as `fit` begins with
 
 Derivatives = tuple[Any, Any, Any]  # a cost, its gradient and its curvature
+Local = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 Told = Callable[[int], None]
 
 
@@ -264,12 +267,25 @@ def search(
     solver: Any = None,
     as_given: bool = True,
     told: Told | None = None,
+    without: Sequence[str] = (),
 ) -> Optimum:
     """The mode of a problem's posterior.
 
     `solver`: of optimistix, or a class of jaxopt's minimisers; None chooses by the likelihood.
-    `told`: is called with how many searches have ended."""
+    `told`: is called with how many searches have ended. `without`: names of candidates that are
+    absent; the optimum is that of the other numbers. Newton's method finds it by the compiled
+    program of the whole problem, so that all choices of candidates share one."""
     begin, modes = np.asarray(starts, np.float64), None
+    free, whole = present_numbers(problem, without)
+    begin = begin[:, free]
+    if without and (solver or problem.likelihood.least_squares or problem.likelihood.surrogate):
+        problem = _without(problem, without)
+        return search(problem, begin, solver=solver, as_given=as_given, told=told)
+
+    def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        cost, gradient, curvature = derivatives(whole(vectors), problem)
+        return cost, gradient[:, free], curvature[:, free][:, :, free]
+
     if solver is not None:
         _require_solver(solver, problem)
         mean, sd = (jnp.asarray(x, jnp.result_type(float)) for x in prior_gaussian(problem.space))
@@ -279,7 +295,7 @@ def search(
     elif problem.likelihood.least_squares:
         vectors, costs = _levenberg_marquardt(begin, problem, as_given=as_given, told=told)
     else:
-        modes = _modes(_by_surrogate(begin, problem, as_given, told), problem, told)
+        modes = _modes(_by_surrogate(begin, problem, as_given, told), local, told)
         vectors, costs = modes.vector, modes.cost
     costs = np.where(np.isfinite(costs), costs, np.inf)
     best = int(np.argmin(costs))
@@ -287,19 +303,46 @@ def search(
         why = _missing(problem) or "check predict, bounds and start."
         raise InputError(f"The log density is finite at none of the {len(costs)} starts: {why}")
     if modes is None or not modes.converged[best]:
-        found = jax.tree.map(lambda x: x[0], _mode(vectors[best][None], problem))
+        found = jax.tree.map(lambda x: x[0], _mode(vectors[best][None], local))
     else:
         found = jax.tree.map(lambda x: x[best], modes)
+    bend = prior_derivatives(whole(found.vector[None]), problem)[2][0]
     return Optimum(
         vector=found.beyond if found.converged else found.vector,
         cost=float(found.cost),
         information=found.information,
-        prior_information=prior_derivatives(found.vector[None], problem)[2][0],
+        prior_information=bend[free][:, free],
         decrement=float(found.decrement),
         stationary=bool(found.converged),
         ends=vectors,
         costs=costs - costs[best],
     )
+
+
+def _without(problem: Problem, names: Sequence[str]) -> Problem:
+    """The problem without several candidates, those first that require others."""
+    last = sorted(names, key=lambda name: any(name in c.requires for c in problem.candidates))
+    return reduce(Problem.without, last, problem)
+
+
+def present_numbers(
+    problem: Problem, without: Sequence[str]
+) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    """Indices of the numbers that are not of absent candidates, and the function that completes
+    (n, free) vectors by these."""
+    gone = [one for one in problem.candidates if one.name in without]
+    absent = np.full(len(problem.space), np.nan)
+    for candidate in gone:
+        absent[numbers_of(candidate, problem.space)] = candidate.absent
+    free = np.flatnonzero(np.isnan(absent))
+    absent = np.clip(unconstrained_numbers(problem.space, absent), -FARTHEST, FARTHEST)
+
+    def whole(vectors: np.ndarray) -> np.ndarray:
+        filled = np.tile(absent, (len(vectors), 1))
+        filled[:, free] = vectors
+        return filled
+
+    return free, whole
 
 
 def joined(one: Optimum, other: Optimum) -> Optimum:
@@ -462,22 +505,19 @@ def _levenberg_marquardt(
     return on_host(ends, dtype=np.float64), found.cost
 
 
-def _modes(starts: np.ndarray, problem: Problem, told: Told | None = None) -> Any:
+def _modes(starts: np.ndarray, local: Local, told: Told | None = None) -> Any:
     """Ends of Newton's method."""
-    how = _tolerances()
-    return minimise_many(
-        lambda vectors: derivatives(vectors, problem), starts, max_steps=STEPS, told=told, **how
-    )
+    return minimise_many(local, starts, max_steps=STEPS, told=told, **_tolerances())
 
 
-def _mode(start: np.ndarray, problem: Problem) -> Any:
+def _mode(start: np.ndarray, local: Local) -> Any:
     """As `_modes`, of one search, which goes on beyond its end as long as steps become smaller: the
     curvature of a sum of squares neglects a part, so that a small step is not the last."""
-    found = _modes(start, problem)
+    found = _modes(start, local)
     for _ in range(BEYOND):
         if not found.converged[0] or found.decrement[0] <= NOTHING * _tolerances()["tolerance"]:
             break
-        nearer = _modes(found.beyond, problem)
+        nearer = _modes(found.beyond, local)
         if not (nearer.converged[0] and nearer.decrement[0] < found.decrement[0]):
             break
         found = nearer

@@ -12,10 +12,10 @@ from jaxtyping import Array, Float
 from jaxvision import BrighterFatter
 from jaxvision.sensor import area_changes, flat_covariances
 
-from .fit import LikelihoodFit
 from .levels import REACH, PhotonTransfer
 from .model import compressed, expected_electrons
 from .neighbours import Lags, above_dark, copies, measured_shape, tell_of_neighbours
+from .statement import LikelihoodFit
 
 STEPS = 6  # of Gauss and Newton; the model is nearly linear
 

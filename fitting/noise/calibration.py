@@ -23,27 +23,37 @@ from ..inference.estimates import Estimate, gaussian_estimate, not_determined, s
 from ..inference.given import require_kind
 from ..inference.importance import laplace_where_it_holds
 from ..inference.left_out import LeftOut
-from ..inference.newton import minimise
 from ..inference.parameters import Parameter, names, to_unconstrained
 from ..inference.posterior import Posterior, estimates, sample
 from ..inference.precision import in_double
+from ..inference.problem import log_density
+from ..inference.search import search
 from ..report.notebook import ShownInNotebooks
-from .choice import choose_model
 from .counted import CodeFit, fitted_tables
 from .drifting import drifting
 from .emva1288 import Evaluation, Ranges, Sheet, evaluate, ranges
-from .fit import LikelihoodFit, fitted, likelihood_sheet, noise_data
 from .flicker import extra_in_flats, without_flicker
 from .levels import PhotonTransfer, linear_levels
-from .model import log_density, negative_log_density, predicted_moments
+from .model import predicted_moments
 from .neighbours import are_significant
 from .parts import Part
 from .pattern import PatternVariance, Spread, fitted_pattern, standard_pattern
 from .periodic import Periodic, periodic_structure, unequal_gains_of
 from .quantised import FINEST_READ_NOISE
-from .quantities import OFFSET_SPREAD, ON_GAIN, QUANTITIES, READ_NOISE, SCATTERS, Quantity
+from .quantities import OFFSET_SPREAD, ON_GAIN, QUANTITIES, READ_NOISE, Quantity
 from .regressions import through_origin
 from .shared import Found, shared_noise
+from .statement import (
+    LikelihoodFit,
+    base_space,
+    choose_model,
+    fitted,
+    likelihood_sheet,
+    noise_data,
+    posterior_problem,
+    restated,
+    stated,
+)
 from .window import needed_window, offset_data
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
@@ -208,8 +218,7 @@ def calibrate(
     try:
         linear, chosen = choose_model(
             measurement,
-            within,
-            data,
+            stated(base_space(measurement, within, offsets=offsets), *data),
             standard.values,
             trend=drifting(measurement, usable),
             sharing=are_significant(measurement, usable),
@@ -250,7 +259,8 @@ def refitted(calibration: NoiseCalibration, terms: tuple[Parameter, ...]) -> Noi
     lacking = tuple(term for term in terms if term not in chosen.space)
     if not lacking or likelihood is None:
         return calibration
-    fit = fitted(chosen.space + lacking, chosen.data, calibration.standard.values)
+    problem = restated(chosen.problem, chosen.space + lacking)
+    fit = fitted(problem, calibration.standard.values)
     posterior = _posterior(fit, None, calibration.posterior.seed)
     return replace(calibration, likelihood=replace(likelihood, chosen=fit, posterior=posterior))
 
@@ -271,29 +281,29 @@ def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternV
 def _posterior(fit: LikelihoodFit, sampling: Emcee | None, seed: int) -> Posterior:
     """The posterior of the chosen model. If the model has a scatter, which has a prior, it is taken
     about the posterior mode."""
-    args = fit.space, fit.data, jnp.asarray(1 / fit.inflation)
-    vector, covariance = fit.solution.vector, fit.inflation * fit.covariance
-    if any(name in SCATTERS for name in names(fit.space)):
-        found = minimise(negative_log_density, vector, args)
-        if bool(found.converged):
-            vector, covariance = found.vector, np.linalg.inv(np.asarray(found.information))
+    vector, covariance = fit.optimum.vector, fit.inflation * fit.covariance
+    problem = posterior_problem(fit)
+    if problem.inputs.jeffreys:
+        found = search(problem, vector[None])
+        if found.stationary:
+            vector, covariance = found.vector, np.linalg.inv(found.information)
+    of = log_density, fit.space, jnp.asarray(vector), covariance, problem
     if sampling is not None:
-        return sample(log_density, fit.space, vector, covariance, args, options=sampling, seed=seed)
-    return laplace_where_it_holds(
-        log_density, fit.space, vector, covariance, args, seed=seed, by_chain=False
-    )
+        return sample(*of, options=sampling, seed=seed)
+    return laplace_where_it_holds(*of, seed=seed, by_chain=False)
 
 
 def _likelihood_estimates(
     fit: LikelihoodFit, posterior: Posterior, within: Ranges, usable: np.ndarray
 ) -> tuple[Estimate, ...]:
     """The sheet of the chosen model: by the delta method for Laplace, from the draws for emcee."""
-    linearity = np.zeros(fit.data.mean.size, bool)
+    linearity = np.zeros(fit.data.lit.size, bool)
     linearity[: len(usable)] = np.asarray(within.linearity)[usable]
     args = (fit.space, fit.data, jnp.asarray(linearity))
     if posterior.sampled:
         return _drawn_estimates(posterior, within, args)
-    values, slopes, at_saturation = _sheet_and_slopes(fit.solution.vector, within.saturation, args)
+    vector = jnp.asarray(fit.optimum.vector)
+    values, slopes, at_saturation = _sheet_and_slopes(vector, within.saturation, args)
     found = []
     for name, value in values.items():
         slope = np.asarray(slopes[name])

@@ -59,7 +59,10 @@ class CodeFit:
             return None
         place = np.searchsorted(usable, self.levels)
         return CountedLevels(
-            jnp.asarray(place), jnp.asarray(self.logs), jnp.asarray(self.covariance)
+            jnp.asarray(place),
+            jnp.asarray(self.logs),
+            jnp.asarray(self.covariance),
+            jnp.zeros(len(place)),
         )
 
 

@@ -274,8 +274,6 @@ def _model_curve(
         light=jnp.asarray(light),
         lit=jnp.zeros(POINTS),
         exposure=jnp.full(POINTS, jnp.median(data.exposure)),
-        mean=jnp.zeros(POINTS),
-        variance=jnp.ones(POINTS),
         frames=jnp.full(POINTS, 2.0),
         pixels=data.pixels,
         top_signal=data.top_signal,

@@ -13,7 +13,6 @@ from .calibration import NoiseCalibration
 from .code_tables import SUB_ELECTRON
 from .drifting import drifting, drifting_in_words
 from .emva1288 import is_floored, least_dark_variance
-from .fit import gain_drop
 from .flicker import flicker_in_words
 from .levels import PhotonTransfer
 from .misfit import MISFIT
@@ -24,6 +23,7 @@ from .periodic import Periodic, periodic_in_words, taps_of
 from .printed_times import printed_times_in_words
 from .raw_frames import BLOCK, is_compressed, processing_in_words
 from .shared import Found, drift, temporal_lines
+from .statement import gain_drop
 
 LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
 FAR = 3.0  # standard errors between two figures that should agree
@@ -605,11 +605,9 @@ def _solver(calibration: NoiseCalibration) -> list[str]:
     if calibration.likelihood is None:
         return []
     chosen = calibration.chosen
-    solution = chosen.solution
-    judged = identifiability(
-        chosen.space, np.asarray(solution.information), vector=np.asarray(solution.vector)
-    )
+    optimum = chosen.optimum
+    judged = identifiability(chosen.space, optimum.information, vector=optimum.vector)
     told = list(judged.sentences)
-    if not bool(chosen.solution.converged):
+    if not optimum.stationary:
         told.insert(0, "The likelihood fit did not converge. Do not use its figures.")
     return [*told, convergence_in_words(calibration.posterior)]

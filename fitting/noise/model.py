@@ -1,4 +1,4 @@
-"""The likelihood of photon transfer: mean and temporal variance of a camera at each level.
+"""Prediction and likelihood of photon transfer: mean and temporal variance at each level.
 
     electrons  mu  = R / K (mu_p + delta) + D t
     signal     x   = K mu
@@ -24,6 +24,10 @@ observed variance is Gamma. Its degrees of freedom follow from its sampling vari
 two a covariance of kappa_3 / (n L). Two random effects are optional: an error tau_H mu_p of the
 light of a level, and an error tau_0 of its black level.
 
+The data of the `Problem` are a row for each level: mean, temporal variance, T, and the spatial
+variance of a dark level, NaN where unknown. `predict` gives their `Expected` distribution, and
+`LevelStatistics` compares the two.
+
 An effect that is not in the parameter space is not traced. Where black is clipped, or read noise is
 too small to smooth the rounding (`window`), the moments of the affected levels come from
 `quantised_moments`. If the offsets of the pixels differ significantly there, their spread is a
@@ -33,6 +37,7 @@ data (`OffsetData`). At levels of few electrons, tables of codes may replace the
 """
 
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -40,7 +45,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..codes import Converter
-from ..inference.parameters import ParameterSpace, log_prior, names, to_natural
 from .neighbours import NeighbourData, own_variance
 from .quantised import Window, quantised_moments
 from .quantities import RESPONSIVITY, SCATTERS, SIGNAL_RATE
@@ -50,12 +54,12 @@ UNKNOWN_LIGHT = 1e6  # relative variance of a level's light that is kept out
 
 
 class OffsetData(eqx.Module):
-    """The differences between the pixels of the dark levels.
+    """What is known of the spatial variances of the dark levels.
 
     Attributes:
         spatial: (levels,) variance of the pixels' means beyond temporal noise, DN^2; 0 at bright
             levels.
-        noise: (levels,) sampling variance of that by temporal noise, DN^4; 0 at bright levels.
+        noise: (levels,) their sampling variance by temporal noise, DN^4; 0 at bright levels.
         darks: number of levels that show the same pixels.
         pixels: effective number of independent pixels.
     """
@@ -74,22 +78,22 @@ class CountedLevels(eqx.Module):
         logs: (2 + m,) logarithms of the gain (DN/e-), of the read noise (e-) and of the electrons
             of each level.
         covariance: (2 + m, 2 + m).
+        kept_out: (m,) 1 for a level that a fit leaves out, whose light is then unknown, else 0.
     """
 
     levels: Int[Array, " m"]
     logs: Float[Array, " logs"]
     covariance: Float[Array, "logs logs"]
+    kept_out: Float[Array, " m"]
 
 
 class NoiseData(eqx.Module):
-    """Bright and dark levels in one row.
+    """How the bright and the dark levels, in one row, were taken: the inputs of a `Problem`.
 
     Attributes:
         light: (levels,) photons per pixel, or s where no photon count is known.
         lit: (levels,) 1 for bright, 0 for dark.
         exposure: (levels,) s.
-        mean: (levels,) DN.
-        variance: (levels,) temporal variance, DN^2.
         frames: (levels,).
         pixels: number of pixels.
         top_signal: X, DN.
@@ -103,15 +107,13 @@ class NoiseData(eqx.Module):
         unsteady: (levels,) variance of a frame's mean because the light fluctuates, DN^2; None
             without.
         converter: grid of the values.
-        used: (levels,) 1 for a level that the likelihood uses, else 0; None uses all.
         counted: levels whose histograms of codes replace their moments; None for none.
+        jeffreys: whether each scatter has Jeffreys' prior (`scatter_prior`).
     """
 
     light: Float[Array, " levels"]
     lit: Float[Array, " levels"]
     exposure: Float[Array, " levels"]
-    mean: Float[Array, " levels"]
-    variance: Float[Array, " levels"]
     frames: Float[Array, " levels"]
     pixels: Float[Array, ""]
     top_signal: Float[Array, ""]
@@ -123,8 +125,8 @@ class NoiseData(eqx.Module):
     offsets: OffsetData | None = None
     unsteady: Float[Array, " levels"] | None = None
     converter: Converter = eqx.field(static=True, default=Converter())
-    used: Float[Array, " levels"] | None = None
     counted: CountedLevels | None = None
+    jeffreys: bool = eqx.field(static=True, default=False)
 
 
 class Moments(eqx.Module):
@@ -149,20 +151,35 @@ class Moments(eqx.Module):
     die: Float[Array, "... 3 3"] | None = None
 
 
-class Residuals(eqx.Module):
-    """Standardised residuals, each standard normal under the model.
+class Expected(eqx.Module):
+    """The sampling distribution of the statistics of each level.
 
     Attributes:
-        mean: (levels,) residuals of the means.
-        variance: (levels,) of the temporal variances.
-        neighbours: (levels,) of T; 0 for the darks; None where T is not known.
-        spatial: (levels,) of the pixels' offsets; 0 at bright levels; None without `OffsetData`.
+        mean: (levels,) DN.
+        variance: (levels,) temporal variance, DN^2.
+        neighbours: (levels,) T, DN^2; None where T is not known.
+        spatial: (levels,) variance of the pixels' means, DN^2; None without `OffsetData`.
+        of_mean: (levels,) sampling variance of the mean.
+        of_variance: (levels,) that of the temporal variance.
+        of_both: (levels,) their covariance.
+        of_neighbours: (levels,) sampling variance of T; None where T is not known.
+        of_spatial: (3, levels) that of the spatial variance, and its covariances with mean and
+            temporal variance; None without `OffsetData`.
+        tables: levels that tables of codes replace, and ln p of these; None for none.
+        log_prior: of the scatters; None without a prior.
     """
 
     mean: Float[Array, " levels"]
     variance: Float[Array, " levels"]
-    neighbours: Float[Array, " levels"] | None = None
-    spatial: Float[Array, " levels"] | None = None
+    neighbours: Float[Array, " levels"] | None
+    spatial: Float[Array, " levels"] | None
+    of_mean: Float[Array, " levels"]
+    of_variance: Float[Array, " levels"]
+    of_both: Float[Array, " levels"]
+    of_neighbours: Float[Array, " levels"] | None
+    of_spatial: Float[Array, "3 levels"] | None
+    tables: tuple[Int[Array, " m"], Float[Array, ""]] | None
+    log_prior: Float[Array, ""] | None
 
 
 def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
@@ -258,11 +275,9 @@ def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -
     return jax.tree.map(lambda all_levels, own: all_levels.at[index].set(own), moments, low)
 
 
-def log_likelihood_terms(
-    values: dict[str, Array], data: NoiseData
-) -> tuple[Float[Array, " levels"], Residuals]:
-    """Log density of each level's (mean, variance)."""
-    n, frames = data.pixels, data.frames
+def predict(values: dict[str, Array], inputs: NoiseData) -> Expected:
+    """The distribution of the statistics of all levels."""
+    data, n, frames = inputs, inputs.pixels, inputs.frames
     light_variance = None
     if "light_scatter" in values:
         light_variance = (values["light_scatter"] * data.light) ** 2
@@ -292,10 +307,9 @@ def log_likelihood_terms(
         mean_variance = mean_variance + values["black_scatter"] ** 2
     covariance = model.third / (n * frames) + light_both
     spread = (2 * model.variance**2 / (frames - 1) + model.fourth / frames) / n + light_spread
-
     if data.shared is not None:
         spread = spread + data.shared.of_variance / (frames - 1)
-    die = None
+    of_spatial = None
     if data.offsets is not None and model.die is not None and model.uneven is not None:
         # What the die has in common in all darks counts as new in each, as many times as large.
         shown = jnp.where(data.lit > 0, 1.0, data.offsets.darks) / data.offsets.pixels
@@ -303,81 +317,115 @@ def log_likelihood_terms(
         mean_variance = mean_variance + die[:, 0, 0]
         covariance = covariance + die[:, 0, 1]
         spread = spread + die[:, 1, 1] + 2 * model.uneven / (frames - 1) / n
+        passing = 2 / (frames * (frames - 1) * n)  # temporal noise left in the spatial variance
+        own = data.offsets.noise + die[:, 2, 2] + passing * model.uneven
+        of_spatial = jnp.stack([own, die[:, 0, 2], die[:, 1, 2] - passing * model.variance**2])
+        of_spatial = jnp.where(data.lit > 0, jnp.asarray([[1.0], [0.0], [0.0]]), of_spatial)
     if "variance_scatter" in values:
         spread = spread + (values["variance_scatter"] * model.variance) ** 2
-    deviation = data.mean - model.mean
-    slope = covariance / mean_variance
-    expected = model.variance + slope * deviation
-    shape = expected**2 / (spread - slope * covariance)  # half the degrees of freedom
-
-    excess = data.variance / expected - 1
-    deviance = excess - jnp.log1p(excess)
-    # Stirling's series normalises the Gamma density; its next term is below 2e-7 for 50 pixels.
-    log_gamma = -shape * deviance + jnp.log(shape) / 2 - 1 / (12 * shape)
-    log_normal = -(deviation**2) / (2 * mean_variance) - jnp.log(mean_variance) / 2
-    residuals = Residuals(
-        mean=deviation / jnp.sqrt(mean_variance),
-        variance=jnp.sign(excess) * jnp.sqrt(2 * shape * jnp.maximum(deviance, 0)),
+    around, neighbours, of_neighbours = data.neighbours, None, None
+    if around is not None and around.spread is not None:
+        neighbours = expected_neighbours(values, data)
+        of_neighbours = around.spread * (model.variance + neighbours) ** 2
+    counted = data.counted
+    return Expected(
+        *(model.mean, model.variance, neighbours),
+        None if of_spatial is None else model.spatial,
+        *(mean_variance, spread, covariance, of_neighbours, of_spatial),
+        tables=counted and (counted.levels, _log_density_of_tables(values, data, counted)),
+        log_prior=scatter_prior(values, data) if data.jeffreys else None,
     )
-    terms = log_normal + log_gamma
-    if data.offsets is not None and die is not None and model.spatial is not None:
-        assert model.uneven is not None  # known where `die` is
-        with_mean = die[:, 0, 2] / mean_variance
-        # Temporal noise that is subtracted from the spatial variance.
-        common = die[:, 1, 2] - 2 * model.variance**2 / (frames * (frames - 1) * n)
-        with_rest = (common - with_mean * covariance) / (spread - slope * covariance)
-        expected_spatial = (
-            model.spatial + with_mean * deviation + with_rest * (data.variance - expected)
-        )
-        of_spatial = data.offsets.noise + die[:, 2, 2]
-        of_spatial = of_spatial + 2 * model.uneven / (frames * (frames - 1)) / n
-        of_spatial = of_spatial - with_mean**2 * mean_variance
-        of_spatial = of_spatial - with_rest**2 * (spread - slope * covariance)
-        dark = data.lit == 0
-        safe = jnp.where(dark, of_spatial, 1.0)
-        missed = jnp.where(dark, data.offsets.spatial - expected_spatial, 0.0) / jnp.sqrt(safe)
-        terms = terms - jnp.where(dark, missed**2 + jnp.log(safe), 0.0) / 2
-        residuals = replace(residuals, spatial=missed)
-    around = data.neighbours
-    if around is None or around.total is None or around.spread is None:
-        return terms, residuals
-    covariance = expected_neighbours(values, data)
-    spread = around.spread * (model.variance + covariance) ** 2
-    missed = jnp.where(data.lit > 0, around.total - covariance, 0)
-    log_covariance = jnp.where(data.lit > 0, -(missed**2 / spread + jnp.log(spread)) / 2, 0)
-    residuals = replace(residuals, neighbours=missed / jnp.sqrt(spread))
-    return terms + log_covariance, residuals
 
 
-def log_density(
-    vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData, Array]
-) -> Array:
-    """Log posterior density, up to a constant.
+class LevelStatistics(eqx.Module):
+    """The likelihood of rows of mean, temporal variance, T and spatial variance of each level.
 
-    A scatter has its own Jeffreys prior (`scatter_prior`). The likelihood is constant toward 0, so
-    a prior that is flat in the logarithm would make the posterior improper. A prior that is flat in
-    the scatter would make intervals from few levels too wide.
+    Attributes:
+        weight: factor on its logarithm, as if the errors were larger by 1 / sqrt(weight).
     """
-    space, data, weight = args
-    density = -weight * cost(vector, (space, data)) + log_prior(space, vector)
-    if any(name in SCATTERS for name in names(space)):
-        density = density + scatter_prior(named(space, vector), data)
-    return density
 
+    weight: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=1.0)
+    least_squares = False
+    surrogate = None
 
-def negative_log_density(
-    vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData, Array]
-) -> Array:
-    """-`log_density`, which a search for the mode minimises."""
-    return -log_density(vector, args)
+    def log_density(self, prediction: Expected, data: Float[Array, "levels 4"]) -> Array:
+        """Up to a constant."""
+        terms, _ = self._terms_and_residuals(prediction, data)
+        if prediction.tables is not None:
+            levels, log_density = prediction.tables
+            terms = terms.at[levels].set(0).at[0, 0].add(log_density)
+        terms = self.weight * terms
+        if prediction.log_prior is not None:
+            terms = terms.at[0, 0].add(prediction.log_prior)
+        return terms
+
+    def residuals(self, prediction: Expected, data: Array, chance: Any) -> Array:
+        """Standard normal for every datum under the model."""
+        del chance
+        return self._terms_and_residuals(prediction, jnp.asarray(data))[1]
+
+    def draw(self, key: Array, prediction: Expected) -> Array:
+        """Simulated rows, each number by itself and Gaussian; NaN where it is not predicted."""
+        of, nothing = prediction, jnp.full_like(prediction.mean, jnp.nan)
+        columns = ((of.mean, of.of_mean), (of.variance, of.of_variance))
+        columns += ((of.neighbours, of.of_neighbours),)
+        columns += ((of.spatial, None if of.of_spatial is None else of.of_spatial[0]),)
+        middle, spread = (
+            jnp.stack([nothing if x is None else x for x in each], axis=1)
+            for each in zip(*columns, strict=True)
+        )
+        return middle + jnp.sqrt(spread) * jax.random.normal(key, middle.shape, middle.dtype)
+
+    def _terms_and_residuals(self, at: Expected, data: Array) -> tuple[Array, Array]:
+        mean, variance, neighbours, spatial = data.T
+        deviation = mean - at.mean
+        slope = at.of_both / at.of_mean
+        expected = at.variance + slope * deviation
+        rest = at.of_variance - slope * at.of_both  # of the variance, given the mean
+        shape = expected**2 / rest  # half the degrees of freedom
+        varies = variance > 0
+        excess = jnp.where(varies, variance, expected) / expected - 1
+        deviance = excess - jnp.log1p(excess)
+        # Stirling's series normalises the Gamma density; its next term is below 2e-7 for 50 pixels.
+        log_gamma = -shape * deviance + jnp.log(shape) / 2 - 1 / (12 * shape)
+        log_normal = -(deviation**2 / at.of_mean + jnp.log(at.of_mean)) / 2
+        missed = [deviation / jnp.sqrt(at.of_mean)]
+        missed += [jnp.sign(excess) * jnp.sqrt(2 * shape * jnp.maximum(deviance, 0))]
+        terms = [log_normal, jnp.where(varies, log_gamma, -jnp.inf)]
+        nothing = jnp.zeros_like(mean)
+        for value, there, expectation, of in (
+            (neighbours, at.of_neighbours, at.neighbours, at.of_neighbours),
+            (spatial, at.of_spatial, *self._spatial(at, deviation, variance - expected, rest)),
+        ):
+            if there is None or of is None:
+                missed, terms = [*missed, nothing], [*terms, nothing]
+                continue
+            missed.append((value - expectation) / jnp.sqrt(of))
+            terms.append(-(missed[-1] ** 2 + jnp.log(of)) / 2)
+        return jnp.stack(terms, axis=1), jnp.stack(missed, axis=1)
+
+    @staticmethod
+    def _spatial(
+        at: Expected, deviation: Array, rest: Array, of_rest: Array
+    ) -> tuple[Array | None, Array | None]:
+        """The spatial variance and its sampling variance, given mean and temporal variance."""
+        if at.of_spatial is None or at.spatial is None:
+            return None, None
+        own, with_mean, with_variance = at.of_spatial
+        with_mean = with_mean / at.of_mean
+        with_rest = (with_variance - with_mean * at.of_both) / of_rest
+        expected = at.spatial + with_mean * deviation + with_rest * rest
+        return expected, own - with_mean**2 * at.of_mean - with_rest**2 * of_rest
 
 
 def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
     """Log of Jeffreys' prior of each scatter separately, per unit of its logarithm.
 
-    A scatter tau adds tau^2 a to the variance v of each level, so its information is sum 2 tau^2
-    a^2 / (v + tau^2 a)^2. The prior is flat in ln tau if the scatter dominates, and falls as tau^2
-    if the noise does.
+    The likelihood is constant toward a scatter of 0, so a prior that is flat in the logarithm would
+    make the posterior improper, and one that is flat in the scatter would make intervals from few
+    levels too wide. A scatter tau adds tau^2 a to the variance v of each level, so its information
+    is sum 2 tau^2 a^2 / (v + tau^2 a)^2. The prior is flat in ln tau if the scatter dominates, and
+    falls as tau^2 if the noise does.
 
     Source:
         Box & Tiao, "Bayesian Inference in Statistical Analysis", 1973, section 5.2.
@@ -400,17 +448,6 @@ def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
     return total
 
 
-def cost(vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData]) -> Array:
-    """Negative log likelihood, up to a constant."""
-    space, data = args
-    values, counted = named(space, vector), data.counted
-    terms, _ = log_likelihood_terms(values, data)
-    terms = terms if data.used is None else terms * data.used
-    if counted is None:
-        return -jnp.sum(terms)
-    return -jnp.sum(terms.at[counted.levels].set(0)) - _log_density_of_tables(values, data, counted)
-
-
 def _log_density_of_tables(
     values: dict[str, Array], data: NoiseData, counted: CountedLevels
 ) -> Array:
@@ -426,15 +463,8 @@ def _log_density_of_tables(
         of_light = of_light + values["light_scatter"] ** 2
     if data.light_step is not None:
         of_light = of_light + data.light_step**2 / 12 / light**2
-    if data.used is not None:
-        of_light = of_light + UNKNOWN_LIGHT * (1 - data.used[at])
+    of_light = of_light + UNKNOWN_LIGHT * counted.kept_out
     covariance = counted.covariance + jnp.diag(jnp.pad(of_light, (2, 0)))
     root = jnp.linalg.cholesky(covariance)
     deviates = jax.scipy.linalg.solve_triangular(root, missed, lower=True)
     return -jnp.sum(deviates**2) / 2 - jnp.sum(jnp.log(jnp.diagonal(root)))
-
-
-def named(space: ParameterSpace, vector: Float[Array, " parameters"]) -> dict[str, Array]:
-    """Parameters in natural units, by name."""
-    natural = to_natural(space, vector)
-    return {name: natural[i] for i, name in enumerate(names(space))}

@@ -69,20 +69,27 @@ HEADINGS = {  # of the sheet, in the order of the standard's summary
     "Dark current": ("dark_current_mean", "dark_current_variance", "dark_current"),
 }
 
-SYSTEM_GAIN = Parameter("system_gain", symbol="K", unit="DN/e⁻", transform="log")
-RESPONSIVITY = Parameter("responsivity", symbol="R", unit="DN/photon", transform="log")
-SIGNAL_RATE = Parameter("signal_rate", symbol="R_t", unit="DN/s", transform="log")
-OFFSET = Parameter("black_level", symbol="μ_y.dark", unit="DN")
-READ_NOISE = Parameter("read_noise", symbol="σ_d", unit="e⁻", transform="log")
-DARK_CURRENT = Parameter("dark_current", symbol="μ_I", unit="e⁻/s")
-OFFSET_SPREAD = Parameter("offset_spread", symbol="s_dark", unit="DN", transform="log")
-COMPRESSION = Parameter("compression", symbol="c₁", unit="1")
-COMPRESSION_2 = Parameter("compression_2", symbol="c₂", unit="1")
-BRIGHTER_FATTER = Parameter("brighter_fatter", symbol="β", unit="1")
-PIXEL_MIXING = Parameter("pixel_mixing", symbol="κ", unit="1")
-LIGHT_OFFSET = Parameter("light_offset", symbol="δ", unit="photons")
-SHUTTER_OFFSET = Parameter("light_offset", symbol="δ", unit="s")
-LIGHT_SCATTER = Parameter("light_scatter", symbol="τ_H", unit="1", transform="log")
-VARIANCE_SCATTER = Parameter("variance_scatter", symbol="τ_V", unit="1", transform="log")
-BLACK_SCATTER = Parameter("black_scatter", symbol="τ₀", unit="DN", transform="log")
+
+def _number(name: str, symbol: str, unit: str, *, positive: bool = False) -> Parameter:
+    """One number of the likelihood, which is fitted by its logarithm where it is positive."""
+    transform = "log" if positive else "identity"
+    return Parameter(name, symbol=symbol, unit=unit, transform=transform, shape=())
+
+
+SYSTEM_GAIN = _number("system_gain", "K", "DN/e⁻", positive=True)
+RESPONSIVITY = _number("responsivity", "R", "DN/photon", positive=True)
+SIGNAL_RATE = _number("signal_rate", "R_t", "DN/s", positive=True)
+OFFSET = _number("black_level", "μ_y.dark", "DN")
+READ_NOISE = _number("read_noise", "σ_d", "e⁻", positive=True)
+DARK_CURRENT = _number("dark_current", "μ_I", "e⁻/s")
+OFFSET_SPREAD = _number("offset_spread", "s_dark", "DN", positive=True)
+COMPRESSION = _number("compression", "c₁", "1")
+COMPRESSION_2 = _number("compression_2", "c₂", "1")
+BRIGHTER_FATTER = _number("brighter_fatter", "β", "1")
+PIXEL_MIXING = _number("pixel_mixing", "κ", "1")
+LIGHT_OFFSET = _number("light_offset", "δ", "photons")
+SHUTTER_OFFSET = _number("light_offset", "δ", "s")
+LIGHT_SCATTER = _number("light_scatter", "τ_H", "1", positive=True)
+VARIANCE_SCATTER = _number("variance_scatter", "τ_V", "1", positive=True)
+BLACK_SCATTER = _number("black_scatter", "τ₀", "DN", positive=True)
 SCATTERS = ("light_scatter", "variance_scatter", "black_scatter")

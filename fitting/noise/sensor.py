@@ -17,11 +17,11 @@ from ..inference.parameters import names, to_natural
 from ..inference.precision import in_double
 from .brighter_fatter import fitted_effect, fitted_kernel
 from .calibration import NoiseCalibration
-from .fit import fitted_without
 from .full_well import full_well
 from .mixing import fitted_mixing, mixed_shares
 from .pattern import SEEN
 from .shared import drift, temporal_lines
+from .statement import fitted_without
 
 DRAWS = 1000  # kept at most
 WHOLE = 0.01  # bits by which a range may exceed a power of two
@@ -145,9 +145,8 @@ def mode_without(
 ) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, "parameters parameters"]]:
     """The fit of the same model without some levels."""
     chosen = calibration.chosen
-    solution = fitted_without(chosen, left_out, calibration.standard.values)
-    covariance = chosen.inflation * np.linalg.inv(np.asarray(solution.information))
-    return np.asarray(solution.vector), covariance
+    optimum = fitted_without(chosen, left_out)
+    return optimum.vector, chosen.inflation * np.linalg.inv(optimum.information)
 
 
 def _beside_the_likelihood(

@@ -32,10 +32,10 @@ from ..inference.formatting import format_p
 from ..inference.precision import in_double
 from ..rig import PARTS, Camera
 from .calibration import NoiseCalibration, refitted
-from .choice import CURVE, SHARING
 from .misfit import MISFIT
 from .periodic import taps_in_words
 from .sensor import Numbers, best_and_draws, drawn_numbers, sensors_of
+from .statement import CURVE, SHARING
 
 PHASES = {bayer(phase): phase for phase in ("RGGB", "GRBG", "GBRG", "BGGR")}
 RED_FIRST = ("RGGB", "GRBG")  # whose first row of the cell, with green 1, has the red pixels

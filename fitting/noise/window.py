@@ -19,13 +19,13 @@ from jaxtyping import Float, Int
 from scipy.special import ndtr
 
 from ..inference.left_out import LeftOut, negligible
-from .fit import noise_data
 from .levels import PhotonTransfer
 from .model import OffsetData
 from .parts import sampling_variance
 from .pattern import fitted_pattern, pattern_variance
 from .quantised import WIDEST, WIDEST_CLIPPED, Window, window_for
 from .shared import drift
+from .statement import noise_data
 
 ROUNDING = 1 / 12  # variance of numbers rounded to whole ones
 NAME = "exact rounding and clipping"
@@ -60,10 +60,10 @@ def usual_moments_error(
 
 def usual_moments(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> LeftOut:
     """The maximum effect of clipped black and rounding beyond the usual moments."""
-    data, converter = noise_data(measurement, usable), measurement.converter
+    (data, rows), converter = noise_data(measurement, usable), measurement.converter
     if not converter.step:
         return LeftOut(NAME, None, 0.0)
-    mean, variance, frames = (np.asarray(x) for x in (data.mean, data.variance, data.frames))
+    mean, variance, frames = (np.asarray(x) for x in (rows[:, 0], rows[:, 1], data.frames))
     mean, variance = (mean - converter.origin) / converter.step, variance / converter.step**2
     return usual_moments_error(mean, variance, frames, float(data.pixels))
 
@@ -78,8 +78,8 @@ def needed_window(
 
 def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window:
     """The exact moments for the darks and for the levels that clipping or rounding may affect."""
-    data, converter = noise_data(measurement, usable), measurement.converter
-    mean, variance, lit = (np.asarray(x) for x in (data.mean, data.variance, data.lit))
+    (data, rows), converter = noise_data(measurement, usable), measurement.converter
+    mean, variance, lit = (np.asarray(x) for x in (rows[:, 0], rows[:, 1], data.lit))
     mean, variance = (mean - converter.origin) / converter.step, variance / converter.step**2
     deviation, dark = np.sqrt(variance), lit == 0
     near_black = mean < NEAR_BLACK * deviation

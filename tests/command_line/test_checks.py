@@ -313,11 +313,11 @@ def test_laplace_of_a_scatter_is_flagged(monkeypatch):
     it."""
 
     def old(fit, sampling, seed):
-        args = fit.space, fit.data, jnp.asarray(1 / fit.inflation)
         known = {"covariance": fit.inflation * fit.covariance, "seed": seed}
-        return laplace(noise_density, fit.space, fit.solution.vector, args, **known)
+        vector = jnp.asarray(fit.optimum.vector)
+        return laplace(log_density, fit.space, vector, fit.problem, **known)
 
-    from fitting.noise.model import log_density as noise_density
+    from fitting.inference.problem import log_density
 
     monkeypatch.setattr("fitting.noise.calibration._posterior", old)
     assert flagged(noise, noise.CASES["5 levels off by 1 %"], 150)

@@ -70,8 +70,6 @@ def test_the_prior_of_a_scatter_is_jeffreys():
         light=1e4 * jnp.arange(1.0, 4.0),
         lit=one,
         exposure=one,
-        mean=one,
-        variance=one,
         frames=2 * one,
         pixels=jnp.asarray(1000.0),
         top_signal=jnp.asarray(1e4),

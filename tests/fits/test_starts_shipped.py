@@ -8,11 +8,12 @@ import pytest
 from fitting.checks import joint, noise, reflectance
 from fitting.inference.newton import minimise
 from fitting.inference.parameters import names
+from fitting.inference.search import negative_log_density
 from fitting.joint.calibration import calibrate as calibrate_joint
 from fitting.joint.fit import is_searched_shape
 from fitting.joint.model import cost as joint_cost
 from fitting.noise.calibration import calibrate as calibrate_noise
-from fitting.noise.model import cost as noise_cost
+from fitting.noise.statement import restated
 from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.optimum import optimum
 from fitting.reflectance.from_images.samples import View, cost_and_information, predict
@@ -70,15 +71,17 @@ def test_reflectance(model):
 def test_noise(factor):
     """All positive numbers within a factor of those found, others within as many deviations."""
     chosen = calibrate_noise(noise.measured(noise.CASES["clean"], 0)).chosen
-    starts = about(chosen.solution.vector, chosen.solution.information, chosen.space, factor)
-    args = chosen.space, chosen.data
+    starts = about(chosen.optimum.vector, chosen.optimum.information, chosen.space, factor)
+    problem = restated(chosen.problem, chosen.space)
 
     def search(start):
-        found = minimise(noise_cost, start, args)
+        found = minimise(negative_log_density, start, problem)
         return found.vector, bool(found.converged)
 
-    best = float(noise_cost(chosen.solution.vector, args))
-    judge(outcomes(search, lambda v: noise_cost(v, args), best, starts), 60)
+    def cost(vector):
+        return negative_log_density(vector, problem)
+
+    judge(outcomes(search, cost, float(cost(jnp.asarray(chosen.optimum.vector))), starts), 60)
 
 
 @pytest.mark.slow

@@ -21,22 +21,16 @@ from fitting.inference.formatting import format_with_error
 from fitting.inference.left_out import negligible
 from fitting.inference.newton import minimise
 from fitting.inference.parameters import names
+from fitting.inference.search import negative_log_density
 from fitting.noise.calibration import calibrate as calibrate_noise
 from fitting.noise.emva1288 import evaluate, ranges, sheet, statistics
 from fitting.noise.findings import _efficiency
-from fitting.noise.fit import (
-    base_space,
-    fit_space,
-    likelihood_sheet,
-    noise_data,
-    start_vector,
-)
 from fitting.noise.levels import Levels, linear_levels
-from fitting.noise.model import cost
 from fitting.noise.pattern import pattern_variance
 from fitting.noise.quantised import quantised_moments, window_for
 from fitting.noise.read import read_photon_transfer
 from fitting.noise.section import section as noise_section
+from fitting.noise.statement import base_space, likelihood_sheet, noise_data, start_vector, stated
 from fitting.noise.window import needed_window, usual_moments_error
 from jaxvision.errors import InputError
 
@@ -59,18 +53,27 @@ def test_more_electrons_than_photons_is_a_finding_and_no_sensor():
     assert wrong.records == {}
 
 
+def fit_levels(template, inputs, rows, standard):
+    """The fit of a problem like `template` to other levels; it may be batched."""
+    there = ~jnp.isnan(rows)
+    levels = jnp.where(there, rows, 0), there, inputs
+    problem = eqx.tree_at(lambda p: (p.data, p.present, p.inputs), template, levels)
+    return minimise(negative_log_density, start_vector(problem, standard), problem)
+
+
 def both_methods(measurements):
     """(values, errors) of the standard's sheet and of the likelihood's, for a list of cameras."""
     within, usable = ranges(measurements[0]), linear_levels(measurements[0])
     space = base_space(measurements[0], within)
     window, _ = needed_window(measurements[0], usable)
+    template = stated(space, *noise_data(measurements[0], usable, window=window))
 
     def one(measurement):
         standard = evaluate(measurement, within)
-        data = noise_data(measurement, usable, window=window)
-        solution = fit_space(space, data, standard.values)
+        data, rows = noise_data(measurement, usable, window=window)
+        solution = fit_levels(template, data, rows, standard.values)
         covariance = jnp.linalg.inv(solution.information)
-        args = (space, data, jnp.ones(data.mean.shape, bool))
+        args = (space, data, jnp.ones(data.lit.shape, bool))
         values = likelihood_sheet(solution.vector, None, args)
         slopes = jax.jacfwd(likelihood_sheet)(solution.vector, None, args)
         errors = {name: jnp.sqrt(slope @ covariance @ slope) for name, slope in slopes.items()}
@@ -142,10 +145,10 @@ def test_the_cramer_rao_bound_is_numpys():
     within, usable = ranges(measured), linear_levels(measured)
     space = base_space(measured, within)
     assert names(space) == ("system_gain", "responsivity", "black_level", "read_noise")
-    data = noise_data(measured, usable)
+    data, rows = noise_data(measured, usable)
     data = eqx.tree_at(lambda d: d.light_step, data, None)
     standard = sheet(statistics(measured, None), measured, within)
-    found = fit_space(space, data, standard)
+    found = fit_levels(stated(space, data, rows), data, rows, standard)
     light = np.concatenate([LIGHT, np.zeros(16)])
 
     def level_moments(vector):
@@ -242,11 +245,12 @@ def test_exact_moments_cure_clipped_black_and_fine_read_noise(camera, top):
     window, _ = needed_window(measured[0], usable)
     assert window is not None
     space = base_space(measured[0], within)
+    template = stated(space, *noise_data(measured[0], usable, window=window))
 
     def fit(measurement):
         standard = sheet(statistics(measurement, None), measurement, within)
-        data = noise_data(measurement, usable, window=window)
-        return standard, fit_space(space, data, standard)
+        levels = noise_data(measurement, usable, window=window)
+        return standard, fit_levels(template, *levels, standard)
 
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *measured)
     standard, solution = eqx.filter_jit(eqx.filter_vmap(fit))(stacked)
@@ -291,11 +295,10 @@ def test_an_ordinary_camera_traces_no_exact_moments_and_no_effect():
     measured = simulate(CameraTruth())
     usable = linear_levels(measured)
     assert needed_window(measured, usable)[0] is None
-    data = noise_data(measured, usable)
-    space = base_space(measured, ranges(measured))
+    problem = stated(base_space(measured, ranges(measured)), *noise_data(measured, usable))
     standard = sheet(statistics(measured, None), measured, ranges(measured))
-    vector = start_vector(space, standard, data)
-    plain = {eqn.primitive.name for eqn in _equations(jax.make_jaxpr(cost)(vector, (space, data)))}
+    traced = jax.make_jaxpr(negative_log_density)(start_vector(problem, standard), problem)
+    plain = {eqn.primitive.name for eqn in _equations(traced)}
     assert not plain & {"cos", "sin"}
 
 

@@ -21,6 +21,7 @@ from fitting import folders
 from fitting.cli import app
 from fitting.inference.newton import minimise
 from fitting.inference.parameters import names, to_unconstrained
+from fitting.inference.search import negative_log_density
 from fitting.noise import (
     FramesOfSetting,
     Setting,
@@ -38,8 +39,9 @@ from fitting.noise.across_settings.section import section, unread
 from fitting.noise.across_settings.setting import FROM_BOTH, SettingEstimates, estimates_from_darks
 from fitting.noise.across_settings.statement import BOLTZMANN_EV, fitted, proportional_gain
 from fitting.noise.levels import Levels, PhotonTransfer
-from fitting.noise.model import NoiseData, cost
+from fitting.noise.model import NoiseData
 from fitting.noise.quantities import DARK_CURRENT, OFFSET, READ_NOISE, RESPONSIVITY, SYSTEM_GAIN
+from fitting.noise.statement import stated
 from fitting.rig import Camera, load_rig
 from jaxvision.errors import InputError
 from jaxvision.files.cameras import read_sensor
@@ -576,24 +578,30 @@ def moments_of_levels(iso, kelvin):
     return photons, mean.ravel(), variance.ravel()
 
 
-@eqx.filter_jit
-def fits_of_settings(start, light, mean, variance):
-    """Mode and covariance of each setting's own fit."""
+def levels_of(light, mean, variance):
+    """Inputs and data of a setting's fit."""
     levels = len(SHARES)
+    inputs = NoiseData(
+        light=light,
+        lit=jnp.asarray(SHARES > 0, float),
+        exposure=jnp.asarray(EXPOSURE),
+        frames=jnp.full(levels, float(FRAMES)),
+        pixels=jnp.asarray(float(PIXELS)),
+        top_signal=jnp.asarray(3200.0),
+    )
+    unknown = jnp.full((levels, 2), jnp.nan)
+    return inputs, jnp.concatenate([jnp.stack([mean, variance], axis=1), unknown], axis=1)
+
+
+@eqx.filter_jit
+def fits_of_settings(template, start, light, mean, variance):
+    """Mode and covariance of each setting's own fit."""
 
     def one(given):
-        start, light, mean, variance = given
-        data = NoiseData(
-            light=light,
-            lit=jnp.asarray(SHARES > 0, float),
-            exposure=jnp.asarray(EXPOSURE),
-            mean=mean,
-            variance=variance,
-            frames=jnp.full(levels, float(FRAMES)),
-            pixels=jnp.asarray(float(PIXELS)),
-            top_signal=jnp.asarray(3200.0),
-        )
-        found = minimise(cost, start, (SPACE, data))
+        inputs, rows = levels_of(*given[1:])
+        parts = jnp.where(template.present, rows, 0), inputs
+        problem = eqx.tree_at(lambda p: (p.data, p.inputs), template, parts)
+        found = minimise(negative_log_density, given[0], problem)
         return found.vector, jnp.linalg.inv(found.information)
 
     return jax.lax.map(one, (start, light, mean, variance))
@@ -616,7 +624,10 @@ def simulated(cameras):
         rows.append([np.broadcast_to(x, (cameras, len(x))) for x in (start, light)])
         rows[-1] += [means, variances]
     stacked = (np.concatenate(column) for column in zip(*rows, strict=True))
-    vectors, covariances = (np.asarray(x) for x in fits_of_settings(*map(jnp.asarray, stacked)))
+    start, light, mean, variance = map(jnp.asarray, stacked)
+    template = stated(SPACE, *levels_of(light[0], mean[0], variance[0]))
+    found = fits_of_settings(template, start, light, mean, variance)
+    vectors, covariances = (np.asarray(x) for x in found)
     index = [names(SPACE).index(name) for name in FROM_BOTH]
     told = [
         SettingEstimates(FROM_BOTH, v[index], c[np.ix_(index, index)])

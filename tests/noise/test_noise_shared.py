@@ -9,7 +9,6 @@ from fitting import noise
 from fitting.noise.calibration import calibrate
 from fitting.noise.emva1288 import ranges, sheet, statistics
 from fitting.noise.findings import findings
-from fitting.noise.fit import base_space, fitted, noise_data
 from fitting.noise.flicker import extra_in_flats, flicker_in_words, without_flicker
 from fitting.noise.levels import Levels, linear_levels
 from fitting.noise.live_pixels import LivePixels
@@ -23,6 +22,7 @@ from fitting.noise.shared import (
     shared_variance,
     temporal_lines,
 )
+from fitting.noise.statement import base_space, fitted, noise_data, stated
 from fitting.noise.variance_parts import Moments
 from fitting.rig import Camera
 
@@ -190,9 +190,9 @@ def test_black_is_within_its_errors_where_it_drifts():
             camera=Camera(bits=12),
         )
         space = base_space(measured, ranges(measured))
-        data = noise_data(measured, linear_levels(measured))
+        problem = stated(space, *noise_data(measured, linear_levels(measured)))
         start = sheet(statistics(measured, None), measured, ranges(measured))
-        fit = fitted(space, data, start)
+        fit = fitted(problem, start)
         black, rate = (float(fit.values[name]) for name in ("black_level", "responsivity"))
         off = (black - 64) / fit.errors["black_level"]
         z.append((off, np.log(rate / 0.125) / fit.errors["responsivity"]))

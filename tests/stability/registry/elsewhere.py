@@ -565,7 +565,7 @@ ELSEWHERE = (
         """
             fitting.inference.newton: minimise
             fitting.inference.search: at_a_time given_start joined negative_log_density search
-            fitting.inference.search: spread_starts start_at starts_about unstarted
+            fitting.inference.search: present_numbers spread_starts start_at starts_about unstarted
             fitting.inference.separable: amplitudes completed eliminated first_knots fit_amplitudes
             fitting.inference.separable: fit_separable in_closed_form non_negative_amplitudes
             fitting.inference.separable: require_linear
@@ -666,17 +666,16 @@ ELSEWHERE = (
             fitting.noise.release_4.*
             fitting.noise.brighter_fatter.*
             fitting.noise.calibration: calibrate finest_read_noise sheet_estimate widened
-            fitting.noise.choice: choose_model dark_scatter
             fitting.noise.emva1288: derived_figures evaluate is_floored least_dark_variance
             fitting.noise.emva1288: linearity_deviation linearity_errors ranges sheet statistics
-            fitting.noise.fit: base_space fit_space fitted gain_drop likelihood_sheet noise_data
-            fitting.noise.fit: observations start_vector
+            fitting.noise.statement: base_space candidates_for choose_model dark_scatter fitted
+            fitting.noise.statement: fitted_without gain_drop likelihood_sheet named noise_data
+            fitting.noise.statement: observations posterior_problem restated start_vector stated
             fitting.noise.levels: finer linear_levels rounding_step saturated_level
             fitting.noise.levels: saturation_index
             fitting.noise.knee: knee_of
-            fitting.noise.model: compressed cost expected_electrons level_moments log_density
-            fitting.noise.model: log_likelihood_terms named negative_log_density predicted_moments
-            fitting.noise.model: expected_neighbours scatter_prior
+            fitting.noise.model: compressed expected_electrons level_moments predict
+            fitting.noise.model: predicted_moments expected_neighbours scatter_prior
             fitting.noise.neighbours.*
             fitting.noise.parts.*
             fitting.noise.pattern: fitted_pattern pattern_variance standard_pattern unequal_gains
@@ -694,7 +693,6 @@ ELSEWHERE = (
             fitting.noise.drifting: drifting
             fitting.noise.hits: hits
             fitting.noise.calibration: refitted
-            fitting.noise.fit: fitted_without
             fitting.noise.full_well.*
             fitting.noise.mixing.*
             fitting.noise.prediction.comparison.*

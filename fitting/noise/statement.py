@@ -1,0 +1,480 @@
+"""Photon transfer of one setting as a `Problem`: its parameters, its data, and the effects that a
+camera needs.
+
+The first model is a linear camera with pixel noise and the detected noise of rows, columns or
+frames of the darks. Further effects are tried if it misses the measurement (p < 0.1 %), or if
+nearest neighbours covary, which means and variances need not show. The effects that the darks alone
+show (a drifting black level, or excess scatter of the variances) are added. The candidates are
+random errors of the light, a compression of one or two terms, an offset of the light, and a drift
+of the black level from level to level. A candidate is kept if its squared Wald ratio exceeds the
+logarithm of the number of observations (Schwarz' criterion, BIC) and if such a ratio occurs by
+chance in fewer than one of a hundred cameras (`inference.candidates`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxvision.errors import InputError
+
+from ..inference.candidates import Candidate, price, squared_ratios, weakest
+from ..inference.compiled import compiled_briefly
+from ..inference.parameters import ParameterSpace, names, to_natural, to_unconstrained
+from ..inference.problem import Problem, least_squares_residuals
+from ..inference.search import Optimum, negative_log_density, present_numbers, search
+from .drifting import Drifting
+from .emva1288 import Ranges, Sheet, derived_figures, linearity_errors
+from .levels import PhotonTransfer
+from .misfit import MISFIT, inflation, p_value
+from .model import (
+    CountedLevels,
+    LevelStatistics,
+    NoiseData,
+    OffsetData,
+    compressed,
+    predict,
+    predicted_moments,
+)
+from .neighbours import are_known, neighbour_data
+from .quantised import FINEST_READ_NOISE, Window
+from .quantities import (
+    BLACK_SCATTER,
+    BRIGHTER_FATTER,
+    COMPRESSION,
+    COMPRESSION_2,
+    DARK_CURRENT,
+    LIGHT_OFFSET,
+    LIGHT_SCATTER,
+    OFFSET,
+    OFFSET_SPREAD,
+    PIXEL_MIXING,
+    READ_NOISE,
+    RESPONSIVITY,
+    SCATTERS,
+    SHUTTER_OFFSET,
+    SIGNAL_RATE,
+    SYSTEM_GAIN,
+    VARIANCE_SCATTER,
+)
+from .regressions import line_misfit
+from .sampling import sampling_errors
+from .shared import drift, shared_noise
+
+START_NOISES = 12  # read noises tried where a likelihood has several optima
+START_SHIFTS = (-0.3, 0.0, 0.3)  # codes, of the black level tried with each
+START_SPREADS = (0.8, 1.0, 1.3)  # times the observed spread of the offsets, likewise
+FINEST_SPREAD = 1e-3  # DN
+SCATTER_STARTS = {"light_scatter": 3e-3, "variance_scatter": 5e-3}
+SPURIOUS = 0.01  # chance of a term that a camera does not have
+SPURIOUS_SHARING = 0.001  # the same of neighbours that share charges, which leads the gain astray
+SPURIOUS_BESIDE = 0.05  # the same where nearest neighbours covary significantly
+SHARING = (BRIGHTER_FATTER, PIXEL_MIXING)
+CURVE = (COMPRESSION, COMPRESSION_2, LIGHT_OFFSET, SHUTTER_OFFSET)
+
+Rows = Float[Array, "levels 4"]  # mean, temporal variance, T, spatial variance; NaN where unknown
+
+
+def noise_data(
+    measurement: PhotonTransfer,
+    usable: Int[np.ndarray, " usable"],
+    *,
+    window: Window | None = None,
+    offsets: OffsetData | None = None,
+    counted: CountedLevels | None = None,
+) -> tuple[NoiseData, Rows]:
+    """Inputs and data of a problem: bright levels, then all darks."""
+    bright, dark = measurement.bright, measurement.dark
+    index = jnp.asarray(usable)
+
+    def row(name: str) -> Array:
+        return jnp.concatenate([getattr(bright, name)[index], getattr(dark, name)])
+
+    unsteady = bright.unsteady
+    if unsteady is not None:
+        unsteady = jnp.concatenate([unsteady[index], jnp.zeros_like(dark.mean)])
+    dtype, around = bright.mean.dtype, neighbour_data(measurement, usable)
+    lit = jnp.concatenate([jnp.ones(index.size, dtype), jnp.zeros(dark.mean.size, dtype)])
+    rows = [row("mean"), row("variance"), *2 * [jnp.full_like(lit, jnp.nan)]]
+    if around.total is not None:
+        rows[2] = jnp.where(lit > 0, around.total, jnp.nan)
+    if offsets is not None:
+        rows[3] = jnp.where(lit > 0, jnp.nan, offsets.spatial)
+    inputs = NoiseData(
+        light=row("light"),
+        lit=lit,
+        exposure=row("exposure"),
+        frames=row("frames"),
+        pixels=bright.pixels,
+        top_signal=jnp.max(bright.mean[index]) - jnp.min(dark.mean),
+        light_step=measurement.light_step,
+        window=window,
+        photons_known=measurement.photons_known,
+        shared=shared_noise(dark.shared, dark.variance, dark.frames),
+        neighbours=around,
+        offsets=offsets,
+        unsteady=unsteady,
+        converter=measurement.converter,
+        counted=counted,
+    )
+    return inputs, jnp.stack(rows, axis=1)
+
+
+def stated(
+    space: ParameterSpace, inputs: NoiseData, rows: Rows, *, candidates: Sequence[Candidate] = ()
+) -> Problem:
+    """The problem of a camera with these parameters, and of candidates for more."""
+    free = {one.name: one for one in space} | {one.name: one for one in candidates}
+    return Problem(free, predict, LevelStatistics(), rows, inputs=inputs)
+
+
+def restated(
+    problem: Problem, space: ParameterSpace, *, candidates: Sequence[Candidate] = ()
+) -> Problem:
+    """The problem of the same data with other parameters."""
+    assert problem.present is not None  # no dark has a T
+    rows = jnp.where(problem.present, problem.data, jnp.nan)
+    return stated(space, problem.inputs, rows, candidates=candidates)
+
+
+def base_space(
+    measurement: PhotonTransfer, within: Ranges, *, offsets: OffsetData | None = None
+) -> ParameterSpace:
+    """The parameters of a linear camera."""
+    responsivity = RESPONSIVITY if measurement.photons_known else SIGNAL_RATE
+    space = (SYSTEM_GAIN, responsivity, OFFSET, READ_NOISE)
+    if offsets is not None:
+        space = (*space, OFFSET_SPREAD)
+    return (*space, DARK_CURRENT) if within.dark_exposures > 2 else space
+
+
+def named(space: ParameterSpace, vector: Float[Array, " p"]) -> dict[str, Array]:
+    """Parameters in natural units, by name."""
+    return dict(zip(names(space), to_natural(space, vector), strict=True))
+
+
+@dataclass(frozen=True)
+class LikelihoodFit:
+    """One fitted model.
+
+    Attributes:
+        problem: of its parameters, and of candidates that may be absent.
+        without: names of the absent candidates.
+        optimum: of the P other parameters.
+        chi_square: of all residuals.
+    """
+
+    problem: Problem
+    without: tuple[str, ...]
+    optimum: Optimum
+    chi_square: float
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The P parameters."""
+        return tuple(one for one in self.problem.space if one.name not in self.without)
+
+    @property
+    def data(self) -> NoiseData:
+        """How the levels that were fitted were taken."""
+        return self.problem.inputs
+
+    @property
+    def degrees(self) -> int:
+        return observations(self.problem) - len(self.space)
+
+    @property
+    def p_value(self) -> float:
+        return p_value(self.chi_square, self.degrees)
+
+    @property
+    def inflation(self) -> float:
+        """Factor on the covariance."""
+        return inflation(self.chi_square, self.degrees)
+
+    @property
+    def bic(self) -> float:
+        price = float(np.log(observations(self.problem)))
+        return 2 * self.optimum.cost + len(self.space) * price
+
+    @property
+    def values(self) -> dict[str, Array]:
+        return named(self.space, jnp.asarray(self.optimum.vector))
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the unconstrained vector, not inflated."""
+        return np.linalg.inv(self.optimum.information)
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Standard errors on the unconstrained scale, inflated."""
+        variances = self.inflation * np.diagonal(self.covariance)
+        return dict(zip(names(self.space), np.sqrt(variances).tolist(), strict=True))
+
+
+def observations(problem: Problem) -> int:
+    """The number of observations."""
+    assert problem.present is not None
+    return int(np.sum(problem.present))
+
+
+def start_vector(problem: Problem, standard: Sheet) -> Float[Array, " p"]:
+    """Where a fit starts: the standard's figures, no compression, slight scatter."""
+    data, (mean, _, _, spatial) = problem.inputs, problem.data.T
+    dark, gain = data.lit == 0, standard["system_gain"]
+    responsivity = data.top_signal / jnp.max(data.light)
+    starts = {
+        "system_gain": gain,
+        "responsivity": responsivity,
+        "signal_rate": responsivity,
+        "black_level": jnp.min(jnp.where(dark, mean, jnp.inf)),
+        "read_noise": standard["read_noise"],
+        "dark_current": jnp.asarray(0.0, gain.dtype),
+        "black_scatter": jnp.std(mean, where=dark),
+        "offset_spread": jnp.sqrt(jnp.maximum(jnp.mean(spatial, where=dark), FINEST_SPREAD**2)),
+    }
+    natural = [
+        starts.get(p.name, jnp.asarray(SCATTER_STARTS.get(p.name, 0.0), gain.dtype))
+        for p in problem.space
+    ]
+    start = to_unconstrained(problem.space, jnp.stack(natural))
+    return start if data.window is None else _best_start(problem, start)
+
+
+@eqx.filter_jit
+def _best_start(problem: Problem, start: Array) -> Array:
+    """The most likely of several starting read noises and black levels. Clipped or hardly dithered
+    darks have several optima: a large noise about the middle of a code, and a small one near its
+    edge."""
+    labels, data = names(problem.space), problem.inputs
+    noise, black = labels.index(READ_NOISE.name), labels.index(OFFSET.name)
+    largest = 2 * jnp.sqrt(jnp.max(jnp.where(data.lit == 0, problem.data[:, 1], 0)))
+    shares = jnp.linspace(0, 1, START_NOISES, dtype=start.dtype)
+    step = data.converter.step
+    finest = jnp.log(FINEST_READ_NOISE * step)
+    log_noise = finest * (1 - shares) + jnp.log(largest + step) * shares
+    log_gain = start[labels.index(SYSTEM_GAIN.name)]
+    starts = start[None].at[:, noise].set(-log_gain)
+
+    def moved(starts: Array, place: int, by: Array) -> Array:
+        return jax.vmap(lambda x: starts.at[:, place].add(x))(by).reshape(-1, start.size)
+
+    starts = moved(starts, noise, log_noise)
+    starts = moved(starts, black, step * jnp.asarray(START_SHIFTS, start.dtype))
+    if OFFSET_SPREAD.name in labels:
+        factors = jnp.log(jnp.asarray(START_SPREADS, start.dtype))
+        starts = moved(starts, labels.index(OFFSET_SPREAD.name), factors)
+    costs = jax.lax.map(lambda vector: negative_log_density(vector, problem), starts)
+    return starts[jnp.nanargmin(costs)]
+
+
+def fitted(
+    problem: Problem,
+    standard: Sheet,
+    *,
+    without: Sequence[str] = (),
+    near: LikelihoodFit | None = None,
+) -> LikelihoodFit:
+    """Fit one model, without some candidates and from the end of another one, and test it."""
+    start = np.array(start_vector(problem, standard))
+    if near is not None:
+        start[np.isin(names(problem.space), names(near.space))] = near.optimum.vector
+    try:
+        optimum = search(problem, start[None], without=without)
+    except InputError as error:
+        if near is not None:  # the other model's end is out of bounds for this one
+            return fitted(problem, standard, without=without)
+        raise InputError(
+            "the likelihood of the levels is nowhere finite; look for levels whose frames are all "
+            "alike, as clipped or hardly dithered ones are, or whose light flickers within a "
+            "frame, and leave them out."
+        ) from error
+    _, whole = present_numbers(problem, without)
+    chi_square = _chi_square(jnp.asarray(whole(optimum.vector[None])[0]), problem)
+    return LikelihoodFit(problem, tuple(without), optimum, float(chi_square))
+
+
+@compiled_briefly
+def _chi_square(vector: Array, problem: Problem) -> Array:
+    return jnp.sum(least_squares_residuals(vector, problem) ** 2)
+
+
+def fitted_without(fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"]) -> Optimum:
+    """The same model fitted by the same compiled program without some levels. The first level
+    stays."""
+    gone, problem = jnp.asarray(left_out)[:, None], fit.problem
+    assert problem.present is not None
+    problem = eqx.tree_at(
+        lambda p: (p.data, p.present),
+        problem,
+        (jnp.where(gone, 0, problem.data), problem.present & ~gone),
+    )
+    counted = problem.inputs.counted
+    if counted is not None:
+        kept_out = jnp.asarray(left_out, float)[counted.levels]
+        problem = eqx.tree_at(lambda p: p.inputs.counted.kept_out, problem, kept_out)
+    _, whole = present_numbers(problem, fit.without)
+    return search(problem, whole(fit.optimum.vector[None]), without=fit.without)
+
+
+def posterior_problem(fit: LikelihoodFit) -> Problem:
+    """The problem of a fit's own parameters, with errors that include its misfit, and with priors
+    of its scatters."""
+    problem = restated(fit.problem, fit.space) if fit.without else fit.problem
+    scattered = any(name in SCATTERS for name in names(fit.space))
+    return eqx.tree_at(
+        lambda p: (p.likelihood, p.inputs),
+        problem,
+        (LevelStatistics(1 / fit.inflation), replace(problem.inputs, jeffreys=scattered)),
+    )
+
+
+def likelihood_sheet(
+    vector: Float[Array, " p"],
+    saturation: Float[Array, ""] | None,
+    args: tuple[ParameterSpace, NoiseData, Bool[Array, " levels"]],
+) -> Sheet:
+    """The standard's figures from the likelihood's parameters, with gain and responsivity at zero
+    signal.
+    """
+    space, data, linearity = args
+    values = named(space, vector)
+    gain = values["system_gain"]
+    responsivity = values["responsivity" if data.photons_known else "signal_rate"]
+    dark_variance = (gain * values["read_noise"]) ** 2 + data.converter.rounding
+    figures = derived_figures(
+        *(gain, responsivity, dark_variance, saturation),
+        photons_known=data.photons_known,
+        converter=data.converter,
+    )
+    if (
+        data.window is not None
+    ):  # what the darks show, not what reads into a well-dithered converter
+        shown = predicted_moments(values, data, data.light).variance[jnp.argmin(data.lit)]
+        figures["temporal_dark_noise"] = jnp.sqrt(shown)
+    if "compression" in values:
+        curve = compressed(values, responsivity * data.light, data.top_signal)
+        low, high = linearity_errors(data.light, curve, linearity)
+        figures |= {"linearity_error_min": low, "linearity_error_max": high}
+    return figures
+
+
+def gain_drop(values: dict[str, Array], data: NoiseData) -> Array:
+    """1 - h'(X): the relative decrease of the gain from zero signal to the brightest level."""
+    top = data.top_signal
+    return 1 - jax.grad(lambda x: compressed(values, x, top))(top)
+
+
+def dark_scatter(measurement: PhotonTransfer) -> ParameterSpace:
+    """The random effects in the darks about their own lines over exposure, beyond noise of pixels,
+    rows, columns and frames.
+    """
+    dark = measurement.dark
+    errors = sampling_errors(
+        dark,
+        jnp.zeros_like(dark.mean),
+        jnp.ones_like(dark.pixels),
+        shared=shared_noise(dark.shared, dark.variance, dark.frames),
+    )
+    found = []
+    for effect, values, variances in (
+        (BLACK_SCATTER, dark.mean, errors.mean),
+        (VARIANCE_SCATTER, dark.variance, errors.variance),
+    ):
+        chi_square, degrees = line_misfit(dark.exposure, values, variances)
+        if p_value(float(chi_square), float(degrees)) < MISFIT:
+            found.append(effect)
+    return tuple(found)
+
+
+def candidates_for(
+    measurement: PhotonTransfer, inputs: NoiseData, always: ParameterSpace, *, sharing: bool
+) -> tuple[Candidate, ...]:
+    """The effects that a camera may need beside the parameters that it has anyhow."""
+    offset = LIGHT_OFFSET if measurement.photons_known else SHUTTER_OFFSET
+    by_chance = SPURIOUS_BESIDE if sharing else SPURIOUS_SHARING
+    found = [
+        Candidate(LIGHT_SCATTER, chance=1),
+        *(Candidate(one, chance=SPURIOUS) for one in (COMPRESSION, offset)),
+        Candidate(COMPRESSION_2, chance=SPURIOUS, requires=COMPRESSION.name),
+    ][: int(jnp.sum(inputs.lit)) - 3]
+    found.append(Candidate(BRIGHTER_FATTER, chance=by_chance, side="above"))  # charges repel
+    if are_known(inputs.neighbours):
+        found.append(Candidate(PIXEL_MIXING, chance=by_chance))
+    dark = measurement.dark
+    if BLACK_SCATTER in always or dark.shared is None:
+        return tuple(found)
+    if drift(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames)).believed:
+        found.append(Candidate(BLACK_SCATTER, chance=1))
+    return tuple(found)
+
+
+def choose_model(
+    measurement: PhotonTransfer,
+    problem: Problem,
+    standard: Sheet,
+    *,
+    trend: Drifting | None = None,
+    sharing: bool = False,
+) -> tuple[LikelihoodFit, LikelihoodFit]:
+    """The fit of a linear camera, and that of the model that describes the camera.
+
+    `sharing`: whether nearest neighbours covary significantly."""
+    linear = fitted(problem, standard)
+    if linear.p_value >= MISFIT and not sharing:
+        return linear, linear
+    always = linear.space + dark_scatter(measurement)
+    candidates = candidates_for(measurement, problem.inputs, always, sharing=sharing)
+    whole = restated(problem, always, candidates=candidates)
+    chosen = _reduced(fitted(whole, standard), standard, sharing)
+    drifts = _may_be_drift(chosen, trend)
+    if drifts or (chosen.p_value < MISFIT and any(p in chosen.space for p in CURVE)):
+        # Light that drifts from level to level looks like a curve, to which a search can lead
+        # although the variances contradict it.
+        bent = [one.name for one in candidates if one.parameter in CURVE]
+        other = _reduced(fitted(whole, standard, without=bent), standard, sharing)
+        described = drifts and other.p_value >= MISFIT
+        chosen = other if described else min(chosen, other, key=lambda fit: fit.bic)
+    shares = any(p in chosen.space for p in SHARING)
+    return (linear, chosen) if shares or chosen.bic < linear.bic else (linear, linear)
+
+
+def _reduced(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFit:
+    """The fit without the candidates that fail the criterion, with the weakest dropped first."""
+    while True:
+        there = [one for one in fit.problem.candidates if one.name not in fit.without]
+        optimum = fit.optimum
+        ratios = squared_ratios(fit.space, optimum.vector, optimum.information, there)
+        prices = {one.name: _price(fit, one, sharing) for one in there}
+        unearned = weakest(dict(zip(prices, ratios, strict=True)), prices, there)
+        if unearned is None:
+            return fit
+        fit = fitted(fit.problem, standard, without=(*fit.without, unearned), near=fit)
+
+
+def _price(fit: LikelihoodFit, candidate: Candidate, sharing: bool) -> float:
+    """The squared Wald ratio that a candidate needs. Mixing or repulsion of neighbours changes the
+    gain by as many standard errors. It needs the ratio of one in a thousand cameras, or one in
+    twenty if nearest neighbours significantly covary and one of the two forms is present. The
+    scatter of m lights about a curve of q terms is underestimated by (m - q) / m and uncertain, so
+    a term of the curve must then pass Fisher's F test."""
+    count, scatter = float(observations(fit.problem)), None
+    if sharing and candidate.parameter in SHARING:
+        count = 1.0
+    if LIGHT_SCATTER in fit.space and candidate.parameter in CURVE:
+        scatter = int(jnp.sum(fit.data.lit)), 1 + sum(p in fit.space for p in CURVE)
+    return price(count, chance=candidate.chance, scatter=scatter)
+
+
+def _may_be_drift(fit: LikelihoodFit, trend: Drifting | None) -> bool:
+    """Whether drift of the light between flats, at the rate seen within levels, could explain the
+    curvature."""
+    if trend is None or not any(p in fit.space for p in CURVE):
+        return False
+    # Means depart by half of what the slope does, and darks in between take as long again.
+    return bool(abs(float(gain_drop(fit.values, fit.data))) <= 4 * abs(trend.total))
