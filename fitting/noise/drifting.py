@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Int
 from scipy.special import stdtrit
 
-from ..inference.formatting import format_with_error
 from .levels import PhotonTransfer
 
 FEWEST_LEVELS = 5
@@ -55,17 +54,3 @@ def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) ->
     if abs(share) < stdtrit(degrees, 1 - CHANCE / 2) * error:
         return None
     return Drifting(share, error, int(frames.sum()))
-
-
-def drifting_in_words(found: Drifting | None) -> list[str]:
-    """The finding on a drift."""
-    if found is None:
-        return []
-    way = "grows" if found.share > 0 else "falls"
-    change = format_with_error(100 * abs(found.share), 100 * found.error)
-    return [
-        f"From frame to frame of a level the signal {way} by {change} %, as when a lamp or a "
-        f"camera warms up. Over {found.frames} consecutive flats the drift is "
-        f"{100 * abs(found.total):.2g} %, so that a smaller non-linearity cannot be detected. "
-        "Let lamp and camera warm up, or take the levels in random order."
-    ]

@@ -1,6 +1,9 @@
-"""The findings of a noise calibration: a misfit first, then its consequences."""
+"""The findings of a noise calibration, each with its condition: a misfit first, then its
+consequences."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -8,19 +11,19 @@ from ..codes import converter_in_words
 from ..inference.diagnostics import identifiability
 from ..inference.formatting import format_p, format_with_error, format_within
 from ..inference.trust import convergence_in_words
+from ..report.sentences import Finding, Numbers, said
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration
 from .code_tables import SUB_ELECTRON
-from .drifting import drifting, drifting_in_words
+from .drifting import drifting
 from .emva1288 import is_floored, least_dark_variance
-from .flicker import flicker_in_words
 from .levels import PhotonTransfer
 from .misfit import MISFIT
 from .neighbours import are_known
 from .parts import Part, deviation_quantiles
 from .pattern import pattern_variance, unequal_gains, unequal_offsets
 from .periodic import Periodic, periodic_in_words, taps_of
-from .printed_times import printed_times_in_words
+from .printed_times import printed_times
 from .raw_frames import BLOCK, is_compressed, processing_in_words
 from .shared import Found, drift, temporal_lines
 from .statement import gain_drop
@@ -37,37 +40,7 @@ SAID = 2.0  # standard errors below which an offset of the light is not reported
 
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     """Every finding, the most consequential first."""
-    measurement = calibration.measurement
-    return (
-        *measurement.bright.left_out,
-        *measurement.dark.left_out,
-        *(doubt.sentence for doubt in measurement.doubts),
-        *flicker_in_words(measurement, calibration.flicker),
-        *drifting_in_words(drifting(measurement, calibration.usable)),
-        *processing(calibration),
-        *_efficiency(calibration),
-        *periodic_findings(calibration),
-        *_converter(calibration),
-        *_of_likelihood(calibration),
-        *_counted(calibration),
-        *_standard_scatter(calibration),
-        *_near_black(calibration),
-        *_saturation(calibration),
-        *_glow(calibration),
-        *_dark_current(calibration),
-        *_linearity_errors(calibration),
-        *_shared(calibration),
-        *_drift(calibration),
-        *_pattern(calibration),
-        *_solver(calibration),
-        *measurement.remarks,
-    )
-
-
-def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
-    """Value and standard error of one of the likelihood's parameters, as tables show them."""
-    estimate = calibration.shown[name]
-    return float(estimate.value or 0.0), float(estimate.standard_error or 0.0)
+    return said(FINDINGS, calibration)
 
 
 def is_impossible(calibration: NoiseCalibration) -> bool:
@@ -88,12 +61,16 @@ def is_no_sensor(calibration: NoiseCalibration) -> bool:
 def processing(calibration: NoiseCalibration) -> list[str]:
     """Sentences on how the files were processed; none for raw frames."""
     told = processing_in_words(calibration.measurement, calibration.usable)
-    if not told:
-        return []
-    return [
-        *told,
-        "No sensor file is written: it would describe how these files were processed.",
-    ]
+    no_sensor = "No sensor file is written: it would describe how these files were processed."
+    return [*told, no_sensor] if told else []
+
+
+def _within_error(calibration: NoiseCalibration) -> Numbers | None:
+    """An efficiency above 1 by no more than its error."""
+    value = calibration.efficiency
+    if value is None or value <= 1 or is_impossible(calibration):
+        return None
+    return {"efficiency": 100 * value}
 
 
 def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
@@ -122,210 +99,142 @@ def unstated_taps(calibration: NoiseCalibration) -> tuple[int, int] | str | None
     return None if measurement.site is not None else taps_of(_periodic(calibration))
 
 
-def _efficiency(calibration: NoiseCalibration) -> list[str]:
-    if calibration.efficiency is not None and calibration.efficiency < LEAST_EFFICIENCY:
-        return [
-            f"The quantum efficiency is {100 * calibration.efficiency:.3g} %, less than that of "
-            "any sensor for light that it is made for: photons are stated too high (give "
-            "photons per pixel and exposure)."
-        ]
-    if not is_impossible(calibration):
-        if calibration.efficiency is None or calibration.efficiency <= 1:
-            return []
-        return [
-            f"The quantum efficiency, {100 * calibration.efficiency:.4g} %, is 100 % within its "
-            "error. The sensor file has 100 %, and a gain with the same signal."
-        ]
-    return [
-        f"The quantum efficiency is {100 * (calibration.efficiency or 0):.3g} %, which "
-        "no sensor has. Either photons are stated too low (give photons per pixel and exposure, "
-        "not per area or second). Or the images were averaged, denoised, compressed, smoothed or "
-        "interpolated, which lowers their variance and so the gain: give raw frames. No sensor "
-        "file is written."
-    ]
+def _as_they_are(key: str, sentences: Callable[[NoiseCalibration], Iterable[str]]) -> Finding:
+    """Sentences that were made where their numbers were found."""
+    return Finding(key, lambda c: [{"told": told} for told in sentences(c)], "{told}")
+
+
+def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
+    """Value and standard error of one of the likelihood's parameters, as tables show them."""
+    estimate = calibration.shown[name]
+    return float(estimate.value or 0.0), float(estimate.standard_error or 0.0)
+
+
+def _size(calibration: NoiseCalibration, name: str, scale: float = 100) -> str:
+    """A parameter with its error, by default in per cent."""
+    return format_with_error(*(scale * x for x in _shown(calibration, name)))
+
+
+def _has(name: str, calibration: NoiseCalibration) -> bool:
+    """Whether the chosen model has an effect."""
+    return calibration.likelihood is not None and name in calibration.chosen.values
+
+
+def _flicker(calibration: NoiseCalibration) -> list[Numbers]:
+    bright, found = calibration.measurement.bright, []
+    for axis, name in enumerate(("rows", "columns")):
+        if name not in calibration.flicker or bright.flicker is None:
+            continue
+        one, out = calibration.flicker[name], np.asarray(bright.flicker)[axis]
+        share = float(np.max(out / np.maximum(np.asarray(bright.variance) + out, 1e-300)))
+        size = format_with_error(one.deviation, one.error / (2 * one.deviation))
+        found.append({"lines": name, "line": name[:-1], "size": size, "share": 100 * share})
+    return found
+
+
+def _drifting(calibration: NoiseCalibration) -> Numbers | None:
+    found = drifting(calibration.measurement, calibration.usable)
+    return found and {
+        "way": "grows" if found.share > 0 else "falls",
+        "change": format_with_error(100 * abs(found.share), 100 * found.error),
+        "frames": found.frames,
+        "total": 100 * abs(found.total),
+    }
+
+
+def _unequal_steps(calibration: NoiseCalibration) -> Numbers | None:
+    """Unequal steps of the converter, if they change the read noise."""
+    converter = calibration.measurement.converter
+    read = next((one for one in calibration.sheet if one.name == "read_noise"), None)
+    if not converter.imbalance or read is None or not read.value or not read.standard_error:
+        return None
+    more = converter.rounding - replace(converter, imbalance=0.0).rounding
+    moved = more / (2 * calibration.gain**2 * read.value)
+    if moved <= read.standard_error / 2:
+        return None
+    return {"imbalance": 100 * converter.imbalance, "moved": moved}
 
 
 def _converter(calibration: NoiseCalibration) -> list[str]:
-    """Findings on the converter. Unequal steps are named only if they change the read noise."""
     measurement = calibration.measurement
-    converter = measurement.converter
     alike = measurement.bright.converter.step == measurement.dark.converter.step
-    told = converter_in_words(converter, measurement.full_scale) if alike else []
-    if converter.coarse_from is not None:
-        used = float(measurement.bright.mean[calibration.usable[-1]])
-        told.append(
-            "The likelihood uses the levels below it. The standard's figures use all levels."
-            if used < converter.coarse_from
-            else "Too few levels lie below it, so all figures use all levels."
-        )
-    read = next((one for one in calibration.sheet if one.name == "read_noise"), None)
-    if converter.imbalance and read is not None and read.value and read.standard_error:
-        gain = calibration.gain
-        more = converter.rounding - replace(converter, imbalance=0.0).rounding
-        moved = more / (2 * gain**2 * read.value)
-        if moved > read.standard_error / 2:
-            told.append(
-                f"The counts of even and odd codes differ by {100 * converter.imbalance:.2g} %, as "
-                "if the ADC's steps are unequal. The rounding error includes these steps, which "
-                f"lowers the read noise by {moved:.2g} e⁻."
-            )
-    return told
+    return converter_in_words(measurement.converter, measurement.full_scale) if alike else []
 
 
-def _of_likelihood(calibration: NoiseCalibration) -> list[str]:
+def _two_converters(below: bool, calibration: NoiseCalibration) -> bool:
+    top = calibration.measurement.converter.coarse_from
+    used = float(calibration.measurement.bright.mean[calibration.usable[-1]])
+    return top is not None and (used < top) == below
+
+
+def _linear(fits: bool, calibration: NoiseCalibration) -> Numbers | None:
+    """Whether a linear camera explains the measurement."""
     if calibration.likelihood is None:
-        why = calibration.no_likelihood.rstrip(".")
-        return [
-            f"Maximum likelihood gives no figures: {why[:1].lower()}{why[1:]}. The standard's "
-            "regressions need no maximum. Their figures are reported, with errors from their "
-            "scatter."
-        ]
-    return [*_linearity(calibration), *_random_effects(calibration)]
-
-
-def _counted(calibration: NoiseCalibration) -> list[str]:
-    """Whether tables of codes replaced moments, and by how much the errors decreased."""
-    counted = calibration.counted
-    if counted is None or calibration.likelihood is None:
-        return []
-    read, electrons = np.exp(counted.logs[1]), np.exp(counted.logs[2:])
-    about = (
-        f"Read noise is about {read:.2g} e⁻. Below {SUB_ELECTRON:g} e⁻ the histogram of codes "
-        "holds more information than mean and variance: "
-    )
-    if counted.failures:
-        return [
-            f"{about}it was fitted, but {counted.failures[0][:1].lower()}{counted.failures[0][1:]} "
-            "Means and variances were used."
-        ]
-    gain, error = np.exp(counted.logs[0]), np.sqrt(counted.covariance[0, 0])
-    of = "level" if len(electrons) == 1 else "levels"
-    return [
-        f"{about}for {len(electrons)} {of} of {electrons.min():.2g} to {electrons.max():.2g} "
-        f"electrons it was fitted in their place ({counted.numbers} values), which alone gives "
-        f"K = {format_with_error(float(gain), float(gain * error))} DN/e⁻. Each pixel's mean dark "
-        "value was subtracted, so that DSNU does not blur the histogram; the gains of the pixels "
-        "are assumed equal there."
-    ]
-
-
-def _linear_model(calibration: NoiseCalibration) -> str:
-    if calibration.linear.data.shared is None:
-        return "A linear camera with pixel noise only"
-    return (
-        "A linear camera with pixel noise, and with noise shared by rows, columns or frames of the "
-        "darks,"
-    )
-
-
-def _misfit(calibration: NoiseCalibration) -> list[str]:
+        return None
     linear, chosen = calibration.linear, calibration.chosen
-    if linear.p_value >= MISFIT:
-        return []
+    if (linear.p_value >= MISFIT) != fits:
+        return None
     # By how much it matters; the number of a failed fit is meaningless.
     off = float(linear.values["system_gain"]) / float(chosen.values["system_gain"]) - 1
-    moved = f" ({100 * off:+.2g} % off)" if 0 < abs(off) < ASTRAY else ""
-    return [
-        f"{_linear_model(calibration)} does not explain the measurement (chi-square is "
-        f"{linear.chi_square:.3g} with {linear.degrees} degrees of freedom). Its gain{moved} and "
-        "its small error are not used."
-    ]
+    noise = "with pixel noise only"
+    if linear.data.shared is not None:
+        noise = "with pixel noise, and with noise shared by rows, columns or frames of the darks,"
+    return {
+        "noise": noise,
+        "chi_square": linear.chi_square,
+        "degrees": linear.degrees,
+        "ratio": linear.chi_square / linear.degrees,
+        "p": format_p(linear.p_value),
+        "moved": f" ({100 * off:+.2g} % off)" if 0 < abs(off) < ASTRAY else "",
+    }
 
 
-def _linearity(calibration: NoiseCalibration) -> list[str]:
-    linear, chosen = calibration.linear, calibration.chosen
-    told = _misfit(calibration)
-    if not told:
-        return [
-            f"{_linear_model(calibration)} explains every mean and variance: chi-square per degree "
-            f"of freedom {linear.chi_square / linear.degrees:.2f} ({format_p(linear.p_value)}).",
-            *_neighbours(calibration),
-        ]
-    if "compression" in chosen.values:
-        told += _compression(calibration)
-    if "light_offset" in chosen.values:
-        offset = _light_offset(calibration)
-        told += offset
-        if offset and _by_the_dimmest_alone(calibration.measurement, calibration.usable):
-            told.append(
-                "Without the dimmest level the others show no such offset: the light or the "
-                "exposure time of that level may be wrong instead."
-            )
-    return [*told, *_neighbours(calibration)]
-
-
-def _neighbours(calibration: NoiseCalibration) -> list[str]:
-    """The reduction of variances by the brighter-fatter effect and by mixing with neighbours."""
-    chosen, sentences = calibration.chosen, []
-    if "brighter_fatter" in chosen.values:
-        share, error = _shown(calibration, "brighter_fatter")
-        own, own_error = own_area_change(chosen)
-        sentences.append(
-            "The variance flattens with light more than the mean does. Charges that repel each "
-            "other (the brighter-fatter effect) take "
-            f"{format_with_error(100 * share, 100 * error)} % of it at the brightest level used: "
-            f"a₀₀ = ({format_with_error(own * 1e6, own_error * 1e6)}) · 10⁻⁶ per electron."
-        )
-        sentences.append(
-            "The covariances of neighbours, which a compression does not raise, were fitted with "
-            "it. Variance and covariances add up to the noise of independent electrons."
-            if are_known(chosen.data.neighbours)
-            else "Only the shape of the variance distinguishes it from a wrong gain. Covariances "
-            "of neighbouring pixels would too, but a table, a mosaic, or noise shared by rows or "
-            "columns does not show them. Give the frames of a monochrome camera in a rig."
-        )
-    if "pixel_mixing" in chosen.values:
-        share, error = _shown(calibration, "pixel_mixing")
-        sentences.append(
-            f"Neighbouring pixels share {format_with_error(100 * share, 100 * error)} % of the "
-            "variance that is proportional to light, as with capacitance between pixels or "
-            "interpolation. The variance alone would give a gain too small by that share."
-        )
-    return sentences
-
-
-def _compression(calibration: NoiseCalibration) -> list[str]:
-    assert calibration.likelihood is not None
-    chosen, standard = calibration.chosen, calibration.standard
+def _compression(calibration: NoiseCalibration) -> Numbers | None:
+    if not _linear(False, calibration) or not _has("compression", calibration):
+        return None
+    chosen, likelihood = calibration.chosen, calibration.likelihood
+    assert likelihood is not None
     drop = float(gain_drop(chosen.values, chosen.data))
-    one_term = "compression_2" not in chosen.values
-    loss, loss_error = _shown(calibration, "compression")
-    strength = abs(loss) / loss_error
-    significance = f", {strength:.0f} standard errors from none" if one_term else ""
-    way = "falls" if drop > 0 else "rises"
-    gain, error = _shown(calibration, "system_gain")
-    return [
-        f"The camera is not linear: the gain {way} by {100 * abs(drop):.2g} % from zero signal to "
-        f"the brightest level used{significance}.",
-        "The likelihood and the standard therefore define the gain differently. "
-        f"K = {format_with_error(gain, error)} DN/e⁻ holds at zero signal. The "
-        f"standard's {float(standard.values['system_gain']):.5f} DN/e⁻ is a mean slope up to 70 % "
-        "of saturation, weighted towards its upper end. The standard's regression of the fitted "
-        f"curves gives {calibration.likelihood.standard_of_chosen:.5f} DN/e⁻.",
-    ]
+    loss, error = _shown(calibration, "compression")
+    strength = f", {abs(loss) / error:.0f} standard errors from none"
+    return {
+        "way": "falls" if drop > 0 else "rises",
+        "drop": 100 * abs(drop),
+        "significance": "" if "compression_2" in chosen.values else strength,
+        "gain": _size(calibration, "system_gain", 1),
+        "standard": float(calibration.standard.values["system_gain"]),
+        "of_chosen": likelihood.standard_of_chosen,
+    }
 
 
-def _light_offset(calibration: NoiseCalibration) -> list[str]:
-    chosen = calibration.chosen
+def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | None:
+    """An offset of the light that is large enough to be reported, in time or in photons."""
+    if not _has("light_offset", calibration) or calibration.chosen.data.photons_known == in_time:
+        return None
     offset, error = _shown(calibration, "light_offset")
     if abs(offset) < SAID * error:
-        return []
-    way = "more" if offset > 0 else "less"
-    data = chosen.data
-    if not data.photons_known:
-        return [
-            f"Every exposure lasts {format_with_error(abs(offset) * 1e6, error * 1e6)} µs {way} "
-            f"than recorded ({abs(offset) / error:.0f} standard errors)."
-        ]
-    bright = np.asarray(data.lit) > 0
-    exposure, light = np.asarray(data.exposure)[bright], np.asarray(data.light)[bright]
-    timed = exposure > 0
-    rate = np.median(light[timed] / exposure[timed])
-    late = "" if np.ptp(exposure) == 0 else f", as if the shutter were off by {offset / rate:.2g} s"
-    return [
-        f"Every exposure gets {format_with_error(abs(offset), error)} photons {way} than recorded "
-        f"({abs(offset) / error:.0f} standard errors){late} or light leaked."
-    ]
+        return None
+    scale, late = 1e6 if in_time else 1.0, ""
+    if not in_time:
+        data = calibration.chosen.data
+        timed = np.asarray((data.lit > 0) & (data.exposure > 0))
+        exposure, light = np.asarray(data.exposure)[timed], np.asarray(data.light)[timed]
+        if np.ptp(np.asarray(data.exposure)[np.asarray(data.lit) > 0]) != 0:
+            off = offset / np.median(light / exposure)
+            late = f", as if the shutter were off by {off:.2g} s"
+    return {
+        "size": format_with_error(abs(offset) * scale, error * scale),
+        "way": "more" if offset > 0 else "less",
+        "ratio": abs(offset) / error,
+        "late": late,
+    }
+
+
+def _of_the_dimmest(calibration: NoiseCalibration) -> bool:
+    told = _light_offset(True, calibration) or _light_offset(False, calibration)
+    if not told or not _linear(False, calibration):
+        return False
+    return _by_the_dimmest_alone(calibration.measurement, calibration.usable)
 
 
 def _by_the_dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
@@ -346,118 +255,126 @@ def _by_the_dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bo
     return bool(abs(found[2]) < FAR * np.sqrt(covariance[2, 2]))
 
 
-def _random_effects(calibration: NoiseCalibration) -> list[str]:
-    values, data = calibration.chosen.values, calibration.chosen.data
-    sentences = []
-    if "light_scatter" in values:
-        scatter, error = _shown(calibration, "light_scatter")
-        sentences.append(
-            "The light of the levels scatters about the recorded light by "
-            f"{format_with_error(100 * scatter, 100 * error)} % rms."
-        )
-        sentences += printed_times_in_words(calibration.measurement, calibration.usable)
-    if "black_scatter" in values:
-        wander, error = _shown(calibration, "black_scatter")
-        dark = calibration.measurement.dark
-        noise = float(np.median(np.sqrt(dark.variance / (dark.pixels * dark.frames))))
-        sentences.append(
-            f"The black level varies by {format_with_error(wander, error)} DN rms from level to "
-            f"level, {wander / noise:.0f} times the error of its mean by pixel noise."
-        )
-    if "variance_scatter" in values:
-        scatter, error = _shown(calibration, "variance_scatter")
-        expected = float(np.median(np.sqrt(2 / (data.pixels * (data.frames - 1)))))
-        known = calibration.linear.data.shared is not None
-        shared = ", as by noise shared by rows, columns or whole frames" if known else ""
-        sentences.append(
-            f"Variances scatter by {format_with_error(100 * scatter, 100 * error)} % rms beyond "
-            f"the {100 * expected:.2g} % of independent pixels{shared}."
-        )
+def _brighter_fatter(calibration: NoiseCalibration) -> Numbers | None:
+    if not _has("brighter_fatter", calibration):
+        return None
+    own = own_area_change(calibration.chosen)
+    share = _size(calibration, "brighter_fatter")
+    return {"share": share, "own": format_with_error(*(x * 1e6 for x in own))}
+
+
+def _by_covariances(known: bool, calibration: NoiseCalibration) -> bool:
+    there = _has("brighter_fatter", calibration)
+    return there and are_known(calibration.chosen.data.neighbours) == known
+
+
+def _black_scatter(calibration: NoiseCalibration) -> Numbers | None:
+    if not _has("black_scatter", calibration):
+        return None
+    dark = calibration.measurement.dark
+    noise = float(np.median(np.sqrt(dark.variance / (dark.pixels * dark.frames))))
+    wander = _shown(calibration, "black_scatter")[0]
+    return {"size": _size(calibration, "black_scatter", 1), "ratio": wander / noise}
+
+
+def _variance_scatter(calibration: NoiseCalibration) -> Numbers | None:
+    if not _has("variance_scatter", calibration):
+        return None
+    data = calibration.chosen.data
+    known = calibration.linear.data.shared is not None
+    return {
+        "size": _size(calibration, "variance_scatter"),
+        "expected": 100 * float(np.median(np.sqrt(2 / (data.pixels * (data.frames - 1))))),
+        "shared": ", as by noise shared by rows, columns or whole frames" if known else "",
+    }
+
+
+def _rest(explained: bool, calibration: NoiseCalibration) -> Numbers | None:
+    """The chi-square of the chosen model, if it is significant or if the linear one did not do."""
+    if calibration.likelihood is None or (calibration.chosen.inflation == 1) != explained:
+        return None
     chosen = calibration.chosen
-    if chosen.inflation > 1:
-        sentences.append(
-            "The remaining misfit is significant: chi-square per degree of freedom is "
-            f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)}), so all errors "
-            f"of the likelihood are multiplied by {np.sqrt(chosen.inflation):.2f}."
-        )
-    elif chosen is not calibration.linear:
-        sentences.append(
-            "This explains the measurement: chi-square per degree of freedom is "
-            f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)})."
-        )
-    return sentences
+    if explained and chosen is calibration.linear:
+        return None
+    ratio, factor = chosen.chi_square / chosen.degrees, np.sqrt(chosen.inflation)
+    return {"ratio": ratio, "p": format_p(chosen.p_value), "factor": factor}
 
 
-def _standard_scatter(calibration: NoiseCalibration) -> list[str]:
+def _counted(failed: bool, calibration: NoiseCalibration) -> Numbers | None:
+    """Whether tables of codes replaced moments, and by how much the errors decreased."""
+    counted = calibration.counted
+    if counted is None or calibration.likelihood is None or bool(counted.failures) != failed:
+        return None
+    electrons, gain = np.exp(counted.logs[2:]), float(np.exp(counted.logs[0]))
+    why = counted.failures[0] if failed else ""
+    return {
+        "read": np.exp(counted.logs[1]),
+        "most": SUB_ELECTRON,
+        "why": f"{why[:1].lower()}{why[1:]}",
+        "count": f"{len(electrons)} {'level' if len(electrons) == 1 else 'levels'}",
+        "low": electrons.min(),
+        "high": electrons.max(),
+        "numbers": counted.numbers,
+        "gain": format_with_error(gain, gain * float(np.sqrt(counted.covariance[0, 0]))),
+    }
+
+
+def _standard_scatter(calibration: NoiseCalibration) -> Numbers | None:
     names = ("dark means", "dark variances", "responsivity", "gain")
     factors = np.sqrt(np.asarray(calibration.standard.misfit.factors))
     larger = [f"{name} {x:.3g}" for name, x in zip(names, factors, strict=True) if x > 1]
-    if not larger:
-        return []
-    return [
-        "The standard's regressions scatter more than pixel noise explains. The errors of its "
-        f"figures are multiplied by: {', '.join(larger)}."
-    ]
+    return {"larger": ", ".join(larger)} if larger else None
 
 
-def _near_black(calibration: NoiseCalibration) -> list[str]:
-    sentences = []
+def _exact(calibration: NoiseCalibration) -> Numbers | None:
+    """The number of levels with exact moments of rounding and clipping."""
     window = None if calibration.likelihood is None else calibration.chosen.data.window
-    if window is not None:
-        count = len(np.unique(window.levels))
-        sentences.append(
-            "Black is clipped, or read noise is too small to smooth the rounding. At "
-            f"{count} level{'s' * (count > 1)} the likelihood uses the exact moments of the "
-            "clipped, rounded signal. The standard's figures are biased there."
-        )
-    least = least_dark_variance(calibration.measurement)
-    dark = calibration.measurement.dark
-    if not is_floored(calibration.measurement, calibration.within):
-        return sentences
-    if float(np.min(np.asarray(dark.variance))) > least:
-        sentences.append(
-            f"The line through the variances of the darks over exposure starts below "
-            f"{least:.3g} DN², although every variance is above it. The variances are not linear "
-            "in exposure, so the standard gives only an upper bound on dark noise."
-        )
-    else:
-        sentences.append(
-            f"Dark variance is below {least:.3g} DN², where rounding dominates. The standard gives "
-            "only an upper bound on dark noise."
-        )
-    return sentences
+    if window is None:
+        return None
+    count = len(np.unique(window.levels))
+    return {"levels": f"{count} level{'s' * (count > 1)}"}
 
 
-def _saturation(calibration: NoiseCalibration) -> list[str]:
-    within, knee = calibration.within, calibration.measurement.knee
-    if knee is not None:
-        return [
-            f"Above about {knee.signal:.4g} DN over black the slope of the signal is "
-            f"{knee.slope:.3g} of that below, and its variance {knee.slope**2:.2g} of that below: "
-            "a knee of a piecewise linear response (companding), not a full well. Only the levels "
-            "below it are used. Figures that need the capacity are not determined, and the sensor "
-            "file is wrong above the knee; give linear frames."
-        ]
-    if within.saturation is None or within.saturation_width is None:
-        which = "No remaining level" if calibration.measurement.bright.left_out else "No level"
-        return [
-            f"{which} saturates the camera, so no figure that needs its capacity is determined. "
-            "The ranges of the standard end at the brightest level. Add brighter flats."
-        ]
+def _floored(bent: bool, calibration: NoiseCalibration) -> Numbers | None:
+    """Whether the standard's dark noise is at its floor, though each dark is above it or not."""
+    measurement = calibration.measurement
+    least = least_dark_variance(measurement)
+    above = float(np.min(np.asarray(measurement.dark.variance))) > least
+    if above != bent or not is_floored(measurement, calibration.within):
+        return None
+    return {"least": least}
+
+
+def _knee(calibration: NoiseCalibration) -> Numbers | None:
+    knee = calibration.measurement.knee
+    return knee and {"signal": knee.signal, "slope": knee.slope, "square": knee.slope**2}
+
+
+def _saturation(calibration: NoiseCalibration) -> Numbers | None:
+    within = calibration.within
+    if within.saturation is None or within.saturation_width is None or _knee(calibration):
+        return None
     unit = "photons" if calibration.measurement.photons_known else "s"
     level, width = float(within.saturation), float(within.saturation_width)
-    return [
-        f"Saturation is the level of largest variance, {format_within(level, width)} {unit}. The "
-        f"true saturation point lies between its neighbours, {format_within(width, width)} {unit} "
-        "apart. This is most of the error of every capacity."
-    ]
+    return {
+        "level": format_within(level, width),
+        "width": format_within(width, width),
+        "unit": unit,
+    }
 
 
-def _glow(calibration: NoiseCalibration) -> list[str]:
+def _unsaturated(calibration: NoiseCalibration) -> Numbers | None:
+    if _knee(calibration) or _saturation(calibration):
+        return None
+    left_out = calibration.measurement.bright.left_out
+    return {"which": "No remaining level" if left_out else "No level"}
+
+
+def _glow(calibration: NoiseCalibration) -> Numbers | None:
     """Darks with a smooth unevenness that grows with exposure."""
     dark = calibration.measurement.dark
     if dark.local_pattern is None or dark.spatial_variance is None:
-        return []
+        return None
     exposure = np.asarray(dark.exposure)
     short, long = int(np.argmin(exposure)), int(np.argmax(exposure))
     pattern, by_noise = pattern_variance(dark)
@@ -470,100 +387,81 @@ def _glow(calibration: NoiseCalibration) -> list[str]:
     uneven = np.sqrt(np.maximum(smooth, 0.0))
     least = max(SURE * error[long], GROWS**2 * beneath, (MATTERS * noise) ** 2)
     if not smooth[long] >= least:
-        return []
-    rise = float(dark.mean[long] - dark.mean[short])
-    return [
-        f"The darks vary smoothly over the frame, by {uneven[long]:.3g} DN rms at "
-        f"{exposure[long]:.3g} s and {uneven[short]:.2g} DN at {exposure[short]:.3g} s, where "
-        f"their mean is {rise:.3g} DN lower. Light leaks in, the read-out glows, or the sensor is "
-        "warmer at one side. This adds to dark current and DSNU, which are then not those of the "
-        "pixels. Cover the camera, or calibrate a uniform region (camera.region)."
-    ]
+        return None
+    return {
+        "long": uneven[long],
+        "of_long": exposure[long],
+        "short": uneven[short],
+        "of_short": exposure[short],
+        "rise": float(dark.mean[long] - dark.mean[short]),
+    }
 
 
-def _dark_current(calibration: NoiseCalibration) -> list[str]:
+def _dark_currents(kind: str, calibration: NoiseCalibration) -> Numbers | None:
+    """Dark currents by mean and variance that disagree: as variances scatter, as both are biased by
+    rounding, or neither."""
     values, errors = calibration.standard.values, calibration.standard.errors
     if "dark_current_mean" not in values:
-        return []
+        return None
     mean, variance = (float(values[f"dark_current_{way}"]) for way in ("mean", "variance"))
     error = float(np.hypot(errors["dark_current_mean"], errors["dark_current_variance"]))
     if abs(mean - variance) < FAR * error or calibration.measurement.doubts:
-        return []
-    if float(np.asarray(calibration.standard.misfit.factors)[1]) > 1:
-        return [
-            f"Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance. The "
-            "variances scatter about a line over exposure more than noise explains, so the second "
-            "figure is not valid."
-        ]
-    apart = f"{abs(mean - variance) / error:.1f} standard errors apart"
-    window = None if calibration.likelihood is None else calibration.chosen.data.window
-    if window is not None:
-        return [
-            f"By the standard dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by "
-            f"the variance, {apart}. Both are biased, because black is clipped or hardly dithered; "
-            "the likelihood's figure is not."
-        ]
-    return [
-        f"Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance, "
-        f"{apart}. A camera that subtracts dark current from its black level shows it in the "
-        "variance only."
-    ]
+        return None
+    scattered = float(np.asarray(calibration.standard.misfit.factors)[1]) > 1
+    own = "scattered" if scattered else "biased" if _exact(calibration) else "plain"
+    numbers = {"mean": mean, "variance": variance, "ratio": abs(mean - variance) / error}
+    return numbers if own == kind else None
 
 
-def _linearity_errors(calibration: NoiseCalibration) -> list[str]:
+def _bounds_alone(calibration: NoiseCalibration) -> bool:
+    """Whether both linearity errors are within their noise."""
     values, errors = calibration.standard.values, calibration.standard.errors
     names = ("linearity_error_min", "linearity_error_max")
-    if any(abs(float(values[name])) > FAR * float(errors[name]) for name in names):
-        return []
-    return [
-        "The standard's linearity errors are the extremes of deviations, and are within their "
-        "noise. They bound the camera's non-linearity and do not measure it."
-    ]
+    return all(abs(float(values[name])) <= FAR * float(errors[name]) for name in names)
 
 
-def _shared(calibration: NoiseCalibration) -> list[str]:
-    """Noise that rows and columns of the darks share, in electrons."""
-    dark = calibration.measurement.dark
+def _shared_noise(calibration: NoiseCalibration) -> list[Numbers]:
+    """Temporal noise that rows and columns of the darks share, in electrons."""
+    dark, scale, found = calibration.measurement.dark, calibration.gain, []
     if dark.shared is None:
         return []
     variance, frames = np.asarray(dark.variance), np.asarray(dark.frames)
-    scale, unit = calibration.gain, "e⁻"
-    sentences = []
     for axis, name in enumerate(("rows", "columns")):
-        found = temporal_lines(dark.shared, variance, frames, axis)
-        if found.believed:
-            read = float(np.sqrt(np.mean(variance)))
-            rest = float(np.sqrt(max(np.mean(variance) - found.variance, 0)))
-            error = found.error / (2 * found.deviation)
-            sentences.append(
-                f"The {name} of a dark frame share noise of "
-                f"{format_with_error(found.deviation / scale, error / scale)} {unit} rms, new in "
-                f"every frame. It is part of the temporal noise ({read / scale:.3g} {unit}). The "
-                f"independent noise of each pixel is {rest / scale:.3g} {unit}."
+        one = temporal_lines(dark.shared, variance, frames, axis)
+        if one.believed:
+            rest = float(np.sqrt(max(np.mean(variance) - one.variance, 0)))
+            error = one.error / (2 * one.deviation)
+            found.append(
+                {
+                    "lines": name,
+                    "size": format_with_error(one.deviation / scale, error / scale),
+                    "read": float(np.sqrt(np.mean(variance))) / scale,
+                    "rest": rest / scale,
+                }
             )
-    for stays, name in zip(unequal_offsets(dark), ("rows", "columns"), strict=False):
-        if stays.believed:
-            error = stays.error / (2 * stays.deviation)
-            sentences.append(
-                f"The {name} of the darks differ by "
-                f"{format_with_error(stays.deviation / scale, error / scale)} {unit} rms, the same "
-                f"in every frame: {'' if _glow(calibration) else 'banding, '}part of DSNU."
-            )
-    return sentences
+    return found
 
 
-def _drift(calibration: NoiseCalibration) -> list[str]:
+def _banding(calibration: NoiseCalibration) -> list[Numbers]:
+    """Fixed differences of rows and columns of the darks, in electrons."""
+    scale, kind, found = calibration.gain, "" if _glow(calibration) else "banding, ", []
+    for one, name in zip(
+        unequal_offsets(calibration.measurement.dark), ("rows", "columns"), strict=False
+    ):
+        if one.believed:
+            error = one.error / (2 * one.deviation)
+            size = format_with_error(one.deviation / scale, error / scale)
+            found.append({"lines": name, "size": size, "kind": kind})
+    return found
+
+
+def _drift(calibration: NoiseCalibration) -> Numbers | None:
     dark = calibration.measurement.dark
     if dark.shared is None:
-        return []
+        return None
     wander = drift(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames))
     fades = any("dark_current_mean" in doubt.of for doubt in calibration.measurement.doubts)
-    if not wander.believed or fades:
-        return []
-    return [
-        f"From frame to frame the black level drifts by {_with_interval(wander)} DN rms. The "
-        "temporal noise does not include it; the errors of the levels' means do."
-    ]
+    return None if not wander.believed or fades else {"size": _with_interval(wander)}
 
 
 def _with_interval(found: Found) -> str:
@@ -574,40 +472,364 @@ def _with_interval(found: Found) -> str:
     return f"{value:.3g} (95 %: {low:.3g} to {high:.3g})"
 
 
-def _pattern(calibration: NoiseCalibration) -> list[str]:
+def _prnu(calibration: NoiseCalibration) -> Numbers | None:
     if calibration.patterns is None:
+        return None
+    bright, level = calibration.measurement.bright, calibration.patterns[0].level
+    return {"frames": float(bright.frames[level]), "mean": float(bright.mean[level])}
+
+
+def _unequal_gains(calibration: NoiseCalibration) -> list[Numbers]:
+    measurement, found = calibration.measurement, []
+    if calibration.patterns is None or not measurement.bright.shared:
         return []
-    standard, fitted = calibration.patterns
-    measurement, level = calibration.measurement, standard.level
-    sentences = [
-        f"PRNU by the standard is from {float(measurement.bright.frames[level]):.0f} frames at "
-        f"{float(measurement.bright.mean[level]):.0f} DN, PRNU by the fit from all levels. Uneven "
-        "light counts as PRNU in both."
-    ]
-    for axis, name in enumerate(("rows", "columns") if measurement.bright.shared else ()):
-        found = unequal_gains(measurement, calibration.usable, axis)
-        if found.believed:
-            size, error = 100 * found.deviation, 50 * found.error / found.deviation
-            sentences.append(
-                f"The {name} of the flats differ by {format_with_error(size, error)} % rms, "
-                "the same in every frame: part of PRNU, from gains or from uneven light."
-            )
-    if fitted.p_value is not None and fitted.p_value < MISFIT:
-        sentences.append(
-            "Offsets and gains of pixels do not explain how the pattern grows with signal: "
-            f"chi-square per degree of freedom is {fitted.chi_square_per_dof:.3g} "
-            f"({format_p(fitted.p_value)}). The errors of the fit include this misfit."
-        )
-    return sentences
+    for axis, name in enumerate(("rows", "columns")):
+        one = unequal_gains(measurement, calibration.usable, axis)
+        if one.believed:
+            size = format_with_error(100 * one.deviation, 50 * one.error / one.deviation)
+            found.append({"lines": name, "size": size})
+    return found
+
+
+def _pattern_misfit(calibration: NoiseCalibration) -> Numbers | None:
+    fitted = calibration.patterns and calibration.patterns[1]
+    if not fitted or fitted.p_value is None or fitted.p_value >= MISFIT:
+        return None
+    return {"ratio": fitted.chi_square_per_dof, "p": format_p(fitted.p_value)}
 
 
 def _solver(calibration: NoiseCalibration) -> list[str]:
     if calibration.likelihood is None:
         return []
-    chosen = calibration.chosen
-    optimum = chosen.optimum
-    judged = identifiability(chosen.space, optimum.information, vector=optimum.vector)
-    told = list(judged.sentences)
-    if not optimum.stationary:
-        told.insert(0, "The likelihood fit did not converge. Do not use its figures.")
-    return [*told, convergence_in_words(calibration.posterior)]
+    space, optimum = calibration.chosen.space, calibration.chosen.optimum
+    judged = identifiability(space, optimum.information, vector=optimum.vector)
+    return [*judged.sentences, convergence_in_words(calibration.posterior)]
+
+
+_CODES = (
+    "Read noise is about {read:.2g} e⁻. Below {most:g} e⁻ the histogram of codes holds more "
+    "information than mean and variance: "
+)
+_NOT_EQUAL = "Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance"
+
+FINDINGS = (
+    _as_they_are(
+        "left out", lambda c: (*c.measurement.bright.left_out, *c.measurement.dark.left_out)
+    ),
+    _as_they_are("doubts", lambda c: [doubt.sentence for doubt in c.measurement.doubts]),
+    Finding(
+        "flicker",
+        _flicker,
+        "The {lines} of a flat share noise of {size} DN rms beyond that of the darks at the level "
+        "where it is most significant, new in every frame. It is up to {share:.2g} % of a flat's "
+        "variance. Causes are a flickering lamp, interference, or resampled frames. It was "
+        "subtracted, {line} by {line}: gain and quantum efficiency follow from the independent "
+        "noise of pixels, and the errors of the flats' means include it.",
+    ),
+    Finding(
+        "drifting",
+        _drifting,
+        "From frame to frame of a level the signal {way} by {change} %, as when a lamp or a camera "
+        "warms up. Over {frames} consecutive flats the drift is {total:.2g} %, so that a smaller "
+        "non-linearity cannot be detected. Let lamp and camera warm up, or take the levels in "
+        "random order.",
+    ),
+    _as_they_are("processing", processing),
+    Finding(
+        "low efficiency",
+        lambda c: (
+            {"efficiency": 100 * c.efficiency}
+            if c.efficiency is not None and c.efficiency < LEAST_EFFICIENCY
+            else None
+        ),
+        "The quantum efficiency is {efficiency:.3g} %, less than that of any sensor for light that "
+        "it is made for: photons are stated too high (give photons per pixel and exposure).",
+    ),
+    Finding(
+        "high efficiency",
+        lambda c: {"efficiency": 100 * c.efficiency} if is_impossible(c) else None,
+        "The quantum efficiency is {efficiency:.3g} %, which no sensor has. Either photons are "
+        "stated too low (give photons per pixel and exposure, not per area or second). Or the "
+        "images were averaged, denoised, compressed, smoothed or interpolated, which lowers their "
+        "variance and so the gain: give raw frames. No sensor file is written.",
+    ),
+    Finding(
+        "efficiency of one",
+        _within_error,
+        "The quantum efficiency, {efficiency:.4g} %, is 100 % within its error. The sensor file has "
+        "100 %, and a gain with the same signal.",
+    ),
+    _as_they_are("periodic", periodic_findings),
+    _as_they_are("converter", _converter),
+    Finding(
+        "levels of one converter",
+        partial(_two_converters, True),
+        "The likelihood uses the levels below it. The standard's figures use all levels.",
+    ),
+    Finding(
+        "levels of two converters",
+        partial(_two_converters, False),
+        "Too few levels lie below it, so all figures use all levels.",
+    ),
+    Finding(
+        "unequal steps",
+        _unequal_steps,
+        "The counts of even and odd codes differ by {imbalance:.2g} %, as if the ADC's steps are "
+        "unequal. The rounding error includes these steps, which lowers the read noise by "
+        "{moved:.2g} e⁻.",
+    ),
+    Finding(
+        "no maximum",
+        lambda c: (
+            {"why": c.no_likelihood[:1].lower() + c.no_likelihood[1:].rstrip(".")}
+            if c.likelihood is None
+            else None
+        ),
+        "Maximum likelihood gives no figures: {why}. The standard's regressions need no maximum. "
+        "Their figures are reported, with errors from their scatter.",
+    ),
+    Finding(
+        "linear",
+        partial(_linear, True),
+        "A linear camera {noise} explains every mean and variance: chi-square per degree of "
+        "freedom {ratio:.2f} ({p}).",
+    ),
+    Finding(
+        "not linear",
+        partial(_linear, False),
+        "A linear camera {noise} does not explain the measurement (chi-square is {chi_square:.3g} "
+        "with {degrees} degrees of freedom). Its gain{moved} and its small error are not used.",
+    ),
+    Finding(
+        "compression",
+        _compression,
+        "The camera is not linear: the gain {way} by {drop:.2g} % from zero signal to the "
+        "brightest level used{significance}.",
+    ),
+    Finding(
+        "two gains",
+        _compression,
+        "The likelihood and the standard therefore define the gain differently. K = {gain} DN/e⁻ "
+        "holds at zero signal. The standard's {standard:.5f} DN/e⁻ is a mean slope up to 70 % of "
+        "saturation, weighted towards its upper end. The standard's regression of the fitted "
+        "curves gives {of_chosen:.5f} DN/e⁻.",
+    ),
+    Finding(
+        "offset of the exposure",
+        lambda c: _linear(False, c) and _light_offset(True, c),
+        "Every exposure lasts {size} µs {way} than recorded ({ratio:.0f} standard errors).",
+    ),
+    Finding(
+        "offset of the light",
+        lambda c: _linear(False, c) and _light_offset(False, c),
+        "Every exposure gets {size} photons {way} than recorded ({ratio:.0f} standard "
+        "errors){late} or light leaked.",
+    ),
+    Finding(
+        "dimmest level",
+        _of_the_dimmest,
+        "Without the dimmest level the others show no such offset: the light or the exposure time "
+        "of that level may be wrong instead.",
+    ),
+    Finding(
+        "brighter-fatter effect",
+        _brighter_fatter,
+        "The variance flattens with light more than the mean does. Charges that repel each other "
+        "(the brighter-fatter effect) take {share} % of it at the brightest level used: a₀₀ = "
+        "({own}) · 10⁻⁶ per electron.",
+    ),
+    Finding(
+        "covariances",
+        partial(_by_covariances, True),
+        "The covariances of neighbours, which a compression does not raise, were fitted with it. "
+        "Variance and covariances add up to the noise of independent electrons.",
+    ),
+    Finding(
+        "no covariances",
+        partial(_by_covariances, False),
+        "Only the shape of the variance distinguishes it from a wrong gain. Covariances of "
+        "neighbouring pixels would too, but a table, a mosaic, or noise shared by rows or columns "
+        "does not show them. Give the frames of a monochrome camera in a rig.",
+    ),
+    Finding(
+        "mixing",
+        lambda c: {"share": _size(c, "pixel_mixing")} if _has("pixel_mixing", c) else None,
+        "Neighbouring pixels share {share} % of the variance that is proportional to light, as "
+        "with capacitance between pixels or interpolation. The variance alone would give a gain "
+        "too small by that share.",
+    ),
+    Finding(
+        "scatter of the light",
+        lambda c: {"size": _size(c, "light_scatter")} if _has("light_scatter", c) else None,
+        "The light of the levels scatters about the recorded light by {size} % rms.",
+    ),
+    Finding(
+        "printed times",
+        lambda c: printed_times(c.measurement, c.usable) if _has("light_scatter", c) else None,
+        "The exposure times are rounded as cameras print them: with whole fractions of a stop "
+        "({worst}, and so on) the light departs from a smooth response by {left:.2g} % rms, with "
+        "the stated times by {stated:.2g} %; state the exact times.",
+    ),
+    Finding(
+        "scatter of the black level",
+        _black_scatter,
+        "The black level varies by {size} DN rms from level to level, {ratio:.0f} times the error "
+        "of its mean by pixel noise.",
+    ),
+    Finding(
+        "scatter of the variances",
+        _variance_scatter,
+        "Variances scatter by {size} % rms beyond the {expected:.2g} % of independent "
+        "pixels{shared}.",
+    ),
+    Finding(
+        "misfit",
+        partial(_rest, False),
+        "The remaining misfit is significant: chi-square per degree of freedom is {ratio:.2f} "
+        "({p}), so all errors of the likelihood are multiplied by {factor:.2f}.",
+    ),
+    Finding(
+        "explained",
+        partial(_rest, True),
+        "This explains the measurement: chi-square per degree of freedom is {ratio:.2f} ({p}).",
+    ),
+    Finding(
+        "codes not used",
+        partial(_counted, True),
+        _CODES + "it was fitted, but {why} Means and variances were used.",
+    ),
+    Finding(
+        "codes",
+        partial(_counted, False),
+        _CODES + "for {count} of {low:.2g} to {high:.2g} electrons it was fitted in their place "
+        "({numbers} values), which alone gives K = {gain} DN/e⁻. Each pixel's mean dark value was "
+        "subtracted, so that DSNU does not blur the histogram; the gains of the pixels are assumed "
+        "equal there.",
+    ),
+    Finding(
+        "scatter of the standard",
+        _standard_scatter,
+        "The standard's regressions scatter more than pixel noise explains. The errors of its "
+        "figures are multiplied by: {larger}.",
+    ),
+    Finding(
+        "exact moments",
+        _exact,
+        "Black is clipped, or read noise is too small to smooth the rounding. At {levels} the "
+        "likelihood uses the exact moments of the clipped, rounded signal. The standard's figures "
+        "are biased there.",
+    ),
+    Finding(
+        "bent dark variance",
+        partial(_floored, True),
+        "The line through the variances of the darks over exposure starts below {least:.3g} DN², "
+        "although every variance is above it. The variances are not linear in exposure, so the "
+        "standard gives only an upper bound on dark noise.",
+    ),
+    Finding(
+        "floor of the dark noise",
+        partial(_floored, False),
+        "Dark variance is below {least:.3g} DN², where rounding dominates. The standard gives only "
+        "an upper bound on dark noise.",
+    ),
+    Finding(
+        "knee",
+        _knee,
+        "Above about {signal:.4g} DN over black the slope of the signal is {slope:.3g} of that "
+        "below, and its variance {square:.2g} of that below: a knee of a piecewise linear response "
+        "(companding), not a full well. Only the levels below it are used. Figures that need the "
+        "capacity are not determined, and the sensor file is wrong above the knee; give linear "
+        "frames.",
+    ),
+    Finding(
+        "no saturation",
+        _unsaturated,
+        "{which} saturates the camera, so no figure that needs its capacity is determined. The "
+        "ranges of the standard end at the brightest level. Add brighter flats.",
+    ),
+    Finding(
+        "saturation",
+        _saturation,
+        "Saturation is the level of largest variance, {level} {unit}. The true saturation point "
+        "lies between its neighbours, {width} {unit} apart. This is most of the error of every "
+        "capacity.",
+    ),
+    Finding(
+        "glow",
+        _glow,
+        "The darks vary smoothly over the frame, by {long:.3g} DN rms at {of_long:.3g} s and "
+        "{short:.2g} DN at {of_short:.3g} s, where their mean is {rise:.3g} DN lower. Light leaks "
+        "in, the read-out glows, or the sensor is warmer at one side. This adds to dark current "
+        "and DSNU, which are then not those of the pixels. Cover the camera, or calibrate a "
+        "uniform region (camera.region).",
+    ),
+    Finding(
+        "dark current of scattered variances",
+        partial(_dark_currents, "scattered"),
+        _NOT_EQUAL + ". The variances scatter about a line over exposure more than noise explains, "
+        "so the second figure is not valid.",
+    ),
+    Finding(
+        "dark current of rounded darks",
+        partial(_dark_currents, "biased"),
+        "By the standard dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the "
+        "variance, {ratio:.1f} standard errors apart. Both are biased, because black is clipped or "
+        "hardly dithered; the likelihood's figure is not.",
+    ),
+    Finding(
+        "two dark currents",
+        partial(_dark_currents, "plain"),
+        _NOT_EQUAL + ", {ratio:.1f} standard errors apart. A camera that subtracts dark current "
+        "from its black level shows it in the variance only.",
+    ),
+    Finding(
+        "linearity errors",
+        _bounds_alone,
+        "The standard's linearity errors are the extremes of deviations, and are within their "
+        "noise. They bound the camera's non-linearity and do not measure it.",
+    ),
+    Finding(
+        "shared noise",
+        _shared_noise,
+        "The {lines} of a dark frame share noise of {size} e⁻ rms, new in every frame. It is part "
+        "of the temporal noise ({read:.3g} e⁻). The independent noise of each pixel is {rest:.3g} "
+        "e⁻.",
+    ),
+    Finding(
+        "banding",
+        _banding,
+        "The {lines} of the darks differ by {size} e⁻ rms, the same in every frame: {kind}part of "
+        "DSNU.",
+    ),
+    Finding(
+        "drift of black",
+        _drift,
+        "From frame to frame the black level drifts by {size} DN rms. The temporal noise does not "
+        "include it; the errors of the levels' means do.",
+    ),
+    Finding(
+        "PRNU",
+        _prnu,
+        "PRNU by the standard is from {frames:.0f} frames at {mean:.0f} DN, PRNU by the fit from "
+        "all levels. Uneven light counts as PRNU in both.",
+    ),
+    Finding(
+        "unequal gains",
+        _unequal_gains,
+        "The {lines} of the flats differ by {size} % rms, the same in every frame: part of PRNU, "
+        "from gains or from uneven light.",
+    ),
+    Finding(
+        "misfit of the pattern",
+        _pattern_misfit,
+        "Offsets and gains of pixels do not explain how the pattern grows with signal: chi-square "
+        "per degree of freedom is {ratio:.3g} ({p}). The errors of the fit include this misfit.",
+    ),
+    Finding(
+        "not converged",
+        lambda c: c.likelihood is not None and not c.chosen.optimum.stationary,
+        "The likelihood fit did not converge. Do not use its figures.",
+    ),
+    _as_they_are("solver", _solver),
+    _as_they_are("remarks", lambda c: c.measurement.remarks),
+)

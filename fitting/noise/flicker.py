@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
-from ..inference.formatting import format_with_error
 from .levels import Levels, PhotonTransfer
 from .shared import Found, extra_lines, temporal_lines
 
@@ -50,24 +49,3 @@ def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> P
         bright, variance=jnp.asarray(variance), flicker=jnp.asarray(np.maximum(extra, 0.0))
     )
     return replace(measurement, bright=steady)
-
-
-def flicker_in_words(measurement: PhotonTransfer, flicker: dict[str, Found]) -> list[str]:
-    """One finding for each."""
-    sentences = []
-    bright = measurement.bright
-    for axis, name in enumerate(("rows", "columns")):
-        if name not in flicker or bright.flicker is None:
-            continue
-        one, out = flicker[name], np.asarray(bright.flicker)[axis]
-        share = float(np.max(out / np.maximum(np.asarray(bright.variance) + out, 1e-300)))
-        sentences.append(
-            f"The {name} of a flat share noise of "
-            f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms beyond "
-            "that of the darks at the level where it is most significant, new in every frame. It "
-            f"is up to {100 * share:.2g} % of a flat's variance. Causes are a flickering lamp, "
-            "interference, or resampled frames. It was subtracted, "
-            f"{name[:-1]} by {name[:-1]}: gain and quantum efficiency follow from the independent "
-            "noise of pixels, and the errors of the flats' means include it."
-        )
-    return sentences

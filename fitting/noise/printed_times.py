@@ -11,26 +11,22 @@ from .levels import PhotonTransfer
 FEWEST_LEVELS = 6
 
 
-def printed_times_in_words(
+def printed_times(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
-) -> list[str]:
-    """The finding for rounded exposure times."""
+) -> dict[str, str | float] | None:
+    """The numbers of the finding on rounded exposure times; None if they are exact."""
     times = np.asarray(measurement.bright.exposure)[usable]
     dark = np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)[usable]]
     signal = np.asarray(measurement.bright.mean)[usable] - dark
     if measurement.photons_known or len(times) < FEWEST_LEVELS or np.any(times * signal <= 0):
-        return []
+        return None
     stated = _scatter(signal, times)
     for exact in exact_times(times):
         left = _scatter(signal, exact)
         if left < LESS * stated:
-            return [
-                f"The exposure times are rounded as cameras print them: with whole fractions of a "
-                f"stop ({worst_in_words(times, exact)}, and so on) "
-                f"the light departs from a smooth response by {100 * left:.2g} % rms, with the "
-                f"stated times by {100 * stated:.2g} %; state the exact times."
-            ]
-    return []
+            worst = worst_in_words(times, exact)
+            return {"worst": worst, "left": 100 * left, "stated": 100 * stated}
+    return None
 
 
 def _scatter(signal: Float[np.ndarray, " levels"], times: Float[np.ndarray, " levels"]) -> float:

@@ -5,13 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from astropy.io import fits
+from noise_findings import told
 from PIL import Image
 
 from fitting import noise
 from fitting.codes import converter_in_words, converter_of
 from fitting.frame_checks.heads import Stated, odd_heads
 from fitting.noise import calibration as calibrations
-from fitting.noise.drifting import drifting, drifting_in_words
+from fitting.noise.drifting import drifting
 from fitting.noise.findings import _glow, _periodic
 from fitting.noise.levels import linear_levels
 from fitting.noise.levels_table import read_table
@@ -53,18 +54,18 @@ def measured(flats, darks, **others):
 def test_light_that_leaks_is_named_by_darks_that_become_uneven():
     leak = 400 * np.linspace(0, 1, SHAPE[1]) ** 2
     found = measured(*series(np.random.default_rng(1), leak=leak))
-    (told,) = _glow(SimpleNamespace(measurement=found))
+    (said,) = told(SimpleNamespace(measurement=found), "glow")
     # Of t s the leak has a standard deviation of K t std(leak).
-    uneven = float(told.split("by ")[1].split()[0])
+    uneven = float(said.split("by ")[1].split()[0])
     assert abs(uneven / (K * leak.std()) - 1) < 0.02
-    assert "Light leaks in" in told
+    assert "Light leaks in" in said
 
 
 def test_dark_current_of_hot_and_unequal_pixels_is_no_light_that_leaks():
     rng = np.random.default_rng(2)
     own = rng.exponential(200, SHAPE)
     found = measured(*series(rng, leak=own))
-    assert _glow(SimpleNamespace(measurement=found)) == []
+    assert _glow(SimpleNamespace(measurement=found)) is None
 
 
 def test_figures_of_the_standard_stand_where_the_likelihood_has_no_maximum(monkeypatch):
@@ -396,8 +397,9 @@ def test_a_lamp_that_fades_over_the_series_is_no_curved_response():
 def test_a_lamp_that_fades_is_named_with_what_a_frame_loses():
     """0.08 / 27 of the first frame is lost a frame, and 0.3084 % of a frame in the middle."""
     found = ageing(np.random.default_rng(20), 0.08)
-    (told,) = drifting_in_words(drifting(found, linear_levels(found)))
-    assert abs(float(told.split("falls by ")[1].split()[0]) - 0.308) < 0.03
+    drift = SimpleNamespace(measurement=found, usable=linear_levels(found))
+    (said,) = told(drift, "drifting")
+    assert abs(float(said.split("falls by ")[1].split()[0]) - 0.308) < 0.03
 
 
 @pytest.mark.parametrize("flicker", [0.0, 0.02])

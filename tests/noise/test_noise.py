@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import called
+from noise_findings import told
 from oracles.cameras import CameraTruth, expose, sweep
 from scipy.stats import norm, poisson
 from test_emva1288 import measurement_of, noise_free
@@ -24,7 +25,6 @@ from fitting.inference.parameters import names
 from fitting.inference.search import negative_log_density
 from fitting.noise.calibration import calibrate as calibrate_noise
 from fitting.noise.emva1288 import evaluate, ranges, sheet, statistics
-from fitting.noise.findings import _efficiency
 from fitting.noise.levels import Levels, linear_levels
 from fitting.noise.pattern import pattern_variance
 from fitting.noise.quantised import quantised_moments, window_for
@@ -526,9 +526,9 @@ def test_the_scatter_of_a_pattern_variance_is_that_of_repetitions():
 )
 def test_an_efficiency_that_no_sensor_has_is_told(efficiency, least, said):
     found = SimpleNamespace(efficiency=efficiency, least_efficiency=least)
-    told = _efficiency(found)  # pyright: ignore[reportArgumentType]
-    assert said in " ".join(told)
-    assert bool(told) == bool(said)
+    words = told(found, "low efficiency", "high efficiency", "efficiency of one")
+    assert said in " ".join(words)
+    assert bool(words) == bool(said)
 
 
 @pytest.mark.slow

@@ -5,12 +5,13 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from noise_findings import told
 from oracles.frames import level_of
 from scipy import stats
 
 from fitting import noise
 from fitting.noise.calibration import calibrate
-from fitting.noise.findings import _drift, _pattern, findings
+from fitting.noise.findings import findings
 from fitting.noise.levels import Levels, PhotonTransfer
 from fitting.noise.parts import Part, deviation_quantiles, sampling_variance
 from fitting.noise.pattern import PatternVariance, Spread, fitted_pattern
@@ -135,15 +136,15 @@ def test_columns_of_independent_offsets_and_gains_are_no_misfit():
     assert stats.kstest([one.p_value for one in found], "uniform").pvalue > 1e-3
 
 
-@pytest.mark.parametrize(("p_value", "told"), [(0.02, False), (1e-5, True)])
-def test_a_pattern_that_chance_explains_is_no_finding(p_value, told):
+@pytest.mark.parametrize(("p_value", "named"), [(0.02, False), (1e-5, True)])
+def test_a_pattern_that_chance_explains_is_no_finding(p_value, named):
     spread = Spread(1.0, 0.1, (Part(1.0, 500.0),))
     fitted = PatternVariance(spread, spread, chi_square_per_dof=2.3, p_value=p_value)
     standard = PatternVariance(spread, spread, level=0)
     camera = measured(np.random.default_rng(4), (20, 20))
     given = SimpleNamespace(patterns=(standard, fitted), measurement=camera, usable=np.arange(6))
-    said = " ".join(_pattern(given))  # pyright: ignore[reportArgumentType]
-    assert ("explain how the pattern grows with signal" in said) == told
+    said = " ".join(told(given, "PRNU", "unequal gains", "misfit of the pattern"))
+    assert ("explain how the pattern grows with signal" in said) == named
 
 
 def test_drift_is_told_with_an_interval_that_holds():
@@ -151,7 +152,7 @@ def test_drift_is_told_with_an_interval_that_holds():
     rng, covered = np.random.default_rng(5), 0
     for _ in range(100):
         camera = measured(rng, (12, 16), wander=2.0, frames=16, darks=1)
-        (said,) = _drift(SimpleNamespace(measurement=camera))  # pyright: ignore[reportArgumentType]
+        (said,) = told(SimpleNamespace(measurement=camera), "drift of black")
         low, high = said.split("95 %: ")[1].split(")")[0].split(" to ")
         covered += float(low) < 2.0 < float(high)
     assert covered > 86  # 95 expected; 99.9 % of binomial draws are above

@@ -1,15 +1,18 @@
 """Noise of rows, columns and frames: found where it is, not where it is not, and named."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from noise_findings import told
 from oracles.frames import level_of
 
 from fitting import noise
 from fitting.noise.calibration import calibrate
 from fitting.noise.emva1288 import ranges, sheet, statistics
 from fitting.noise.findings import findings
-from fitting.noise.flicker import extra_in_flats, flicker_in_words, without_flicker
+from fitting.noise.flicker import extra_in_flats, without_flicker
 from fitting.noise.levels import Levels, linear_levels
 from fitting.noise.live_pixels import LivePixels
 from fitting.noise.pattern import fitted_pattern, pattern_variance, unequal_gains
@@ -349,8 +352,8 @@ def test_flicker_that_grows_with_light_is_told_where_it_is_plainest():
         size_of = 0.25 * 0.5 * 20_000 * 0.003
         assert abs(found.variance - size_of**2) < 4 * found.error
         steady = without_flicker(measured, {"rows": found})
-        told = flicker_in_words(steady, {"rows": found})
-        assert told[0].startswith("The rows of a flat share noise of ")
+        (said,) = told(SimpleNamespace(measurement=steady, flicker={"rows": found}), "flicker")
+        assert said.startswith("The rows of a flat share noise of ")
 
 
 @pytest.mark.filterwarnings("error")
