@@ -380,8 +380,8 @@ def _settings_of_site(
     rig: "Rig", step: Step, draws: Draws, channel: str, *, word: str = ""
 ) -> "tuple[list[Section], CameraCalibration | None]":
     from .noise.across_settings.calibration import calibrate_one, calibrate_settings
-    from .noise.across_settings.read import reduce_by_setting
     from .noise.across_settings.section import sections, unread, without_whole
+    from .noise.across_settings.setting import reduce_by_setting
     from .noise.settings import Setting
 
     failed: dict[Setting, InputError] = {}

@@ -4,6 +4,11 @@ The first sheet uses the standard's regressions (`emva1288`), the second maximum
 (`model`). The likelihood weights every level by its precision. It detects a nonlinear camera, and
 then gives gain and efficiency at zero signal. Every figure has a standard error and intervals. A
 figure that the measurement cannot give has the reason in its place.
+
+Noise shared by rows or columns in flats beyond that of the darks, as from flickering light under a
+rolling shutter, is subtracted first. No model includes it, and in a variance it looks like shot
+noise. The analysis of variance that detects it also removes it, row by row, which leaves the noise
+of the pixels.
 """
 
 from dataclasses import dataclass, replace
@@ -30,19 +35,17 @@ from ..inference.problem import log_density
 from ..inference.search import search
 from ..report.notebook import ShownInNotebooks
 from .counted import CodeFit, fitted_tables
-from .drifting import drifting
+from .doubts import drifting
 from .emva1288 import Evaluation, Ranges, Sheet, evaluate, ranges
-from .flicker import extra_in_flats, without_flicker
-from .levels import PhotonTransfer, linear_levels
+from .levels import Levels, PhotonTransfer, linear_levels
 from .model import predicted_moments
 from .neighbours import are_significant
-from .parts import Part
 from .pattern import PatternVariance, Spread, fitted_pattern, standard_pattern
 from .periodic import Periodic, periodic_structure, unequal_gains_of
 from .quantised import FINEST_READ_NOISE
 from .quantities import OFFSET_SPREAD, ON_GAIN, QUANTITIES, READ_NOISE, Quantity
-from .regressions import through_origin
-from .shared import Found, shared_noise
+from .regressions import Part, through_origin
+from .shared import Found, extra_lines, shared_noise, temporal_lines
 from .statement import (
     LikelihoodFit,
     base_space,
@@ -55,6 +58,45 @@ from .statement import (
     stated,
 )
 from .window import needed_window, offset_data
+
+
+def extra_in_flats(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> dict[str, Found]:
+    """Noise that rows or columns share in flats beyond that of the darks."""
+    bright, dark = measurement.bright, measurement.dark
+    if bright.shared is None or dark.shared is None:
+        return {}
+    own = bright.shared
+    lit = replace(own, rows=own.rows[usable], columns=own.columns[usable])
+    of_bright = np.asarray(bright.variance)[usable], np.asarray(bright.frames)[usable]
+    of_dark = np.asarray(dark.variance), np.asarray(dark.frames)
+    found = {
+        name: extra_lines(lit, dark.shared, of_bright, of_dark, axis)
+        for axis, name in enumerate(("rows", "columns"))
+    }
+    return {name: one for name, one in found.items() if one.believed}
+
+
+def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> PhotonTransfer:
+    """The measurement with flats whose row and column noise is reduced to that of the darks."""
+    bright, dark = measurement.bright, measurement.dark
+    if not flicker or bright.shared is None or dark.shared is None:
+        return measurement
+    of_dark = np.asarray(dark.variance), np.asarray(dark.frames)
+    extra = np.zeros((2, bright.mean.size))
+    for axis, (name, own) in enumerate(
+        (("rows", bright.shared.rows), ("columns", bright.shared.columns))
+    ):
+        if name in flicker:
+            unlit = temporal_lines(dark.shared, *of_dark, axis)
+            extra[axis] = np.asarray(own) - (unlit.variance if unlit.believed else 0.0)
+    variance = np.maximum(np.asarray(bright.variance) - extra.sum(axis=0), 0.0)
+    steady: Levels = replace(
+        bright, variance=jnp.asarray(variance), flicker=jnp.asarray(np.maximum(extra, 0.0))
+    )
+    return replace(measurement, bright=steady)
+
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
 BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}

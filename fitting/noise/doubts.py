@@ -7,20 +7,164 @@ afterglow   darks that fade in the order in which they were taken, in proportion
 two gains   variance over signal that is constant up to a level, and another constant from there on
 two modes   the same for the variance of the darks alone: another gain of the darks, or an exposure
             from which the camera subtracts a dark frame of its own
+drifting    flats whose signal drifts in one direction from frame to frame, as while a lamp or a
+            camera warms up; between levels such a drift resembles a curved response
+printed     exposure times that a camera rounded for display, so that the light seems to scatter
+
+Without multiplication of electrons, a signal x has variance K x and third cumulant K^2 x. A
+register of many stages turns each electron into an exponentially distributed number of mean g. The
+variance over the signal is then K' = 2 g K (an excess noise factor of 2), and the third cumulant is
+3 / 2 K'^2 x.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from scipy.special import stdtr
+from jaxtyping import Float, Int
+from scipy.special import stdtr, stdtrit
 
+from ..frame_checks.dialled import LESS, exact_times, worst_in_words
 from ..frame_checks.frame import FrameSample
+from ..inference.formatting import format_with_error
 from .emva1288 import least_dark_variance
 from .levels import Doubt, PhotonTransfer, linear_levels
-from .multiplied import multiplied
+from .pattern import pattern_variance
 from .quantities import ON_GAIN
+
+SKEWED, NEAR = 1.5, 0.15  # times the third cumulant of light alone, and how near to it
+SURE_OF_SKEW = 6.0  # standard errors
+SMALL = 0.1  # of the third cumulant, which unequal pixels may add
+FEWEST_SKEWED = 3
+
+
+def multiplied(
+    measurement: PhotonTransfer,
+    flats: Sequence[Sequence[FrameSample]],
+    darks: Sequence[Sequence[FrameSample]],
+) -> Doubt | None:
+    """Whether dim flats are as skew as multiplied electrons."""
+    bright, dark = measurement.bright, measurement.dark
+    if bright.spatial_variance is None or dark.spatial_variance is None:
+        return None
+    matched = np.asarray(measurement.dark_of)
+    uneven = pattern_variance(bright)[0] - pattern_variance(dark)[0][matched]
+    of_darks = {i: _third_cumulant(darks[i], float(dark.variance[i])) for i in {*matched.tolist()}}
+    ratios, errors, gains = [], [], []
+    for level in linear_levels(measurement):
+        own = int(matched[level])
+        signal = float(bright.mean[level] - dark.mean[own])
+        gain = float(bright.variance[level] - dark.variance[own]) / max(signal, 1e-9)
+        of_light = gain**2 * signal
+        clipped = any(frame.at_bottom > 0 for frame in (*flats[level], *darks[own]))
+        if clipped or gain <= 0 or max(uneven[level], 0.0) ** 1.5 > SMALL * of_light:
+            continue
+        found, error = _third_cumulant(flats[level], float(bright.variance[level]))
+        unlit, unlit_error = of_darks[own]
+        ratios.append((found - unlit) / of_light)
+        errors.append(float(np.hypot(error, unlit_error)) / of_light)
+        gains.append(gain)
+    if len(ratios) < FEWEST_SKEWED:
+        return None
+    weights = np.array(errors) ** -2
+    ratio = float(np.average(ratios, weights=weights))
+    scatter = float(np.average((np.array(ratios) - ratio) ** 2 / np.square(errors)))
+    error = float(np.sqrt(max(scatter, 1.0) / weights.sum()))
+    if ratio - 1 < SURE_OF_SKEW * error or abs(ratio - SKEWED) > NEAR:
+        return None
+    gain = float(np.average(gains, weights=weights))
+    return Doubt(
+        ON_GAIN,
+        "the electrons were multiplied, as the findings say",
+        f"Dim flats are {format_with_error(ratio, error)} times as skewed as light alone makes "
+        "them, as where a register multiplies electrons (EMCCD): the excess noise factor is 2 and "
+        f"variance over signal, {gain:.4g} DN, is twice the gain from an electron of a pixel to "
+        f"the codes, which is {gain / 2:.4g} DN. What rests on the gain is not given.",
+    )
+
+
+def _third_cumulant(frames: Sequence[FrameSample], variance: float) -> tuple[float, float]:
+    """The third cumulant over the pixels of each frame, averaged, DN^3, and its standard error."""
+    samples = [frame.sample.astype(float) for frame in frames]
+    found = float(np.mean([np.mean((one - one.mean()) ** 3) for one in samples]))
+    return found, float(np.sqrt(6 * variance**3 / sum(one.size for one in samples)))
+
+
+FEWEST_DRIFTING = 5
+CHANCE_OF_DRIFT = 1e-6  # that levels of a steady lamp, or of one that flickers, seem to drift
+
+
+class Drifting(NamedTuple):
+    """A drift of the signal.
+
+    Attributes:
+        share: relative change from one frame of a level to the next.
+        error: its standard error.
+        frames: number of flats.
+    """
+
+    share: float
+    error: float
+    frames: int
+
+    @property
+    def total(self) -> float:
+        """Relative change over all flats if they were taken in sequence."""
+        return self.share * (self.frames - 1)
+
+
+def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
+    """The drift of the flats, or None if it is not significant."""
+    bright, dark = measurement.bright, measurement.dark
+    if bright.trend is None or len(usable) < FEWEST_DRIFTING:
+        return None
+    black = np.asarray(dark.mean)[np.asarray(measurement.dark_of)[usable]]
+    signal = np.asarray(bright.mean)[usable] - black
+    if not (signal > 0).all():
+        return None
+    frames = np.asarray(bright.frames)[usable]
+    squares = frames * (frames**2 - 1) / 12  # of the order about its mean
+    shares = np.asarray(bright.trend)[usable] / signal
+    noise = np.asarray(bright.variance)[usable] / float(bright.pixels) / squares / signal**2
+    weights = 1 / noise
+    share = float(np.sum(weights * shares) / np.sum(weights))
+    degrees = len(usable) - 1
+    scatter = max(float(np.sum(weights * (shares - share) ** 2)) / degrees, 1.0)
+    error = float(np.sqrt(scatter / np.sum(weights)))
+    if abs(share) < stdtrit(degrees, 1 - CHANCE_OF_DRIFT / 2) * error:
+        return None
+    return Drifting(share, error, int(frames.sum()))
+
+
+FEWEST_TIMES = 6
+
+
+def printed_times(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> dict[str, str | float] | None:
+    """The numbers of the finding on rounded exposure times; None if they are exact."""
+    times = np.asarray(measurement.bright.exposure)[usable]
+    dark = np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)[usable]]
+    signal = np.asarray(measurement.bright.mean)[usable] - dark
+    if measurement.photons_known or len(times) < FEWEST_TIMES or np.any(times * signal <= 0):
+        return None
+    stated = _scatter(signal, times)
+    for exact in exact_times(times):
+        left = _scatter(signal, exact)
+        if left < LESS * stated:
+            worst = worst_in_words(times, exact)
+            return {"worst": worst, "left": 100 * left, "stated": 100 * stated}
+    return None
+
+
+def _scatter(signal: Float[np.ndarray, " levels"], times: Float[np.ndarray, " levels"]) -> float:
+    """Rms of ln(signal / time) about a smooth curve."""
+    x = times / times.max()
+    design = np.stack([np.ones_like(x), x, times.min() / times], axis=1)
+    rates = np.log(signal / times)
+    rest = rates - design @ np.linalg.lstsq(design, rates)[0]
+    return float(np.sqrt(np.sum(rest**2) / (len(x) - design.shape[1])))
+
 
 CHANCE = 1e-4  # that darks of a clean camera seem to fade
 FEWEST_LEVELS = 5

@@ -32,8 +32,15 @@ from jaxtyping import Array, Bool, Float
 from ..codes import Converter
 from .levels import PhotonTransfer, linear_levels, saturated_level
 from .quantities import NEED_PHOTONS
-from .regressions import chi_square, line, line_misfit, surprise, through_origin
-from .sampling import SamplingErrors, sampling_errors
+from .regressions import (
+    SamplingErrors,
+    chi_square,
+    line,
+    line_misfit,
+    sampling_errors,
+    surprise,
+    through_origin,
+)
 from .shared import SharedNoise
 
 SENSITIVITY_TOP = 0.7

@@ -14,17 +14,15 @@ from ..inference.trust import convergence_in_words
 from ..report.sentences import Finding, Numbers, said
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration
-from .code_tables import SUB_ELECTRON
-from .drifting import drifting
+from .counted import SUB_ELECTRON
+from .doubts import drifting, printed_times
 from .emva1288 import is_floored, least_dark_variance
 from .levels import PhotonTransfer
-from .misfit import MISFIT
 from .neighbours import are_known
-from .parts import Part, deviation_quantiles
 from .pattern import pattern_variance, unequal_gains, unequal_offsets
 from .periodic import Periodic, periodic_in_words, taps_of
-from .printed_times import printed_times
 from .raw_frames import BLOCK, is_compressed, processing_in_words
+from .regressions import MISFIT, Part, deviation_quantiles
 from .shared import Found, drift, temporal_lines
 from .statement import gain_drop
 

@@ -3,15 +3,124 @@
 A dead or stuck pixel has the same number in the dark and under light. A hot pixel differs from the
 others without light, because of its larger dark current. Such pixels are excluded from means, from
 variances, and from the pixel count for the errors.
+
+Bits of a converter that never change, so that half of the codes never occur.
+
+Where columns, rows or sites have converters of their own, a bit may be stuck in some of them alone.
+
+Pixels with outliers in single frames, such as hits by cosmic rays.
+
+A few such pixels can outweigh the noise of all others in a variance. They are separate from the
+distribution of the others. A noise distribution with a tail, as from few electrons, multiplied
+electrons or warm pixels, is continuous.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from .stuck_bits import StuckBit, stuck_bits
+WIDE = 0.5  # noise of a pixel over a bit's value, from which both of its states occur
+FEWEST = 64  # pixels of a line, among which both then occur
+MOST_LINES = (
+    0.75  # of the lines; a bit that is stuck in more of them makes the converter's own grid
+)
+SHOWN_LINES = 4  # lines that are listed
+SITES = 2  # rows and columns of a cell
+
+
+class StuckBit(NamedTuple):
+    """Where a bit never changes.
+
+    Attributes:
+        where: in which pixels, in words.
+        bit: index of the bit, 0 the lowest.
+        value: the value that the bit always has.
+        mask: (h, w) true in these pixels.
+    """
+
+    where: str
+    bit: int
+    value: int
+    mask: Bool[np.ndarray, "h w"]
+
+    @property
+    def clause(self) -> str:
+        """The clause for a report."""
+        return (
+            f"in {self.where}, where bit {self.bit} of the codes is always {self.value} and half "
+            "of the codes never occur"
+        )
+
+
+def stuck_bits(frames: Sequence[np.ndarray]) -> list[StuckBit]:
+    """Bits that are stuck in some columns, rows or sites of a cell of 2 x 2.
+
+    Example:
+        >>> from fitting.noise.live_pixels import stuck_bits
+        >>> frames = np.random.default_rng(0).normal(900, 20, (4, 50, 60)).round()
+        >>> frames[:, :, 7] = frames[:, :, 7].astype(int) | 8
+        >>> print(stuck_bits(list(frames))[0].clause[:53])
+        in column 7, where bit 3 of the codes is always 1 and
+    """
+    if len(frames) < 2 or not all(np.array_equal(one, np.floor(one)) for one in frames[:2]):
+        return []
+    noise = float(np.median(np.abs(frames[1] - frames[0]))) / 0.9539
+    highest = int(np.floor(np.log2(noise / WIDE))) if noise > WIDE else -1
+    whole = [one.astype(np.int64) for one in frames if one.min() >= 0]
+    if highest < 0 or len(whole) < 2:
+        return []
+    found: list[StuckBit] = []
+    for lines in _groups(whole[0].shape):
+        found += _stuck(whole, *lines, highest)
+        if found:
+            break
+    return found
+
+
+def _groups(shape: tuple[int, ...]) -> Iterator[tuple[str, Int[np.ndarray, "h w"]]]:
+    """For each pixel, the name and number of its line."""
+    rows, columns = np.indices(shape)
+    yield "column", columns
+    yield "row", rows
+    yield "site", SITES * (rows % SITES) + columns % SITES
+
+
+def _stuck(
+    frames: Sequence[np.ndarray], name: str, line: np.ndarray, highest: int
+) -> list[StuckBit]:
+    order = np.argsort(line, axis=None, kind="stable")
+    starts = np.searchsorted(line.ravel()[order], np.arange(int(line.max()) + 1))
+    if np.diff(starts, append=line.size).min() * len(frames) < FEWEST:
+        return []
+    every = [one.ravel()[order] for one in frames]
+    always = np.bitwise_and.reduce([np.bitwise_and.reduceat(one, starts) for one in every])
+    ever = np.bitwise_or.reduce([np.bitwise_or.reduceat(one, starts) for one in every])
+    changes = ever & ~always
+    alive = (np.array([int(x).bit_count() for x in changes])) > 1
+    found = []
+    for bit in range(highest + 1):
+        still = (changes >> bit & 1 == 0) & alive
+        for value in (0, 1):
+            own = np.flatnonzero(still & (always >> bit & 1 == value))
+            if len(own) and still.sum() <= MOST_LINES * len(changes):
+                found.append(StuckBit(_words(name, own), bit, value, np.isin(line, own)))
+    return found
+
+
+def _words(name: str, lines: np.ndarray) -> str:
+    if name == "site":
+        places = ", ".join(f"({i // SITES}, {i % SITES})" for i in lines)
+        return f"the pixels of row and column {places} of every cell of 2 x 2"
+    if len(lines) == 1:
+        return f"{name} {lines[0]}"
+    listed = ", ".join(str(i) for i in lines[:SHOWN_LINES])
+    if len(lines) <= SHOWN_LINES:
+        return f"{name}s {listed}"
+    return f"{len(lines)} {name}s ({listed}, ...)"
+
 
 FOLLOWS = 0.1  # of what light adds to most pixels; a pixel that gains less is dead
 LIT = 20.0  # times a pixel's noise, that light must add before that can be told
@@ -203,3 +312,43 @@ def _where(mask: Bool[np.ndarray, "h w"]) -> str:
         listed += ", ..." * (len(places) > SHOWN)
         parts.append(f"row and column {listed}")
     return f", {'; '.join(parts)}," if parts else ""
+
+
+HIT, BULK = 8.0, 5.0  # standard deviations of a pixel's change: of most hits, and of no noise
+MOST_HIT = 0.01  # share of the pixels; of more, something else is the cause
+AWAY = 5  # rows to the pixel whose noise stands in, further than neighbours are compared
+SAMPLED = 100_000  # pixels that estimate the usual change
+
+
+class Hits(NamedTuple):
+    """Outlying pixels between two frames, and their replacement values.
+
+    Attributes:
+        up: (h, w) true where a pixel is much brighter in the second frame.
+        down: (h, w) true where it is much brighter in the first frame.
+        change: (h, w) second frame less the first, with these pixels set aside, DN.
+    """
+
+    up: Bool[np.ndarray, "h w"]
+    down: Bool[np.ndarray, "h w"]
+    change: Float[np.ndarray, "h w"]
+
+
+def hits(change: Float[np.ndarray, "h w"], live: LivePixels) -> Hits | None:
+    """The outlying pixels."""
+    stride = max(int(np.sqrt(change.size / SAMPLED)), 1)
+    sample = change[::stride, ::stride][live.mask[::stride, ::stride]]
+    if not sample.size:
+        return None
+    middle = float(np.median(sample))
+    usual = float(np.quantile(np.abs(sample - middle), 0.8)) / DECILE
+    size = np.abs(change - middle)
+    far = live.mask & (size > BULK * usual)
+    if usual == 0 or not far.any():
+        return None
+    count, plain = int(far.sum()), int((far & (size > HIT * usual)).sum())
+    if not count < 2 * plain or count > MOST_HIT * live.count:
+        return None
+    other = np.roll(change, AWAY, axis=0)
+    spare = np.where(np.roll(far | ~live.mask, AWAY, axis=0), middle, other)
+    return Hits(far & (change > middle), far & (change < middle), np.where(far, spare, change))

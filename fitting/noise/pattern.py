@@ -22,8 +22,7 @@ from jaxtyping import Float, Int
 
 from .emva1288 import Ranges
 from .levels import LINEAR_TOP, Levels, PhotonTransfer
-from .misfit import p_value
-from .parts import Part, sampling_variance
+from .regressions import Part, p_value, sampling_variance
 from .shared import NOTHING, Found, fixed_lines, one_pattern
 
 HALF = 0.5  # of the saturation signal: where the standard measures PRNU

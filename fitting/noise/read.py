@@ -24,13 +24,12 @@ from ..inference.formatting import format_percent
 from ..inference.precision import in_double
 from ..observation import Load, read_frame, split_channels
 from ..rig import Camera, Dark, Flat, Rig, load_rig, require
-from .code_tables import code_tables, dim_levels
+from .counted import code_tables, dim_levels
 from .doubts import doubts
-from .hits import BULK
 from .level_sums import LevelStatistics, LevelSums, Unlit
 from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, finer, rounding_step
 from .levels_table import read_table
-from .live_pixels import DeadPixels, LivePixels, dead_pixels
+from .live_pixels import BULK, DeadPixels, LivePixels, dead_pixels
 from .settings import require_one_setting
 from .shared import shared_variance
 from .usable import check

@@ -1,9 +1,31 @@
-"""Least-squares lines, and tests of the scatter of points about them against their variances."""
+"""Lines through levels, their sampling errors, tests of the scatter about them, and intervals.
 
+Intervals of a variance that is a sum of parts, some known from few degrees of freedom.
+
+Part i, of pixels, rows or columns, has variance V_i with nu_i degrees of freedom; w columns have w
+- 1. Its estimate has a chi-square distribution. For small nu_i neither its logarithm nor its square
+root is symmetric. With V = sum V_i and an error sigma from temporal noise, the quantile at p is
+
+    V +- sqrt(sum (nu_i / q_i - 1)^2 V_i^2 + z^2 sigma^2),    plus for p > 1/2
+
+where q_i is the chi-square that nu_i degrees exceed with probability p, and z the Gaussian quantile
+at p (Graybill and Wang, J. Am. Stat. Assoc. 75, 869, 1980).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.special import gammaincc
 from jaxtyping import Array, Float
+from scipy.special import chdtrc, chdtri, ndtri
+
+from ..inference.estimates import QUANTILES
+from .levels import Levels
+from .shared import SharedNoise
 
 
 def through_origin(x: Array, y: Array, within: Array) -> Float[Array, ""]:
@@ -46,3 +68,86 @@ def chi_square(missed: Array, variances: Array, used: Array) -> Array:
     """Sum of squared residuals over their variances."""
     safe = jnp.where(used & (variances > 0), variances, 1)
     return jnp.sum(jnp.where(used, missed**2 / safe, 0))
+
+
+class SamplingErrors(eqx.Module):
+    """Sampling (co)variances of a level's mean and temporal variance.
+
+    Attributes:
+        mean: (levels,) variance of the mean, DN^2.
+        variance: (levels,) variance of the variance, DN^4.
+        both: (levels,) their covariance, DN^3.
+    """
+
+    mean: Float[Array, " levels"]
+    variance: Float[Array, " levels"]
+    both: Float[Array, " levels"]
+
+
+def sampling_errors(
+    levels: Levels, shot_variance: Array, gain: Array, *, shared: SharedNoise | None = None
+) -> SamplingErrors:
+    """Sampling (co)variances of mean and variance over n pixels and L frames."""
+    shot = jnp.maximum(shot_variance, 0)
+    n, frames = levels.pixels, levels.frames
+    mean = levels.variance / (n * frames)
+    variance = (2 * levels.variance**2 / (frames - 1) + gain**2 * shot / frames) / n
+    if levels.unsteady is not None:
+        mean = mean + levels.unsteady / frames
+    if shared is not None:
+        mean = mean + shared.of_mean / frames
+        variance = variance + shared.of_variance / (frames - 1)
+    return SamplingErrors(mean=mean, variance=variance, both=gain * shot / (n * frames))
+
+
+MISFIT = 1e-3  # p-value below which a model is rejected
+
+
+def p_value(chi_square: float, degrees: float) -> float:
+    """The probability that chance gives a chi-square at least as large."""
+    return float(chdtrc(max(degrees, 1), chi_square))
+
+
+def inflation(chi_square: float, degrees: float) -> float:
+    """Factor on a covariance for a misfit."""
+    beyond = degrees > 0 and p_value(chi_square, degrees) < MISFIT
+    return chi_square / degrees if beyond else 1.0
+
+
+class Part(NamedTuple):
+    """A part of a variance, as an estimate from a sample.
+
+    Attributes:
+        variance: of the population.
+        degrees: of freedom of its estimate.
+    """
+
+    variance: float
+    degrees: float
+
+
+def sampling_variance(parts: Sequence[Part]) -> float:
+    """Variance of the sum of parts, sum 2 V_i^2 / nu_i."""
+    return sum(2 * part.variance**2 / part.degrees for part in parts)
+
+
+def deviation_quantiles(
+    variance: float, noise: float, parts: Sequence[Part], *, relative: float = 0.0
+) -> Float[np.ndarray, "5"]:
+    """Ends of the intervals of a standard deviation.
+
+    Example:
+        >>> from fitting.noise.regressions import Part, deviation_quantiles
+        >>> low, _, middle, _, high = deviation_quantiles(1.0, 0.0, [Part(1.0, 15)])
+        >>> np.round([low**2, middle, high**2], 3).tolist()  # 15 / 27.488, 15 / 6.262
+        [0.546, 1.0, 2.395]
+    """
+    z = ndtri(QUANTILES)
+    square = (z * noise) ** 2
+    for part in parts:
+        factor = part.degrees / chdtri(part.degrees, QUANTILES)
+        square = square + np.where(z == 0, 0.0, (factor - 1) * part.variance) ** 2
+    ratio = np.maximum(1 + np.sign(z) * np.sqrt(square) / variance, 0.0)
+    with np.errstate(divide="ignore"):  # the logarithm of 0 is an end at 0
+        steps = np.sign(z) * np.hypot(np.log(ratio) / 2, z * relative)
+    return np.sqrt(variance) * np.exp(steps)

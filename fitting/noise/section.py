@@ -20,12 +20,11 @@ from .doubts import OF_DARK_NOISE
 from .emva1288 import is_floored, least_dark_variance
 from .figures import noise_pictures
 from .findings import findings, is_no_sensor, processing
-from .misfit import MISFIT
-from .parts import deviation_quantiles
 from .pattern import PatternVariance, Spread
 from .prediction import section as prediction
 from .prediction.predict import predict_own_frames
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, ON_GAIN, QUANTITIES, Quantity
+from .regressions import MISFIT, deviation_quantiles
 from .sensor import write_fitted_sensor
 from .sites import sensor_of_sites, write_sensor_of_sites
 

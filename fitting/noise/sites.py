@@ -32,8 +32,8 @@ from ..inference.formatting import format_p
 from ..inference.precision import in_double
 from ..rig import PARTS, Camera
 from .calibration import NoiseCalibration, refitted
-from .misfit import MISFIT
 from .periodic import taps_in_words
+from .regressions import MISFIT
 from .sensor import Numbers, best_and_draws, drawn_numbers, sensors_of
 from .statement import CURVE, SHARING
 

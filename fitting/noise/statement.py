@@ -27,10 +27,9 @@ from ..inference.compiled import compiled_briefly
 from ..inference.parameters import ParameterSpace, names, to_natural, to_unconstrained
 from ..inference.problem import Problem, least_squares_residuals
 from ..inference.search import Optimum, negative_log_density, present_numbers, search
-from .drifting import Drifting
+from .doubts import Drifting
 from .emva1288 import Ranges, Sheet, derived_figures, linearity_errors
 from .levels import PhotonTransfer
-from .misfit import MISFIT, inflation, p_value
 from .model import (
     CountedLevels,
     LevelStatistics,
@@ -61,8 +60,7 @@ from .quantities import (
     SYSTEM_GAIN,
     VARIANCE_SCATTER,
 )
-from .regressions import line_misfit
-from .sampling import sampling_errors
+from .regressions import MISFIT, inflation, line_misfit, p_value, sampling_errors
 from .shared import drift, shared_noise
 
 START_NOISES = 12  # read noises tried where a likelihood has several optima

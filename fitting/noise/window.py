@@ -21,9 +21,9 @@ from scipy.special import ndtr
 from ..inference.left_out import LeftOut, negligible
 from .levels import PhotonTransfer
 from .model import OffsetData
-from .parts import sampling_variance
 from .pattern import fitted_pattern, pattern_variance
 from .quantised import WIDEST, WIDEST_CLIPPED, Window, window_for
+from .regressions import sampling_variance
 from .shared import drift
 from .statement import noise_data
 

@@ -13,16 +13,14 @@ from scipy.stats import norm, poisson
 
 from fitting import folders, noise
 from fitting.codes import Converter
+from fitting.noise.doubts import printed_times
 from fitting.noise.emva1288 import ranges
 from fitting.noise.findings import _by_the_dimmest_alone, _glow, _light_offset
-from fitting.noise.hits import hits
-from fitting.noise.knee import knee_of
 from fitting.noise.level_sums import LevelSums, Unlit
-from fitting.noise.levels import linear_levels
-from fitting.noise.live_pixels import LivePixels
+from fitting.noise.levels import knee_of, linear_levels
+from fitting.noise.live_pixels import LivePixels, hits
 from fitting.noise.neighbours import above_dark, copies
 from fitting.noise.periodic import periodic_in_words, periodic_structure
-from fitting.noise.printed_times import printed_times
 from fitting.noise.quantised import quantised_moments, window_for
 from fitting.noise.raw_frames import combs, processing_in_words
 from fitting.noise.section import section

@@ -12,15 +12,15 @@ from fitting import noise
 from fitting.codes import converter_in_words, converter_of
 from fitting.frame_checks.heads import Stated, odd_heads
 from fitting.noise import calibration as calibrations
-from fitting.noise.drifting import drifting
+from fitting.noise.doubts import drifting
 from fitting.noise.findings import _glow, _periodic
 from fitting.noise.levels import linear_levels
 from fitting.noise.levels_table import read_table
+from fitting.noise.live_pixels import stuck_bits
 from fitting.noise.pattern import fitted_pattern
 from fitting.noise.periodic import periodic_structure
 from fitting.noise.raw_frames import processing_in_words
 from fitting.noise.section import _why_hidden, section
-from fitting.noise.stuck_bits import stuck_bits
 from jaxvision.errors import InputError
 
 K, READ, BLACK, SHAPE = 0.5, 3.0, 64.0, (64, 64)

@@ -6,8 +6,7 @@ from scipy import stats
 
 from fitting.inference.precision import in_double
 from fitting.noise import Camera, calibrate, from_frames
-from fitting.noise.code_tables import dim_levels
-from fitting.noise.counted import fitted_tables
+from fitting.noise.counted import dim_levels, fitted_tables
 from fitting.noise.findings import findings
 from fitting.noise.sensor import fitted_sensor
 

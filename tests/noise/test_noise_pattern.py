@@ -13,9 +13,9 @@ from fitting import noise
 from fitting.noise.calibration import calibrate
 from fitting.noise.findings import findings
 from fitting.noise.levels import Levels, PhotonTransfer
-from fitting.noise.parts import Part, deviation_quantiles, sampling_variance
 from fitting.noise.pattern import PatternVariance, Spread, fitted_pattern
 from fitting.noise.quantities import QUANTITIES
+from fitting.noise.regressions import Part, deviation_quantiles, sampling_variance
 from fitting.noise.section import _pattern_estimates
 from fitting.noise.shared import shared_variance
 from fitting.rig import Camera

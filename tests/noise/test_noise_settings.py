@@ -32,11 +32,14 @@ from fitting.noise import (
     read_photon_transfer,
     sensor_at,
 )
-from fitting.noise.across_settings.calibration import CameraCalibration, calibrate_one
-from fitting.noise.across_settings.pooled import Pooled
-from fitting.noise.across_settings.read import reduce_by_setting
+from fitting.noise.across_settings.calibration import CameraCalibration, Pooled, calibrate_one
 from fitting.noise.across_settings.section import section, unread
-from fitting.noise.across_settings.setting import FROM_BOTH, SettingEstimates, estimates_from_darks
+from fitting.noise.across_settings.setting import (
+    FROM_BOTH,
+    SettingEstimates,
+    estimates_from_darks,
+    reduce_by_setting,
+)
 from fitting.noise.across_settings.statement import BOLTZMANN_EV, fitted, proportional_gain
 from fitting.noise.levels import Levels, PhotonTransfer
 from fitting.noise.model import NoiseData

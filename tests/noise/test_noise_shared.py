@@ -9,14 +9,14 @@ from noise_findings import told
 from oracles.frames import level_of
 
 from fitting import noise
-from fitting.noise.calibration import calibrate
+from fitting.noise.calibration import calibrate, extra_in_flats, without_flicker
 from fitting.noise.emva1288 import ranges, sheet, statistics
 from fitting.noise.findings import findings
-from fitting.noise.flicker import extra_in_flats, without_flicker
+from fitting.noise.level_sums import Moments
 from fitting.noise.levels import Levels, linear_levels
 from fitting.noise.live_pixels import LivePixels
 from fitting.noise.pattern import fitted_pattern, pattern_variance, unequal_gains
-from fitting.noise.sampling import sampling_errors
+from fitting.noise.regressions import sampling_errors
 from fitting.noise.shared import (
     drift,
     extra_lines,
@@ -26,7 +26,6 @@ from fitting.noise.shared import (
     temporal_lines,
 )
 from fitting.noise.statement import base_space, fitted, noise_data, stated
-from fitting.noise.variance_parts import Moments
 from fitting.rig import Camera
 
 H, W, FRAMES, LEVELS = 24, 40, 3, 4

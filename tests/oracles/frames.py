@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from fitting.noise.level_sums import Moments
 from fitting.noise.live_pixels import LivePixels
-from fitting.noise.variance_parts import Moments
 
 
 def level_of(

@@ -11,7 +11,7 @@ from ...inference.formatting import format_p, format_with_error
 from ...inference.trust import convergence_in_words
 from ...report.sentences import Finding, Numbers, said
 from ..levels import Levels
-from ..misfit import MISFIT
+from ..regressions import MISFIT
 from .calibration import CameraCalibration
 from .statement import Axis, Law, OwnDeviation, Quantity, proportional_gain
 

@@ -16,16 +16,15 @@ from ...inference.parameters import Parameter, names
 from ...report.section import Section, Table
 from ...rig import Camera
 from ..calibration import NoiseCalibration
-from ..parts import Part, deviation_quantiles, sampling_variance
 from ..pattern import SEEN
+from ..regressions import Part, deviation_quantiles, sampling_variance
 from ..section import TITLE as TITLE_OF_ONE
 from ..section import section as section_of_one
 from ..settings import Setting
 from . import prediction
-from .calibration import CameraCalibration
+from .calibration import CameraCalibration, ends_at_full_scale
 from .figures import camera_pictures
 from .findings import NAMES, findings
-from .pooled import ends_at_full_scale
 from .sensor import write_sensor_at, write_sensor_of_sites_at
 from .setting import FramesOfSetting
 from .statement import BOLTZMANN_EV

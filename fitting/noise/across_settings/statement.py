@@ -46,7 +46,7 @@ from ...inference.parameters import Parameter, names
 from ...inference.posterior import Posterior
 from ...inference.problem import Problem, Values, prediction, values_at
 from ...inference.search import search, start_at
-from ..misfit import MISFIT, p_value
+from ..regressions import MISFIT, p_value
 from ..settings import Setting
 from .setting import ESTIMATED, SettingEstimates
 

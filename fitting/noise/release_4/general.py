@@ -23,7 +23,7 @@ from jaxtyping import Float
 
 from ..emva1288 import Ranges
 from ..levels import Levels, linear_levels
-from ..sampling import sampling_errors
+from ..regressions import sampling_errors
 from ..shared import SharedNoise
 from .saturation import WIDTH_OF_ERROR
 from .stacks import Stacks

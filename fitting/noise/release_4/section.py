@@ -13,7 +13,7 @@ from ...report.section import Section, Table
 from ..calibration import BY_NAME, sheet_estimate
 from ..emva1288 import is_floored, least_dark_variance
 from ..quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
-from ..sampling import sampling_errors
+from ..regressions import sampling_errors
 from .defects import outliers
 from .figures import defect_images, pictures_of_images, signal_to_noise
 from .nonuniformity import BORDER, FEWEST_LINES, Split, loss_of_filter

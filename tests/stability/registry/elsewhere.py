@@ -257,8 +257,8 @@ ELSEWHERE = (
         "test_report",
         """
             fitting.*.findings.*
-            fitting.noise.flicker: flicker_in_words
-            fitting.noise.drifting: drifting_in_words
+            fitting.noise.calibration: flicker_in_words
+            fitting.noise.doubts: drifting_in_words
             fitting.*.section.*
             fitting.noise.prediction.section: levels_table picture residual_figure section table
             fitting.noise.prediction.section: explanations findings
@@ -280,7 +280,7 @@ ELSEWHERE = (
             fitting.frame_checks.frame: frame_sample listed refuse_half
             fitting.frame_checks.dialled: worst_in_words
             fitting.noise.raw_frames: processing_in_words
-            fitting.noise.printed_times: printed_times_in_words
+            fitting.noise.doubts: printed_times_in_words
             fitting.noise.periodic: periodic_in_words
         """,
     ),
@@ -661,7 +661,7 @@ ELSEWHERE = (
         "test_noise test_emva1288 test_photon_transfer test_noise_shared test_noise_neighbours "
         "test_noise_counts test_noise_prediction test_release_4 foreign/test_noise",
         """
-            fitting.noise.code_tables.*
+            fitting.noise.counted.*
             fitting.noise.counted.*
             fitting.noise.release_4.*
             fitting.noise.brighter_fatter.*
@@ -673,28 +673,28 @@ ELSEWHERE = (
             fitting.noise.statement: observations posterior_problem restated start_vector stated
             fitting.noise.levels: finer linear_levels rounding_step saturated_level
             fitting.noise.levels: saturation_index
-            fitting.noise.knee: knee_of
+            fitting.noise.levels: knee_of
             fitting.noise.model: compressed expected_electrons level_moments predict
             fitting.noise.model: predicted_moments expected_neighbours scatter_prior
             fitting.noise.neighbours.*
-            fitting.noise.parts.*
+            fitting.noise.regressions.*
             fitting.noise.pattern: fitted_pattern pattern_variance standard_pattern unequal_gains
             fitting.noise.pattern: unequal_offsets
             fitting.noise.quantised: quantised_moments window_for
             fitting.noise.periodic: periodic_structure quarters residues taps_in_words taps_of
             fitting.noise.periodic: unequal_gains_of
             fitting.noise.regressions: chi_square line line_misfit surprise through_origin
-            fitting.noise.sampling: sampling_errors
-            fitting.noise.misfit.*
+            fitting.noise.regressions: sampling_errors
+            fitting.noise.regressions.*
             fitting.noise.window.*
             fitting.noise.shared: believed_lines drift extra_lines fixed_lines one_pattern
             fitting.noise.shared: shared_noise shared_variance temporal_lines
-            fitting.noise.flicker: extra_in_flats without_flicker
-            fitting.noise.drifting: drifting
-            fitting.noise.hits: hits
+            fitting.noise.calibration: extra_in_flats without_flicker
+            fitting.noise.doubts: drifting
+            fitting.noise.live_pixels: hits
             fitting.noise.calibration: refitted
-            fitting.noise.full_well.*
-            fitting.noise.mixing.*
+            fitting.noise.sensor.*
+            fitting.noise.brighter_fatter.*
             fitting.noise.prediction.comparison.*
             fitting.noise.prediction.missing.*
             fitting.noise.prediction.moments.*
@@ -717,10 +717,10 @@ ELSEWHERE = (
             fitting.frame_checks.moved: moved_frames
             fitting.noise.doubts: doubts
             fitting.noise.live_pixels: dead_pixels
-            fitting.noise.multiplied: multiplied
+            fitting.noise.doubts: multiplied
             fitting.noise.raw_frames: block_products combs is_compressed local_variance
             fitting.noise.raw_frames: tone_curve
-            fitting.noise.stuck_bits: stuck_bits
+            fitting.noise.live_pixels: stuck_bits
         """,
     ),
     Elsewhere(
@@ -728,7 +728,7 @@ ELSEWHERE = (
         "test_noise_settings",
         """
             fitting.noise.across_settings.calibration: calibrate_one calibrate_settings
-            fitting.noise.across_settings.pooled: full_well pattern
+            fitting.noise.across_settings.calibration: full_well pattern
             fitting.noise.across_settings.statement: figures fitted predict proportional_gain
             fitting.noise.across_settings.setting: estimates_from_calibration estimates_from_darks
             fitting.noise.across_settings.prediction: predict_settings
