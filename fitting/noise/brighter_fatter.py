@@ -34,15 +34,10 @@ STEPS = 6  # of Gauss and Newton; the model is nearly linear
 
 @dataclass(frozen=True)
 class AreaChanges:
-    """The relative change of pixel areas per electron.
+    """The relative change of pixel areas per electron."""
 
-    Attributes:
-        values: (lags, lags) a_ij per electron, at offsets of 0, 1, ... rows and columns.
-        errors: standard errors; that of a_00 is from the likelihood.
-    """
-
-    values: Lags
-    errors: Lags
+    values: Lags  # (lags, lags) a_ij per electron, at offsets of 0, 1, ... rows and columns
+    errors: Lags  # standard errors; that of a_00 is from the likelihood
 
 
 def own_area_change(fit: LikelihoodFit) -> tuple[float, float]:

@@ -106,20 +106,13 @@ _evaluated = compiled_briefly(evaluate)
 
 @dataclass(frozen=True)
 class Likelihood:
-    """The maximum-likelihood results for a camera.
+    """The maximum-likelihood results for a camera."""
 
-    Attributes:
-        linear: the fit of a linear camera.
-        chosen: the fit of the model that describes the camera; `linear` where the linear model
-            does.
-        posterior: of the chosen model.
-        standard_of_chosen: K, DN/e-, from the standard's regression on curves simulated with the
-            chosen model.
-    """
-
-    linear: LikelihoodFit
+    linear: LikelihoodFit  # the fit of a linear camera
+    # the fit of the model that describes the camera; `linear` where the linear model does
     chosen: LikelihoodFit
-    posterior: Posterior
+    posterior: Posterior  # of the chosen model
+    # K, DN/e-, from the standard's regression on curves simulated with the chosen model
     standard_of_chosen: float
 
 

@@ -153,23 +153,15 @@ TREND = 3  # exposures of darks that separate their electrons from the black lev
 
 @dataclass(frozen=True)
 class CodeFit:
-    """The fit to tables of codes.
+    """The fit to tables of codes."""
 
-    Attributes:
-        levels: (m,) indices of the bright levels.
-        logs: (2 + m,) logarithms of gain (DN/e-), read noise (e-) and electrons of each level.
-        covariance: (2 + m, 2 + m).
-        numbers: how many values the tables count, over pixels and frames.
-        failures: why the fit is not used, in sentences; empty where it is used.
-        misfit: of the counts in the tables; None where no search began.
-    """
-
-    levels: Int[np.ndarray, " m"]
+    levels: Int[np.ndarray, " m"]  # indices of the bright levels
+    # (2 + m,) logarithms of gain (DN/e-), read noise (e-) and electrons of each level
     logs: Float[np.ndarray, " logs"]
     covariance: Float[np.ndarray, "logs logs"]
-    numbers: int
-    failures: tuple[str, ...]
-    misfit: Misfit | None = None
+    numbers: int  # how many values the tables count, over pixels and frames
+    failures: tuple[str, ...]  # why the fit is not used, in sentences; empty where it is used
+    misfit: Misfit | None = None  # of the counts in the tables; None where no search began
 
     def among(self, usable: Int[np.ndarray, " usable"]) -> CountedLevels | None:
         """The result in the form for the likelihood of photon transfer with the bright levels

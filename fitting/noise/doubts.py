@@ -95,17 +95,11 @@ CHANCE_OF_DRIFT = 1e-6  # that levels of a steady lamp, or of one that flickers,
 
 
 class Drifting(NamedTuple):
-    """A drift of the signal.
+    """A drift of the signal."""
 
-    Attributes:
-        share: relative change from one frame of a level to the next.
-        error: its standard error.
-        frames: number of flats.
-    """
-
-    share: float
-    error: float
-    frames: int
+    share: float  # relative change from one frame of a level to the next
+    error: float  # its standard error
+    frames: int  # number of flats
 
     @property
     def total(self) -> float:
@@ -181,17 +175,11 @@ OF_DARK_NOISE = (
 
 
 class _Step(NamedTuple):
-    """A level at which a quantity changes from one constant to another.
+    """A level at which a quantity changes from one constant to another."""
 
-    Attributes:
-        place: index of the first level after the step.
-        low: mean logarithm before the step.
-        high: mean logarithm after it.
-    """
-
-    place: int
-    low: float
-    high: float
+    place: int  # index of the first level after the step
+    low: float  # mean logarithm before the step
+    high: float  # mean logarithm after it
 
 
 def doubts(

@@ -53,72 +53,46 @@ Sheet = dict[str, Float[Array, ""]]
 
 
 class Ranges(eqx.Module):
-    """The bright levels that enter each regression.
+    """The bright levels that enter each regression."""
 
-    Attributes:
-        sensitivity: (levels,) indices of the levels for responsivity and gain.
-        linearity: (levels,) indices of the levels for the linearity errors.
-        saturation: light at the saturation point; None without saturation.
-        saturation_width: distance between the two neighbours of the saturation point; the true
-            maximum lies between them.
-        dark_exposures: number of different exposures of the darks.
-    """
-
-    sensitivity: Bool[Array, " levels"]
-    linearity: Bool[Array, " levels"]
+    sensitivity: Bool[Array, " levels"]  # indices of the levels for responsivity and gain
+    linearity: Bool[Array, " levels"]  # indices of the levels for the linearity errors
+    # light at the saturation point; None without saturation
     saturation: Float[Array, ""] | None = None
+    # distance between the two neighbours of the saturation point; the true maximum lies between
+    # them
     saturation_width: Float[Array, ""] | None = None
+    # number of different exposures of the darks
     dark_exposures: int = eqx.field(static=True, default=0)
 
 
 class Statistics(eqx.Module):
-    """The statistics from which the sheet is computed.
+    """The statistics from which the sheet is computed."""
 
-    Attributes:
-        bright_mean: (levels,) DN.
-        bright_variance: (levels,) DN^2.
-        dark_mean: (darks,) DN.
-        dark_variance: (darks,) DN^2.
-        saturation: light at saturation; None without.
-    """
-
-    bright_mean: Float[Array, " levels"]
-    bright_variance: Float[Array, " levels"]
-    dark_mean: Float[Array, " darks"]
-    dark_variance: Float[Array, " darks"]
-    saturation: Float[Array, ""] | None
+    bright_mean: Float[Array, " levels"]  # DN
+    bright_variance: Float[Array, " levels"]  # DN^2
+    dark_mean: Float[Array, " darks"]  # DN
+    dark_variance: Float[Array, " darks"]  # DN^2
+    saturation: Float[Array, ""] | None  # light at saturation; None without
 
 
 class Misfit(eqx.Module):
-    """Scatter about the four regressions, chi-square per degree of freedom against pixel noise.
+    """Scatter about the four regressions, chi-square per degree of freedom against pixel noise."""
 
-    Attributes:
-        dark_mean: about the line of the dark means over exposure.
-        dark_variance: about the line of the dark variances over exposure.
-        responsivity: about R.
-        gain: about K.
-        factors: (4,) on the variances because of the misfit; 1 where chance explains the scatter.
-    """
-
-    dark_mean: Float[Array, ""]
-    dark_variance: Float[Array, ""]
-    responsivity: Float[Array, ""]
-    gain: Float[Array, ""]
+    dark_mean: Float[Array, ""]  # about the line of the dark means over exposure
+    dark_variance: Float[Array, ""]  # about the line of the dark variances over exposure
+    responsivity: Float[Array, ""]  # about R
+    gain: Float[Array, ""]  # about K
+    # on the variances because of the misfit; 1 where chance explains the scatter
     factors: Float[Array, "4"]
 
 
 class Evaluation(eqx.Module):
-    """The sheet with its errors.
+    """The sheet with its errors."""
 
-    Attributes:
-        values: figures by name.
-        errors: their standard errors.
-        misfit: scatter about the regressions.
-    """
-
-    values: Sheet
-    errors: Sheet
-    misfit: Misfit
+    values: Sheet  # figures by name
+    errors: Sheet  # their standard errors
+    misfit: Misfit  # scatter about the regressions
 
 
 def ranges(measurement: PhotonTransfer) -> Ranges:
@@ -275,17 +249,7 @@ def evaluate(
     shared: SharedNoise | None = None,
     figures: Callable[[Statistics, PhotonTransfer, Ranges], Sheet] = sheet,
 ) -> Evaluation:
-    """The sheet and its standard errors by the delta method.
-
-    Args:
-        measurement: bright and dark levels.
-        within: levels that enter each regression, by the standard.
-        shared: noise of rows, columns or frames; None without.
-        figures: of a release's data sheet.
-
-    Returns:
-        Values, errors and misfit.
-    """
+    """The sheet, or that of another release, and its standard errors by the delta method."""
     stats = statistics(measurement, within.saturation)
     values = figures(stats, measurement, within)
     errors, misfit = _sampling(stats, measurement, within, values["system_gain"], shared)

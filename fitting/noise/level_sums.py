@@ -14,19 +14,12 @@ from .raw_frames import BLOCK, block_products, combs, local_variance
 
 @dataclass(frozen=True)
 class TemporalVariance:
-    """The parts of a pixel's temporal variance. Without an effect its estimates scatter about 0.
+    """The parts of a pixel's temporal variance. Without an effect its estimates scatter about 0."""
 
-    Attributes:
-        pixels: independent noise of each pixel, DN^2.
-        rows: noise that the pixels of a row share, DN^2.
-        columns: noise that the pixels of a column share, DN^2.
-        frames: noise that all pixels share, as light or black level drifts, DN^2.
-    """
-
-    pixels: float
-    rows: float
-    columns: float
-    frames: float
+    pixels: float  # independent noise of each pixel, DN^2
+    rows: float  # noise that the pixels of a row share, DN^2
+    columns: float  # noise that the pixels of a column share, DN^2
+    frames: float  # noise that all pixels share, as light or black level drifts, DN^2
 
     @property
     def of_a_pixel(self) -> float:
@@ -66,17 +59,10 @@ class Moments:
     def temporal(
         self, total: np.ndarray, variance: float, wandering: float, count: int
     ) -> TemporalVariance:
-        """The variances of pixels, rows, columns and whole frames between frames.
+        """The variances of pixels, rows, columns and whole frames between `count` frames, DN^2.
 
-        Args:
-            total: (h, w) sum of the frames, DN.
-            variance: T, averaged over the pixels, DN^2.
-            wandering: W, variance of the frames' means, DN^2.
-            count: number of frames, the first included.
-
-        Returns:
-            The parts, DN^2; where a frame is a single row or column, its lines are pixels.
-        """
+        `total` is the sum of the frames (DN), `variance` T averaged over the pixels, and
+        `wandering` W. Where a frame is a single row or column, its lines are pixels."""
         of_rows, of_columns = (
             float(np.nanmean(count * squares - self._live.line_means(total, axis) ** 2))
             / (count * (count - 1))
@@ -89,16 +75,8 @@ class Moments:
     def fixed(
         self, average: np.ndarray, temporal: TemporalVariance, count: int
     ) -> tuple[float, float]:
-        """The fixed variances of rows and columns.
-
-        Args:
-            average: (h, w) average of all frames, DN.
-            temporal: variance parts of these frames; the average retains a share of them.
-            count: number of frames.
-
-        Returns:
-            Variances of rows and of columns, DN^2; 0 where a frame is a single row or column.
-        """
+        """The fixed variances of rows and of columns, DN^2, from the average of `count` frames (DN),
+        which retains a share of the temporal parts; 0 where a frame is a single row or column."""
         if min(self._live.shape) == 1:
             return 0.0, 0.0
         away = average - self._live.mean(average)
@@ -120,15 +98,10 @@ LEAST_FLICKER = 1e-5  # of a pixel's variance, below which what a flickering lam
 
 
 class Unlit(NamedTuple):
-    """A level without light.
+    """A level without light."""
 
-    Attributes:
-        mean: DN.
-        variance: temporal variance, DN^2.
-    """
-
-    mean: float
-    variance: float
+    mean: float  # DN
+    variance: float  # temporal variance, DN^2
 
 
 class LevelStatistics(NamedTuple):
@@ -155,13 +128,8 @@ class LevelSums:
     """Sums over the frames of a level. They use deviations from the first frame, so that S2 and
     S1^2 are small and their difference keeps its precision.
 
-    Args:
-        first: the first frame, (h, w) DN.
-        top: DN from which a pixel is saturated.
-        live: mask of the pixels that are used.
-        unlit: for flats, mean and variance of their darks; None for darks.
-        corner: row and column of a frame's first pixel in its file.
-    """
+    `top` is the DN from which a pixel is saturated, `unlit` has mean and variance of a flat's
+    darks, and `corner` is the place of a frame's first pixel in its file."""
 
     def __init__(
         self,

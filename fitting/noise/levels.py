@@ -41,17 +41,11 @@ BESIDE = 0.1  # of the signal, by which the knee may lie beside the gap between 
 
 
 class Knee(NamedTuple):
-    """Where a response bends.
+    """Where a response bends."""
 
-    Attributes:
-        level: index of the first level above the knee.
-        slope: r, the slope above the knee over the slope below it.
-        signal: s_k, DN above black.
-    """
-
-    level: int
-    slope: float
-    signal: float
+    level: int  # index of the first level above the knee
+    slope: float  # r, the slope above the knee over the slope below it
+    signal: float  # s_k, DN above black
 
 
 def knee_of(
@@ -154,17 +148,11 @@ class Levels(eqx.Module):
 
 
 class Doubt(NamedTuple):
-    """A contradiction in the frames, and the figures that are therefore not given.
+    """A contradiction in the frames, and the figures that are therefore not given."""
 
-    Attributes:
-        of: names of the doubtful figures.
-        reason: a clause that replaces their values.
-        sentence: for the findings.
-    """
-
-    of: tuple[str, ...]
-    reason: str
-    sentence: str
+    of: tuple[str, ...]  # names of the doubtful figures
+    reason: str  # a clause that replaces their values
+    sentence: str  # for the findings
 
 
 class CodeTables(eqx.Module):
@@ -173,24 +161,17 @@ class CodeTables(eqx.Module):
 
     A pixel's black level is its mean over the dark frames. The black levels of one table's pixels
     lie at about the same position between two codes.
-
-    Attributes:
-        level: (tables,) index of the bright level.
-        dark: (tables,) index of the dark that gives the pixels' black.
-        place: (tables,) mean of the pixels' black level less a whole code, codes.
-        known: (tables,) variance of the error of a pixel's assumed black level, codes^2: noise of
-            the dark frames, positions within a table, and drift.
-        first: (tables,) the first code of each table, relative to the whole code of the pixel's
-            black level.
-        counts: (tables, codes) number of pixels and frames with each code; NaN beyond a table's
-            end.
     """
 
-    level: Int[Array, " tables"]
-    dark: Int[Array, " tables"]
-    place: Float[Array, " tables"]
+    level: Int[Array, " tables"]  # index of the bright level
+    dark: Int[Array, " tables"]  # index of the dark that gives the pixels' black
+    place: Float[Array, " tables"]  # mean of the pixels' black level less a whole code, codes
+    # variance of the error of a pixel's assumed black level, codes^2: noise of the dark frames,
+    # positions within a table, and drift
     known: Float[Array, " tables"]
+    # the first code of each table, relative to the whole code of the pixel's black level
     first: Float[Array, " tables"]
+    # number of pixels and frames with each code; NaN beyond a table's end
     counts: Float[Array, "tables codes"]
 
 

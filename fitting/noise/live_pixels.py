@@ -2,16 +2,11 @@
 
 A dead or stuck pixel has the same number in the dark and under light. A hot pixel differs from the
 others without light, because of its larger dark current. Such pixels are excluded from means, from
-variances, and from the pixel count for the errors.
+variances, and from the pixel count for the errors. So are pixels whose converter has a bit that
+never changes, where columns, rows or sites have converters of their own.
 
-Bits of a converter that never change, so that half of the codes never occur.
-
-Where columns, rows or sites have converters of their own, a bit may be stuck in some of them alone.
-
-Pixels with outliers in single frames, such as hits by cosmic rays.
-
-A few such pixels can outweigh the noise of all others in a variance. They are separate from the
-distribution of the others. A noise distribution with a tail, as from few electrons, multiplied
+Pixels with outliers in single frames, such as hits by cosmic rays, can outweigh the noise of all
+others in a variance. They are separate from the distribution of the others. A noise distribution with a tail, as from few electrons, multiplied
 electrons or warm pixels, is continuous.
 """
 
@@ -24,27 +19,18 @@ from jaxtyping import Bool, Float, Int
 
 WIDE = 0.5  # noise of a pixel over a bit's value, from which both of its states occur
 FEWEST = 64  # pixels of a line, among which both then occur
-MOST_LINES = (
-    0.75  # of the lines; a bit that is stuck in more of them makes the converter's own grid
-)
+MOST_LINES = 0.75  # of the lines; a bit stuck in more of them makes the converter's own grid
 SHOWN_LINES = 4  # lines that are listed
 SITES = 2  # rows and columns of a cell
 
 
 class StuckBit(NamedTuple):
-    """Where a bit never changes.
+    """Where a bit never changes."""
 
-    Attributes:
-        where: in which pixels, in words.
-        bit: index of the bit, 0 the lowest.
-        value: the value that the bit always has.
-        mask: (h, w) true in these pixels.
-    """
-
-    where: str
-    bit: int
-    value: int
-    mask: Bool[np.ndarray, "h w"]
+    where: str  # in which pixels, in words
+    bit: int  # index of the bit, 0 the lowest
+    value: int  # the value that the bit always has
+    mask: Bool[np.ndarray, "h w"]  # true in these pixels
 
     @property
     def clause(self) -> str:
@@ -132,11 +118,7 @@ SHOWN = 6  # rows, columns or pixels that are listed
 
 
 class LivePixels:
-    """The mask of valid pixels of a frame, and means over them.
-
-    Args:
-        mask: (h, w) true where a pixel is used.
-    """
+    """The mask of valid pixels of a frame, (h, w), and means over them."""
 
     def __init__(self, mask: Bool[np.ndarray, "h w"]) -> None:
         self.mask, self.count = mask, int(mask.sum())
@@ -200,17 +182,12 @@ class LivePixels:
 
 @dataclass(frozen=True)
 class DeadPixels:
-    """Invalid pixels.
+    """Invalid pixels."""
 
-    Attributes:
-        still: (h, w) true where light changes nothing.
-        hot: (h, w) true where a pixel is far from the others in the dark, but responds to light.
-        stuck: bits of the ADC that never change.
-    """
-
-    still: Bool[np.ndarray, "h w"]
+    still: Bool[np.ndarray, "h w"]  # true where light changes nothing
+    # true where a pixel is far from the others in the dark, but responds to light
     hot: Bool[np.ndarray, "h w"]
-    stuck: tuple[StuckBit, ...] = ()
+    stuck: tuple[StuckBit, ...] = ()  # bits of the ADC that never change
 
     @property
     def all(self) -> Bool[np.ndarray, "h w"]:
@@ -321,17 +298,11 @@ SAMPLED = 100_000  # pixels that estimate the usual change
 
 
 class Hits(NamedTuple):
-    """Outlying pixels between two frames, and their replacement values.
+    """Outlying pixels between two frames, and their replacement values."""
 
-    Attributes:
-        up: (h, w) true where a pixel is much brighter in the second frame.
-        down: (h, w) true where it is much brighter in the first frame.
-        change: (h, w) second frame less the first, with these pixels set aside, DN.
-    """
-
-    up: Bool[np.ndarray, "h w"]
-    down: Bool[np.ndarray, "h w"]
-    change: Float[np.ndarray, "h w"]
+    up: Bool[np.ndarray, "h w"]  # true where a pixel is much brighter in the second frame
+    down: Bool[np.ndarray, "h w"]  # true where it is much brighter in the first frame
+    change: Float[np.ndarray, "h w"]  # second frame less the first, with these pixels set aside, DN
 
 
 def hits(change: Float[np.ndarray, "h w"], live: LivePixels) -> Hits | None:

@@ -54,132 +54,89 @@ UNKNOWN_LIGHT = 1e6  # relative variance of a level's light that is kept out
 
 
 class OffsetData(eqx.Module):
-    """What is known of the spatial variances of the dark levels.
+    """What is known of the spatial variances of the dark levels."""
 
-    Attributes:
-        spatial: (levels,) variance of the pixels' means beyond temporal noise, DN^2; 0 at bright
-            levels.
-        noise: (levels,) their sampling variance by temporal noise, DN^4; 0 at bright levels.
-        darks: number of levels that show the same pixels.
-        pixels: effective number of independent pixels.
-    """
-
+    # variance of the pixels' means beyond temporal noise, DN^2; 0 at bright levels
     spatial: Float[Array, " levels"]
+    # their sampling variance by temporal noise, DN^4; 0 at bright levels
     noise: Float[Array, " levels"]
-    darks: Float[Array, ""]
-    pixels: Float[Array, ""]
+    darks: Float[Array, ""]  # number of levels that show the same pixels
+    pixels: Float[Array, ""]  # effective number of independent pixels
 
 
 class CountedLevels(eqx.Module):
-    """A Gaussian from tables of codes, which replaces the means and variances of dim levels.
+    """A Gaussian from tables of codes, which replaces the means and variances of dim levels."""
 
-    Attributes:
-        levels: (m,) their indices.
-        logs: (2 + m,) logarithms of the gain (DN/e-), of the read noise (e-) and of the electrons
-            of each level.
-        covariance: (2 + m, 2 + m).
-        kept_out: (m,) 1 for a level that a fit leaves out, whose light is then unknown, else 0.
-    """
-
-    levels: Int[Array, " m"]
+    levels: Int[Array, " m"]  # their indices
+    # (2 + m,) logarithms of the gain (DN/e-), of the read noise (e-) and of the electrons of each
+    # level
     logs: Float[Array, " logs"]
     covariance: Float[Array, "logs logs"]
+    # 1 for a level that a fit leaves out, whose light is then unknown, else 0
     kept_out: Float[Array, " m"]
 
 
 class NoiseData(eqx.Module):
-    """How the bright and the dark levels, in one row, were taken: the inputs of a `Problem`.
+    """How the bright and the dark levels, in one row, were taken: the inputs of a `Problem`."""
 
-    Attributes:
-        light: (levels,) photons per pixel, or s where no photon count is known.
-        lit: (levels,) 1 for bright, 0 for dark.
-        exposure: (levels,) s.
-        frames: (levels,).
-        pixels: number of pixels.
-        top_signal: X, DN.
-        light_step: rounding step of the light; None where it was not rounded.
-        window: data for the exact moments of levels that need them; None where none does.
-        photons_known: whether light is counted in photons.
-        shared: noise of rows, columns or frames; None without.
-        neighbours: covariances of neighbouring pixels.
-        offsets: how the offsets of the pixels differ in the darks; None where rounding leaves it
-            without effect.
-        unsteady: (levels,) variance of a frame's mean because the light fluctuates, DN^2; None
-            without.
-        converter: grid of the values.
-        counted: levels whose histograms of codes replace their moments; None for none.
-        jeffreys: whether each scatter has Jeffreys' prior (`scatter_prior`).
-    """
-
-    light: Float[Array, " levels"]
-    lit: Float[Array, " levels"]
-    exposure: Float[Array, " levels"]
+    light: Float[Array, " levels"]  # photons per pixel, or s where no photon count is known
+    lit: Float[Array, " levels"]  # 1 for bright, 0 for dark
+    exposure: Float[Array, " levels"]  # s
     frames: Float[Array, " levels"]
-    pixels: Float[Array, ""]
-    top_signal: Float[Array, ""]
+    pixels: Float[Array, ""]  # number of pixels
+    top_signal: Float[Array, ""]  # X, DN
+    # rounding step of the light; None where it was not rounded
     light_step: Float[Array, ""] | None = None
+    # data for the exact moments of levels that need them; None where none does
     window: Window | None = None
+    # whether light is counted in photons
     photons_known: bool = eqx.field(static=True, default=True)
-    shared: SharedNoise | None = None
-    neighbours: NeighbourData | None = None
+    shared: SharedNoise | None = None  # noise of rows, columns or frames; None without
+    neighbours: NeighbourData | None = None  # covariances of neighbouring pixels
+    # how the offsets of the pixels differ in the darks; None where rounding leaves it without
+    # effect
     offsets: OffsetData | None = None
+    # variance of a frame's mean because the light fluctuates, DN^2; None without
     unsteady: Float[Array, " levels"] | None = None
-    converter: Converter = eqx.field(static=True, default=Converter())
+    converter: Converter = eqx.field(static=True, default=Converter())  # grid of the values
+    # levels whose histograms of codes replace their moments; None for none
     counted: CountedLevels | None = None
+    # whether each scatter has Jeffreys' prior (`scatter_prior`)
     jeffreys: bool = eqx.field(static=True, default=False)
 
 
 class Moments(eqx.Module):
-    """Cumulants of one pixel's digital number, averaged over the pixels.
+    """Cumulants of one pixel's digital number, averaged over the pixels."""
 
-    Attributes:
-        mean: DN.
-        variance: DN^2.
-        third: DN^3.
-        fourth: DN^4.
-        spatial: variance of the pixels' means, DN^2; None where rounding leaves it without effect.
-        uneven: variance of the pixels' variances, DN^4; likewise.
-        die: (3, 3) as `QuantisedMoments` has it, DN; likewise.
-    """
-
-    mean: Float[Array, "..."]
-    variance: Float[Array, "..."]
-    third: Float[Array, "..."]
-    fourth: Float[Array, "..."]
+    mean: Float[Array, "..."]  # DN
+    variance: Float[Array, "..."]  # DN^2
+    third: Float[Array, "..."]  # DN^3
+    fourth: Float[Array, "..."]  # DN^4
+    # variance of the pixels' means, DN^2; None where rounding leaves it without effect
     spatial: Float[Array, "..."] | None = None
-    uneven: Float[Array, "..."] | None = None
-    die: Float[Array, "... 3 3"] | None = None
+    uneven: Float[Array, "..."] | None = None  # variance of the pixels' variances, DN^4; likewise
+    die: Float[Array, "... 3 3"] | None = None  # (3, 3) as `QuantisedMoments` has it, DN; likewise
 
 
 class Expected(eqx.Module):
-    """The sampling distribution of the statistics of each level.
+    """The sampling distribution of the statistics of each level."""
 
-    Attributes:
-        mean: (levels,) DN.
-        variance: (levels,) temporal variance, DN^2.
-        neighbours: (levels,) T, DN^2; None where T is not known.
-        spatial: (levels,) variance of the pixels' means, DN^2; None without `OffsetData`.
-        of_mean: (levels,) sampling variance of the mean.
-        of_variance: (levels,) that of the temporal variance.
-        of_both: (levels,) their covariance.
-        of_neighbours: (levels,) sampling variance of T; None where T is not known.
-        of_spatial: (3, levels) that of the spatial variance, and its covariances with mean and
-            temporal variance; None without `OffsetData`.
-        tables: levels that tables of codes replace, and ln p of these; None for none.
-        log_prior: of the scatters; None without a prior.
-    """
-
-    mean: Float[Array, " levels"]
-    variance: Float[Array, " levels"]
-    neighbours: Float[Array, " levels"] | None
+    mean: Float[Array, " levels"]  # DN
+    variance: Float[Array, " levels"]  # temporal variance, DN^2
+    neighbours: Float[Array, " levels"] | None  # T, DN^2; None where T is not known
+    # variance of the pixels' means, DN^2; None without `OffsetData`
     spatial: Float[Array, " levels"] | None
-    of_mean: Float[Array, " levels"]
-    of_variance: Float[Array, " levels"]
-    of_both: Float[Array, " levels"]
+    of_mean: Float[Array, " levels"]  # sampling variance of the mean
+    of_variance: Float[Array, " levels"]  # that of the temporal variance
+    of_both: Float[Array, " levels"]  # their covariance
+    # sampling variance of T; None where T is not known
     of_neighbours: Float[Array, " levels"] | None
+    # that of the spatial variance, and its covariances with mean and temporal variance; None
+    # without `OffsetData`
     of_spatial: Float[Array, "3 levels"] | None
+    # levels that tables of codes replace, and ln p of these; None for none
     tables: tuple[Int[Array, " m"], Float[Array, ""]] | None
-    log_prior: Float[Array, ""] | None
+    log_prior: Float[Array, ""] | None  # of the scatters; None without a prior
 
 
 def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
@@ -338,12 +295,9 @@ def predict(values: dict[str, Array], inputs: NoiseData) -> Expected:
 
 
 class LevelStatistics(eqx.Module):
-    """The likelihood of rows of mean, temporal variance, T and spatial variance of each level.
+    """The likelihood of rows of mean, temporal variance, T and spatial variance of each level."""
 
-    Attributes:
-        weight: factor on its logarithm, as if the errors were larger by 1 / sqrt(weight).
-    """
-
+    # factor on its logarithm, as if the errors were larger by 1 / sqrt(weight)
     weight: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=1.0)
     least_squares = False
     surrogate = None

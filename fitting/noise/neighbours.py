@@ -32,18 +32,13 @@ Lags = Float[np.ndarray, "lags lags"]
 
 
 class NeighbourData(eqx.Module):
-    """The data on neighbouring pixels for a fit.
+    """The data on neighbouring pixels for a fit."""
 
-    Attributes:
-        variance_terms: C_00 / mu in powers of a_00 mu, the highest first.
-        total: (levels,) sum of all covariances with other pixels less that of the darks, DN^2; 0
-            for the darks; None where unknown.
-        spread: (levels,) sampling variance of `total`, over the square of the sum of variance and
-            `total`.
-    """
-
-    variance_terms: Float[Array, " terms"]
+    variance_terms: Float[Array, " terms"]  # C_00 / mu in powers of a_00 mu, the highest first
+    # sum of all covariances with other pixels less that of the darks, DN^2; 0 for the darks; None
+    # where unknown
     total: Float[Array, " levels"] | None = None
+    # sampling variance of `total`, over the square of the sum of variance and `total`
     spread: Float[Array, " levels"] | None = None
 
 
@@ -185,18 +180,11 @@ def measured_shape(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
 
 
 def shape_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> Lags:
-    """a_ij / a_00 from covariances that grow with the square of the signal.
+    """a_ij / a_00, (lags, lags), from covariances above dark (DN^2) that grow with the square of
+    the signal (DN), and their sampling variances (DN^4).
 
     Each is shrunk by the part of its square that chance explains. Without any significant one, the
     four nearest neighbours share equally. The shape enters only at second order in a_00.
-
-    Args:
-        signal: (levels,) x, DN.
-        found: (levels, lags, lags) covariances above dark, DN^2.
-        variances: their sampling variances, DN^4.
-
-    Returns:
-        (lags, lags), 1 at offset (0, 0); the sum over all offsets is 0.
     """
     slopes, errors = _powers_of(signal, found, variances)[1]
     square = np.maximum(slopes**2, np.finfo(float).tiny)

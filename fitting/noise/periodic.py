@@ -130,21 +130,15 @@ def _step(lines: np.ndarray) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Periodic:
-    """The structures that repeat.
+    """The structures that repeat."""
 
-    Attributes:
-        where: "rows", "columns", "mosaic", "left and right", "top and bottom", "quadrants" or
-            "centre and border".
-        period: in rows or columns; 2 for a mosaic; 0 for parts of the frame.
-        gains: DN/e-, of each class; empty where the classes do not differ.
-        offsets: DN, of each class in the dark; empty where they do not differ.
-        signals: of each class relative to their mean; empty where they do not differ.
-    """
-
+    # "rows", "columns", "mosaic", "left and right", "top and bottom", "quadrants" or "centre and
+    # border"
     where: str
-    period: int
-    gains: tuple[float, ...] = ()
-    offsets: tuple[float, ...] = ()
+    period: int  # in rows or columns; 2 for a mosaic; 0 for parts of the frame
+    gains: tuple[float, ...] = ()  # DN/e-, of each class; empty where the classes do not differ
+    offsets: tuple[float, ...] = ()  # DN, of each class in the dark; empty where they do not differ
+    # of each class relative to their mean; empty where they do not differ
     signals: tuple[float, ...] = ()
 
     @property

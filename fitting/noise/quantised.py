@@ -53,51 +53,34 @@ LARGEST = 2**27  # numbers of a transform: 2 GB
 
 
 class Window(eqx.Module):
-    """Weights of some levels for their exact moments.
+    """Weights of some levels for their exact moments."""
 
-    Attributes:
-        centre: (levels,) an integer code near each mean; phases and moments are relative to it.
-        cosine: (levels, orders, frequencies) real part of w_p(k), for p = 1 .. 4 and k = 0, 1 ...;
-            conjugate frequencies are folded in.
-        sine: the imaginary part.
-        levels: their indices; one may occur more than once.
-        known_spread: (levels,) variance of the pixels' offsets in addition to the fitted one,
-            codes^2.
-        nodes: (levels, J) values d / s of the offsets; None where all pixels are alike.
-        size: M.
-        widest: largest s.
-    """
-
+    # an integer code near each mean; phases and moments are relative to it
     centre: Float[Array, " levels"]
+    # real part of w_p(k), for p = 1 .. 4 and k = 0, 1 ...; conjugate frequencies are folded in
     cosine: Float[Array, "levels orders frequencies"]
-    sine: Float[Array, "levels orders frequencies"]
-    levels: Int[Array, " levels"]
+    sine: Float[Array, "levels orders frequencies"]  # the imaginary part
+    levels: Int[Array, " levels"]  # their indices; one may occur more than once
+    # variance of the pixels' offsets in addition to the fitted one, codes^2
     known_spread: Float[Array, " levels"]
+    # (levels, J) values d / s of the offsets; None where all pixels are alike
     nodes: Float[Array, "levels nodes"] | None = None
-    size: int = eqx.field(static=True, default=0)
-    widest: float = eqx.field(static=True, default=WIDEST)
+    size: int = eqx.field(static=True, default=0)  # M
+    widest: float = eqx.field(static=True, default=WIDEST)  # largest s
 
 
 class QuantisedMoments(NamedTuple):
-    """Moments of one pixel's code, averaged over the pixels.
+    """Moments of one pixel's code, averaged over the pixels."""
 
-    Attributes:
-        mean: codes.
-        variance: of a pixel over the frames.
-        third: cumulant.
-        fourth: cumulant.
-        spatial: variance of the pixels' means; None where all pixels are alike.
-        uneven: variance of the pixels' variances; None where all pixels are alike.
-        die: (3, 3) covariance over the pixels of mean, variance and squared deviation of the mean,
-            beyond what is linear or quadratic in the offset; None where all pixels are alike.
-    """
-
-    mean: Array
-    variance: Array
-    third: Array
-    fourth: Array
-    spatial: Array | None = None
+    mean: Array  # codes
+    variance: Array  # of a pixel over the frames
+    third: Array  # cumulant
+    fourth: Array  # cumulant
+    spatial: Array | None = None  # variance of the pixels' means; None where all pixels are alike
+    # variance of the pixels' variances; None where all pixels are alike
     uneven: Array | None = None
+    # (3, 3) covariance over the pixels of mean, variance and squared deviation of the mean, beyond
+    # what is linear or quadratic in the offset; None where all pixels are alike
     die: Array | None = None
 
 

@@ -6,19 +6,12 @@ from ..inference.parameters import Parameter
 
 
 class Quantity(NamedTuple):
-    """A line of the sheet.
+    """A line of the sheet."""
 
-    Attributes:
-        name: a word.
-        symbol: the standard's.
-        unit: of the value.
-        positive: whether its intervals are symmetric in the logarithm.
-    """
-
-    name: str
-    symbol: str
-    unit: str
-    positive: bool = True
+    name: str  # a word
+    symbol: str  # the standard's
+    unit: str  # of the value
+    positive: bool = True  # whether its intervals are symmetric in the logarithm
 
 
 QUANTITIES = (

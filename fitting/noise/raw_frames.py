@@ -233,15 +233,10 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
 
 
 def tone_curve(measurement: PhotonTransfer) -> float | None:
-    """The exponent of a tone curve that was applied to the frames.
+    """The exponent of a tone curve that was applied to the frames, of the signal over light; None
+    where it is straight, or where noise grows with it.
 
     A wrongly stated light bends the signal too, but leaves the variance in proportion to it.
-
-    Args:
-        measurement: bright and dark levels.
-
-    Returns:
-        The curve of the signal over light; None where it is straight, or where noise grows with it.
     """
     bright, dark = measurement.bright, measurement.dark
     light, variance = np.asarray(bright.light), np.asarray(bright.variance)

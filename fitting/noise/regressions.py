@@ -71,17 +71,11 @@ def chi_square(missed: Array, variances: Array, used: Array) -> Array:
 
 
 class SamplingErrors(eqx.Module):
-    """Sampling (co)variances of a level's mean and temporal variance.
+    """Sampling (co)variances of a level's mean and temporal variance."""
 
-    Attributes:
-        mean: (levels,) variance of the mean, DN^2.
-        variance: (levels,) variance of the variance, DN^4.
-        both: (levels,) their covariance, DN^3.
-    """
-
-    mean: Float[Array, " levels"]
-    variance: Float[Array, " levels"]
-    both: Float[Array, " levels"]
+    mean: Float[Array, " levels"]  # variance of the mean, DN^2
+    variance: Float[Array, " levels"]  # variance of the variance, DN^4
+    both: Float[Array, " levels"]  # their covariance, DN^3
 
 
 def sampling_errors(
@@ -115,15 +109,10 @@ def inflation(chi_square: float, degrees: float) -> float:
 
 
 class Part(NamedTuple):
-    """A part of a variance, as an estimate from a sample.
+    """A part of a variance, as an estimate from a sample."""
 
-    Attributes:
-        variance: of the population.
-        degrees: of freedom of its estimate.
-    """
-
-    variance: float
-    degrees: float
+    variance: float  # of the population
+    degrees: float  # of freedom of its estimate
 
 
 def sampling_variance(parts: Sequence[Part]) -> float:

@@ -119,16 +119,11 @@ def best_and_draws(every: Sensor) -> tuple[Sensor, Sensor]:
 
 
 class Numbers(eqx.Module):
-    """The parameters of a calibrated camera: the best estimate, then draws.
+    """The parameters of a calibrated camera: the best estimate, then draws."""
 
-    Attributes:
-        about: the part that all draws share.
-        natural: (draws, parameters) values of the likelihood's parameters.
-        beside: (draws,) of each effect outside the likelihood, by its field.
-    """
-
-    about: "About"
-    natural: Float[np.ndarray, "draws parameters"]
+    about: "About"  # the part that all draws share
+    natural: Float[np.ndarray, "draws parameters"]  # values of the likelihood's parameters
+    # of each effect outside the likelihood, by its field
     beside: dict[str, Float[np.ndarray, " draws"]]
 
     @property

@@ -29,23 +29,16 @@ MOST_DEGREES, TINY = 1e9, 1e-300  # as good as infinitely many; as good as nothi
 class SharedVariance(eqx.Module):
     """The variance that rows and columns share at each level. Without shared noise the estimates
     scatter about 0.
-
-    Attributes:
-        rows: (levels,) temporal variance that the pixels of a row share, DN^2.
-        columns: (levels,) the same of columns.
-        fixed_rows: (levels,) variance of the rows' means that is the same in all frames, DN^2.
-        fixed_columns: (levels,) the same of columns.
-        frames: (levels,) variance of the frames' means beyond what pixels, rows and columns
-            explain, DN^2.
-        shape: (2,) rows and columns of a frame.
     """
 
-    rows: Float[Array, " levels"]
-    columns: Float[Array, " levels"]
+    rows: Float[Array, " levels"]  # temporal variance that the pixels of a row share, DN^2
+    columns: Float[Array, " levels"]  # the same of columns
+    # variance of the rows' means that is the same in all frames, DN^2
     fixed_rows: Float[Array, " levels"]
-    fixed_columns: Float[Array, " levels"]
+    fixed_columns: Float[Array, " levels"]  # the same of columns
+    # variance of the frames' means beyond what pixels, rows and columns explain, DN^2
     frames: Float[Array, " levels"]
-    shape: Float[Array, "2"]
+    shape: Float[Array, "2"]  # rows and columns of a frame
 
 
 def shared_variance(
@@ -61,29 +54,19 @@ class SharedNoise(eqx.Module):
     """The contribution of noise shared by rows, columns or whole frames to the errors of a level of
     L frames. It adds `of_mean` / L to the variance of its mean, and `of_variance` / (L - 1) to that
     of its temporal variance, which frame noise does not affect.
-
-    Attributes:
-        of_mean: variance of a level's mean by shared noise, DN^2.
-        of_variance: variance of a level's variance by it, DN^4.
     """
 
-    of_mean: Float[Array, ""]
-    of_variance: Float[Array, ""]
+    of_mean: Float[Array, ""]  # variance of a level's mean by shared noise, DN^2
+    of_variance: Float[Array, ""]  # variance of a level's variance by it, DN^4
 
 
 @dataclass(frozen=True)
 class Found:
-    """A variance and its standard error, DN^2.
+    """A variance and its standard error, DN^2."""
 
-    Attributes:
-        variance: DN^2.
-        error: its standard error.
-        significance: of the variance above 0, as a normal deviate.
-    """
-
-    variance: float
-    error: float
-    significance: float
+    variance: float  # DN^2
+    error: float  # its standard error
+    significance: float  # of the variance above 0, as a normal deviate
 
     @property
     def believed(self) -> bool:

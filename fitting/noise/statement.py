@@ -157,19 +157,12 @@ def named(space: ParameterSpace, vector: Float[Array, " p"]) -> dict[str, Array]
 
 @dataclass(frozen=True)
 class LikelihoodFit:
-    """One fitted model.
+    """One fitted model."""
 
-    Attributes:
-        problem: of its parameters, and of candidates that may be absent.
-        without: names of the absent candidates.
-        optimum: of the P other parameters.
-        chi_square: of all residuals.
-    """
-
-    problem: Problem
-    without: tuple[str, ...]
-    optimum: Optimum
-    chi_square: float
+    problem: Problem  # of its parameters, and of candidates that may be absent
+    without: tuple[str, ...]  # names of the absent candidates
+    optimum: Optimum  # of the P other parameters
+    chi_square: float  # of all residuals
 
     @property
     def space(self) -> ParameterSpace:

@@ -19,15 +19,7 @@ MOST_OFF_BLACK = 0.1  # of the least signal; less changes no gain by more
 
 
 def check(file: Path, measurement: PhotonTransfer) -> None:
-    """Refuse a measurement that contains no photon transfer.
-
-    Args:
-        file: source of the measurement, for messages.
-        measurement: bright and dark levels.
-
-    Raises:
-        InputError: for data that are missing or wrong.
-    """
+    """Refuse a measurement without photon transfer; `file` is its source in the message."""
     try:
         _check(file, measurement)
     except InputError as error:

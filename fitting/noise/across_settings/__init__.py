@@ -1,10 +1,8 @@
 """Photon transfer of one camera at several gains and temperatures, in one fit.
 
-setting         one setting's estimates of the shared quantities
-read            flats and darks of a rig, setting by setting
+setting         flats and darks of a rig, setting by setting, and the estimates of each
 statement       the laws of gain and temperature as a `Problem`, and their tests
-pooled          full well and fixed pattern, averaged over settings
-calibration     everything together
+calibration     everything together, with full well and fixed pattern averaged over settings
 sensor          the camera at any gain and temperature
 findings        every sentence of a report, with its condition
 figures section what else a report shows

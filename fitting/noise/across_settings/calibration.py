@@ -1,13 +1,12 @@
-"""Full well and fixed pattern, which do not depend on the gain, averaged over settings.
+"""Calibration of a camera over its gains and temperatures: each setting separately, and all
+together.
 
-Each setting sees the same pixels, so settings differ only by temporal noise. The sampling error of
+Full well and fixed pattern, which do not depend on the gain, are averaged over settings. Each
+setting sees the same pixels, so settings differ only by temporal noise. The sampling error of
 n pixels as a sample of their population is added once, to the average. Full well comes from the
 settings whose well fills before the end of the converter's range. Their grids of levels are the
 same or similar, so the error of the average is that of the best setting.
-
-
-Calibration of a camera over its gains and temperatures: each setting separately, and all
-together."""
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -37,23 +36,15 @@ ALIKE = 0.1  # relative deviation of settings up to which one value, less well k
 
 @dataclass(frozen=True)
 class Pooled:
-    """An average over settings.
+    """An average over settings."""
 
-    Attributes:
-        settings: indices of the pooled settings.
-        value: of the full well, e-; of a pattern its variance, e-^2 or relative.
-        error: its standard error; for a pattern from temporal noise alone.
-        chi_square: of the settings about the value.
-        parts: of a pattern's variance, as this sensor is one sample of its population.
-        spread: rms deviation of the settings from the value, in its unit.
-    """
-
-    settings: tuple[int, ...]
-    value: float
-    error: float
-    chi_square: float
+    settings: tuple[int, ...]  # indices of the pooled settings
+    value: float  # of the full well, e-; of a pattern its variance, e-^2 or relative
+    error: float  # its standard error; for a pattern from temporal noise alone
+    chi_square: float  # of the settings about the value
+    # of a pattern's variance, as this sensor is one sample of its population
     parts: tuple[Part, ...] = ()
-    spread: float = 0.0
+    spread: float = 0.0  # rms deviation of the settings from the value, in its unit
 
     @property
     def p_value(self) -> float:

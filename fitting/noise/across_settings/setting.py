@@ -1,4 +1,4 @@
-"""One setting's estimates of the quantities that all settings share.
+"""Flats and darks of a rig setting by setting, and each one's estimates of what settings share.
 
 For flats and darks these are ln K, ln R, ln sigma_d and the dark current I of the likelihood fit,
 with their covariance. The other parameters of that fit are marginalised. For darks alone, weighted
@@ -9,9 +9,7 @@ lines over the exposure t,
 
 give K I, K^2 sigma_d^2 and K^2 I. The means determine K I a hundred times better than the variances
 determine K^2 I. The correlation of the two through the skewness of shot noise is neglected.
-
-
-Flats and darks of a rig reduced setting by setting."""
+"""
 
 import os
 from dataclasses import dataclass

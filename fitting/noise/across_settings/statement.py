@@ -144,23 +144,15 @@ class OwnDeviation:
 
 @dataclass(frozen=True)
 class Claim:
-    """An assumption of the model, with its test.
+    """An assumption of the model, with its test."""
 
-    Attributes:
-        quantity: the claim is that it follows its law, or that settings share it,
-        axis: over these settings.
-        chi_square: its decrease if the claim were dropped.
-        degrees: of freedom that dropping it would cost.
-        own: deviation of each gain or temperature, where the frames determine one.
-        rivals: for a dropped claim, the other claims that failed with it.
-    """
-
-    quantity: Quantity
-    axis: Axis
-    chi_square: float
-    degrees: int
+    quantity: Quantity  # the claim is that it follows its law, or that settings share it,
+    axis: Axis  # over these settings
+    chi_square: float  # its decrease if the claim were dropped
+    degrees: int  # of freedom that dropping it would cost
+    # deviation of each gain or temperature, where the frames determine one
     own: tuple[OwnDeviation, ...]
-    rivals: tuple[Law, ...] = ()
+    rivals: tuple[Law, ...] = ()  # for a dropped claim, the other claims that failed with it
 
     @property
     def law(self) -> Law:
@@ -184,29 +176,19 @@ class Claim:
 
 @dataclass(frozen=True)
 class SharedFit:
-    """A camera over its settings.
+    """A camera over its settings."""
 
-    Attributes:
-        settings: in the order of gain and temperature.
-        by_setting: estimates of each setting.
-        freed: claims that were dropped.
-        labels: by parameter, the gains, temperatures or settings that have a value of their own.
-        fit: values of the P parameters.
-        posterior: of the same parameters, each named by its gain, temperature or setting.
-        figures: of the best fit at each setting.
-        claims: that could be tested; the failed ones first, in the order of failure.
-        reference: T_ref, K; None where no temperature is stated.
-    """
-
-    settings: tuple[Setting, ...]
-    by_setting: tuple[SettingEstimates, ...]
-    freed: frozenset[Law]
+    settings: tuple[Setting, ...]  # in the order of gain and temperature
+    by_setting: tuple[SettingEstimates, ...]  # estimates of each setting
+    freed: frozenset[Law]  # claims that were dropped
+    # by parameter, the gains, temperatures or settings that have a value of their own
     labels: dict[str, tuple[str, ...]]
-    fit: Fit
-    posterior: Posterior
-    figures: Figures
+    fit: Fit  # values of the P parameters
+    posterior: Posterior  # of the same parameters, each named by its gain, temperature or setting
+    figures: Figures  # of the best fit at each setting
+    # that could be tested; the failed ones first, in the order of failure
     claims: tuple[Claim, ...]
-    reference: float | None
+    reference: float | None  # T_ref, K; None where no temperature is stated
 
     @property
     def vector(self) -> Float[np.ndarray, " parameters"]:
