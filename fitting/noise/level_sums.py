@@ -75,7 +75,7 @@ class Moments:
     def fixed(
         self, average: np.ndarray, temporal: TemporalVariance, count: int
     ) -> tuple[float, float]:
-        """The fixed variances of rows and of columns, DN^2, from the average of `count` frames (DN),
+        """The fixed variances of rows and of columns, DN^2, from the average of `count` frames,
         which retains a share of the temporal parts; 0 where a frame is a single row or column."""
         if min(self._live.shape) == 1:
             return 0.0, 0.0

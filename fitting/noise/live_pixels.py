@@ -6,8 +6,8 @@ variances, and from the pixel count for the errors. So are pixels whose converte
 never changes, where columns, rows or sites have converters of their own.
 
 Pixels with outliers in single frames, such as hits by cosmic rays, can outweigh the noise of all
-others in a variance. They are separate from the distribution of the others. A noise distribution with a tail, as from few electrons, multiplied
-electrons or warm pixels, is continuous.
+others in a variance. They are separate from the distribution of the others. A noise distribution
+with a tail, as from few electrons, multiplied electrons or warm pixels, is continuous.
 """
 
 from collections.abc import Iterator, Sequence
