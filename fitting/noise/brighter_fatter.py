@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from jaxvision import BrighterFatter, Mixing
 from jaxvision.sensor import area_changes, flat_covariances
 
-from .levels import REACH, PhotonTransfer
+from .levels import REACH, PhotonTransfer, signal_of
 from .model import compressed, expected_electrons
 from .neighbours import (
     PERIOD,
@@ -136,12 +136,10 @@ def fitted_effect(
 
 def mixed_shares(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
     """The distribution of the variance that mixing takes from a pixel over the covariances."""
-    bright, dark = measurement.bright, measurement.dark
     if not tell_of_neighbours(measurement):
         return shares_of(np.zeros(0), np.zeros((0,) * 3), np.zeros((0,) * 3))
-    found, variances = above_dark(bright, dark)
-    signal = np.asarray(bright.mean - dark.mean[measurement.dark_of])
-    return shares_of(signal[usable], found[usable], variances[usable])
+    found, variances = above_dark(measurement.bright, measurement.dark)
+    return shares_of(signal_of(measurement)[usable], found[usable], variances[usable])
 
 
 def fitted_mixing(

@@ -35,7 +35,7 @@ from ..inference.parameters import Parameter, names
 from ..inference.priors import Normal
 from ..inference.problem import Problem, Tied, Values
 from ..sensor_likelihoods import SensorCounts
-from .levels import CodeTables, PhotonTransfer, linear_levels
+from .levels import CodeTables, PhotonTransfer, linear_levels, shot_of, signal_of
 from .model import CountedLevels
 from .pattern import fitted_pattern
 from .shared import drift
@@ -54,9 +54,7 @@ def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
     """The bright levels whose codes are counted."""
     none, usable = np.zeros(0, int), linear_levels(measurement)
     bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
-    matched = np.asarray(measurement.dark_of)[usable]
-    signal = np.asarray(bright.mean)[usable] - np.asarray(dark.mean)[matched]
-    excess = np.asarray(bright.variance)[usable] - np.asarray(dark.variance)[matched]
+    signal, excess = signal_of(measurement)[usable], shot_of(measurement)[usable]
     if bright.converter != dark.converter:  # some frames were averaged
         return none
     if not converter.step or any("system_gain" in doubt.of for doubt in measurement.doubts):
@@ -181,13 +179,13 @@ def counts_problem(
     measurement: PhotonTransfer, tables: CodeTables
 ) -> tuple[Problem, dict[str, np.ndarray]]:
     """The problem of the tables, and its starting point from the moments."""
-    bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
+    dark, converter = measurement.dark, measurement.converter
     levels, level = np.unique(np.asarray(tables.level), return_inverse=True)
     darks, of = np.unique(np.asarray(tables.dark), return_inverse=True)
     matched, step = np.asarray(measurement.dark_of)[levels], converter.step
     dark_variance = np.asarray(dark.variance)
-    signal = (np.asarray(bright.mean)[levels] - np.asarray(dark.mean)[matched]) / step
-    excess = (np.asarray(bright.variance)[levels] - dark_variance[matched]) / step**2
+    signal = signal_of(measurement)[levels] / step
+    excess = shot_of(measurement)[levels] / step**2
     gain = float(excess.sum() / signal.sum())
     own = np.maximum(dark_variance[darks] - converter.rounding, 0.0) / step**2
     read_noise = float(np.sqrt(own.mean()) / gain)

@@ -28,7 +28,7 @@ from ..frame_checks.dialled import LESS, exact_times, worst_in_words
 from ..frame_checks.frame import FrameSample
 from ..inference.formatting import format_with_error
 from .emva1288 import least_dark_variance
-from .levels import Doubt, PhotonTransfer, linear_levels
+from .levels import Doubt, PhotonTransfer, linear_levels, shot_of, signal_of
 from .pattern import pattern_variance
 from .quantities import ON_GAIN
 
@@ -50,12 +50,12 @@ def multiplied(
     matched = np.asarray(measurement.dark_of)
     uneven = pattern_variance(bright)[0] - pattern_variance(dark)[0][matched]
     of_darks = {i: _third_cumulant(darks[i], float(dark.variance[i])) for i in {*matched.tolist()}}
+    signals, shots = signal_of(measurement), shot_of(measurement)
     ratios, errors, gains = [], [], []
     for level in linear_levels(measurement):
         own = int(matched[level])
-        signal = float(bright.mean[level] - dark.mean[own])
-        gain = float(bright.variance[level] - dark.variance[own]) / max(signal, 1e-9)
-        of_light = gain**2 * signal
+        gain = float(shots[level]) / max(float(signals[level]), 1e-9)
+        of_light = gain**2 * float(signals[level])
         clipped = any(frame.at_bottom > 0 for frame in (*flats[level], *darks[own]))
         if clipped or gain <= 0 or max(uneven[level], 0.0) ** 1.5 > SMALL * of_light:
             continue
@@ -109,11 +109,10 @@ class Drifting(NamedTuple):
 
 def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
     """The drift of the flats, or None if it is not significant."""
-    bright, dark = measurement.bright, measurement.dark
+    bright = measurement.bright
     if bright.trend is None or len(usable) < FEWEST_DRIFTING:
         return None
-    black = np.asarray(dark.mean)[np.asarray(measurement.dark_of)[usable]]
-    signal = np.asarray(bright.mean)[usable] - black
+    signal = signal_of(measurement)[usable]
     if not (signal > 0).all():
         return None
     frames = np.asarray(bright.frames)[usable]
@@ -138,8 +137,7 @@ def printed_times(
 ) -> dict[str, str | float] | None:
     """The numbers of the finding on rounded exposure times; None if they are exact."""
     times = np.asarray(measurement.bright.exposure)[usable]
-    dark = np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)[usable]]
-    signal = np.asarray(measurement.bright.mean)[usable] - dark
+    signal = signal_of(measurement)[usable]
     if measurement.photons_known or len(times) < FEWEST_TIMES or np.any(times * signal <= 0):
         return None
     stated = _scatter(signal, times)
@@ -199,7 +197,7 @@ def doubts(
 def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[FrameSample]]) -> Doubt | None:
     """Darks that decrease from frame to frame in proportion to the flats of their exposure."""
     dark, matched = measurement.dark, np.asarray(measurement.dark_of)
-    signal = np.asarray(measurement.bright.mean) - np.asarray(dark.mean)[matched]
+    signal = signal_of(measurement)
     there = [i for i in range(len(darks)) if (matched == i).any()]
     if len(there) < FEWEST_LEVELS:
         return None
@@ -284,11 +282,9 @@ def _step(values: Float[np.ndarray, " levels"], errors: np.ndarray) -> _Step | N
 
 
 def _two_gains(measurement: PhotonTransfer, flats: Sequence[Sequence[FrameSample]]) -> Doubt | None:
-    bright, dark = measurement.bright, measurement.dark
-    usable, matched = linear_levels(measurement), np.asarray(measurement.dark_of)
-    signal = (np.asarray(bright.mean) - np.asarray(dark.mean)[matched])[usable]
+    bright, usable = measurement.bright, linear_levels(measurement)
+    signal, shot = signal_of(measurement)[usable], shot_of(measurement)[usable]
     variance = np.asarray(bright.variance)[usable]
-    shot = variance - np.asarray(dark.variance)[matched][usable]
     degrees = float(bright.pixels) * (np.asarray(bright.frames)[usable] - 1)
     errors = variance * np.sqrt(2 / degrees) / np.maximum(shot, 1e-9)
     dithered = variance > DITHERED * measurement.converter.width**2

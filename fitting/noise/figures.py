@@ -13,6 +13,7 @@ from ..report.colours import BLUE
 from ..report.section import Picture
 from .calibration import NoiseCalibration
 from .emva1288 import linearity_deviation
+from .levels import shot_of, signal_of
 from .model import Moments, NoiseData, predicted_moments
 from .neighbours import NeighbourData
 from .regressions import line
@@ -63,7 +64,7 @@ def noise_pictures(calibration: NoiseCalibration) -> tuple[Picture, ...]:
 def photon_transfer_figure(calibration: NoiseCalibration) -> Figure:
     """Log-log variance against mean, with residuals."""
     measurement = calibration.measurement
-    signal, shot = _above_dark(calibration)
+    signal, shot = signal_of(measurement), shot_of(measurement)
     gain = float(calibration.standard.values["system_gain"])
     figure, upper, lower = _two_panels()
     used = _mask(calibration)
@@ -131,7 +132,7 @@ def responsivity_figure(calibration: NoiseCalibration) -> Figure:
     """Signal against light, with the linearity deviations."""
     measurement = calibration.measurement
     light = np.asarray(measurement.bright.light)
-    signal, _ = _above_dark(calibration)
+    signal = signal_of(measurement)
     within = np.asarray(calibration.within.linearity)
     figure, upper, lower = _two_panels()
     upper.plot(light, signal, ".", color=BLUE, ms=6, label="levels")
@@ -157,7 +158,7 @@ def signal_to_noise_figure(calibration: NoiseCalibration) -> Figure:
     """SNR against light, log-log."""
     measurement = calibration.measurement
     light = np.asarray(measurement.bright.light)
-    signal, _ = _above_dark(calibration)
+    signal = signal_of(measurement)
     noise = np.sqrt(np.asarray(measurement.bright.variance))
     figure = Figure(figsize=(SIZE[0], 3.8), layout="constrained")
     axis = figure.subplots()
@@ -229,16 +230,6 @@ def _two_panels() -> tuple[Figure, Axes, Axes]:
     figure = Figure(figsize=SIZE, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1.4))
     return figure, upper, lower
-
-
-def _above_dark(calibration: NoiseCalibration) -> tuple[np.ndarray, np.ndarray]:
-    """(mean, variance) of the bright levels minus those of their darks."""
-    bright, dark = calibration.measurement.bright, calibration.measurement.dark
-    own = calibration.measurement.dark_of
-    return (
-        np.asarray(bright.mean - dark.mean[own]),
-        np.asarray(bright.variance - dark.variance[own]),
-    )
 
 
 def _mask(calibration: NoiseCalibration) -> np.ndarray:

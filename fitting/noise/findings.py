@@ -17,7 +17,7 @@ from .calibration import NoiseCalibration
 from .counted import SUB_ELECTRON
 from .doubts import drifting, printed_times
 from .emva1288 import is_floored, least_dark_variance
-from .levels import PhotonTransfer
+from .levels import PhotonTransfer, signal_of
 from .neighbours import are_known
 from .pattern import pattern_variance, unequal_gains, unequal_offsets
 from .periodic import Periodic, periodic_in_words, taps_of
@@ -240,10 +240,9 @@ def _by_the_dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bo
     signal over light through the origin."""
     bright = measurement.bright
     light = np.asarray(bright.light if measurement.photons_known else bright.exposure)[usable]
-    dark = np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)[usable]]
     rest = np.argsort(light)[1:]
     rest = rest[light[rest] > 0]
-    light, signal = light[rest], (np.asarray(bright.mean)[usable] - dark)[rest]
+    light, signal = light[rest], signal_of(measurement)[usable][rest]
     if len(light) < FEWEST_FOR_OFFSET:
         return False
     x = light / light.max()

@@ -216,13 +216,23 @@ class PhotonTransfer(eqx.Module):
     def knee(self) -> Knee | None:
         """The knee at which the response changes to a second slope, below full scale; None if there
         is none."""
-        bright, matched = self.bright, np.asarray(self.dark_of)
-        clear = _clear_of_clipping(self)
-        signal = np.asarray(bright.mean) - np.asarray(self.dark.mean)[matched]
-        variance, dark = np.asarray(bright.variance), np.asarray(self.dark.variance)[matched]
-        error = variance * np.sqrt(2 / (float(bright.pixels) * (np.asarray(bright.frames) - 1)))
+        bright, clear = self.bright, _clear_of_clipping(self)
+        degrees = float(bright.pixels) * (np.asarray(bright.frames) - 1)
+        error = np.asarray(bright.variance) * np.sqrt(2 / degrees)
         end = len(clear) if clear.all() else int(np.argmin(clear))
-        return knee_of(signal[:end], (variance - dark)[:end], error[:end])
+        return knee_of(signal_of(self)[:end], shot_of(self)[:end], error[:end])
+
+
+def signal_of(measurement: PhotonTransfer) -> Float[np.ndarray, " levels"]:
+    """Mean of each bright level above that of its dark, DN."""
+    dark = np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)]
+    return np.asarray(measurement.bright.mean) - dark
+
+
+def shot_of(measurement: PhotonTransfer) -> Float[np.ndarray, " levels"]:
+    """Variance of each bright level above that of its dark, DN^2."""
+    dark = np.asarray(measurement.dark.variance)[np.asarray(measurement.dark_of)]
+    return np.asarray(measurement.bright.variance) - dark
 
 
 def finer(bright: Levels, dark: Levels) -> Converter:
@@ -258,15 +268,13 @@ def saturation_index(levels: Levels) -> int | None:
 def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
     """Bright levels below the effects of full well and ADC range."""
     bright = measurement.bright
-    mean, variance = np.asarray(bright.mean), np.asarray(bright.variance)
-    usable = variance > 0
-    usable &= _clear_of_clipping(measurement)
+    usable = (np.asarray(bright.variance) > 0) & _clear_of_clipping(measurement)
     knee = measurement.knee
     if knee is not None:
-        usable &= np.arange(len(mean)) < knee.level
+        usable &= np.arange(len(usable)) < knee.level
     saturated = None if knee is not None else saturation_index(bright)
     if saturated is not None:
-        signal = mean - np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)]
+        signal = signal_of(measurement)
         usable &= signal <= LINEAR_TOP * signal[saturated]
     below = np.flatnonzero(usable & _of_one_converter(measurement))
     return below if len(below) >= FEWEST_OF_ONE else np.flatnonzero(usable)

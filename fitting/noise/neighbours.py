@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .levels import REACH, Levels, PhotonTransfer
+from .levels import REACH, Levels, PhotonTransfer, shot_of, signal_of
 from .live_pixels import LivePixels
 from .shared import believed_lines
 
@@ -130,9 +130,8 @@ def are_significant(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
     """
     if not tell_of_neighbours(measurement):
         return False
-    bright, dark = measurement.bright, measurement.dark
-    found, variances = above_dark(bright, dark)
-    shot = np.asarray(bright.variance - dark.variance[measurement.dark_of])[usable]
+    found, variances = above_dark(measurement.bright, measurement.dark)
+    shot = shot_of(measurement)[usable]
     nearest = ((0, 1), (1, 0))
     along = np.array([found[usable, i, j] for i, j in nearest])
     weight = shot / np.array([variances[usable, i, j] for i, j in nearest])
@@ -171,12 +170,10 @@ def own_variance(
 
 def measured_shape(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
     """a_ij / a_00 of a camera."""
-    bright, dark = measurement.bright, measurement.dark
     if not tell_of_neighbours(measurement):
         return nearest()
-    found, variances = above_dark(bright, dark)
-    signal = np.asarray(bright.mean - dark.mean[measurement.dark_of])
-    return shape_of(signal[usable], found[usable], variances[usable])
+    found, variances = above_dark(measurement.bright, measurement.dark)
+    return shape_of(signal_of(measurement)[usable], found[usable], variances[usable])
 
 
 def shape_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> Lags:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from scipy.fft import dctn
 
 from ..frame_checks.frame import listed
-from .levels import PhotonTransfer
+from .levels import PhotonTransfer, shot_of, signal_of
 from .live_pixels import LivePixels
 
 BLOCK = 8  # pixels of a side
@@ -189,9 +189,7 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
     usable = usable[counts == np.median(counts)]
     if len(usable) < FEWEST_FOR_PATTERN:
         return []
-    matched = np.asarray(measurement.dark_of)[usable]
-    black = np.asarray(dark.mean)[matched]
-    signal = np.concatenate([np.asarray(bright.mean)[usable] - black, np.zeros(dark.mean.size)])
+    signal = np.concatenate([signal_of(measurement)[usable], np.zeros(dark.mean.size)])
     pattern, variance, frames = (
         np.concatenate([np.asarray(one)[usable], np.asarray(other)])
         for one, other in (
@@ -208,7 +206,7 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
     if told.sum() < FEWEST_FOR_PATTERN or top <= 0:
         return []
     x, y, scale = signal[told] / top, pattern[told], errors[told]
-    shot = np.asarray(bright.variance)[usable] - np.asarray(dark.variance)[matched]
+    shot = shot_of(measurement)[usable]
     gain = float(np.median(shot[-3:] / signal[: len(usable)][-3:]))
     if gain <= 0:
         return []
@@ -241,7 +239,7 @@ def tone_curve(measurement: PhotonTransfer) -> float | None:
     bright, dark = measurement.bright, measurement.dark
     light, variance = np.asarray(bright.light), np.asarray(bright.variance)
     degrees = float(bright.pixels) * (np.asarray(bright.frames) - 1)
-    signal = np.asarray(bright.mean) - np.asarray(dark.mean)[np.asarray(measurement.dark_of)]
+    signal = signal_of(measurement)
     seen = (light > 0) & (variance > 0) & (signal <= BELOW_SATURATION * signal.max())
     seen &= signal > SURE * np.sqrt(variance / float(bright.pixels))
     if seen.sum() < FEWEST_FOR_CURVE or np.ptp(np.log(light[seen])) < np.log(2):

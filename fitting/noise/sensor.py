@@ -25,7 +25,7 @@ from .brighter_fatter import (
     mixed_shares,
 )
 from .calibration import NoiseCalibration
-from .levels import CLEAR_OF_CLIPPING
+from .levels import CLEAR_OF_CLIPPING, shot_of
 from .model import compressed
 from .pattern import SEEN
 from .shared import drift, temporal_lines
@@ -54,11 +54,10 @@ def full_well(calibration: NoiseCalibration) -> tuple[float, float] | None:
     if calibration.within.saturation is None or ends_at_full_scale(calibration):
         return None
     measurement, chosen = calibration.measurement, calibration.chosen
-    bright, dark = measurement.bright, measurement.dark
+    bright, shot = measurement.bright, shot_of(measurement)
     values = {name: float(value) for name, value in chosen.values.items()}
     gain, top = values["system_gain"], float(chosen.data.top_signal)
     above = np.asarray(bright.mean) - values["black_level"]
-    shot = np.asarray(bright.variance) - np.asarray(dark.variance)[np.asarray(measurement.dark_of)]
     light = np.asarray(bright.light)
     electrons = np.asarray(electrons_and_steps(chosen)[0])[: len(calibration.usable)]
     per_light = electrons[-1] / light[calibration.usable[-1]]

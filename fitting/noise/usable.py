@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxvision.errors import InputError
 
-from .levels import PhotonTransfer, linear_levels
+from .levels import PhotonTransfer, linear_levels, signal_of
 from .raw_frames import tone_curve
 
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
@@ -76,8 +76,7 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
             f"{file}: no flat varies from frame to frame, so all are saturated or copies of one; "
             "give independent frames at lower light."
         )
-    signal = bright.mean - dark.mean[measurement.dark_of]
-    if float(signal.max()) < 3 * float(jnp.sqrt(dark.variance.max() / bright.pixels)):
+    if signal_of(measurement).max() < 3 * float(jnp.sqrt(dark.variance.max() / bright.pixels)):
         raise InputError(f"{file}: the flats are as dark as the darks; give more light.")
     if _most_shot_noise(measurement) < SEEN:
         raise InputError(

@@ -20,7 +20,7 @@ from scipy.special import ndtr
 
 from ..inference.left_out import LeftOut, negligible
 from .levels import PhotonTransfer
-from .model import OffsetData
+from .model import NoiseData, OffsetData
 from .pattern import fitted_pattern, pattern_variance
 from .quantised import WIDEST, WIDEST_CLIPPED, Window, window_for
 from .regressions import sampling_variance
@@ -58,29 +58,32 @@ def usual_moments_error(
     return LeftOut(NAME, None, float(np.sqrt(pixels * share.sum())))
 
 
-def usual_moments(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> LeftOut:
-    """The maximum effect of clipped black and rounding beyond the usual moments."""
+def _in_codes(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> tuple[NoiseData, np.ndarray, np.ndarray]:
+    """The levels of a fit, with their means and variances in codes."""
     (data, rows), converter = noise_data(measurement, usable), measurement.converter
-    if not converter.step:
-        return LeftOut(NAME, None, 0.0)
-    mean, variance, frames = (np.asarray(x) for x in (rows[:, 0], rows[:, 1], data.frames))
-    mean, variance = (mean - converter.origin) / converter.step, variance / converter.step**2
-    return usual_moments_error(mean, variance, frames, float(data.pixels))
+    mean, variance = np.asarray(rows)[:, :2].T
+    return data, (mean - converter.origin) / converter.step, variance / converter.step**2
 
 
 def needed_window(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Window | None, tuple[LeftOut, ...]]:
     """The exact moments if clipped black or small read noise requires them."""
-    gone = negligible([usual_moments(measurement, usable)])
+    left_out = LeftOut(NAME, None, 0.0)
+    if measurement.converter.step:
+        data, mean, variance = _in_codes(measurement, usable)
+        frames, pixels = np.asarray(data.frames), float(data.pixels)
+        left_out = usual_moments_error(mean, variance, frames, pixels)
+    gone = negligible([left_out])
     return (None if gone else window_of(measurement, usable)), gone
 
 
 def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window:
     """The exact moments for the darks and for the levels that clipping or rounding may affect."""
-    (data, rows), converter = noise_data(measurement, usable), measurement.converter
-    mean, variance, lit = (np.asarray(x) for x in (rows[:, 0], rows[:, 1], data.lit))
-    mean, variance = (mean - converter.origin) / converter.step, variance / converter.step**2
+    data, mean, variance = _in_codes(measurement, usable)
+    lit, converter = np.asarray(data.lit), measurement.converter
     deviation, dark = np.sqrt(variance), lit == 0
     near_black = mean < NEAR_BLACK * deviation
     affected = near_black | (deviation < AFFECTED_DEVIATION) | dark

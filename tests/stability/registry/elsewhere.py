@@ -672,7 +672,7 @@ ELSEWHERE = (
             fitting.noise.statement: fitted_without gain_drop likelihood_sheet named noise_data
             fitting.noise.statement: observations posterior_problem restated start_vector stated
             fitting.noise.levels: finer linear_levels rounding_step saturated_level
-            fitting.noise.levels: saturation_index
+            fitting.noise.levels: saturation_index shot_of signal_of
             fitting.noise.levels: knee_of
             fitting.noise.model: compressed expected_electrons level_moments predict
             fitting.noise.model: predicted_moments expected_neighbours scatter_prior
