@@ -1,9 +1,11 @@
 # What `fitting.noise` offers, each name where it is defined.
 
 from .across_settings.calibration import calibrate_settings as calibrate_settings
-from .across_settings.read import read_by_setting as read_by_setting
 from .across_settings.sensor import sensor_at as sensor_at
-from .across_settings.setting import FramesOfSetting as FramesOfSetting
+from .across_settings.setting import (
+    FramesOfSetting as FramesOfSetting,
+    read_by_setting as read_by_setting,
+)
 from .calibration import calibrate as calibrate
 from .from_memory import (
     Camera as Camera,
