@@ -14,8 +14,9 @@ from ..report.section import Picture
 from .calibration import NoiseCalibration
 from .emva1288 import linearity_deviation
 from .levels import shot_of, signal_of
-from .model import Moments, NoiseData, predicted_moments
+from .model import NoiseData, predicted_moments
 from .neighbours import NeighbourData
+from .quantised import Moments
 from .regressions import line
 
 SIZE = (5.4, 4.6)

@@ -36,7 +36,6 @@ data (`OffsetData`). At levels of few electrons, tables of codes may replace the
 (`CountedLevels`).
 """
 
-from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -46,7 +45,7 @@ from jaxtyping import Array, Float, Int
 
 from ..codes import Converter
 from .neighbours import NeighbourData, own_variance
-from .quantised import Window, quantised_moments
+from .quantised import Moments, Window, quantised_moments
 from .quantities import RESPONSIVITY, SCATTERS, SIGNAL_RATE
 from .shared import SharedNoise
 
@@ -103,19 +102,6 @@ class NoiseData(eqx.Module):
     counted: CountedLevels | None = None
     # whether each scatter has Jeffreys' prior (`scatter_prior`)
     jeffreys: bool = eqx.field(static=True, default=False)
-
-
-class Moments(eqx.Module):
-    """Cumulants of one pixel's digital number, averaged over the pixels."""
-
-    mean: Float[Array, "..."]  # DN
-    variance: Float[Array, "..."]  # DN^2
-    third: Float[Array, "..."]  # DN^3
-    fourth: Float[Array, "..."]  # DN^4
-    # variance of the pixels' means, DN^2; None where rounding leaves it without effect
-    spatial: Float[Array, "..."] | None = None
-    uneven: Float[Array, "..."] | None = None  # variance of the pixels' variances, DN^4; likewise
-    die: Float[Array, "... 3 3"] | None = None  # (3, 3) as `QuantisedMoments` has it, DN; likewise
 
 
 class Expected(eqx.Module):
@@ -215,20 +201,14 @@ def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -
         lambda mu, own: quantised_moments(mu, gain, values["read_noise"], black, own, spread=spread)
     )(electrons, window)
     low = Moments(*(step**power * one for power, one in enumerate(exact[:4], start=1)))
-    low = replace(low, mean=low.mean + origin)
+    low = low._replace(mean=low.mean + origin)
     if exact.spatial is not None and exact.uneven is not None and exact.die is not None:
-        powers = jnp.asarray([1, 2, 2])
-        of_step = step ** (powers[:, None] + powers[None]).astype(exact.die.dtype)
-        low = replace(
-            low,
-            spatial=step**2 * exact.spatial,
-            uneven=step**4 * exact.uneven,
-            die=of_step[None] * exact.die,
-        )
+        scale = step ** jnp.asarray([1.0, 2.0, 2.0], exact.die.dtype)
+        of_pixels = step**2 * exact.spatial, step**4 * exact.uneven
+        low = Moments(*low[:4], *of_pixels, exact.die * scale[:, None] * scale)
         none = jnp.zeros_like(moments.mean)
-        moments = replace(
-            moments, spatial=none, uneven=none, die=jnp.zeros((none.size, 3, 3), none.dtype)
-        )
+        die = jnp.zeros((none.size, 3, 3), none.dtype)
+        moments = Moments(*moments[:4], none, none, die)
     return jax.tree.map(lambda all_levels, own: all_levels.at[index].set(own), moments, low)
 
 

@@ -69,13 +69,13 @@ class Window(eqx.Module):
     widest: float = eqx.field(static=True, default=WIDEST)  # largest s
 
 
-class QuantisedMoments(NamedTuple):
-    """Moments of one pixel's code, averaged over the pixels."""
+class Moments(NamedTuple):
+    """Cumulants of one pixel's number, averaged over the pixels, in powers of codes or DN."""
 
-    mean: Array  # codes
+    mean: Array
     variance: Array  # of a pixel over the frames
-    third: Array  # cumulant
-    fourth: Array  # cumulant
+    third: Array
+    fourth: Array
     spatial: Array | None = None  # variance of the pixels' means; None where all pixels are alike
     # variance of the pixels' variances; None where all pixels are alike
     uneven: Array | None = None
@@ -145,7 +145,7 @@ def quantised_moments(
     window: Window,
     *,
     spread: Float[Array, ""] | None = None,
-) -> QuantisedMoments:
+) -> Moments:
     """First four cumulants of the digital number at ONE level (vmap it over the window)."""
     frequencies = window.cosine.shape[-1]
     u = 2 * jnp.pi * jnp.arange(frequencies, dtype=gain.dtype) / window.size
@@ -156,7 +156,7 @@ def quantised_moments(
     real, imaginary = size * jnp.cos(phase), size * jnp.sin(phase)
     if window.nodes is None:
         first, variance, skew, tail = _cumulants(window.cosine @ real - window.sine @ imaginary)
-        return QuantisedMoments(window.centre + first, variance, skew, tail)
+        return Moments(window.centre + first, variance, skew, tail)
     square = window.known_spread + (0.0 if spread is None else spread**2)
     width = jnp.sqrt(jnp.minimum(square, window.widest**2))
     share = jnp.exp(-(window.nodes**2) / 2)
@@ -175,7 +175,7 @@ def quantised_moments(
     explained = rest @ jnp.stack([linear * share, quadratic * share], axis=1)
     die = (rest * share[None]) @ rest.T
     spatial = narrow + jnp.maximum(square - width**2, 0)
-    return QuantisedMoments(
+    return Moments(
         *(window.centre + first, variance, skew, tail, spatial, die[1, 1]),
         die=die - explained @ explained.T,
     )

@@ -1,6 +1,8 @@
 """Terms that stay only if the data call for them: prices by SciPy, ratios by NumPy's regression,
 how often an absent term stays."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from fitting import (
     fit_map,
 )
 from fitting.inference.candidates import price
+from fitting.inference.search import search
 from jaxvision.errors import InputError
 
 X = np.linspace(-1.0, 1.0, 80)
@@ -188,3 +191,50 @@ def test_a_check_counts_the_fits_in_which_a_term_stays():
 def test_what_cannot_be_chosen_is_refused(make, expected):
     with pytest.raises(InputError, match=expected):
         make()
+
+
+class Spread(eqx.Module):
+    """What a straight line predicts of data whose variance it knows, too."""
+
+    mean: jax.Array
+    variance: jax.Array
+
+
+class OfItsOwnVariance(eqx.Module):
+    least_squares = False
+    surrogate = None
+
+    def log_density(self, prediction, data):
+        away = (data - prediction.mean) ** 2 / prediction.variance
+        return -(away + jnp.log(prediction.variance)) / 2
+
+    def residuals(self, prediction, data, chance):
+        return (data - prediction.mean) / jnp.sqrt(prediction.variance)
+
+    def draw(self, key, prediction):
+        noise = jax.random.normal(key, prediction.mean.shape)
+        return prediction.mean + jnp.sqrt(prediction.variance) * noise
+
+
+def spread_of_a_line(slope, bend, scatter, inputs):
+    return Spread(slope * inputs + bend * inputs**2, 0.04 + scatter**2 * inputs**2)
+
+
+def test_a_prediction_is_a_record_and_absent_terms_need_no_program_of_their_own():
+    rng, x = np.random.default_rng(3), np.linspace(0.5, 4.0, 300)
+    data = 2 * x + np.sqrt(0.04 + 0.09 * x**2) * rng.standard_normal(300)
+    own = {"slope": Parameter(start=1.0), "bend": Candidate(Parameter(start=0.1))}
+    own["scatter"] = Candidate(Parameter(transform="log", start=0.1), chance=1)
+    problem = Problem(own, spread_of_a_line, OfItsOwnVariance(), data, inputs=x)
+    start = np.array([[1.0, 0.0, np.log(0.1)]])
+    for without in (["bend"], ["scatter"], ["scatter", "bend"]):
+        apart, kept = problem, [i for i, p in enumerate(problem.space) if p.name not in without]
+        for name in without:
+            apart = apart.without(name)
+        one, other = search(problem, start, without=without), search(apart, start[:, kept])
+        error = 1 / np.sqrt(np.diagonal(other.information))
+        assert np.all(np.abs(one.vector - other.vector) < 1e-2 * error)
+        np.testing.assert_allclose(one.information, other.information, rtol=1e-2)
+    found = fit(problem, start={"slope": 1.0, "bend": 0.1, "scatter": 0.1}, misfit="inflate")
+    assert {one.name: one.kept for one in found.choices} == {"bend": False, "scatter": True}
+    assert abs(float(found.values["scatter"]) - 0.3) < 0.06
