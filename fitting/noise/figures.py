@@ -67,7 +67,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> Figure:
     measurement = calibration.measurement
     signal, shot = signal_of(measurement), shot_of(measurement)
     gain = float(calibration.standard.values["system_gain"])
-    figure, upper, lower = _two_panels()
+    figure, upper, lower = two_panels()
     used = _mask(calibration)
     drawable = (signal > 0) & (shot > 0)
     floor = shot[used & drawable].min() / 3
@@ -135,7 +135,7 @@ def responsivity_figure(calibration: NoiseCalibration) -> Figure:
     light = np.asarray(measurement.bright.light)
     signal = signal_of(measurement)
     within = np.asarray(calibration.within.linearity)
-    figure, upper, lower = _two_panels()
+    figure, upper, lower = two_panels()
     upper.plot(light, signal, ".", color=BLUE, ms=6, label="levels")
     if calibration.likelihood is not None:
         x, moments, unlit = _model_curve(calibration, spacing="even")
@@ -227,9 +227,10 @@ def dark_signal_figure(calibration: NoiseCalibration) -> Figure:
     return figure
 
 
-def _two_panels() -> tuple[Figure, Axes, Axes]:
+def two_panels(height: float = 1.4) -> tuple[Figure, Axes, Axes]:
+    """A figure of two panels with one abscissa, the lower one so high where the upper one is 3."""
     figure = Figure(figsize=SIZE, layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1.4))
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, height))
     return figure, upper, lower
 
 
