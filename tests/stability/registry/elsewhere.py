@@ -257,8 +257,6 @@ ELSEWHERE = (
         "test_report",
         """
             fitting.*.findings.*
-            fitting.noise.calibration: flicker_in_words
-            fitting.noise.doubts: drifting_in_words
             fitting.*.section.*
             fitting.noise.prediction.section: levels_table picture residual_figure section table
             fitting.noise.prediction.section: explanations findings
@@ -280,7 +278,7 @@ ELSEWHERE = (
             fitting.frame_checks.frame: frame_sample listed refuse_half
             fitting.frame_checks.dialled: worst_in_words
             fitting.noise.raw_frames: processing_in_words
-            fitting.noise.doubts: printed_times_in_words
+            fitting.noise.doubts: printed_times
             fitting.noise.periodic: periodic_in_words
         """,
     ),
@@ -662,7 +660,6 @@ ELSEWHERE = (
         "test_noise_counts test_noise_prediction test_release_4 foreign/test_noise",
         """
             fitting.noise.counted.*
-            fitting.noise.counted.*
             fitting.noise.release_4.*
             fitting.noise.brighter_fatter.*
             fitting.noise.calibration: calibrate finest_read_noise sheet_estimate widened
@@ -677,14 +674,11 @@ ELSEWHERE = (
             fitting.noise.model: compressed expected_electrons level_moments predict
             fitting.noise.model: predicted_moments expected_neighbours scatter_prior
             fitting.noise.neighbours.*
-            fitting.noise.regressions.*
             fitting.noise.pattern: fitted_pattern pattern_variance standard_pattern unequal_gains
             fitting.noise.pattern: unequal_offsets
             fitting.noise.quantised: quantised_moments window_for
             fitting.noise.periodic: periodic_structure quarters residues taps_in_words taps_of
             fitting.noise.periodic: unequal_gains_of
-            fitting.noise.regressions: chi_square line line_misfit surprise through_origin
-            fitting.noise.regressions: sampling_errors
             fitting.noise.regressions.*
             fitting.noise.window.*
             fitting.noise.shared: believed_lines drift extra_lines fixed_lines one_pattern
@@ -693,8 +687,6 @@ ELSEWHERE = (
             fitting.noise.doubts: drifting
             fitting.noise.live_pixels: hits
             fitting.noise.calibration: refitted
-            fitting.noise.sensor.*
-            fitting.noise.brighter_fatter.*
             fitting.noise.prediction.comparison.*
             fitting.noise.prediction.missing.*
             fitting.noise.prediction.moments.*
@@ -731,6 +723,7 @@ ELSEWHERE = (
             fitting.noise.across_settings.calibration: full_well pattern
             fitting.noise.across_settings.statement: figures fitted predict proportional_gain
             fitting.noise.across_settings.setting: estimates_from_calibration estimates_from_darks
+            fitting.noise.across_settings.setting: read_by_setting reduce_by_setting
             fitting.noise.across_settings.prediction: predict_settings
         """,
     ),
