@@ -205,7 +205,7 @@ def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -
     if exact.spatial is not None and exact.uneven is not None and exact.die is not None:
         scale = step ** jnp.asarray([1.0, 2.0, 2.0], exact.die.dtype)
         of_pixels = step**2 * exact.spatial, step**4 * exact.uneven
-        low = Moments(*low[:4], *of_pixels, exact.die * scale[:, None] * scale)
+        low = Moments(*low[:4], *of_pixels, exact.die * jnp.outer(scale, scale)[None])
         none = jnp.zeros_like(moments.mean)
         die = jnp.zeros((none.size, 3, 3), none.dtype)
         moments = Moments(*moments[:4], none, none, die)
