@@ -553,8 +553,8 @@ FINDINGS = (
     Finding(
         "efficiency of one",
         _within_error,
-        "The quantum efficiency, {efficiency:.4g} %, is 100 % within its error. The sensor file has "
-        "100 %, and a gain with the same signal.",
+        "The quantum efficiency, {efficiency:.4g} %, is 100 % within its error. The sensor file "
+        "has 100 %, and a gain with the same signal.",
     ),
     _as_they_are("periodic", periodic_findings),
     _as_they_are("converter", _converter),
