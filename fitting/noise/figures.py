@@ -227,7 +227,7 @@ def dark_signal_figure(calibration: NoiseCalibration) -> Figure:
     return figure
 
 
-def two_panels(height: float = 1.4) -> tuple[Figure, Axes, Axes]:
+def two_panels(*, height: float = 1.4) -> tuple[Figure, Axes, Axes]:
     """A figure of two panels with one abscissa, the lower one so high where the upper one is 3."""
     figure = Figure(figsize=SIZE, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, height))

@@ -68,7 +68,7 @@ def gain_figure(calibration: CameraCalibration) -> Figure:
     proportion = proportional_gain(fit)
     assert proportion is not None
     scale = proportion[0]
-    figure, upper, lower = two_panels(1.6)
+    figure, upper, lower = two_panels(height=1.6)
     alone, log_gain, error = _alone(calibration, "system_gain")
     shared = np.exp(np.asarray(calibration.figures.log_gain))
     spread = np.sqrt(np.diagonal(fit.covariance))[np.asarray(fit.fit.problem.inputs["system_gain"])]
@@ -98,7 +98,7 @@ def read_noise_figure(calibration: CameraCalibration) -> Figure:
     """Read noise against the conversion gain, with its law."""
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
-    figure, axis, lower = two_panels(1.6)
+    figure, axis, lower = two_panels(height=1.6)
     alone, value, error = _alone(calibration, "read_noise")
     best, draws = fit.fit.values, fit.fit.draws
     if "variance_before_gain" in best:
@@ -144,7 +144,7 @@ def dark_current_figure(calibration: CameraCalibration) -> Figure:
     kelvin = np.array([setting.temperature or ZERO_CELSIUS for setting in fit.settings])
     known = np.isfinite(value)
     x = 1000 / kelvin
-    figure, axis, lower = two_panels(1.6)
+    figure, axis, lower = two_panels(height=1.6)
     floor = np.inf
     expected = np.asarray(calibration.figures.dark_current)
     best, draws = fit.fit.values, fit.fit.draws
