@@ -18,7 +18,8 @@ from sphinx.util.docstrings import prepare_docstring
 
 HERE = Path(__file__).parent
 GALLERY = {  # the gallery's scripts by topic, in the order of the page
-    "Light and surfaces": "ball lobes coats sky lamps daylight black_bodies separation gradient",
+    "Light and surfaces": "ball lobes coats maps sky lamps daylight black_bodies separation "
+    "gradient",
     "Shadows and global illumination": "soft_shadow cornell_box radiosity glass_and_mirror",
     "Cameras and lenses": "defocus apertures vignetting shift_variant diffraction aberrations"
     " rolling_shutter",

@@ -272,6 +272,7 @@ from .scene import (
     HeavyTailedReadNoise as HeavyTailedReadNoise,
     HotPixels as HotPixels,
     Light as Light,
+    Map as Map,
     Material as Material,
     Mixing as Mixing,
     NeutralPatch as NeutralPatch,
@@ -323,6 +324,9 @@ from .sensor import (
     photon_rate as photon_rate,
     raw_image as raw_image,
     signal_variance as signal_variance,
+)
+from .rendering.maps import (
+    material_at as material_at,
 )
 from .rendering.shading import (
     outgoing_radiance as outgoing_radiance,

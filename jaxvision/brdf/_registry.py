@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from ..core._arguments import takes_numbers
 from ..core._bounds import Ends, Reflection
 from ..core._kinds import Table, table_for
+from ..core._maps import ENDS, is_map, maps_of, replace_maps
 from ..core._types import Colour, Scalar
 from ..core._vector import Direction, Vec, Vector, as_vec
 from ..geometry.hemisphere import cosine_direction, cosine_pdf, product_nodes
@@ -176,7 +177,18 @@ def register_delta(
 
 
 def family(material: Any) -> Family:
-    """The functions of a material's family; `TypeError` if its record was never registered."""
+    """The functions of a material's family; `TypeError` if its record was never registered, and
+    `ValueError` for a material that varies over its surface."""
+    own = _family(material)
+    for name, _ in maps_of(material):
+        raise ValueError(
+            f"{type(material).__name__}.{name} is a Map, which varies over its surface; take the "
+            "material at one place, with jaxvision.material_at."
+        )
+    return own
+
+
+def _family(material: Any) -> Family:
     kind = type(material)
     if kind not in _FAMILIES:
         raise TypeError(
@@ -189,11 +201,15 @@ def suprema(material: Ends[Any]) -> Reflection:
     """The suprema of a material's shading.
 
     Args:
-        material: at both ends of the range of a fit.
+        material: at both ends of the range of a fit; a map counts by its smallest and largest
+            values.
 
     Returns:
         The suprema, sr^-1; inf for a family without a registered bound.
     """
+    if any(True for _ in maps_of(material.low)):
+        low, high = (replace_maps(end, pick) for end, pick in zip(material, ENDS, strict=True))
+        material = Ends(low, high)
     own = _FAMILIES.get(type(material.low))
     bound = None if own is None else own.bound
     if bound is None:
@@ -215,7 +231,7 @@ def is_delta(material: Any) -> bool:
         >>> print(jv.brdf.is_delta(jv.Mirror([0.9])), jv.brdf.is_delta(jv.Lambert([0.1])))
         True False
     """
-    return family(material).specular is not None
+    return _family(material).specular is not None
 
 
 def is_body(material: Any) -> bool:
@@ -232,7 +248,7 @@ def is_body(material: Any) -> bool:
         >>> print(jv.brdf.is_body(jv.Glass(1.5)), jv.brdf.is_body(jv.Mirror([0.9])))
         True False
     """
-    return family(material).absorption is not None
+    return _family(material).absorption is not None
 
 
 def lambertian(material: Any) -> Material:
@@ -258,8 +274,14 @@ def absorption(material: Any) -> Colour | None:
     Returns:
         (bands,) m^-1; None for a clear material or one that encloses no body.
     """
-    of_body = family(material).absorption
-    return None if of_body is None else of_body(material)
+    of_body = _family(material).absorption
+    found = None if of_body is None else of_body(material)
+    if is_map(found):
+        raise ValueError(
+            f"{type(material).__name__}.absorption must be plain numbers, got a Map: the inside of "
+            "a body has no texture coordinates."
+        )
+    return found
 
 
 @takes_numbers

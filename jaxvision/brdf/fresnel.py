@@ -7,7 +7,7 @@ grazing angles. At 90 degrees every interface reflects everything.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -35,6 +35,7 @@ class Dielectric(Shown):
         0.04
     """
 
+    takes_maps: ClassVar[bool] = True
     eta: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
@@ -56,6 +57,7 @@ class Conductor(Shown):
         0.921
     """
 
+    takes_maps: ClassVar[bool] = True
     eta: Colour = eqx.field(converter=as_float)
     k: Colour = eqx.field(converter=as_float)
 
@@ -75,6 +77,7 @@ class Schlick(Shown):
         0.07
     """
 
+    takes_maps: ClassVar[bool] = True
     f0: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:

@@ -31,6 +31,7 @@ from jaxtyping import Array, Float
 from ..core._bounds import Angles, Ends, Reflection, numbers, peak
 from ..core._bounds import Lobe as LargestLobe
 from ..core._bounds import most as largest
+from ..core._maps import is_map
 from ..core._numerics import (
     arctan2,
     divide,
@@ -144,8 +145,8 @@ class TorranceSparrow(Material):
                 f"TorranceSparrow.roughness is alpha, at most {ROUGHEST:g}, neither degrees nor "
                 f"per cent, got {float(np.max(self.roughness)):g}."
             )
-        counts = [jnp.size(x) for x in (self.diffuse, self.specular)]
-        counts += [jnp.size(x) for x in jax.tree.leaves(self.interface)]
+        spectra = [self.diffuse, self.specular, *jax.tree.leaves(self.interface, is_leaf=is_map)]
+        counts = [x.shape[-1] for x in spectra]
         if len(set(counts) - {1}) > 1:
             raise ValueError(
                 f"TorranceSparrow.interface must have 1 band or {max(counts[:2])}, as the others, "
@@ -156,7 +157,7 @@ class TorranceSparrow(Material):
         if self.multiple_scattering is not None:
             check_choice("TorranceSparrow.multiple_scattering", self.multiple_scattering, BETWEEN)
             rough = is_known(self.roughness) and np.max(self.roughness) > 1
-            if jnp.ndim(self.roughness) > 0 or rough or self.shadowing != "smith":
+            if self.roughness.shape or rough or self.shadowing != "smith":
                 raise ValueError(
                     "TorranceSparrow.multiple_scattering needs one roughness, at most 1, and "
                     "shadowing 'smith'."

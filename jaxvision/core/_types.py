@@ -10,7 +10,7 @@ from collections.abc import Collection
 from dataclasses import Field, fields
 from functools import cache
 from types import UnionType
-from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import equinox as eqx
 import jax
@@ -74,6 +74,25 @@ print_by_name(globals(), "Scalar", "Scalars", "Colour", "Spectrum", "Image", "Ke
 Record = TypeVar("Record")
 
 
+class Varying(eqx.Module):
+    """Base of `scene.Map`: numbers that vary over a surface, in place of a material's own."""
+
+    values: eqx.AbstractVar[Array]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of the numbers at one place, as of the field that they replace."""
+        return self.values.shape[2:]
+
+    @property
+    def dtype(self) -> jnp.dtype:
+        """The dtype of the numbers."""
+        return self.values.dtype
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self.values, dtype)
+
+
 def as_float(x: Any) -> Array:
     """An array of strong floating dtype.
 
@@ -89,6 +108,8 @@ def as_float(x: Any) -> Array:
         >>> print(jv.as_float([1, 2]), jv.as_float(np.float32(3)).dtype)
         [1. 2.] float32
     """
+    if isinstance(x, Varying):  # of a material, as `check_fields` sees to
+        return cast(Array, x)
     array = _as_numbers(x)
     if jnp.issubdtype(array.dtype, jnp.floating) and not array.weak_type:
         return array
@@ -369,7 +390,7 @@ def check_tile(
 
 def is_known(x: Any) -> bool:
     """Whether the numbers of `x` are known; they are not during tracing."""
-    return not isinstance(x, Tracer)
+    return not isinstance(getattr(x, "values", x) if isinstance(x, Varying) else x, Tracer)
 
 
 def require_metres(
@@ -446,16 +467,19 @@ def check_fields(record: Any, **ranges: Range) -> None:
         place, value = f"{kind}.{name}", getattr(record, name)
         if kinds and (isinstance(value, eqx.Module) or not shapes):
             check_kind(place, value, *kinds)
+        elif isinstance(value, Varying) and not getattr(record, "takes_maps", False):
+            raise ValueError(f"{place} must be plain numbers, got a {type(value).__name__}.")
         elif value is not None:
             known = [tuple(sizes.get(axis, axis) for axis in axes) for axes in shapes]
             check_shape(place, value, *known)
-            shape = jnp.shape(value)
+            shape = jnp.shape(cast(Any, value))
             fitting = [axes for axes, own in zip(shapes, known, strict=True) if _fits(shape, own)]
             sizes |= zip(fitting[0], shape, strict=True)
             if sizes.get("bands") == 0:
                 raise ValueError(f"{place} must have at least one band, got shape {shape}.")
     for name, allowed in ranges.items():
         value = getattr(record, name)
+        value = getattr(value, "values", value) if isinstance(value, Varying) else value
         if not isinstance(value, eqx.Module):
             check_range(f"{kind}.{name}", value, **allowed._asdict())
 

@@ -49,7 +49,8 @@ def _is_nan(leaf: jax.Array) -> bool:
     return bool(np.any(np.isnan(leaf)))
 
 
-def _steps(name: str) -> list[str | int]:
+def steps_of(name: str) -> list[str | int]:
+    """The fields and numbers along a name."""
     return [int(number) if number else word for word, number in _STEP.findall(name)]
 
 
@@ -62,16 +63,17 @@ def _at(record: Any, step: str | int) -> Any:
 
 def value_at(record: Any, name: str) -> Any:
     """The field of that name, or None."""
-    for step in _steps(name):
+    for step in steps_of(name):
         record = _at(record, step)
     return record
 
 
-def _put(record: Any, steps: list[str | int], value: Any) -> Any:
+def put(record: Any, steps: list[str | int], value: Any) -> Any:
+    """A record with a value at the end of steps."""
     if not steps:
         return value
     first, rest = steps[0], steps[1:]
-    inner = _put(_at(record, first), rest, value)
+    inner = put(_at(record, first), rest, value)
     if isinstance(first, int):
         return (*record[:first], inner, *record[first + 1 :])
     return replace(record, **{first: inner})
@@ -104,7 +106,7 @@ def ends_of(scene: Scene, camera: Camera, free: Box | None) -> tuple[Ends[Scene]
             hint = nearest(name, [*_names(scene, ""), *_names(camera, "")])
             raise InputError(f"free: {name!r} is no number of this scene and camera; {hint}.")
         for end, value in enumerate(_checked(name, own, values)):
-            held[end] = _put(held[end], _steps(name), value)
+            held[end] = put(held[end], steps_of(name), value)
     return Ends(*scenes), Ends(*cameras)
 
 

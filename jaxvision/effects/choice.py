@@ -11,6 +11,7 @@ from itertools import groupby
 import jax
 import numpy as np
 
+from ..core._maps import mean_of, replace_maps
 from ..scene import Camera, Scene, TriangleMesh, View
 from .boxes import keeps
 from .certificate import IRRADIANCE, RADIANCE, Certificate, Effect, Pruned, Tolerance
@@ -249,7 +250,9 @@ def bands_of(draft: Draft) -> int:
         material = surface.material
         counts += [getattr(material, name).shape[-1] for name in material.spectra]
         counts += [
-            leaf.shape[-1] for leaf in jax.tree.leaves(surface.material) if leaf.ndim > 0
+            leaf.shape[-1]
+            for leaf in jax.tree.leaves(replace_maps(surface.material, mean_of))
+            if leaf.ndim > 0
         ] * (not material.spectra)
         counts += [] if surface.emission is None else [surface.emission.shape[-1]]
     for light in draft.lights:

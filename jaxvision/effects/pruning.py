@@ -80,7 +80,7 @@ def _chain_of(
     moments: int,
     **asked: Any,
 ) -> Chain:
-    """The rows, without bounds if a number is not finite."""
+    """The rows, without bounds if a number is not finite or a map turns normals."""
     refuse_tracers(scene, camera)
     if depth is not None and (depth < 1 or depth != int(depth)):
         raise InputError(
@@ -95,6 +95,10 @@ def _chain_of(
             "exposure_time, or leave the motion out."
         )
     ends, wrong = ends_of(scene, camera, free), unbounded(scene, camera)
+    wrong = wrong and f"{wrong} is not finite"
+    for i, surface in enumerate(scene.surfaces):
+        if surface.normals is not None:
+            wrong = wrong or f"surfaces[{i}].normals turns the shading by any angle"
     if not wrong:
         return _chain(*ends, depth=depth, moments=moments, **asked)
     with np.errstate(all="ignore"):
@@ -104,7 +108,7 @@ def _chain_of(
 
 
 def _kept_for(row: Row, wrong: str) -> Row:
-    why = f"{wrong} is not finite, and nothing is proved"
+    why = f"{wrong}, and nothing is proved"
     effect = replace(row.effect, bound=np.inf, rank="bound", why=why)
     return replace(row, effect=effect, amount=row.amount + np.inf, drop=None, after=None)
 

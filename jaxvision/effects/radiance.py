@@ -12,15 +12,17 @@ from typing import Any
 import numpy as np
 
 from ..brdf import lambertian
-from ..scene import AmbientLight, Material, Scene, TriangleMesh, View
+from ..core._maps import ENDS, is_map, maps_of, mean_of, replace_maps
+from ..scene import AmbientLight, Material, Scene, Surface, TriangleMesh, View
 from .bodies import body_of, heights, is_closed, numbers, stacked
 from .bounces import EMITTED, Onward
+from .boxes import put, steps_of, value_at
 from .cells import anywhere, eye_of, in_view, part_of
 from .certificate import RADIANCE, Effect
 from .directions import over_lens
 from .extent import extent_change
 from .illumination import times
-from .reflection import Lobe, absorbs
+from .reflection import Lobe, absorbs, reflection_of
 from .stages import Arriving, Draft, Drop, Ends, Row
 from .sums import (
     Sums,
@@ -47,12 +49,20 @@ def scene_stage(
     `depth` is the longest path, for interreflections; None: direct light, as in `render`.
     `caustics`: paths start at the lights, too.
     """
-    eye = eye_of(view)
+    eye, whole = eye_of(view), scene.low.surfaces
+    varied = [[place for place, _ in maps_of(own)] for own in whole]
+    if any(varied):
+        low, high = (
+            replace(end, surfaces=replace_maps(tuple(map(_unbent, end.surfaces)), pick))
+            for end, pick in zip(scene, ENDS, strict=True)
+        )
+        scene = Ends(low, high)
     sums = sums_of(scene, eye, bounces=depth is not None, caustics=caustics)
     onward = Onward(sums, depth)
     rows = [
         *(row for k in range(len(sums.sources)) for row in _light_rows(sums, onward, k)),
         *(row for i in range(len(sums.surfaces)) for row in _surface_rows(sums, onward, i)),
+        *(varied_by(sums, onward, i, place) for i, own in enumerate(varied) for place in own),
         ambient(scene, sums, onward),
     ]
     found = Arriving(top(sums, onward), *depths(sums), over_lens(sums, onward))
@@ -331,6 +341,64 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
     field, why = reflection.rough or ("", f"{type(material).__name__} to Lambert")
     name = f"{name}.{field}" if field else name
     return _row(name, amount, _make_lambertian(i), why, saves=_SAVES["lobe"])
+
+
+def _unbent(surface: Surface) -> Surface:
+    """A surface without a map of normals; `pruning` proves nothing about scenes with one."""
+    return surface if surface.normals is None else replace(surface, normals=None)
+
+
+def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
+    """Replace a map by its mean. A map of k_d or k_s changes the body or the lobe by at most its
+    range, where they are proportional to it. Any other changes at most all reflected light."""
+    own, material = sums.reflections[i], sums.surfaces[i].of("material")
+    bands, field = sums.k_body.shape[1], place.removeprefix("material.")
+    of_body = of_lobe = np.ones(bands)
+    why = "its mean instead, within all light that the surface reflects"
+    if field in ("diffuse", "specular") and _is_proportional(material, field):
+        low, high = (numbers(getattr(end, field)) * np.ones(bands) for end in material)
+        share = np.divide(high - low, high, out=np.zeros(bands), where=high > 0)
+        of_body, of_lobe = (share, 0 * share) if field == "diffuse" else (0 * share, share)
+        why = f"its mean instead, within {share.max():.3g} of its largest value"
+    part, k_body, k_lobe = part_of(sums.cells, i), of_body * sums.k_body[i], of_lobe
+    others = times(np.pi * (1 + own.grazing) * k_body, onward.of_body(i))
+    others = others + times(_size(own.lobe) * k_lobe * sums.k_lobe[i], onward.of_lobe(i))
+    lamp, around = (
+        _all_lights(
+            sums,
+            i,
+            lambda k, on=on: (
+                times(sums.body[k, part, None], times(k_body, sums.spectrum[k])[None])
+                + times(k_lobe, lobe_sent(sums, k, around=on)[part])
+            ),
+            others,
+        )
+        for on in (False, True)
+    )
+    amount = _largest_sent(sums, onward, i, lamp, around)
+    if field == "ambient":
+        amount = sums.ambient[i]
+    if own.mirror is not None or not place.startswith("material."):
+        amount, why = amount + np.inf, "a map of what a mirror or a normal shows has no bound"
+
+    def drop(draft: Draft) -> Draft:
+        surface = draft.surfaces[i]
+        found = value_at(surface, place)
+        plain = put(surface, steps_of(place), mean_of(found)) if is_map(found) else surface
+        return replace(draft, surfaces=_without(draft.surfaces, i, plain))
+
+    return _row(f"surfaces[{i}].{place}.map", amount, None if place == "normals" else drop, why)
+
+
+def _is_proportional(material: Ends[Any], field: str) -> bool:
+    """Whether the suprema of a material double with a field."""
+    twice = Ends(*(replace(end, **{field: 2 * getattr(end, field)}) for end in material))
+    one, other = reflection_of(material), reflection_of(twice)
+    if field == "diffuse":
+        return bool(np.allclose(other.body, 2 * one.body, rtol=1e-6, atol=0))
+    if one.lobe is None or other.lobe is None:
+        return False
+    return bool(np.allclose(other.lobe.spectrum, 2 * one.lobe.spectrum, rtol=1e-6, atol=0))
 
 
 def emission(sums: Sums, onward: Onward, i: int) -> Row:

@@ -13,9 +13,8 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from ..scene import Camera, Scene
+from ..scene import Camera, Map, Scene
 from .cells import part_of
 from .certificate import RADIANCE, Effect
 from .illumination import times
@@ -158,9 +157,11 @@ def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
     """A scene with some of its bands: every spectrum of `bands` numbers is cut, and neutral ones
     are kept."""
 
-    def cut(spectrum: Array | None) -> Array | None:
+    def cut(spectrum: Any) -> Any:
         if spectrum is None or spectrum.shape[-1] != bands:
             return spectrum
+        if isinstance(spectrum, Map):
+            return replace(spectrum, values=cut(spectrum.values))
         return jnp.asarray(np.asarray(spectrum)[..., kept])  # indexing by JAX would compile
 
     def cut_material(material: Any) -> Any:

@@ -58,6 +58,7 @@ class Primitive:
     vertices: np.ndarray  # (vertices, 3) m
     faces: np.ndarray  # (faces, 3) indices of vertices, counter-clockwise seen from outside
     normals: np.ndarray | None  # (vertices, 3), or None
+    uv: np.ndarray | None = None  # (vertices, 2), v downward, or None
 
 
 def read_gltf(path: str | os.PathLike[str]) -> Gltf:
@@ -116,9 +117,9 @@ def _chunks(file: Path, raw: bytes) -> tuple[bytes, bytes | None]:
     return found[_JSON], found.get(_BINARY)
 
 
-def primitive_of(file: Gltf, mesh: int, primitive: int) -> Primitive:
+def primitive_of(file: Gltf, mesh: int, primitive: int, *, uv: bool = False) -> Primitive:
     """The triangles of a primitive of a mesh, both by number from 0, in the order of the file, with
-    normals where it has them.
+    normals where it has them, and with `uv` its texture coordinates.
 
     `InputError` if the primitive is missing, is not a set of triangles, or is changed by morph
     targets, compressed or damaged.
@@ -147,9 +148,34 @@ def primitive_of(file: Gltf, mesh: int, primitive: int) -> Primitive:
             "export it again."
         )
     normals = _numbers(file, attributes["NORMAL"], 3) if "NORMAL" in attributes else None
-    if normals is not None and len(normals) != len(vertices):
-        raise InputError(f"{label}: has not one normal a vertex; export it again.")
-    return Primitive(vertices, indices.reshape(-1, 3).astype(np.int64), normals)
+    known = None
+    if uv and "TEXCOORD_0" in attributes:
+        known = _numbers(file, attributes["TEXCOORD_0"], 2)
+    for what, own in (("normal", normals), ("texture coordinate", known)):
+        if own is not None and len(own) != len(vertices):
+            raise InputError(f"{label}: has not one {what} a vertex; export it again.")
+    return Primitive(vertices, indices.reshape(-1, 3).astype(np.int64), normals, known)
+
+
+def image_bytes(file: Gltf, index: int) -> bytes:
+    """The bytes of an object of `images`, a whole picture file."""
+    image = file.item("images", index)
+    if "bufferView" not in image:
+        uri = image.get("uri")
+        if not isinstance(uri, str):
+            raise InputError(f"{file.path}: images[{index}] names no file; export it again.")
+        return _bytes_at(file.path, uri)
+    view = file.item("bufferViews", image["bufferView"])
+    buffer, start, length = (
+        _buffer(file, view.get("buffer")),
+        view.get("byteOffset", 0),
+        view.get("byteLength"),
+    )
+    if not all(type(x) is int and x >= 0 for x in (start, length)) or start + length > len(buffer):
+        raise InputError(
+            f"{file.path}: images[{index}] reaches beyond its buffer; export it again."
+        )
+    return buffer[start : start + length]
 
 
 def _numbers(file: Gltf, index: Any, width: int) -> np.ndarray:
@@ -162,8 +188,8 @@ def _numbers(file: Gltf, index: Any, width: int) -> np.ndarray:
     whole = width == 1  # indices count, points measure
     if kind is None or _of(_WIDTHS, accessor.get("type")) != width or (kind == "<f4") == whole:
         raise InputError(
-            f"{label}: is not of {'whole numbers' if whole else 'three float numbers'}; export it "
-            "again."
+            f"{label}: is not of {'whole numbers' if whole else f'{width} float numbers'}; export "
+            "it again."
         )
     view = file.item("bufferViews", accessor["bufferView"])
     buffer = _buffer(file, view.get("buffer"))

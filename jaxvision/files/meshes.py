@@ -2,7 +2,7 @@
 
 Eager; trimesh (the extra `mesh`) is loaded on first use. Several meshes in a file become one, each
 placed as in the file's scene. Polygons are divided into triangles that cover them. Lengths are
-taken as metres; colours, textures and materials of the file are not read. Every failure is an
+taken as metres; colours, textures and materials of the file are not read here. Every failure is an
 `InputError` of one sentence.
 """
 
@@ -43,6 +43,7 @@ def read_mesh(
     flip: bool = False,
     primitive: tuple[int, int] | None = None,
     dtype: str | np.dtype | None = None,
+    uv: bool = False,
 ) -> TriangleMesh:
     """Read the triangles of a file, in order.
 
@@ -67,18 +68,21 @@ def read_mesh(
             the transform of the file's scene; None for all meshes, each transformed as in the
             file's scene.
         dtype: floating dtype; None is JAX's default.
+        uv: whether to read texture coordinates, of an OBJ (whose v grows upward, and is turned
+            here) or of a primitive.
 
     Returns:
         The mesh.
 
     Raises:
         InputError: for a missing file, a file that is no mesh, a face with a vertex that does not
-            exist (vertex 0 of an OBJ), or a singular matrix.
+            exist (vertex 0 of an OBJ), or a singular matrix; for texture coordinates that the file
+            does not have.
     """
     file = Path(path)
     if not file.is_file():
         raise InputError(f"{file}: no such mesh file; check the name and the folder.")
-    loaded = _load(file) if primitive is None else _primitive(file, *primitive)
+    loaded = _load(file) if primitive is None else _primitive(file, *primitive, uv)
     unit = getattr(loaded, "units", None)
     if unit not in (None, "m", "meter", "meters") and scale == 1 and matrix is None:
         warnings.warn(
@@ -97,7 +101,24 @@ def read_mesh(
     if flip:
         faces = faces[:, ::-1]
         normals = None if normals is None else -normals
-    return TriangleMesh(vertices, faces, normals=normals)
+    known = _coordinates(file, loaded, primitive).astype(vertices.dtype) if uv else None
+    return TriangleMesh(vertices, faces, normals=normals, uv=known)
+
+
+def _coordinates(file: Path, mesh, primitive: tuple[int, int] | None) -> np.ndarray:
+    """(vertices, 2) texture coordinates, v downward."""
+    if primitive is not None:
+        known = mesh.metadata["uv"]
+    elif file.suffix.lower() == ".obj" and mesh.metadata["pieces"] == 1:
+        known = getattr(mesh.visual, "uv", None)
+    else:
+        known = None  # of several pieces trimesh packs them anew
+    if known is None or len(known) != len(mesh.vertices) or not np.isfinite(known).all():
+        raise InputError(
+            f"{file}: holds no texture coordinates that are read, and its surface has a map; "
+            "export them, in one mesh of an OBJ or as glTF."
+        )
+    return np.asarray(known) if primitive is not None else np.asarray(known) * [1, -1] + [0, 1]
 
 
 def _to_world(
@@ -169,12 +190,14 @@ def _check_rounding(file: Path, vertices: np.ndarray, exact: np.ndarray, faces: 
         )
 
 
-def _primitive(file: Path, mesh: int, primitive: int):
+def _primitive(file: Path, mesh: int, primitive: int, uv: bool):
     """The mesh of one primitive of a glTF file."""
-    part = primitive_of(_gltf(file, file.stat().st_mtime_ns), mesh, primitive)
-    return _trimesh(file).Trimesh(
+    part = primitive_of(_gltf(file, file.stat().st_mtime_ns), mesh, primitive, uv=uv)
+    made = _trimesh(file).Trimesh(
         part.vertices, part.faces, vertex_normals=part.normals, process=False, validate=False
     )
+    made.metadata["uv"] = part.uv
+    return made
 
 
 @lru_cache(maxsize=1)
@@ -209,6 +232,7 @@ def _load(file: Path):
     try:
         scene = trimesh.load_scene(**_source(file), process=False)
         mesh = scene.to_mesh()
+        mesh.metadata["pieces"] = len(scene.geometry)
         if scene.units is not None:
             mesh.units = scene.units
     except InputError:

@@ -22,6 +22,7 @@ import numpy as np
 from ..core._shown import meanings
 from ..core._types import Colour, Range, axes_of, check_range, check_shape, in_short, members_of
 from ..errors import InputError, nearest
+from ..scene import Map
 from ..sensor.colour_filters import bayer
 from .images import read_arrays, replaced_on_success
 
@@ -233,6 +234,8 @@ def value_of(reading: Reading, where: str, hint: Any, value: Any) -> Any:
             raise InputError(f"{reading.place}: {where}: {error}") from error
         if found is not NotImplemented:
             return found
+    if isinstance(value, Mapping) and value.get("kind") == Map.__name__:
+        return record_of(reading, where, Map, {k: v for k, v in value.items() if k != "kind"})
     if isinstance(value, Mapping):
         return _chosen_record(reading, where, kinds, value)
     if all(map(is_record, kinds)):

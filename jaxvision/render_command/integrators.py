@@ -23,6 +23,7 @@ from ..files.scenes.schema import RenderEntry
 from ..lights import Balanced, MonteCarlo, Quadrature, Rule
 from ..programs import for_rays, kept_whole
 from ..rendering import Along, PixelSamples, direct_along, photograph
+from ..rendering.maps import varied_surfaces
 from ..rendering.scene_checks import idle_lamps
 from ..scene import Scene, ThinLens, View
 from ..transport import Paths, light_traced, missing_light, path_along, ray_tree_along
@@ -219,7 +220,8 @@ def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., tuple[Pixels
         if settings.samples == 1 and settings.integrator != "path":
             samples = None
         rays, pixels = along(scene, key, ready, depth), (rows, columns)
-        traced = photograph(rays, view, samples, pixels=pixels, first_sample=first)
+        wide = _is_wide(scene, settings)
+        traced = photograph(rays, view, samples, pixels=pixels, first_sample=first, wide=wide)
         return traced.radiance, traced.error
 
     return tile
@@ -251,11 +253,19 @@ def _nothing(key: Key) -> None:
     """No work before the first pixel, for all integrators except radiosity."""
 
 
+def _is_wide(scene: Scene, settings: RenderEntry) -> bool:
+    """Whether maps are averaged over the footprint of each pixel."""
+    one = settings.integrator == "direct" and settings.samples == 1
+    return one and varied_surfaces(scene) is not None
+
+
 def _along(settings: RenderEntry) -> RaysOf:
     """Radiance along rays, as a function of a scene and a key; both may be traced."""
     match settings.integrator:
         case "direct":
-            return lambda scene, key, *_: direct_along(scene, _rule(settings, key))
+            return lambda scene, key, *_: direct_along(
+                scene, _rule(settings, key), wide=_is_wide(scene, settings)
+            )
         case "path":
             method = Paths(settings.samples, settings.depth)
             if settings.depth == 1:

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from .. import brdf
+from ..core._maps import mean_of, replace_maps
 from ..core._types import common_dtype
 from ..lights import Quadrature, incident_samples
 from ..scene import Light, Material
@@ -39,7 +40,7 @@ def _one_each(records: Iterable[Any]) -> Iterable[Any]:
 
 def _reflected(material: Material) -> int:
     up = jnp.zeros(3, common_dtype(material))
-    return jax.eval_shape(brdf.shading, material, up, up).shape[0]
+    return jax.eval_shape(lambda: brdf.shading(replace_maps(material, mean_of), up, up)).shape[0]
 
 
 def _emitted(light: Light) -> int:

@@ -12,6 +12,7 @@ from jaxtyping import Array, Int
 
 from ..core._loops.fusion import fuse
 from ..core._loops.groups import group_by_structure, take
+from ..core._maps import replace_maps
 from ..core._numerics import dot
 from ..core._random import Stream
 from ..core._types import Colour, Image, Scalar, check_given
@@ -20,9 +21,10 @@ from ..core._warnings import one_call
 from ..geometry import Encounter, Hit, Ray, Sorted, hit_shape, nearest_shape, sorted_shapes
 from ..geometry.checks import warn_if_coarse
 from ..lights import DirectionalLight, Incident, Rule, can_be_seen, nearest_seen, rules_of
-from ..scene import Scene, Surface, TriangleMesh, View
+from ..scene import Material, Scene, Surface, TriangleMesh, View
 from .edges import Edges, moving_edges
-from .pixel_loop import Along, PixelSamples, each, numbers_of, photograph
+from .maps import Patch, Varied, at_patch, patch_of, shading_normal, summed, varied_surfaces
+from .pixel_loop import Along, PixelRay, PixelSamples, each, numbers_of, photograph
 from .shading import Lighting, lighting, reflected_radiance
 from .shadows import DEFAULT_RULE, TRACED, Leaving
 
@@ -63,29 +65,43 @@ class SortedScene(eqx.Module):
     shapes: Sorted  # of all surfaces
     # those that may block light; None: none, or a single shape that cannot
     occluders: Sorted | None
+    varied: Varied | None = None  # the surfaces that maps vary
+    materials: tuple[Material, ...] | None = None  # of all surfaces, where maps have summed areas
 
 
-def sorted_scene(scene: Scene) -> SortedScene:
-    """The shapes of a scene sorted once for all rays; lengths in m."""
+def sorted_scene(scene: Scene, *, wide: bool = False) -> SortedScene:
+    """The shapes of a scene sorted once for all rays, and its maps prepared, with `wide` for rays
+    as wide as a pixel; lengths in m."""
     shapes = sorted_shapes([surface.shape for surface in scene.surfaces])
+    varied, materials = varied_surfaces(scene), None
+    if wide and varied is not None:
+        varied, materials = replace_maps(
+            (varied, tuple(surface.material for surface in scene.surfaces)), summed
+        )
     if scene.occluders is None:
-        return SortedScene(shapes, shapes if can_shade(scene.surfaces) else None)
+        blocking = shapes if can_shade(scene.surfaces) else None
+        return SortedScene(shapes, blocking, varied, materials)
     blocking = [scene.surfaces[i].shape for i in scene.occluders]
-    return SortedScene(shapes, sorted_shapes(blocking) if blocking else None)
+    return SortedScene(shapes, sorted_shapes(blocking) if blocking else None, varied, materials)
 
 
 def _along(
     scene: Scene,
     shapes: SortedScene,
-    ray: Ray,
+    seen: Ray | PixelRay,
     rules: tuple[Rule, ...],
     known: Encounter | None = None,
 ) -> Colour:
     """`radiance_along` for one of many rays, with sorted shapes. `known`: the encounter of the ray,
     if it was searched before."""
+    wide = seen if isinstance(seen, PixelRay) else None
+    ray = seen.ray if isinstance(seen, PixelRay) else seen
     encounter = known or checkpoint_name(nearest_shape(ray, shapes.shapes), TRACED)
     hit = fuse(hit_shape(ray, shapes.shapes, encounter))
-    normal, leaving = _facing(scene, ray, encounter.shape, hit)
+    patch = None
+    if shapes.varied is not None:
+        patch = patch_of(shapes.varied, encounter.shape, encounter.primitive, hit, seen=wide)
+    normal, leaving = _facing(scene, ray, encounter.shape, hit, patch)
     light = lighting(
         scene.lights,
         hit.point,
@@ -94,7 +110,7 @@ def _along(
         rule=rules,
         occluders=shapes.occluders,
     )
-    radiance = _reflected(scene, light, ray, encounter, normal)
+    radiance = _reflected(scene, light, ray, encounter, normal, patch, shapes.materials)
     emissions = [surface.emission for surface in scene.surfaces]
     if any(emission is not None for emission in emissions):
         emitted = _of_surface(emissions, encounter.shape)
@@ -107,13 +123,21 @@ def _along(
 
 
 def _reflected(
-    scene: Scene, light: Lighting, ray: Ray, encounter: Encounter, normal: Vec
+    scene: Scene,
+    light: Lighting,
+    ray: Ray,
+    encounter: Encounter,
+    normal: Vec,
+    patch: Patch | None,
+    materials: Sequence[Material] | None = None,
 ) -> Colour | Scalar:
-    """The light that the surface of an encounter reflects against the ray, W m^-2 sr^-1."""
+    """The light that the surface of an encounter reflects against the ray, W m^-2 sr^-1.
+    `materials`: of all surfaces, with prepared maps; None for the scene's own."""
     radiance = jnp.zeros((), ray.origin.x.dtype)
-    materials = [surface.material for surface in scene.surfaces]
+    materials = materials or [surface.material for surface in scene.surfaces]
     for members, group in group_by_structure(materials, largest=_LARGEST):
         material, among = take(members, group, encounter.shape)
+        material = material if patch is None else at_patch(material, patch)
         shaded = reflected_radiance(material, light, normal, -ray.direction)
         radiance = jnp.where(among, shaded, radiance)
     return radiance
@@ -128,15 +152,21 @@ def can_shade(surfaces: Sequence[Surface]) -> bool:
     return len(surfaces) > 1 or first.two_sided or isinstance(first.shape, TriangleMesh)
 
 
-def _facing(scene: Scene, ray: Ray, index: Int[Array, ""], hit: Hit) -> tuple[Vec, Leaving]:
+def _facing(
+    scene: Scene, ray: Ray, index: Int[Array, ""], hit: Hit, patch: Patch | None
+) -> tuple[Vec, Leaving]:
     """Return the shading normal and the offset of shadow rays, both on the viewer's side if the
     surface is two-sided."""
     smooth, sides = hit.shading_normal or hit.normal, [s.two_sided for s in scene.surfaces]
-    if not any(sides):
-        return smooth, Leaving(hit.normal, hit.size)
-    turned = jnp.asarray(sides)[jnp.maximum(index, 0)] & (dot(hit.normal, ray.direction) > 0)
-    normal = where(turned, -hit.normal, hit.normal)
-    return where(turned, -smooth, smooth), Leaving(normal, hit.size)
+    normal, tilted = hit.normal, None if patch is None else patch.tilted
+    smooth = tilted or smooth
+    if any(sides):
+        turned = jnp.asarray(sides)[jnp.maximum(index, 0)] & (dot(normal, ray.direction) > 0)
+        normal = where(turned, -normal, normal)
+        smooth = where(turned, -smooth, smooth)
+    if patch is not None and tilted is not None:
+        smooth = shading_normal(patch, smooth, normal, -ray.direction)
+    return smooth, Leaving(normal, hit.size)
 
 
 def _of_surface(emissions: list[Colour | None], index: Int[Array, ""]) -> Colour:
@@ -146,20 +176,21 @@ def _of_surface(emissions: list[Colour | None], index: Int[Array, ""]) -> Colour
     return jnp.where(index >= 0, table[jnp.maximum(index, 0)], 0)
 
 
-def direct_along(scene: Scene, rule: Rule) -> Along:
+def direct_along(scene: Scene, rule: Rule, *, wide: bool = False) -> Along:
     """`radiance_along` for the rays of `photograph`.
 
     Args:
         scene: as in `radiance_along`.
         rule: of the samples of extended lights without a rule of their own; a random rule draws
             anew for each pixel and sample.
+        wide: whether the rays are a `PixelRay` each, over which maps are averaged.
 
     Returns:
         A function from a block of rays to (n, bands) W m^-2 sr^-1.
     """
-    shapes = sorted_scene(scene)
+    shapes = sorted_scene(scene, wide=wide)
 
-    def along(ray: Ray, stream: Stream) -> Colour:
+    def along(ray: Ray | PixelRay, stream: Stream) -> Colour:
         return _along(scene, shapes, ray, rules_of(scene, rule, numbers=numbers_of(stream)))
 
     return each(along)
@@ -185,6 +216,11 @@ def render(
     position of a lamp, a camera or a shape neglect moving edges of shadows and outlines, unless
     `edges` are given: for a ball on a floor under a lamp of 0.5 m they are 30 % too small. `Edges`
     says which edges count. The picture itself does not depend on `edges`.
+
+    Without `samples`, each `Map` is averaged over the footprint of the pixel, by an exact integral
+    over a box in its coordinates. That is the mean of the radiance for a reflectance; for other
+    numbers, such as a roughness, it is the radiance of the mean. With `samples`, each ray takes a
+    map's values where it meets the surface.
 
     On CPUs with 512-bit vectors, `jax.jit(render, compiler_options={"xla_cpu_prefer_vector_width":
     "512"})` takes about three quarters of the time.
@@ -222,7 +258,9 @@ def render(
     check_given("render: scene", scene, Scene)
     check_given("render: view", view, View)
     warn_if_coarse(*(surface.shape for surface in scene.surfaces))
-    radiance = photograph(direct_along(scene, rule), view, samples, keep=(TRACED,)).radiance
+    wide = samples is None and varied_surfaces(scene) is not None
+    along = direct_along(scene, rule, wide=wide)
+    radiance = photograph(along, view, samples, keep=(TRACED,), wide=wide).radiance
     if edges is None:
         return radiance
 
@@ -234,9 +272,11 @@ def render(
     def under(
         scene: Scene, ray: Ray, met: Encounter, hit: Hit, arriving: Incident
     ) -> Colour | Scalar:
-        normal, leaving = _facing(scene, ray, met.shape, hit)
+        varied = varied_surfaces(scene)
+        patch = None if varied is None else patch_of(varied, met.shape, met.primitive, hit)
+        normal, leaving = _facing(scene, ray, met.shape, hit, patch)
         lamp = DirectionalLight(as_array(arriving.direction), arriving.irradiance)
-        return _reflected(scene, lighting([lamp], hit.point, leaving), ray, met, normal)
+        return _reflected(scene, lighting([lamp], hit.point, leaving), ray, met, normal, patch)
 
     own = {"bands": radiance.shape[-1], "sampled": samples is not None}
     rules = rules_of(scene, rule) if can_shade(scene.surfaces) else None

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ..colour_spaces.colour_data import illuminant, rgb_basis
 from ..core._types import is_known
 from ..errors import InputError
-from ..scene import Scene
+from ..scene import Map, Scene
 from ..spectra import rgb_to_reflectance
 
 # of materials and of the interfaces that they hold: reflectances, or k_d in sr^-1
@@ -76,7 +76,12 @@ def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str =
         for field in fields(record):
             name, value = field.name, getattr(record, field.name)
             inside = f"{place}.{name}"
-            if isinstance(value, eqx.Module):
+            if isinstance(value, Map):
+                lift = reflectance if name in _REFLECTANCES else _neutral
+                spectral = value.shape == (3,)
+                texels = lift(inside, value.values) if spectral else value.values
+                changed[name] = replace(value, values=texels)
+            elif isinstance(value, eqx.Module):
                 changed[name] = material(inside, value)
             elif isinstance(value, Array) and name in _REFLECTANCES:
                 changed[name] = reflectance(inside, value)

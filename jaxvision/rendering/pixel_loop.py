@@ -34,7 +34,15 @@ WHITE = 0.99  # quantile of the radiance that a notebook shows white
 
 # From a block of rays, of components (n,), and their samples, of pixels (n,), to radiance in
 # W m^-2 sr^-1: (n, bands), or one (n,) for each band.
-Along = Callable[[Ray, Stream], Any]
+Along = Callable[[Any, Stream], Any]
+
+
+class PixelRay(eqx.Module):
+    """The ray of a pixel, and its derivatives by row and column, per pixel."""
+
+    ray: Ray
+    by_row: Ray
+    by_column: Ray
 
 
 class PixelSamples(Shown):
@@ -127,6 +135,7 @@ def photograph(
     first_sample: int | Word = 0,
     keep: Sequence[str] = (),
     several: bool = True,
+    wide: bool = False,
 ) -> Traced:
     """The values of a view's pixels.
 
@@ -141,6 +150,7 @@ def photograph(
             pixel keeps; everything else is recomputed, block by block.
         several: whether a device with enough memory computes several samples of each pixel at once,
             by `vmap` of `along`.
+        wide: whether `along` takes a `PixelRay` for each pixel; of one ray per pixel.
 
     Returns:
         (n, bands), or (h, w, bands) for the whole picture, in W m^-2 sr^-1.
@@ -161,8 +171,13 @@ def photograph(
         row, column = (x.astype(jnp.int32) for x in (pixel // width, pixel % width))
         return row.astype(dtype), column.astype(dtype)
 
-    def centre(pixel: Word) -> Ray:
-        return view_ray(view, *place(pixel))
+    def centre(pixel: Word) -> Ray | PixelRay:
+        if not wide:
+            return view_ray(view, *place(pixel))
+        row, column = place(pixel)
+        ray, by_row = jax.jvp(lambda r: view_ray(view, r, column), (row,), (jnp.ones_like(row),))
+        _, by_column = jax.jvp(lambda c: view_ray(view, row, c), (column,), (jnp.ones_like(row),))
+        return PixelRay(ray, by_row, by_column)
 
     def in_pixel(pixel: Word, sample: Word) -> Ray:
         return sample_ray(view, *place(pixel), Stream(pixel, sample, seed))
@@ -186,7 +201,7 @@ def photograph(
     return Traced(*(x.reshape(*shape, x.shape[-1]) for x in (radiance, error)))
 
 
-def each(along: Callable[[Ray, Stream], Any]) -> Along:
+def each(along: Callable[[Any, Stream], Any]) -> Along:
     """A function of a block of rays from the function of one ray.
 
     Args:
@@ -196,8 +211,8 @@ def each(along: Callable[[Ray, Stream], Any]) -> Along:
         The same function for rays of components (n,) and the samples of n pixels.
     """
 
-    def block(rays: Ray, stream: Stream) -> Any:
-        def one(ray: Ray, pixel: Word) -> Any:
+    def block(rays: Any, stream: Stream) -> Any:
+        def one(ray: Any, pixel: Word) -> Any:
             return along(ray, Stream(pixel, stream.sample, stream.seed))
 
         return jax.vmap(one)(rays, stream.pixel)

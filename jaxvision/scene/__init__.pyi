@@ -33,6 +33,7 @@ from .lenses import (
     Wavefront as Wavefront,
 )
 from .light import AmbientLight as AmbientLight, Light as Light
+from .maps import Map as Map
 from .noises import (
     ArrheniusDarkCurrent as ArrheniusDarkCurrent,
     Banding as Banding,

@@ -5,10 +5,12 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 
+from ..core._maps import maps_of
 from ..core._shown import Shown
 from ..core._types import AMOUNT, Colour, as_optional_float, check_count, check_fields, check_kind
 from .light import AmbientLight, Light
-from .shapes import Shape
+from .maps import Map
+from .shapes import Quad, Shape, Sphere, TriangleMesh
 
 
 class Material(Shown):
@@ -19,6 +21,7 @@ class Material(Shown):
         spectra: names of the fields that are spectra, one number for each band. A class sets it; a
             `Scene` then checks that all have the same number of bands.
         neutral_spectra: names of spectra that may also be neutral, with one band, in any scene.
+        takes_maps: whether a `Map` may replace the numbers of a field.
 
     Example:
         >>> jv.Lambert.spectra, jv.Mirror.neutral_spectra
@@ -27,6 +30,7 @@ class Material(Shown):
 
     spectra: ClassVar[tuple[str, ...]] = ()
     neutral_spectra: ClassVar[tuple[str, ...]] = ()
+    takes_maps: ClassVar[bool] = True
 
 
 class Surface(Shown):
@@ -34,10 +38,16 @@ class Surface(Shown):
 
     Attributes:
         shape: geometry of the surface.
-        material: its reflection.
+        material: its reflection; any number of it may be a `Map`.
         emission: (bands,) radiance of its front, equal in all directions, W m^-2 sr^-1, or None.
         two_sided: whether both sides are fronts, with the normal turned towards the viewer;
             otherwise a surface is black from behind. Static.
+        normals: a `Map` of (3,) shading normals of any length, or None. x follows growing u, z the
+            shape's normal n, and y is n x x. Where a glossy material would mirror the viewer below
+            the surface, its normal is bent back to where the mirrored viewer grazes it.
+
+    Raises:
+        ValueError: for a map on a shape without texture coordinates, unless `Map.uv` places it.
 
     Example:
         A lamp shines to its front alone.
@@ -52,9 +62,24 @@ class Surface(Shown):
     material: Material
     emission: Colour | None = eqx.field(converter=as_optional_float, default=None)
     two_sided: bool = eqx.field(static=True, default=False, kw_only=True)
+    normals: Map | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self) -> None:
         check_fields(self, emission=AMOUNT)
+        if self.normals is not None and self.normals.shape != (3,):
+            raise ValueError(
+                f"Surface.normals must be a Map of (3,) numbers, got {self.normals.shape}."
+            )
+        own = isinstance(self.shape, Quad | Sphere) or (
+            isinstance(self.shape, TriangleMesh) and self.shape.uv is not None
+        )
+        for name, found in maps_of(self):
+            if not own and (found.uv is None or found.uv.shape[-1] != 4):
+                kind = "TriangleMesh without uv" if isinstance(self.shape, TriangleMesh) else ""
+                raise ValueError(
+                    f"Surface.{name}: a {kind or type(self.shape).__name__} has no texture "
+                    "coordinates; give Map.uv of (2, 4), from points of the world."
+                )
 
 
 def _as_tuple(records: eqx.Module | Iterable[Any]) -> tuple[Any, ...]:

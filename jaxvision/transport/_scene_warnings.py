@@ -14,6 +14,7 @@ import numpy as np
 from ..brdf import albedo, suprema
 from ..core._bounds import Angles, Ends
 from ..core._loops.fusion import one_program
+from ..core._maps import ENDS, replace_maps
 from ..core._types import Colour, common_dtype, is_known
 from ..core._warnings import warn_caller
 from ..geometry.checks import warn_if_coarse
@@ -56,7 +57,7 @@ def _reflected(material: Material) -> float:
         return float(np.max(most))
     if found.mirror is not None:
         return float(np.max(found.mirror))
-    return float(np.max(_along_normal(material)))
+    return float(np.max(_along_normal(replace_maps(material, ENDS[1]))))
 
 
 @one_program

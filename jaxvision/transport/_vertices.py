@@ -24,6 +24,7 @@ from ..brdf import Carries, Specular, draw_way, is_body, is_delta, transmitted
 from ..core._loops.bands import Bands, split_bands
 from ..core._loops.fusion import fuse, searched
 from ..core._loops.groups import group_by_structure, take
+from ..core._maps import mean_of, replace_maps
 from ..core._numerics import divide, dot, reciprocal, select, smallest_divisor
 from ..core._types import Colour, Scalar, common_dtype
 from ..core._vector import Vec, as_vec, where
@@ -39,6 +40,7 @@ from ..geometry import (
 )
 from ..geometry.hemisphere import Frame, local_frame, to_local, to_world
 from ..rendering.band_count import band_count
+from ..rendering.maps import Patch, Varied, at_patch, patch_of, shading_normal, varied_surfaces
 from ..scene import Material, Scene
 from ._emitters import LARGEST, Emitters, emitters_of
 
@@ -50,7 +52,8 @@ class Surfaces(eqx.Module):
     their numbers. `turns`: (surfaces,) whether the normal is flipped toward the viewer. `filled`:
     (surfaces,) whether it bounds a body, as glass does. `absorption`: (surfaces, bands) m^-1 of the
     body behind each, or None if all are clear. `bodies`: else, each body separately, and their
-    numbers. `splits`: static, whether a ray splits in two at some surface."""
+    numbers. `varied`: the surfaces that maps vary, or None. `splits`: static, whether a ray splits
+    in two at some surface."""
 
     shapes: Sorted
     materials: tuple[Material, ...]
@@ -58,6 +61,7 @@ class Surfaces(eqx.Module):
     filled: Bool[Array, " surfaces"]
     absorption: Float[Array, "surfaces bands"] | None
     bodies: tuple[Sorted, ...]
+    varied: Varied | None
     body_numbers: tuple[int, ...] = eqx.field(static=True)
     members: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     splits: bool = eqx.field(static=True)
@@ -65,10 +69,11 @@ class Surfaces(eqx.Module):
 
 class Met(eqx.Module):
     """`surface`: () number of the surface that was hit, -1 for none. `hit`: the intersection, in
-    m."""
+    m. `patch`: where maps are taken; None in a scene without maps."""
 
     surface: Int[Array, ""]
     hit: Hit
+    patch: Patch | None = None
 
 
 class Onward(eqx.Module):
@@ -108,6 +113,7 @@ def surfaces_of(scene: Scene) -> Surfaces:
         jnp.asarray(filled),
         absorption,
         tuple(sorted_shapes([scene.surfaces[i].shape]) for i in numbers),
+        varied_surfaces(scene),
         numbers,
         tuple(members for members, _ in groups),
         any(map(_splits, materials)),
@@ -119,13 +125,21 @@ def _splits(material: Material) -> bool:
     if not is_delta(material):
         return False
     up = jnp.zeros(3, common_dtype(material))
-    return jax.eval_shape(brdf.specular, material, up).refracted is not None
+    return jax.eval_shape(brdf.specular, replace_maps(material, mean_of), up).refracted is not None
 
 
 def meet(surfaces: Surfaces, ray: Ray) -> Met:
     """The first surface that a ray meets, in m; gradients reach the shape that is met."""
     encounter = checkpoint_name(searched(nearest_shape, ray, surfaces.shapes), SEARCHED)
-    return Met(encounter.shape, fuse(hit_shape(ray, surfaces.shapes, encounter)))
+    hit, patch = fuse(hit_shape(ray, surfaces.shapes, encounter)), None
+    if surfaces.varied is not None:
+        patch = patch_of(surfaces.varied, encounter.shape, encounter.primitive, hit)
+    return Met(encounter.shape, hit, patch)
+
+
+def _here(material: Material, met: Met) -> Material:
+    """A material at the point that was met."""
+    return material if met.patch is None else at_patch(material, met.patch)
 
 
 def hidden(surfaces: Surfaces, met: Met, direction: Vec, distance: Scalar) -> Bool[Array, ""]:
@@ -160,7 +174,14 @@ def vertex(
     for members, group in zip(surfaces.members, surfaces.materials, strict=True):
         material, among = take(members, group, met.surface)
         here = _vertex(
-            material, viewer, light, u, flat, carries=carries, bands=bands, weighed=weighed
+            _here(material, met),
+            viewer,
+            light,
+            u,
+            flat,
+            carries=carries,
+            bands=bands,
+            weighed=weighed,
         )
         chosen = here if chosen is None else select(among, here, chosen)
     assert chosen is not None  # a scene has at least one surface
@@ -178,7 +199,7 @@ def shaded_toward(surfaces: Surfaces, met: Met, back: Vec, asked: Vec, *, bands:
     for members, group in zip(surfaces.members, surfaces.materials, strict=True):
         if not is_delta(group):
             material, among = take(members, group, met.surface)
-            here = jnp.where(seen, brdf.shading(material, light, viewer), 0)
+            here = jnp.where(seen, brdf.shading(_here(material, met), light, viewer), 0)
             shaded = jnp.where(among, here, shaded)
     return shaded
 
@@ -202,7 +223,7 @@ def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches
     for members, group in zip(surfaces.members, surfaces.materials, strict=True):
         material, among = take(members, group, met.surface)
         if is_delta(material):
-            ways = _specular(material, viewer, flat)
+            ways = _specular(_here(material, met), viewer, flat)
             mirrored = jnp.where(among, ways.reflectance, mirrored)
             up = where(among, ways.mirrored, up)
             if ways.refracted is not None:
@@ -220,9 +241,13 @@ def _seen_from(
     hit = met.hit
     turned = surfaces.turns[jnp.maximum(met.surface, 0)] & (dot(hit.normal, back) < 0)
     side = jnp.where(turned, -1, 1).astype(back.x.dtype)
-    shading = hit.normal if hit.shading_normal is None else hit.shading_normal
-    frame = local_frame(shading * side)
-    flat = None if hit.shading_normal is None else as_vec(to_local(frame, hit.normal * side))
+    tilted = None if met.patch is None else met.patch.tilted
+    smooth = tilted or hit.shading_normal
+    shading = (hit.normal if smooth is None else smooth) * side
+    if met.patch is not None and tilted is not None:
+        shading = shading_normal(met.patch, shading, hit.normal * side, back)
+    frame = local_frame(shading)
+    flat = None if smooth is None else as_vec(to_local(frame, hit.normal * side))
     return frame, as_vec(to_local(frame, back)), as_vec(to_local(frame, asked)), flat
 
 

@@ -33,6 +33,7 @@ from ..brdf.measured import AnisotropicTable, IsotropicTable
 from ..brdf.phong import NormalisedPhong, Phong, PhongBRDF
 from ..brdf.rgl import RGL
 from ..brdf.torrance_sparrow import TorranceSparrow
+from ..core._maps import ENDS, maps_of, replace_maps
 from ..core._numerics import norm, normalize
 from ..core._types import check_choice, common_dtype
 from ..core._vector import as_array, as_vec, where
@@ -307,6 +308,8 @@ def _lobe(material: Material) -> tuple[float, float]:
     A facet lobe has 2 alpha; the others have the width of equal half maximum. The lobe of measured
     data is searched in the data.
     """
+    if any(True for _ in maps_of(material)):
+        return min(_lobe(replace_maps(material, end)) for end in ENDS)
     match material:
         case Dichromatic():
             return min(_lobe(material.body), _lobe(material.interface))

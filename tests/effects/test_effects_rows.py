@@ -34,7 +34,7 @@ KINDS = {
 # what these rows bound.
 ROWS = {
     "Scene": {"surfaces", "lights", "ambient", "occluders"},
-    "Surface": {"material", "emission"},
+    "Surface": {"material", "emission", "normals"},
     "TriangleMesh": {"normals"},
     "Glass": {"absorption"},
     "TorranceSparrow": {"specular", "interface"},

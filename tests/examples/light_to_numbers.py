@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvision import DirectionalLight, Phong, PointLight
+from jaxvision import DirectionalLight, Lambert, Phong, PointLight
 from jaxvision import scene as s
 from jaxvision.geometry import Ray
 
@@ -55,6 +55,10 @@ EXAMPLES = {
     "point_ops.curves.gamma_decode": ((X, TWO), {}),
     "point_ops.curves.srgb_encode": ((X,), {}),
     "point_ops.curves.srgb_decode": ((X,), {}),
+    "rendering.maps.material_at": (
+        (Lambert(s.Map(np.random.default_rng(5).random((4, 6, 3)))), jnp.asarray([0.3, 0.7])),
+        {"width": jnp.asarray([0.9, 0.4])},
+    ),
     "rendering.shading.outgoing_radiance": (
         (PHONG, [LAMP, SUN], POINT, N, WO),
         {"ambient": AMBIENT},

@@ -26,7 +26,7 @@ def read(folder, *parts, version="3.0.0"):
 
 @pytest.mark.slow
 @pytest.mark.sweep
-@pytest.mark.parametrize("name", ["shapes", "lens", "lamps", "metals"])
+@pytest.mark.parametrize("name", ["shapes", "lens", "lamps", "metals", "maps"])
 @pytest.mark.filterwarnings("ignore:.*facets hide each other")
 def test_pictures_are_those_of_mitsuba(name, tmp_path):
     """The mean of all pixels, and the rms difference, within the noise of both: Mitsuba's is known,
@@ -34,6 +34,8 @@ def test_pictures_are_those_of_mitsuba(name, tmp_path):
     are interpolated otherwise and rough metal differs by what its warning says."""
     mitsuba_pictures.write_scenes(tmp_path)
     write_image(tmp_path / "sky.exr", mitsuba_pictures.sky())
+    for file, codes in mitsuba_pictures.textures().items():
+        write_image(tmp_path / file, codes)
     known = np.load(mitsuba_pictures.PICTURES)
     source = read_scene(tmp_path / f"{name}.xml")
     number = np.arange(12 * 16)
@@ -217,7 +219,7 @@ def test_an_orthographic_camera_may_be_scaled_across_alone(tmp_path):
             [
                 SENSOR,
                 """<shape type="sphere"><bsdf type="diffuse"><texture name="reflectance"
-                type="bitmap"/></bsdf></shape>""",
+                type="checkerboard"/></bsdf></shape>""",
             ],
             "reflectance is a texture",
         ),

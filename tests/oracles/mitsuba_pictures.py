@@ -108,7 +108,37 @@ SCENES = {
         <translate y="1" z="1.2"/></transform><bsdf type="diffuse">
         <spectrum name="reflectance" value="400:.1, 500:.3, 600:.7, 700:.9"/></bsdf></shape>""",
     ),
+    "maps": scene(
+        camera("perspective", '<float name="fov" value="45"/>'),
+        POINT,
+        """<shape type="rectangle"><transform name="to_world"><scale value="3"/></transform>
+        <bsdf type="normalmap"><texture type="bitmap" name="normalmap">
+        <string name="filename" value="normals.png"/><boolean name="raw" value="true"/></texture>
+        <bsdf type="diffuse"><texture type="bitmap" name="reflectance">
+        <string name="filename" value="colours.png"/>
+        <transform name="to_uv"><scale x="3" y="2"/></transform></texture></bsdf></bsdf></shape>""",
+        """<shape type="sphere"><point name="center" x="-.8" y="0" z=".7"/>
+        <float name="radius" value=".7"/><bsdf type="diffuse">
+        <texture type="bitmap" name="reflectance"><string name="filename" value="colours.png"/>
+        </texture></bsdf></shape>""",
+        """<shape type="obj"><string name="filename" value="tile.obj"/><bsdf type="roughconductor">
+        <texture type="bitmap" name="alpha"><string name="filename" value="rough.png"/>
+        <string name="wrap_mode" value="clamp"/><boolean name="raw" value="true"/></texture>
+        </bsdf></shape>""",
+        depth=2,
+    ),
 }
+TILE = """v .2 .6 .1
+v 1.6 .6 .1
+v 1.6 .9 1.3
+v .2 .9 1.3
+vt 0 0
+vt 1 0
+vt .9 .8
+vt .1 .9
+f 1/1 2/2 3/3
+f 1/1 3/3 4/4
+"""
 CORNER = """ply
 format ascii 1.0
 element vertex 4
@@ -138,11 +168,21 @@ def sky() -> np.ndarray:
     return np.stack(bright, axis=-1).astype(np.float32)
 
 
+def textures() -> dict[str, np.ndarray]:
+    """Codes of small pictures, by name."""
+    codes = np.random.default_rng(7).integers(40, 255, (4, 6, 3), np.uint8)
+    rough = codes[:, :, 0] // 2 + 60
+    normals = np.concatenate([codes[..., :2] // 2 + 64, 0 * codes[..., :1] + 230], axis=-1)
+    return {"colours.png": codes, "rough.png": rough, "normals.png": normals}
+
+
 def write_scenes(folder: Path) -> None:
-    """The scenes and the mesh they name; `sky.exr` is written by who reads them."""
+    """The scenes and the meshes they name; `sky.exr` and the textures are written by who reads
+    them."""
     for name, text in SCENES.items():
         (folder / f"{name}.xml").write_text(text)
     (folder / "corner.ply").write_text(CORNER)
+    (folder / "tile.obj").write_text(TILE)
 
 
 def by_mitsuba() -> None:
@@ -154,6 +194,8 @@ def by_mitsuba() -> None:
         folder = Path(name)
         write_scenes(folder)
         mi.Bitmap(sky()).write(str(folder / "sky.exr"))
+        for name, codes in textures().items():
+            mi.Bitmap(codes).write(str(folder / name))
         for name in SCENES:
             loaded = mi.load_file(str(folder / f"{name}.xml"))
             runs = [

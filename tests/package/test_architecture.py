@@ -220,7 +220,7 @@ def test_what_serves_every_kind_imports_none(place):
 
 def test_scene_holds_records_only():
     taken = {name for name in rooms("jaxvision")["scene"] if name.startswith("jaxvision.core.")}
-    known = {f"jaxvision.core.{module}" for module in ("_types", "_shown", "lazy_names")}
+    known = {f"jaxvision.core.{module}" for module in ("_maps", "_types", "_shown", "lazy_names")}
     assert neighbours("jaxvision")["scene"] == {"core"}
     assert {".".join(name.split(".")[:3]) for name in taken} == known
     files = (ROOT / "jaxvision" / "scene").glob("*.py")

@@ -19,6 +19,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from ...core._maps import maps_of
 from ...core._types import as_dtype
 from ...core.in_notebooks import record_html
 from ...errors import InputError, nearest
@@ -133,7 +134,14 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     surfaces = []
     for name, surface in zip(names, entry.surface, strict=True):
         with _named(file, name):
-            shape, more = surface_of(lit, name, surface, folder, entry.render.dtype)
+            shape, more = surface_of(
+                lit,
+                name,
+                surface,
+                folder,
+                entry.render.dtype,
+                mapped=lambda word: any(True for _ in maps_of(materials.get(word))),
+            )
             if (made_of := more.pop("material")) not in materials:
                 hint = nearest(made_of, entry.material)
                 raise InputError(f"material {made_of!r} is not in the file; {hint}.")

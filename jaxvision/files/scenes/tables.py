@@ -26,6 +26,7 @@ from ...scene import (
     CircularAperture,
     Disc,
     Light,
+    Map,
     Material,
     Orthographic,
     Pinhole,
@@ -44,6 +45,7 @@ from ..meshes import read_mesh
 from ..records import Key, Reading, chosen, keys_of, value_of, values_of
 from .bands import Bands, Quantity, in_bands, reduction, spectrum_of
 from .folder import Folder
+from .maps import made_map
 
 Point = Float[np.ndarray, "3"]
 Axes = Float[np.ndarray, "3 3"]
@@ -63,6 +65,7 @@ def _box(*, centre: Point, half_extents: Point, rotation: Axes | None = None) ->
 
 def _mesh(
     dtype: str = "float32",
+    uv: bool = False,
     *,
     file: str,
     scale: Size | None = None,
@@ -80,7 +83,7 @@ def _mesh(
         raise InputError(f"give either matrix or {', '.join(sorted(placed))}.")
     if rotation is not None:
         placed["rotation"] = _checked_axes(rotation)
-    settings = {"smooth": smooth, "flip": flip, "primitive": primitive, "dtype": dtype}
+    settings = {"smooth": smooth, "flip": flip, "primitive": primitive, "dtype": dtype, "uv": uv}
     return read_mesh(file, matrix=matrix, **placed, **settings)
 
 
@@ -100,11 +103,13 @@ def beside_shape(
     material: str | None = None,
     emission: Colour | None = None,
     two_sided: bool = False,
+    normals: Map | None = None,
 ) -> dict[str, Any]:
     """The keys of a table `[[surface]]` in addition to its shape."""
     if material is None and emission is None:
         raise InputError("give a material, an emission or both.")
-    return {"material": material, "emission": emission, "two_sided": two_sided}
+    given = {"material": material, "emission": emission, "two_sided": two_sided}
+    return given if normals is None else given | {"normals": normals}
 
 
 # ---------------------------------------------------------------- cameras
@@ -249,6 +254,8 @@ def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> R
     """The settings for reading the tables of a scene file, with spectra of that quantity."""
 
     def typed(hint: Any, where: str, value: Any) -> Any:
+        if isinstance(value, Mapping) and {"map", "texels"} & set(value):
+            return _map_of(reading, bands, folder, hint, where, value)
         if hint == Colour:
             spectrum = spectrum_of(reading, where, value)
             return in_bands(spectrum, bands, folder, quantity=quantity)
@@ -261,6 +268,17 @@ def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> R
 
     reading = Reading(file, "scene", finite=True, typed=typed)
     return reading
+
+
+def _map_of(
+    reading: Reading, bands: Bands, folder: Folder, hint: Any, where: str, value: Mapping[str, Any]
+) -> Map:
+    """The map of a key whose value is of that type."""
+    stands_for = "spectrum" if hint == Colour else "normal" if hint is Map else "number"
+    texels = {name: own for name, own in value.items() if name == "texels"}
+    rest = {name: own for name, own in value.items() if name != "texels"}
+    values = values_of(reading, where, keys_of(made_map), rest)
+    return made_map(stands_for, bands, folder, **texels, **values)
 
 
 def light_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Light:
@@ -283,27 +301,40 @@ def material_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Mater
         if ("diffuse" in values) == (albedo is not None):
             raise InputError("give either diffuse (sr^-1) or albedo (pi times it).")
         if albedo is not None:
-            if albedo.max() > 1:
+            largest = np.asarray(albedo).max()
+            if largest > 1:
                 raise InputError(
-                    f"an albedo is at most 1, got {albedo.max():.4g}: no surface reflects more "
-                    "than it receives."
+                    f"an albedo is at most 1, got {largest:.4g}: no surface reflects more than it "
+                    "receives."
                 )
-            values["diffuse"] = albedo / np.pi
+            values["diffuse"] = (
+                replace(albedo, values=albedo.values / np.pi)
+                if isinstance(albedo, Map)
+                else albedo / np.pi
+            )
     return table.make(**values)
 
 
 def surface_of(
-    reading: Reading, where: str, entry: Mapping[str, Any], folder: Folder, dtype: str
+    reading: Reading,
+    where: str,
+    entry: Mapping[str, Any],
+    folder: Folder,
+    dtype: str,
+    *,
+    mapped: Callable[[Any], bool],
 ) -> tuple[Shape, dict[str, Any]]:
     """Return the shape of the table `[[surface]]` at `where`, with meshes in the dtype of the
-    rendering. Also return the name of the material, the emission, and whether it is two-sided.
+    rendering, and with texture coordinates where the named material or the normals are `mapped`.
+    Also return the name of the material, the emission, and whether it is two-sided.
     Raises `InputError` for a table that is not a valid surface."""
     word, rest = _word(reading, where, "shape", entry, SHAPES)
     make, beside = SHAPES[word], keys_of(beside_shape)
     values = _values(reading, where, beside | keys_of(make), rest)
     more = beside_shape(**{name: values.pop(name) for name in beside if name in values})
     if word == "mesh":
-        values |= {"file": folder.file(values["file"]), "dtype": dtype}
+        wanted = mapped(more["material"]) or "normals" in more
+        values |= {"file": folder.file(values["file"]), "dtype": dtype, "uv": wanted}
     return make(**values), more
 
 

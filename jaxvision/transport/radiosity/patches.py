@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from ...brdf.lambert import Lambert
 from ...core._arguments import takes_numbers
 from ...core._loops.fusion import fuse, materialise, one_program
+from ...core._maps import maps_of
 from ...core._numerics import divide, norm, normalize, reciprocal
 from ...core._shown import Shown
 from ...core._vector import Vec, as_vec
@@ -107,6 +108,11 @@ def _check_surface(number: int, surface: Surface) -> None:
         raise ValueError(
             f"Scene.surfaces[{number}].material must be Lambert for radiosity, got "
             f"{type(surface.material).__name__}."
+        )
+    for name, _ in maps_of(surface):
+        raise ValueError(
+            f"Scene.surfaces[{number}].{name} is a Map, which radiosity's patches cannot hold; "
+            "follow paths, or give its mean."
         )
 
 

@@ -303,6 +303,7 @@ COMPOSED: dict[str, float] = {
     "sensor.shot_noise.count": 1,
     "sensor.shutter.exposure_slots": 16,
     "sensor.shutter.row_starts": 1,
+    "rendering.maps.material_at": 4,
     "rendering.shading.outgoing_radiance": 0.5,
     "rendering.shadows.visibility": 0.5,
     "shot.capture": 4,

@@ -425,6 +425,7 @@ ELSEWHERE = (
             rendering.band_count: band_count
             rendering.direct: can_shade direct_along sorted_scene
             rendering.edges: moving_edges
+            rendering.maps: at_patch patch_of shading_normal summed varied_surfaces
             rendering.pixel_loop: check_lens each in_blocks mean_of_samples numbers_of photograph
             rendering.shading: lighting reflected_radiance
             rendering.shadows: clear

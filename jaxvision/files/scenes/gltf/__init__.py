@@ -3,7 +3,8 @@
     meshes      triangles, with their normals; every node that shows one
     materials   metallic-roughness with factors, KHR_materials_ior, KHR_materials_emissive_strength,
                 KHR_materials_specular (factor 0 or 1), and glass by KHR_materials_transmission and
-                KHR_materials_volume
+                KHR_materials_volume; textures of base colour, metallic and roughness, and normal
+                maps, from PNG and JPEG, with scale and offset of KHR_texture_transform
     lights      point, directional and spot, of KHR_lights_punctual
     cameras     perspective and orthographic
 
@@ -21,9 +22,9 @@ import numpy as np
 
 from ....errors import InputError
 from ....spectra import LUMINOUS_EFFICACY
-from ...gltf import read_gltf
+from ...gltf import Gltf, read_gltf
 from .contents import Camera, Content, Light, Material, content_of
-from .materials import emission_of, material_of
+from .materials import emission_of, material_of, normals_of
 from .nodes import placed
 
 ROWS = 480  # of the picture: a file says its shape, not its pixels
@@ -34,6 +35,7 @@ _EXTENSIONS = {
     "KHR_materials_specular",
     "KHR_materials_transmission",
     "KHR_materials_volume",
+    "KHR_texture_transform",
 }
 _UNREAD = ("COLOR_", "JOINTS_", "WEIGHTS_")  # attributes that change what is seen
 
@@ -41,7 +43,8 @@ _UNREAD = ("COLOR_", "JOINTS_", "WEIGHTS_")  # attributes that change what is se
 def scene_of(file: Path) -> dict[str, Any]:
     """The tables of a TOML scene file, by name, with the content of a `.gltf` or `.glb`;
     `InputError` for the first unsupported or wrong part."""
-    content = content_of(file, read_gltf(file).content)
+    whole = read_gltf(file)
+    content = content_of(file, whole.content)
     for name in content.extensionsRequired or ():
         if name not in _EXTENSIONS:
             raise InputError(f"needs {name}, which is not read; export the scene without it.")
@@ -54,7 +57,7 @@ def scene_of(file: Path) -> dict[str, Any]:
         if node.camera is not None:
             cameras.append(_camera(_item(content.cameras, node.camera, label), to_world, label))
         if node.mesh is not None:
-            surfaces += _surfaces(file, content, node.mesh, to_world, label, materials)
+            surfaces += _surfaces(whole, content, node.mesh, to_world, label, materials)
     if not cameras:
         raise InputError("has no camera in its scene; add one.")
     if len(cameras) > 1:
@@ -149,7 +152,7 @@ def _camera(camera: Camera, to_world: np.ndarray, label: str) -> dict[str, Any]:
 
 
 def _surfaces(
-    file: Path,
+    file: Gltf,
     content: Content,
     index: int,
     to_world: np.ndarray,
@@ -167,17 +170,20 @@ def _surfaces(
             material = _item(content.materials, part.material, label)
             name = f"{material.name or 'material'} {part.material}"
         if name not in materials:
-            materials[name] = material_of(material, f"material {name!r}")
+            materials[name] = material_of(file, content, material, f"material {name!r}")
         surface = {
             "name": label,
             "shape": "mesh",
-            "file": file.name,
+            "file": file.path.name,
             "primitive": [index, number],
             "matrix": to_world[:3].tolist(),
             "smooth": "NORMAL" in part.attributes,
             "material": name,
             "two_sided": material.doubleSided,
         }
+        normals = normals_of(file, content, material, f"material {name!r}")
+        if normals is not None:
+            surface["normals"] = normals
         emission = emission_of(material)
         if emission.any():
             surface["emission"] = (emission / LUMINOUS_EFFICACY).tolist()

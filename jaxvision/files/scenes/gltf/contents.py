@@ -117,10 +117,59 @@ class Mesh(Named):
     primitives: tuple[Primitive, ...]
 
 
+class Placed(Entry):
+    """KHR_texture_transform: scale, then offset of texture coordinates. Programs differ in the
+    sense of a rotation."""
+
+    offset: tuple[Finite, Finite] = (0.0, 0.0)
+    rotation: Annotated[float, Field(ge=0, le=0)] = 0.0
+    scale: tuple[Finite, Finite] = (1.0, 1.0)
+    texCoord: Literal[0] = 0
+
+
+class TextureExtensions(Entry):
+    """Extensions at the use of a texture."""
+
+    KHR_texture_transform: Placed = Placed()
+
+
+class Used(Entry):
+    """The use of a texture."""
+
+    index: Index
+    texCoord: Literal[0] = 0
+    extensions: TextureExtensions = TextureExtensions()
+    extras: Any = None
+
+
+class UsedNormals(Used):
+    """The use of a normal map; `scale` multiplies x and y."""
+
+    scale: Finite = 1.0
+
+
+class Texture(Named):
+    """An object of `textures`."""
+
+    source: Index
+    sampler: Index | None = None
+
+
+class Sampler(Named):
+    """An object of `samplers`, by the numbers of OpenGL."""
+
+    magFilter: Any = None
+    minFilter: Any = None
+    wrapS: Literal[10497, 33071, 33648] = 10497
+    wrapT: Literal[10497, 33071, 33648] = 10497
+
+
 class Roughness(Entry):
     """`pbrMetallicRoughness`; roughness is the root of alpha."""
 
     baseColorFactor: tuple[Share, Share, Share, Share] = (1.0, 1.0, 1.0, 1.0)
+    baseColorTexture: Used | None = None
+    metallicRoughnessTexture: Used | None = None
     metallicFactor: Share = 1.0
     roughnessFactor: Share = 1.0
     extras: Any = None
@@ -172,6 +221,8 @@ class Material(Named):
     """An object of `materials`."""
 
     pbrMetallicRoughness: Roughness = Roughness()
+    normalTexture: UsedNormals | None = None
+    occlusionTexture: Any = None
     emissiveFactor: Colour = (0.0, 0.0, 0.0)
     doubleSided: bool = False
     alphaMode: Literal["OPAQUE"] = "OPAQUE"
@@ -186,8 +237,7 @@ class Part(Named):
 
 
 class Content(Entry):
-    """A whole file. Buffers are read by `files.gltf`. Images and samplers are not read, because a
-    material that uses them is refused."""
+    """A whole file. Buffers and images are read by `files.gltf`."""
 
     asset: Any
     scene: Index = 0
@@ -203,8 +253,8 @@ class Content(Entry):
     buffers: Any = None
     bufferViews: Any = None
     images: Any = None
-    samplers: Any = None
-    textures: Any = None
+    samplers: tuple[Sampler, ...] = ()
+    textures: tuple[Texture, ...] = ()
     extras: Any = None
 
 

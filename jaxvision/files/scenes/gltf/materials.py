@@ -5,7 +5,9 @@ Schlick's F from F0 = ((ior - 1) / (ior + 1))^2 and F_m from F0 = c, the GGX den
 roughness^2 and Smith's V. The specular parts are those of `TorranceSparrow` with Schlick's F from
 the mean of both F0, which is exact because Schlick's formula is linear in F0. The matt part keeps
 (1 - F0) at all angles here. With an index of 1.5 its albedo is 0.5 % too high at a viewing angle of
-60 degrees, and 2.2 % at 85. Source: Khronos, glTF 2.0 Specification, appendix B.
+60 degrees, and 2.2 % at 85. Products of textures are those of their texels, bilinear between
+these, where glTF multiplies what it has interpolated. Source: Khronos, glTF 2.0 Specification,
+appendix B.
 """
 
 import warnings
@@ -14,16 +16,38 @@ from typing import Any
 import numpy as np
 
 from ....errors import InputError
-from .contents import Material
+from ...gltf import Gltf
+from .contents import Content, Material
+from .textures import texels_of, together
 
 LEAST_ALPHA = 1e-6  # of a polished metal, as `TorranceSparrow` takes it
 
 
-def material_of(material: Material, label: str) -> dict[str, Any]:
+def material_of(file: Gltf, content: Content, material: Material, label: str) -> dict[str, Any]:
     """`family` and the other keys of a material; `label` is its name in messages. `InputError` for
     a transparent one without an exact counterpart."""
     surface, more = material.pbrMetallicRoughness, material.extensions
-    colour, metal = np.array(surface.baseColorFactor[:3]), surface.metallicFactor
+    colour, metal = np.array(surface.baseColorFactor[:3]), np.array(surface.metallicFactor)
+    rough = np.array(surface.roughnessFactor)
+    of_colour = texels_of(file, content, surface.baseColorTexture, label, srgb=True)
+    of_rest = texels_of(file, content, surface.metallicRoughnessTexture, label)
+    if material.occlusionTexture is not None:
+        warnings.warn(
+            f"{label}: occlusionTexture is not used, since shadows are computed.", stacklevel=2
+        )
+    if of_colour is not None and of_rest is not None:
+        first, second = together(of_colour, of_rest, label)
+        of_colour, of_rest = (first, of_colour[1]), (second, of_rest[1])
+    keys = (of_colour or of_rest or (None, {}))[1]
+    if of_colour is not None:
+        colour = colour * of_colour[0]
+    if of_rest is not None:
+        rough, metal = rough * of_rest[0][..., 1], metal * of_rest[0][..., 2:]
+
+    def numbers(values: np.ndarray, axes: int) -> Any:
+        """Numbers of the material, or the table of a map of them."""
+        return values.tolist() if values.ndim == axes else {"texels": values, **keys}
+
     factors = {
         "transmissionFactor": more.KHR_materials_transmission.transmissionFactor,
         "specularFactor": more.KHR_materials_specular.specularFactor,
@@ -32,11 +56,13 @@ def material_of(material: Material, label: str) -> dict[str, Any]:
         if factor not in (0, 1):
             raise InputError(f"{label}: {name} = {factor} is not read, only 0 and 1.")
     if factors["transmissionFactor"]:
+        if keys:
+            raise InputError(f"{label}: textures of what transmits light are not read.")
         return _glass(material, label)
     if not factors["specularFactor"]:
-        if metal:
+        if metal.any():
             raise InputError(f"{label}: specularFactor 0 is not read with a metallicFactor.")
-        return {"family": "lambert", "albedo": colour.tolist()}
+        return {"family": "lambert", "albedo": numbers(colour, 1)}
     index = more.KHR_materials_ior.ior
     coat = ((index - 1) / (index + 1)) ** 2
     matt = (1 - metal) * (1 - coat) * colour
@@ -48,10 +74,21 @@ def material_of(material: Material, label: str) -> dict[str, Any]:
         )
     return {
         "family": "torrance_sparrow",
-        "albedo": matt.tolist(),
-        "f0": ((1 - metal) * coat + metal * colour).tolist(),
-        "roughness": max(surface.roughnessFactor**2, LEAST_ALPHA),
+        "albedo": numbers(matt, 1),
+        "f0": numbers((1 - metal) * coat + metal * colour, 1),
+        "roughness": numbers(np.maximum(rough**2, LEAST_ALPHA), 0),
     }
+
+
+def normals_of(
+    file: Gltf, content: Content, material: Material, label: str
+) -> dict[str, Any] | None:
+    """The table of a material's normal map; None without one."""
+    used = material.normalTexture
+    found = texels_of(file, content, used, label)
+    if found is None or used is None:
+        return None
+    return {"texels": (2 * found[0] - 1) * [used.scale, used.scale, 1], **found[1]}
 
 
 def _glass(material: Material, label: str) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
     shapes      sphere, rectangle, disk, cube, obj, ply
     BSDFs       diffuse, twosided, dielectric, conductor (material "none"), roughconductor, plastic,
-                roughplastic
+                roughplastic, normalmap; textures of type bitmap
     emitters    point, directional, spot, constant, envmap; area on any shape
     sensors     perspective, thinlens, orthographic
     integrators path, volpath and direct (as paths), ptracer
@@ -62,7 +62,12 @@ def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
     two_sided = False
     if bsdf is not None or emitter is None:
         made["material"] = "diffuse" if bsdf is None else bsdf.label
-        materials[made["material"]], two_sided = material_of(bsdf)
+        material, two_sided = material_of(bsdf)
+        normals = material.pop("normals", None)
+        maps = [x for x in (*material.values(), normals) if isinstance(x, dict) and "map" in x]
+        made |= {} if normals is None else {"normals": normals}
+        _check_coordinates(node, made, bool(maps))
+        materials[made["material"]] = material
     if emitter is not None:
         emitter.must_be("area")
         made["emission"] = light_of(emitter, "radiance", 1.0)
@@ -85,6 +90,22 @@ def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
         )
     node.must_be_read(tags=("bsdf", "emitter"), without=("flip_tex_coords",))
     return made | {"two_sided": two_sided}
+
+
+def _check_coordinates(node: Node, surface: dict[str, Any], mapped: bool) -> None:
+    """`InputError` for a shape with a texture whose coordinates are not those of its record."""
+    turned = node.take("to_world", np.ndarray, np.eye(4))[:3, :3]
+    usual = node.take("flip_tex_coords", bool, node.kind == "obj") == (node.kind == "obj")
+    if not mapped:
+        return
+    if surface["shape"] == "quad" and not np.allclose(surface["edge_u"], 2 * turned[:, 0]):
+        raise InputError(
+            f"{node.label}: is turned over, which textures are not; give it as a mesh."
+        )
+    if surface["shape"] == "sphere" and not np.allclose(turned, abs(turned[0, 0]) * np.eye(3)):
+        raise InputError(f"{node.label}: is rotated, which its texture is not; give it as a mesh.")
+    if not usual:
+        raise InputError(f"{node.label}: flip_tex_coords is not read with a texture; remove it.")
 
 
 def _render(node: Node | None, samples: int, *, old: bool) -> dict[str, Any]:

@@ -85,6 +85,12 @@ class Node:
             raise InputError(f"{self.label}: {name} is of an unexpected kind; correct it.")
         return value
 
+    def texture(self, name: str) -> "Node | None":
+        """The child `<texture>` of that name, or None."""
+        found = [part for called, part in self.parts if called == name and part.tag == "texture"]
+        self._taken |= {name} if found else set()
+        return found[0] if found else None
+
     def within(self, tag: str) -> list["Node"]:
         """The child objects with a tag."""
         return [part for _, part in self.parts if part.tag == tag]
@@ -116,8 +122,8 @@ class Node:
                     f"{self.label} (type {self.kind!r}): {name!r} is not read; {hint}, or remove "
                     "it if the picture may do without."
                 )
-        for _, part in self.parts:
-            if part.tag not in tags:
+        for name, part in self.parts:
+            if part.tag not in tags and not (part.tag == "texture" and name in self._taken):
                 raise InputError(
                     f"{self.label}: holds <{part.tag} type={part.kind!r}>, which is not read; "
                     "remove it if the picture may do without."

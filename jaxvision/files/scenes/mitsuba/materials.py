@@ -7,7 +7,7 @@ from typing import Any
 from ....brdf.fresnel import Dielectric, mean_reflectance
 from ....errors import InputError
 from .document import Node
-from .spectra import SPECTRUM, index_of, reflectance_of
+from .spectra import SPECTRUM, index_of, map_of, reflectance_of
 
 BSDFS = (
     "diffuse",
@@ -17,6 +17,7 @@ BSDFS = (
     "roughconductor",
     "plastic",
     "roughplastic",
+    "normalmap",
 )
 # Refractive indices by Mitsuba's names: published measurements near 589 nm.
 _INDICES = {
@@ -48,16 +49,22 @@ _INDICES = {
 
 def material_of(node: Node | None) -> tuple[dict[str, Any], bool]:
     """`family` and the other keys of a `<bsdf>` (without one, of Mitsuba's default, diffuse with
-    albedo 0.5), and whether both sides are fronts; `InputError` for a BSDF without a
-    counterpart."""
+    albedo 0.5), with `normals` for its normal map, and whether both sides are fronts; `InputError`
+    for a BSDF without a counterpart."""
     if node is None:
         return {"family": "lambert", "albedo": 0.5}, False
-    if node.must_be(*BSDFS) == "twosided":
+    if (kind := node.must_be(*BSDFS)) in ("twosided", "normalmap"):
         inner = node.only("bsdf")
         if inner is None:
             raise InputError(f"{node.label}: holds no BSDF; put one within.")
+        made, two_sided = material_of(inner)
+        if kind == "normalmap":
+            normals = map_of(node, "normalmap")
+            if normals is None or normals["encoding"] == "srgb" or "normals" in made:
+                raise InputError(f"{node.label}: needs one <texture name='normalmap'> that is raw.")
+            made["normals"] = normals
         node.must_be_read(tags=("bsdf",))
-        return material_of(inner)[0], True
+        return made, two_sided or kind == "twosided"
     made = _FAMILIES[node.kind](node)
     node.must_be_read(without=("sample_visible",))
     return made, False
@@ -96,7 +103,7 @@ def _rough_conductor(node: Node) -> dict[str, Any]:
         "family": "torrance_sparrow",
         "albedo": 0.0,
         "specular": reflectance_of(node, "specular_reflectance", 1.0),
-        "roughness": node.take("alpha", float, 0.1),
+        "roughness": map_of(node, "alpha") or node.take("alpha", float, 0.1),
         "distribution": distribution,
     }
     if not _reflects_all(node):
@@ -117,6 +124,11 @@ def _plastic(node: Node) -> dict[str, Any]:
         "albedo": reflectance_of(node, "diffuse_reflectance", 0.5),
     }
     if not node.take("nonlinear", bool, False):
+        if "map" in (made["albedo"] if isinstance(made["albedo"], dict) else {}):
+            raise InputError(
+                f"{node.label}: a diffuse_reflectance by a texture is read with nonlinear alone; "
+                "set it to true."
+            )
         outside = float(mean_reflectance(Dielectric([eta]))[0])
         returned = 1 - (1 - outside) / eta**2
         made["albedo"] = _each(made["albedo"], lambda r: r / (1 - returned * (1 - r)))

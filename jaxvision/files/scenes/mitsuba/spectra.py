@@ -2,14 +2,44 @@
 
 from typing import Any
 
+import numpy as np
+
 from ....errors import InputError
 from .document import Blackbody, Colour, Flat, Node, Table
 
 SPECTRUM = (Colour, Flat, Table, float)
 
 
+def map_of(node: Node, name: str) -> dict[str, Any] | None:
+    """The table of a map for a `<texture>` of type bitmap by its name; None where there is none.
+    Mitsuba takes texels as sRGB unless they are `raw`."""
+    texture = node.texture(name)
+    if texture is None:
+        return None
+    if texture.kind != "bitmap":
+        raise InputError(
+            f"{node.label}: {name} is a texture (type {texture.kind!r}), of which only bitmap is "
+            "read; give a picture, or one colour, as in <rgb>."
+        )
+    file, wrap = texture.take("filename", str), texture.take("wrap_mode", str, "repeat")
+    if file is None or wrap not in ("repeat", "clamp"):
+        wanted = "a filename" if file is None else "wrap_mode 'repeat' or 'clamp'"
+        raise InputError(f"{texture.label}: needs {wanted}; correct it.")
+    if texture.take("filter_type", str, "bilinear") != "bilinear":
+        raise InputError(f"{texture.label}: filter_type is not read, only 'bilinear'; change it.")
+    raw = texture.take("raw", bool, False)
+    made = {"map": file, "wrap": wrap, "encoding": "linear" if raw else "srgb"}
+    to_uv = texture.take("to_uv", np.ndarray, np.eye(4))
+    if not np.array_equal(to_uv, np.eye(4)):
+        made["uv"] = to_uv[:2][:, [0, 1, 3]].tolist()
+    texture.must_be_read(without=("accel", "format"))
+    return made
+
+
 def reflectance_of(node: Node, name: str, otherwise: float) -> Any:
     """A reflectance by its name, no unit."""
+    if (found := map_of(node, name)) is not None:
+        return found
     match node.take(name, SPECTRUM, otherwise):
         case Table(pairs):
             return {"pairs": [list(pair) for pair in pairs]}

@@ -1,0 +1,41 @@
+"""The maps in a record: where they are, and numbers in their place."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+from jaxtyping import Array
+
+from ._types import Varying
+
+Record = TypeVar("Record")
+
+# The smallest and the largest number or spectrum of a map.
+ENDS = (lambda own: own.values.min(axis=(0, 1))), (lambda own: own.values.max(axis=(0, 1)))
+
+
+def is_map(x: Any) -> bool:
+    """Whether it is a `Map` or a map prepared for a renderer."""
+    return isinstance(x, Varying)
+
+
+def maps_of(record: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+    """The maps in a record and their places in it, such as ("material.diffuse", Map)."""
+    if isinstance(record, Varying):
+        yield place, record
+    elif isinstance(record, eqx.Module):
+        for field in fields(record):
+            inside = f"{place}.{field.name}".lstrip(".")
+            yield from maps_of(getattr(record, field.name), inside)
+
+
+def replace_maps(record: Record, number: Callable[[Any], Any]) -> Record:
+    """A record, or a tuple of them, with a number or spectrum in place of each map."""
+    return jax.tree.map(lambda x: number(x) if is_map(x) else x, record, is_leaf=is_map)
+
+
+def mean_of(values: Any) -> Array:
+    """The mean over a map, in the unit of its values."""
+    return values.values.mean(axis=(0, 1))

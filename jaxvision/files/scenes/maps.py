@@ -1,0 +1,86 @@
+"""Maps of a scene file: pictures, or texels in the file itself, in place of numbers of a material.
+
+    albedo = { map = "wood.png" }
+    roughness = { map = "worn.png", channel = 1, scale = 0.5, uv = [[4, 0, 0], [0, 4, 0]] }
+    specular = { texels = [[0.1, 0.3], [0.3, 0.1]], wrap = "clamp" }
+
+Pictures of whole numbers are sRGB where they stand for spectra, and linear fractions of the largest
+code where they stand for other numbers; pictures of floating numbers are linear.
+"""
+
+from typing import Annotated, Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...core._types import NOT_NEGATIVE
+from ...errors import InputError
+from ...point_ops import srgb_decode
+from ...scene import Map
+from ..images import read_image
+from .bands import Bands
+from .folder import Folder
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
+
+
+def made_map(
+    stands_for: Literal["spectrum", "number", "normal"],
+    bands: Bands,
+    folder: Folder,
+    *,
+    map: str | None = None,
+    texels: Any = None,
+    encoding: Literal["srgb", "linear"] | None = None,
+    channel: Annotated[int, NOT_NEGATIVE] | None = None,
+    scale: float = 1.0,
+    uv: Float[np.ndarray, "2 affine"] | None = None,
+    wrap: Literal["repeat", "clamp"] = "repeat",
+) -> Map:
+    """A map from its table, in the unit of its key; `InputError` for a picture whose channels do
+    not fit.
+
+    Args:
+        stands_for: what each texel is.
+        bands: of the scene.
+        folder: of the scene file.
+        map: name of a picture.
+        texels: (rows, columns) or (rows, columns, bands), in place of a picture.
+        encoding: of whole numbers of a picture.
+        channel: the one to take, from 0; by default all, and for a number the luminance.
+        scale: factor, no unit.
+        uv: as `Map.uv`.
+        wrap: as `Map.wrap`.
+    """
+    if (map is None) == (texels is None):
+        raise InputError("give either map, the name of a picture, or texels.")
+    if map is not None:
+        values = read_image(folder.file(map))
+        if np.issubdtype(values.dtype, np.integer):
+            values = values / np.iinfo(values.dtype).max
+            if (encoding or ("srgb" if stands_for == "spectrum" else "linear")) == "srgb":
+                values = np.asarray(srgb_decode(jnp.asarray(values, float)))
+    else:
+        values = np.asarray(texels, float)
+    values = values[..., None] if values.ndim == 2 else values
+    if values.ndim != 3 or values.shape[2] <= (channel or 0):
+        raise InputError(f"a map has rows, columns and channels, got shape {values.shape}.")
+    values = values[..., [channel]] if channel is not None else values
+    if values.shape[2] in (2, 4):  # the last is its coverage
+        values = values[..., :-1]
+    count = {"spectrum": bands.count, "number": 1, "normal": 3}[stands_for]
+    if stands_for == "number" and values.shape[2] == 3:
+        values = values @ _LUMINANCE[:, None]
+    is_rgb = values.shape[2] == 3 and bands.wavelengths is not None and stands_for == "spectrum"
+    neutral = () if stands_for == "normal" else (1,)
+    if values.shape[2] not in (*neutral, count) or is_rgb:
+        kind = "RGB" if values.shape[2] == 3 else f"{values.shape[2]} channels"
+        raise InputError(
+            f"a map holds {kind} where {count} bands of their own are wanted; render the scene in "
+            "RGB, or give texels with those bands."
+        )
+    if stands_for == "normal" and map is not None:
+        values = 2 * values - 1
+    values = np.broadcast_to(values * scale, (*values.shape[:2], count))
+    return Map(values[..., 0] if stands_for == "number" else values, uv, wrap=wrap)

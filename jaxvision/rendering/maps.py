@@ -1,0 +1,314 @@
+"""Materials that vary over a surface, taken at one point or averaged over the footprint of a pixel.
+
+Between the centres of texels a map is bilinear. The footprint is a box in texture coordinates, with
+sides along u and v. It has the variances of the parallelogram onto which the pixel's rays project,
+and is that parallelogram where its sides lie along u and v. The integral over the box is exact. A
+box over an axis covers parts of two texels at each end, and whole texels between. The sums of whole
+texels are differences of a summed-area table (Crow, SIGGRAPH 1984), kept as two numbers each, so
+that differences of large sums lose no digits. For ONE point; the caller vmaps. Lengths in metres.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..brdf.eon import EON
+from ..brdf.lambert import Lambert
+from ..brdf.oren_nayar import OrenNayar
+from ..core._arguments import takes_numbers
+from ..core._maps import maps_of, replace_maps
+from ..core._numerics import arctan2, divide, dot, normalize, safe_sqrt, with_gradient_of
+from ..core._types import Scalar, Varying
+from ..core._vector import Vec, as_vec, where
+from ..geometry import Hit, Ray
+from ..geometry.hemisphere import cross
+from ..scene import Map, Material, Scene, Shape
+from ._coordinates import Coordinates, coordinates
+from .pixel_loop import PixelRay
+
+_NARROWEST = 2.0**-10  # texels; a narrower box is widened to it
+_WIDEST = 2.0**20  # texels; a wider box is cut to it
+
+
+class Summed(Varying):
+    """A map with its summed-area table. `values`, `uv`, `wrap`: the map's. `mean`: (...) of its
+    values, taken off before summing. `high`, `low`: (rows + 1, columns + 1, ...) whose sum is the
+    table: entry (i, j) sums the texels above i and left of j."""
+
+    values: Array
+    uv: Array | None
+    mean: Array
+    high: Array
+    low: Array
+    wrap: str = eqx.field(static=True)
+
+
+class Varied(eqx.Module):
+    """The surfaces of a scene that maps vary: their shapes, their normals or None, their numbers,
+    and whether each reflects by a lobe or as a mirror."""
+
+    shapes: tuple[Shape, ...]
+    normals: tuple[Any, ...]
+    numbers: tuple[int, ...] = eqx.field(static=True)
+    glossy: tuple[bool, ...] = eqx.field(static=True)
+
+
+class Patch(eqx.Module):
+    """The piece of a surface that a ray meets. `point`: m. `own`: the shape's coordinates.
+    `tilted`: unit shading normal of a map, or None. `bends`: whether that normal is bent for the
+    viewer. `steps`: m along the surface from one pixel to the next row and column; None for a
+    point."""
+
+    point: Vec
+    own: Coordinates
+    tilted: Vec | None
+    bends: Bool[Array, ""] | None
+    steps: tuple[Vec, Vec] | None
+
+
+# ---------------------------------------------------------------- values of a map
+
+
+@takes_numbers
+def material_at(
+    material: Material, uv: Float[Array, "2"], *, width: Float[Array, "2"] | None = None
+) -> Material:
+    """Return a material at one place of its surface, with plain numbers in place of maps.
+
+    Args:
+        material: any material, with or without maps.
+        uv: (2,) no unit, the shape's texture coordinates at the place.
+        width: (2,) no unit, sides of the box in the shape's coordinates over which maps are
+            averaged; None for the values at the place.
+
+    Returns:
+        The material.
+
+    Raises:
+        ValueError: for a map whose `uv` of (2, 4) places it in the world.
+
+    Example:
+        >>> stripes = jv.Map([[[0.0], [0.3], [0.0], [0.3]]])
+        >>> cloth, place = jv.Lambert(stripes), jnp.array([0.375, 0.5])  # centre of a bright stripe
+        >>> widths = None, jnp.array([0.25, 1.0]), jnp.array([0.5, 1.0])
+        >>> seen = (jv.material_at(cloth, place, width=width) for width in widths)
+        >>> [round(float(there.diffuse[0]), 4) for there in seen]
+        [0.3, 0.225, 0.15]
+    """
+    for name, found in maps_of(material):
+        if found.uv is not None and found.uv.shape[-1] == 4:
+            raise ValueError(f"material_at: {name} is placed by points of the world, not by uv.")
+    zero = jnp.zeros_like(uv[0])
+    across, down = Vec(zero + 1, zero, zero), Vec(zero, zero + 1, zero)
+    steps = None if width is None else (width[0] * across, width[1] * down)
+    own = Coordinates(uv[0], uv[1], across, down)
+    ready = material if width is None else replace_maps(material, summed)
+    return at_patch(ready, Patch(Vec(zero, zero, zero), own, None, None, steps))
+
+
+def at_patch(record: Any, patch: Patch) -> Any:
+    """A record with numbers in place of its maps, in their units; each map is `Summed` where the
+    patch has steps."""
+    return replace_maps(record, lambda own: _value(own, patch))
+
+
+def _value(own: Any, patch: Patch) -> Array:
+    """The value of one map at a patch, in the unit of its values."""
+    here = _coordinates(own.uv, patch)
+    rows, columns = own.values.shape[:2]
+    if patch.steps is None or not isinstance(own, Summed):
+        (i, p), (j, q) = _between(here.v, rows, own.wrap), _between(here.u, columns, own.wrap)
+        near = [[own.values.at[a, b].get(mode="promise_in_bounds") for b in j] for a in i]
+        above, below = (left + q * (right - left) for left, right in near)
+        return above + p * (below - above)
+    down, right = patch.steps
+    width, height = (
+        safe_sqrt(dot(along, down) ** 2 + dot(along, right) ** 2)
+        for along in (here.along_u, here.along_v)
+    )
+    columns_of, shares_x = _pieces(here.u, width, columns, own.wrap)
+    rows_of, shares_y = _pieces(here.v, height, rows, own.wrap)
+    pieces = _sums(own.high, rows_of, columns_of) + _sums(own.low, rows_of, columns_of)
+    return own.mean + jnp.tensordot(shares_x, jnp.tensordot(shares_y, pieces, 1), 1)
+
+
+def _coordinates(uv: Array | None, patch: Patch) -> Coordinates:
+    """The coordinates of a map: those of the shape, or as its `uv` maps them or the world to it."""
+    own = patch.own
+    if uv is None:
+        return own
+    if uv.shape[-1] == 4:
+        u, v = (dot(as_vec(row[:3]), patch.point) + row[3] for row in uv)
+        along_u, along_v = (as_vec(row[:3]) for row in uv)
+        return Coordinates(u, v, along_u, along_v)
+    u, v = (row[0] * own.u + row[1] * own.v + row[2] for row in uv)
+    along_u, along_v = (row[0] * own.along_u + row[1] * own.along_v for row in uv)
+    return Coordinates(u, v, along_u, along_v)
+
+
+def _between(
+    place: Scalar, count: int, wrap: str
+) -> tuple[tuple[Int[Array, ""], Int[Array, ""]], Scalar]:
+    """The two texels around a place, in maps from the border, and the share of the second."""
+    x = (place - jnp.floor(place) if wrap == "repeat" else place) * count - 0.5
+    x = jnp.clip(x, -0.5, count - 0.5)  # beyond it "clamp" continues the border, as does NaN
+    first = jnp.floor(x)
+    k = first.astype(jnp.int32)
+    if wrap == "repeat":
+        return (k % count, (k + 1) % count), x - first
+    return (jnp.clip(k, 0, count - 1), jnp.clip(k + 1, 0, count - 1)), x - first
+
+
+def _pieces(
+    place: Scalar, width: Scalar, count: int, wrap: str
+) -> tuple[Int[Array, "6"], Float[Array, "5"]]:
+    """The six texel borders that divide a box over one axis into five pieces, and the weight of
+    each piece's texels in the mean over the box. `width`: in maps."""
+    if wrap == "repeat":
+        place, half = place - jnp.floor(place), jnp.clip(width * count, _NARROWEST, _WIDEST) / 2
+        start, length = place * count - 0.5 - half, 2 * half
+    else:  # the box ends at the border; texels are counted from one that continues it
+        low = jnp.clip(place * count - 0.5 - width * count / 2, -0.5, count - 0.5 - _NARROWEST)
+        high = jnp.clip(place * count - 0.5 + width * count / 2, -0.5, count - 0.5)
+        start, length = low + 1, jnp.maximum(high - low, _NARROWEST)
+    first = jnp.floor(start)
+    begin = start - first
+    end = begin + length
+    last = jnp.floor(end)
+
+    def share(i: Scalar | float) -> Scalar:
+        """The integral over the box of the hat of texel i, counted from the first."""
+        a, b = jnp.clip(begin, i - 1, i), jnp.clip(end, i - 1, i)
+        c, d = jnp.clip(begin, i, i + 1), jnp.clip(end, i, i + 1)
+        return (b - a) * ((a + b) / 2 - i + 1) + (d - c) * (i + 1 - (c + d) / 2)
+
+    ends = (share(0.0), share(1.0), jnp.ones_like(end), share(last), share(last + 1))
+    borders = jnp.stack([0 * last, 0 * last + 1, 0 * last + 2, last, last + 1, last + 2])
+    borders = jnp.where(jnp.arange(6) < 3, borders, jnp.maximum(borders, 2))
+    return (first + borders).astype(jnp.int32), jnp.stack(ends) / length
+
+
+def _sums(table: Array, rows: Int[Array, "6"], columns: Int[Array, "6"]) -> Array:
+    """(5, 5, ...) the sums of the texels in the pieces of a box, from a table."""
+    height, width = (size - 1 for size in table.shape[:2])
+    i, j = jnp.append(rows % height, height), jnp.append(columns % width, width)
+    part = table.at[i[:, None], j].get(mode="promise_in_bounds")
+    for axis, borders in enumerate((rows, columns)):
+        part = jnp.moveaxis(part, axis, 0)
+        turns = jnp.diff(borders // (height, width)[axis]).astype(part.dtype)
+        whole = turns.reshape(-1, *(1,) * (part.ndim - 1)) * part[6][None]  # of the maps in between
+        part = jnp.moveaxis(jnp.diff(part[:6], axis=0) + whole, 0, axis)
+    return part
+
+
+def summed(own: Map) -> Summed:
+    """A map with its summed-area table, in the unit of its values."""
+    values = own.values
+    mean = jax.lax.stop_gradient(values.mean(axis=(0, 1), keepdims=True))
+    rest = values - mean
+    if own.wrap == "clamp":
+        rest = jnp.pad(rest, ((1, 1), (1, 1), *((0, 0),) * len(own.shape)), mode="edge")
+    high, low = jax.lax.stop_gradient(rest), jnp.zeros_like(rest)
+    for axis in (0, 1):
+        high, low = jax.lax.associative_scan(_sum_of_pairs, (high, low), axis=axis)
+    high = with_gradient_of(high, jnp.cumsum(jnp.cumsum(rest, axis=0), axis=1))
+    first = ((1, 0), (1, 0), *((0, 0),) * len(own.shape))
+    high, low = jnp.pad(high, first), jnp.pad(low, first)
+    return Summed(values, own.uv, mean[0, 0], high, low, own.wrap)
+
+
+def _sum_of_pairs(a: tuple[Array, Array], b: tuple[Array, Array]) -> tuple[Array, Array]:
+    """The sum of two numbers, each given as two of which the second is the rounding of the first.
+
+    Source: Dekker, Numerische Mathematik 18 (1971)."""
+    high = a[0] + b[0]
+    part = high - a[0]
+    low = (a[0] - (high - part)) + (b[0] - part) + a[1] + b[1]
+    whole = high + low
+    return whole, low - (whole - high)
+
+
+# ---------------------------------------------------------------- where a ray meets a map
+
+
+def varied_surfaces(scene: Scene) -> Varied | None:
+    """The surfaces of a scene that maps vary, lengths in m; None where there are none."""
+    found = [i for i, own in enumerate(scene.surfaces) if any(True for _ in maps_of(own))]
+    if not found:
+        return None
+    own = [scene.surfaces[i] for i in found]
+    return Varied(
+        tuple(s.shape for s in own),
+        tuple(s.normals for s in own),
+        tuple(found),
+        tuple(not isinstance(s.material, Lambert | OrenNayar | EON) for s in own),
+    )
+
+
+def patch_of(
+    varied: Varied,
+    surface: Int[Array, ""],
+    primitive: Int[Array, ""] | None,
+    hit: Hit,
+    *,
+    seen: PixelRay | None = None,
+) -> Patch:
+    """The patch of a hit on one of the numbered surfaces; `seen` gives it the size of a pixel."""
+    steps = None
+    if seen is not None:
+        steps = _step(seen.ray, seen.by_row, hit), _step(seen.ray, seen.by_column, hit)
+    shading = hit.normal if hit.shading_normal is None else hit.shading_normal
+    point, tilted, own = hit.point, shading, None
+    for number, shape, normals in zip(varied.numbers, varied.shapes, varied.normals, strict=True):
+        here = coordinates(shape, point, primitive)
+        own = (
+            here
+            if own is None
+            else jax.tree.map(
+                lambda new, old, n=number: jnp.where(surface == n, new, old), here, own
+            )
+        )
+        if normals is not None:
+            x, y, z = _value(normals, Patch(point, here, None, None, steps))
+            along = _coordinates(normals.uv, Patch(point, here, None, None, None))
+            # of growing u with v unchanged, along the surface
+            way = cross(along.along_v, hit.normal)
+            way = way * jnp.where(dot(way, along.along_u) < 0, -1, 1)
+            right = as_vec(normalize(way - dot(way, shading) * shading))
+            found = as_vec(normalize(x * right + y * cross(shading, right) + z * shading))
+            tilted = where(surface == number, found, tilted)
+    assert own is not None
+    if all(normals is None for normals in varied.normals):
+        return Patch(point, own, None, None, steps)
+    bends = [i for i, glossy in zip(varied.numbers, varied.glossy, strict=True) if glossy]
+    return Patch(point, own, tilted, jnp.isin(surface, jnp.asarray(bends, jnp.int32)), steps)
+
+
+def _step(ray: Ray, change: Ray, hit: Hit) -> Vec:
+    """The step along the surface, m, from one pixel to the next."""
+    distance = jnp.where(hit.distance < jnp.inf, hit.distance, 0)
+    aside = change.origin + distance * change.direction
+    slope = dot(hit.normal, ray.direction)
+    return aside - divide(dot(hit.normal, aside), slope, where=slope != 0) * ray.direction
+
+
+def shading_normal(patch: Patch, tilted: Vec, flat: Vec, viewer: Vec) -> Vec:
+    """The normal of a map, unit and on the viewer's side like `flat`, the shape's; for a glossy
+    material bent toward that so that the viewer's mirror image lies above the surface.
+
+    In the plane of both normals, the viewer's angle to `flat` is b and that of the shading normal
+    a >= 0. The mirror image has the angle 2 a - b, which is at most pi / 2 for a <= pi / 4 + b / 2.
+    """
+    assert patch.bends is not None
+    height = dot(tilted, flat)
+    aside = tilted - height * flat
+    across = as_vec(normalize(aside))
+    tilt = arctan2(dot(aside, across), height)
+    beside = dot(viewer, across)
+    angle = jnp.where(beside < 0, -1, 1) * arctan2(jnp.abs(beside), dot(viewer, flat))
+    most = jnp.pi / 4 + angle / 2
+    bent = jnp.sin(most) * across + jnp.cos(most) * flat
+    return where(patch.bends & (tilt > most) & (dot(viewer, flat) > 0), bent, tilted)

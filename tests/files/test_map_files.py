@@ -1,0 +1,119 @@
+"""Maps in scene files of this library, glTF and Mitsuba: the radiance of the middle of a texel is
+that of its number in the file."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+from gltf_contents import CORNERS, FACES, content
+from oracles import mitsuba_pictures
+from scene_texts import BALL
+
+import jaxvision as jv
+from jaxvision.errors import InputError
+from jaxvision.files.images import write_image
+from jaxvision.files.materials import read_material, write_material
+from jaxvision.files.scenes import read_scene
+
+CODES = np.array([[[20, 60, 200], [90, 30, 250]], [[255, 128, 0], [10, 160, 70]]], np.uint8)
+
+
+def linear(codes):
+    """sRGB's formula of its standard."""
+    c = codes / 255
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def test_the_keys_of_a_map(tmp_path):
+    """A picture by sRGB, one channel of it as it is, and texels in the file."""
+    write_image(tmp_path / "codes.png", CODES)
+    made = BALL.replace(
+        'family = "lambert"\nalbedo = [0.2, 0.2, 0.2]',
+        """family = "torrance_sparrow"
+albedo = { map = "codes.png", uv = [[2, 0, 0.5], [0, 3, 0]] }
+roughness = { map = "codes.png", channel = 1, scale = 0.5, wrap = "clamp" }
+f0 = { texels = [[0.1, 0.3]] }""",
+    )
+    assert "codes" in made
+    (tmp_path / "a.toml").write_text(made)
+    (surface,) = read_scene(tmp_path / "a.toml").scene.surfaces
+    found = surface.material
+    np.testing.assert_allclose(found.diffuse.values, linear(CODES) / np.pi, atol=1e-6)
+    np.testing.assert_allclose(found.diffuse.uv, [[2, 0, 0.5], [0, 3, 0]])
+    np.testing.assert_allclose(found.roughness.values, CODES[..., 1] / 510, atol=1e-6)
+    assert found.roughness.wrap == "clamp"
+    np.testing.assert_allclose(found.interface.f0.values[0, :, 0], [0.1, 0.3], atol=1e-6)
+    (tmp_path / "a.toml").write_text(made.replace("channel = 1", "channel = 3"))
+    with pytest.raises(InputError, match=r"roughness: a map has rows, columns and channels"):
+        read_scene(tmp_path / "a.toml")
+
+
+def test_a_material_with_a_map_is_read_back(tmp_path):
+    paint = jv.Lambert(jv.Map(np.random.default_rng(0).random((2, 3, 1)), wrap="clamp"))
+    write_material(paint, tmp_path / "paint.toml")
+    again = read_material(tmp_path / "paint.toml")
+    np.testing.assert_array_equal(again.diffuse.values, paint.diffuse.values)
+    assert again.diffuse.wrap == "clamp"
+
+
+def textured(tmp_path, **material):
+    """A square of 2 m, whose picture is `codes.png`, upright as seen from above."""
+    write_image(tmp_path / "codes.png", CODES)
+    corners = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], "<f4")
+    data = CORNERS.tobytes() + FACES.tobytes() + corners.tobytes()
+    made = content({"name": "paint", **material})
+    made["accessors"].append({"bufferView": 2, "componentType": 5126, "count": 4, "type": "VEC2"})
+    made["bufferViews"].append({"buffer": 0, "byteOffset": 60, "byteLength": 32})
+    uri = "data:application/gltf-buffer;base64," + base64.b64encode(data).decode()
+    made["buffers"] = [{"byteLength": len(data), "uri": uri}]
+    made["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = 2
+    made["images"], made["textures"] = [{"uri": "codes.png"}], [{"source": 0}]
+    (tmp_path / "a.gltf").write_text(json.dumps(made))
+    return read_scene(tmp_path / "a.gltf").scene
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*its coat")
+def test_textures_of_gltf(tmp_path):
+    """The upper left texel is the picture's first, green is roughness and blue is metal."""
+    matt = {"KHR_materials_specular": {"specularFactor": 0}}
+    surface = {"baseColorTexture": {"index": 0}, "metallicFactor": 0}
+    scene = textured(tmp_path, pbrMetallicRoughness=surface, extensions=matt)
+    for (x, y), code in {(-0.5, 0.5): CODES[0, 0], (0.5, -0.5): CODES[1, 1]}.items():
+        seen = jv.radiance_along(scene, jv.as_dtype(jv.Ray([x, y, 5], [0, 0, -1]), "float32"))
+        way = np.array([-x, -y, 2])
+        light = way[2] / np.linalg.norm(way) ** 3
+        np.testing.assert_allclose(seen, linear(code) / np.pi * light, rtol=1e-4)
+    surface = {"metallicRoughnessTexture": {"index": 0}, "baseColorFactor": [0.5, 0.6, 0.7, 1]}
+    (made,) = textured(tmp_path, pbrMetallicRoughness=surface).surfaces
+    metal = CODES[..., 2:] / 255
+    np.testing.assert_allclose(
+        made.material.roughness.values, (CODES[..., 1] / 255) ** 2, atol=1e-6
+    )
+    colour = np.array([0.5, 0.6, 0.7])
+    wanted = (1 - metal) * 0.04 + metal * colour
+    np.testing.assert_allclose(made.material.interface.f0.values, wanted, atol=1e-6)
+    (made,) = textured(tmp_path, normalTexture={"index": 0, "scale": 0.5}).surfaces
+    wanted = (2 * (CODES / 255) - 1) * [0.5, 0.5, 1]
+    np.testing.assert_allclose(made.normals.values, wanted, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:.*max_depth has no limit")
+def test_textures_of_mitsuba_that_are_not_read_are_named(tmp_path):
+    write_image(tmp_path / "codes.png", CODES)
+    texture = """<bsdf type="diffuse"><texture type="{}" name="reflectance">
+        <string name="filename" value="codes.png"/>{}</texture></bsdf>"""
+    turn = '<transform name="to_world"><rotate z="1" angle="30"/></transform>'
+    camera = mitsuba_pictures.camera("perspective", '<float name="fov" value="40"/>')
+    for shape, kind, more, words in (
+        ("sphere", "checkerboard", "", "of which only bitmap is read"),
+        ("sphere", "bitmap", '<string name="filter_type" value="nearest"/>', "filter_type"),
+        ("disk", "bitmap", "", "no texture coordinates"),
+        ("sphere", "bitmap", turn, "is rotated"),
+    ):
+        inside = texture.format(kind, "" if more == turn else more) + (turn if more == turn else "")
+        parts = f'{camera}<emitter type="constant"/><shape type="{shape}">{inside}</shape>'
+        (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{parts}</scene>')
+        with pytest.raises(InputError, match=words):
+            read_scene(tmp_path / "a.xml")
