@@ -127,6 +127,39 @@ def test_dark_flat_and_defects_against_naive_numpy():
     assert np.isnan(clipped.image).ravel().tolist() == [True, False]
 
 
+def test_bias_dark_and_flat_are_those_of_ccdproc():
+    """Printed by ccdproc 2.5.1: subtract_bias, subtract_dark of the same exposure, gain_correct and
+    flat_correct; create_deviation of the frame without bias."""
+    raw, bias, dark, flat = (
+        np.reshape(values, (2, 3, 1))
+        for values in (
+            [1203.0, 987, 3051, 455, 2210, 1777],
+            [100.25, 99.5, 101, 98.75, 100, 102.5],
+            [104.5, 103.25, 110, 101, 160.75, 105.5],
+            [2104, 2200.5, 1999, 2150.25, 2051, 2333.75],
+        )
+    )
+    sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), gain=0.25, read_noise=5.0)
+    plain, darker, flatter = (
+        js.correct(raw, replace(sensor, offset=np.median(masters.dark.mean)), masters=masters)
+        for masters in (
+            jv.Masters(dark=jv.Master(bias, 8)),
+            jv.Masters(dark=jv.Master(dark, 8)),
+            jv.Masters(dark=jv.Master(dark, 8), flat=jv.Master(flat, 8)),
+        )
+    )
+    values = [
+        [4411.0, 3550, 11800, 1425, 8440, 6698],
+        [4394.0, 3535, 11764, 1416, 8197, 6686],
+        [4451.319413, 3414.202924, 12614.590965, 1399.646700, 8783.868051, 6077.886308],
+    ]
+    for found, wanted in zip((plain, darker, flatter), values, strict=True):
+        np.testing.assert_allclose(found.image.ravel(), wanted, rtol=1e-6)
+    deviation = [66.603303221387, 59.791303715507, 108.742815854658]
+    deviation += [38.07886552932, 92.005434622092, 81.993902212299]
+    np.testing.assert_allclose(np.sqrt(plain.variance).ravel(), deviation, rtol=1e-6)
+
+
 def test_irradiance_is_what_went_in():
     conversion = jv.PhotonConversion(550e-9, 25e-12)
     sensor = jv.Sensor(
