@@ -76,12 +76,16 @@ def combs(
     coefficients = np.asarray(dctn(blocks, axes=(1, 2), norm="ortho"))
     coefficients[:, 0, 0] = 0.0
     of_block = np.sqrt(np.sum(coefficients**2, axis=(1, 2)) / (BLOCK**2 - 1))
+    every = coefficients.std(axis=0)
     for own, step in zip(found, STEPS, strict=True):
-        lively = coefficients[of_block > SMOOTH * step]  # others, as in the dark, cluster about 0
-        if len(lively) < 4:
+        some = of_block > SMOOTH * step  # others, as in the dark, cluster about 0
+        if np.count_nonzero(some) < 4:
             continue
-        mean = np.cos(2 * np.pi * lively / step).mean(axis=0)
-        told = lively.std(axis=0) > SMOOTH * step
+        lively = coefficients if some.all() else coefficients[some]
+        turns = lively / step
+        turns -= np.rint(turns)  # less than half a turn, of which float32 has all that is needed
+        mean = np.cos((2 * np.pi * turns).astype(np.float32)).mean(axis=0, dtype=float)
+        told = (every if some.all() else lively.std(axis=0)) > SMOOTH * step
         own[:] = np.where(told, mean * np.sqrt(2 * len(lively)), np.nan)
     found[:, 0, 0] = np.nan
     return found
