@@ -112,11 +112,9 @@ SCENES = {
         camera("perspective", '<float name="fov" value="45"/>'),
         POINT,
         """<shape type="rectangle"><transform name="to_world"><scale value="3"/></transform>
-        <bsdf type="normalmap"><texture type="bitmap" name="normalmap">
-        <string name="filename" value="normals.png"/><boolean name="raw" value="true"/></texture>
         <bsdf type="diffuse"><texture type="bitmap" name="reflectance">
         <string name="filename" value="colours.png"/>
-        <transform name="to_uv"><scale x="3" y="2"/></transform></texture></bsdf></bsdf></shape>""",
+        <transform name="to_uv"><scale x="3" y="2"/></transform></texture></bsdf></shape>""",
         """<shape type="sphere"><point name="center" x="-.8" y="0" z=".7"/>
         <float name="radius" value=".7"/><bsdf type="diffuse">
         <texture type="bitmap" name="reflectance"><string name="filename" value="colours.png"/>
@@ -172,8 +170,7 @@ def textures() -> dict[str, np.ndarray]:
     """Codes of small pictures, by name."""
     codes = np.random.default_rng(7).integers(40, 255, (4, 6, 3), np.uint8)
     rough = codes[:, :, 0] // 2 + 60
-    normals = np.concatenate([codes[..., :2] // 2 + 64, 0 * codes[..., :1] + 230], axis=-1)
-    return {"colours.png": codes, "rough.png": rough, "normals.png": normals}
+    return {"colours.png": codes, "rough.png": rough}
 
 
 def write_scenes(folder: Path) -> None:
