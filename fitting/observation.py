@@ -155,7 +155,7 @@ def read_frame(
             "mosaic; give the raw mosaic, or remove camera.pattern."
         )
     _refuse_other_lists(path, camera, stored)
-    frame = in_region(stored, camera, path).astype(np.float64)
+    frame = cropped_to_region(stored, camera, path).astype(np.float64)
     if not np.isfinite(frame).all():
         wrong = ~np.isfinite(frame)
         if mask is not None and mask.shape == frame.shape[:2]:
@@ -191,7 +191,7 @@ def _refuse_other_lists(path: Path, camera: Camera, image: np.ndarray) -> None:
             )
 
 
-def in_region(image: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
+def cropped_to_region(image: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
     """The part of an image inside the camera's region."""
     if camera.region is None:
         return image
@@ -300,7 +300,7 @@ def read_mask(
     load: Load = read_image,
 ) -> np.ndarray:
     """A mask of pixels, within the camera's region if it has one."""
-    stored = in_region(load(path), camera, path)
+    stored = cropped_to_region(load(path), camera, path)
     if stored.ndim == 3 and stored.shape[2] in (2, 4):  # its last channel is alpha
         if (stored[..., -1] != stored[0, 0, -1]).any():
             raise InputError(f"{path}: has an alpha channel that varies; save the mask as grey.")

@@ -35,7 +35,7 @@ from .fits.solve import fit
 from .inference.estimates import Estimate
 from .inference.likelihoods import Clustered, Gaussian
 from .inference.parameters import Parameter
-from .inference.precision import in_double
+from .inference.precision import double_precision
 from .inference.problem import Problem
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class Resolution:
         return self.fit.estimates
 
     @property
-    @in_double
+    @double_precision
     def mtf50(self) -> Bands:
         """Frequency where the model's MTF is 1/2, in cycles per pixel, with intervals."""
         frequency = jnp.linspace(0, 2, 801)
@@ -119,7 +119,7 @@ class Resolution:
         )
 
     @property
-    @in_double
+    @double_precision
     def fwhm(self) -> Bands:
         """Full width at half maximum of the model's line spread, in pixels, with intervals."""
         most = 2 + 3 * float(self.fit.values["blur"]) + 2 * (self.blur.diffraction or 0)
@@ -132,7 +132,7 @@ class Resolution:
 
         return self.fit.derived(width)
 
-    @in_double
+    @double_precision
     def mtf(self, frequency: Any) -> Bands:
         """The model's MTF, with intervals.
 
@@ -145,7 +145,7 @@ class Resolution:
         at_frequency = jnp.asarray(frequency, float)
         return self.fit.derived(lambda **at: jnp.abs(self._transfer(at_frequency, at)))
 
-    @in_double
+    @double_precision
     def psf(self, size: int) -> Float[np.ndarray, "size size"]:
         """The model's point spread function, pixel aperture included: share of light per pixel.
 
@@ -174,7 +174,7 @@ class Resolution:
         """OTF across the edge at a frequency."""
         return _transfer(frequency, at, self.blur)
 
-    @in_double
+    @double_precision
     def figure(self) -> "Figure":
         """The edge spread and the MTF, measured and modelled."""
         import matplotlib.pyplot as plt
@@ -215,7 +215,7 @@ class Resolution:
         return "\n".join((*rows, *self.findings))
 
 
-@in_double
+@double_precision
 def from_edge(
     image: Any,
     *,

@@ -252,8 +252,6 @@ def _camera(folder: Path, images: Sequence[_Image], found: FoundRig) -> list[str
     elif patterns:
         listed = ", ".join(sorted(patterns))
         found.missing.append(f"The files differ in the phase of their mosaic ({listed}).")
-    if found.kind == "noise":
-        lines.append('# taps = ?  # amplifiers: [1, 2] of odd and even columns, "left and right"')
     dates = [one.taken for one in said if one.taken]
     if dates:
         lines.append(f"date = {min(dates).date().isoformat()}")

@@ -29,7 +29,7 @@ from jaxvision.errors import InputError
 
 from .fits.bands import Bands, bands
 from .inference.given import plain_numbers
-from .inference.precision import in_double
+from .inference.precision import double_precision
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,7 +91,7 @@ class Sensitivities:
         white = self._light("illuminant", illuminant) @ self.draws
         return bands(white[:, 1 % len(self.channels)][:, None] / white)
 
-    @in_double
+    @double_precision
     def matrix(self, illuminant: ArrayLike, *, reflectances: ArrayLike | None = None) -> Bands:
         """The 3 x 3 matrix from readings to XYZ that is best for a set of reflectances and right
         for white.
@@ -106,7 +106,7 @@ class Sensitivities:
         raw, xyz = self._scene(illuminant, reflectances)
         return bands(np.stack([_matrix(one, xyz) for one in raw]))
 
-    @in_double
+    @double_precision
     def delta_e(self, illuminant: ArrayLike, *, reflectances: ArrayLike | None = None) -> Bands:
         """CIEDE2000 between each reflectance and what the camera shows of it by the mean matrix.
 

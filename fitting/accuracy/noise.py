@@ -94,7 +94,7 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         "pixels": pixels,
         "likelihood": likelihood,
         "solver tolerance": _tolerance(calibration),
-        **_of_posterior(calibration),
+        **_posterior_turns(calibration),
     }
 
 
@@ -126,7 +126,7 @@ def _tolerance(calibration: NoiseCalibration) -> Turn:
     return turned
 
 
-def _of_posterior(calibration: NoiseCalibration) -> Mapping[str, Turn]:
+def _posterior_turns(calibration: NoiseCalibration) -> Mapping[str, Turn]:
     posterior, problem = calibration.posterior, posterior_problem(calibration.chosen)
     mode = jnp.asarray(posterior.unconstrained_mode)
     return chain_knobs(Density(log_density, posterior.space, mode, posterior.covariance, problem))

@@ -21,7 +21,7 @@ from jaxvision import PoissonShotNoise, Sensor
 
 from ..fits.pixels import fit_map
 from ..inference.parameters import Parameter
-from ..inference.precision import in_double
+from ..inference.precision import double_precision
 from ..inference.problem import Problem
 from ..sensor_likelihoods import SensorCounts
 
@@ -81,7 +81,7 @@ def information(
     return numbers * np.einsum("ilc,jlc->ij", np.stack(slopes) / probability, np.stack(slopes))
 
 
-@in_double
+@double_precision
 def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficiency:
     """Draw tables, fit them and compare."""
     gain, dark = GAINS[read_noise], read_noise > HIDING

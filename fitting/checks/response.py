@@ -88,7 +88,9 @@ def places(stack: Stack, seed: int) -> np.ndarray:
     read = from_stack(list(images), stack.times, camera=camera, exposure_sd=told)
     channel, black = calibrate(read).channels[0], _black(stack, seed)
     own = [_of_code(channel.curve, stack, code, black) for code in CODES]
-    of_gamma = np.nan if stack.gamma is None else _of_estimate(channel.gamma.gamma, stack.gamma)
+    of_gamma = (
+        np.nan if stack.gamma is None else _interval_deviate(channel.gamma.gamma, stack.gamma)
+    )
     return np.array([*own, of_gamma])
 
 
@@ -153,7 +155,7 @@ def _of_code(curve: ResponseCurve, stack: Stack, code: int, black: float) -> flo
     return float(t.cdf(miss, curve.freedom[place]))
 
 
-def _of_estimate(estimate: Estimate, truth: float) -> float:
+def _interval_deviate(estimate: Estimate, truth: float) -> float:
     """The position of the truth among the ends of printed intervals, as a normal deviate."""
     assert estimate.interval_68 is not None
     assert estimate.interval_95 is not None

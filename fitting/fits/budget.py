@@ -150,7 +150,7 @@ def budget(
         for name, part in zip(named, parts, strict=True)
     }
     model = sum(terms.values()) * (widened**2 - 1)
-    terms |= _of_priors(problem, prior, along, nuisances or {})
+    terms |= _prior_contributions(problem, prior, along, nuisances or {})
     if isinstance(problem.likelihood, Clustered):  # what errors that groups share add
         model += float(slope @ (posterior.covariance - stated) @ slope)
     if model:
@@ -210,7 +210,7 @@ def _variance(likelihood: Any) -> np.ndarray:
     )
 
 
-def _of_priors(
+def _prior_contributions(
     problem: Problem, prior: np.ndarray, along: np.ndarray, nuisances: Mapping[str, Sequence[str]]
 ) -> dict[str, float]:
     """g^T C P_m C g of each source. Priors are independent and their information is diagonal,

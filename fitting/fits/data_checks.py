@@ -84,7 +84,7 @@ def data_check_of_map(
     own = [None if leaf is None else jnp.asarray(leaf[good]) for leaf in inputs]
     keys = jax.random.split(jax.random.key(seed), len(good))
     dtype = jnp.result_type(float)
-    predicted, drawn = _of_each(jnp.asarray(vectors, dtype), own, keys, problem)
+    predicted, drawn = _pixel_predictions(jnp.asarray(vectors, dtype), own, keys, problem)
     seen = _FitOfPresent(problem, vectors[0], there)
     seen.known = on_host(predicted, dtype=np.float64)[there]
     seen.simulated = on_host(drawn, dtype=np.float64)[there]
@@ -96,7 +96,7 @@ def data_check_of_map(
 
 
 @eqx.filter_jit
-def _of_each(
+def _pixel_predictions(
     vectors: Array, inputs: list[Array | None], keys: Array, problem: Problem
 ) -> tuple[Array, Array]:
     """(pixels, ...) predictions and simulated data."""

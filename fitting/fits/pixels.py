@@ -105,7 +105,7 @@ def fit_map(
             f"data of shape {tuple(data.shape)} do not fit: the problem's own shape, {own_shape}, "
             "comes first, that of the map behind it."
         )
-    leaves = _by_pixel(problem, inputs, shape)
+    leaves = _pixel_leaves(problem, inputs, shape)
     if problem.candidates:
         raise InputError(
             "fit_map has no candidates: state a Parameter, or a number for a term that is absent."
@@ -183,7 +183,7 @@ def _parts(places: np.ndarray, size: int) -> Iterator[np.ndarray]:
         yield places[begin : begin + size]
 
 
-def _by_pixel(problem: Problem, inputs: Any, shape: tuple[int, ...]) -> list[Any]:
+def _pixel_leaves(problem: Problem, inputs: Any, shape: tuple[int, ...]) -> list[Any]:
     """Leaves of the inputs with the pixel axis first; None for an input that all pixels share."""
     own, form = jax.tree.flatten(problem.inputs)
     if inputs is None:

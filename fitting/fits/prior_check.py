@@ -71,7 +71,7 @@ def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[str, 
         if isinstance(problem.likelihood, Clustered):  # its covariance has the prior's part too
             outer = wide.gaussian_covariance[i, i] - known[i] ** 2 * prior_part[i]
             spread = max(variance, outer / share**2)
-        place, slope = _on_scale(space[i].prior, values[i])
+        place, slope = _standard_scale(space[i].prior, values[i])
         turned = slope * slopes[i]
         z = (place + turned * step) / np.sqrt(1 + turned**2 * spread)
         if abs(z) > limit:
@@ -127,7 +127,7 @@ def blamed(
     tested = [i for i, p in enumerate(space) if loosened(p.prior) != p.prior]
     limit = -ndtri(CHANCE / max(len(tested), 1) / 2)
     for i in tested:
-        place, slope = _on_scale(space[i].prior, values[i])
+        place, slope = _standard_scale(space[i].prior, values[i])
         z = abs(place) / float(np.hypot(1, slope * slopes[i] * errors[i]))
         if z > limit:
             own = _alone(space[i], values[i], slopes[i], 0.0, errors[i])
@@ -173,7 +173,7 @@ def _joint_in_words(
     )
 
 
-def _on_scale(prior: Prior, x: float) -> tuple[float, float]:
+def _standard_scale(prior: Prior, x: float) -> tuple[float, float]:
     """A value on the scale on which its prior is N(0, 1), and dg/dx there."""
     match prior:
         case Normal():

@@ -343,7 +343,7 @@ def _tested(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> 
     vector = jnp.asarray(optimum.vector, jnp.result_type(float))
     residuals = residuals_at(problem, vector, seed=how.seed)
     if problem.stream is None:
-        totals = sums(_in_order(problem, residuals))
+        totals = sums(_ordered_residuals(problem, residuals))
     else:
         totals = residual_sums(problem, vector, advance, seed=how.seed)
     covariance = _inverse(optimum.curvature)
@@ -352,7 +352,7 @@ def _tested(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> 
     return _End(optimum, residuals, checks, widening(*stated, inflate=how.inflate, seed=how.seed))
 
 
-def _in_order(problem: Problem, residuals: np.ndarray) -> np.ndarray:
+def _ordered_residuals(problem: Problem, residuals: np.ndarray) -> np.ndarray:
     """Return the residuals of one series in the order of its inputs, if each datum has one input
     number. Neighbouring residuals then show a misfit for any order of the data."""
     inputs = problem.inputs

@@ -143,7 +143,7 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
         judged = identifiability(problem.space, optimum.data_information, vector=optimum.vector)
         found += judged.sentences
     found += _prior_alone(problem.space, posterior)
-    found += _at_ends(problem.space, posterior)
+    found += _bound_findings(problem.space, posterior)
     if posterior.method == "Laplace" and problem.stream is not None:
         spread = np.sqrt(np.diagonal(posterior.covariance))
         skew = [
@@ -190,7 +190,7 @@ def _own_scale(parameter: Parameter) -> bool:
     return parameter.transform == "identity" and not np.isfinite(ends(parameter)).any()
 
 
-def _at_ends(space: ParameterSpace, posterior: Posterior) -> list[str]:
+def _bound_findings(space: ParameterSpace, posterior: Posterior) -> list[str]:
     """Bounds within the reach of the posterior, on the scale of the parameter."""
     found = []
     _, share = prior_share(space, posterior)

@@ -40,7 +40,7 @@ class ComparedLevels:
         frames = self.frames[level]
         if len(frames) < 2:
             return 0.0
-        alike = of_one_mean(frames, None if self.black is None else float(self.black[level]))
+        alike = scaled_to_one_mean(frames, None if self.black is None else float(self.black[level]))
         fields = [a - b for a, b in pairwise(alike)]
         variances = [trimmed_variance(f if lines else without_lines(f)) for f in fields]
         return float(np.sqrt(min((v for v in variances if v > 0), default=0.0) / 2))
@@ -138,7 +138,7 @@ def without_lines(field: np.ndarray) -> np.ndarray:
     return field - of_columns - of_rows + field.mean()
 
 
-def of_one_mean(frames: Sequence[FrameSample], black: float | None) -> list[np.ndarray]:
+def scaled_to_one_mean(frames: Sequence[FrameSample], black: float | None) -> list[np.ndarray]:
     """Samples of frames normalised to the middle frame's mean: flats of a flickering lamp are
     scaled above black, all others shifted."""
     means = np.array([frame.mean for frame in frames])

@@ -28,7 +28,7 @@ def odd_exposures(
     gone = {name for one in blank_images(frames) for name in one.names}
     left = [i for i, frame in enumerate(frames) if frame.name not in gone]
     odd, seconds = [], np.asarray(times, float)
-    for test in (_copied_exposures, _of_another_scene, _out_of_order):
+    for test in (_copied_exposures, _other_scene_images, _out_of_order):
         for i, reason in test(frames, seconds, left, full_scale).items():
             odd.append(OddFrames((frames[i].name,), reason))
             left.remove(i)
@@ -91,7 +91,7 @@ def _copied_exposures(
     return {i: found[frames[i].name] for i in left if frames[i].name in found}
 
 
-def _of_another_scene(
+def _other_scene_images(
     frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
     """Return the images whose ranking of pixels by brightness agrees with no other image, if the

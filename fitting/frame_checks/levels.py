@@ -22,8 +22,8 @@ from .compared import (
     OTHER_NOISE,
     SURE,
     ComparedLevels,
-    of_one_mean,
     rms,
+    scaled_to_one_mean,
     trimmed_variance,
 )
 from .deviates import beyond_chance, usual_size
@@ -215,7 +215,7 @@ def _noise(levels: ComparedLevels) -> None:
     for level, frames in enumerate(levels.frames):
         if len(frames) < 3 or levels.noise[level] == 0:
             continue
-        alike = of_one_mean(frames, None if levels.black is None else levels.black[level])
+        alike = scaled_to_one_mean(frames, None if levels.black is None else levels.black[level])
         middle = np.median(alike, axis=0)
         variances = np.array([trimmed_variance(sample - middle) for sample in alike])
         if not (variances > 0).all():

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from .compared import SURE, ComparedLevels, of_one_mean, trimmed_variance, without_lines
+from .compared import SURE, ComparedLevels, scaled_to_one_mean, trimmed_variance, without_lines
 from .frame import OddFrames, listed
 
 OTHER_NOISE = 1.4  # ratio of variances of two pairs of frames, of which one pair moved
@@ -23,7 +23,7 @@ def moved_frames(levels: ComparedLevels) -> None:
     if levels.black is None:
         return
     samples = {
-        level: of_one_mean(frames, float(levels.black[level]))
+        level: scaled_to_one_mean(frames, float(levels.black[level]))
         for level, frames in enumerate(levels.frames)
         if 2 <= len(frames) <= MOST_FRAMES and levels.light[level] > 0
     }

@@ -32,7 +32,7 @@ from .search import (
     prior_derivatives,
     starts_about,
 )
-from .separable import completed, in_closed_form
+from .separable import closed_form_indices, completed
 
 TOLERANCE = 1e-10  # fall in cost that another step promises
 
@@ -91,7 +91,7 @@ def fit_side_by_side(
             is_leaf=lambda x: x is None,
         )
         begin = starts_about(*starts, given_start(here).astype(starts[0].dtype))
-        if closed := in_closed_form(here):
+        if closed := closed_form_indices(here):
             others = np.setdiff1d(np.arange(len(here.space)), closed)
             squares = here.likelihood.least_squares
             likely = here.likelihood if squares else here.likelihood.surrogate

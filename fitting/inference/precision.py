@@ -12,7 +12,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def in_double(function: Callable[P, T]) -> Callable[P, T]:
+def double_precision(function: Callable[P, T]) -> Callable[P, T]:
     """Return the function in double precision, for any setting of the caller."""
     parameters = signature(function).parameters.values()
     by_name = [one.name for one in parameters if one.kind is Parameter.KEYWORD_ONLY]

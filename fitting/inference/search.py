@@ -80,7 +80,7 @@ from .problem import (
     missing_in_words,
     start_of_data,
 )
-from .separable import KNOTS, completed, eliminated, in_closed_form, require_linear
+from .separable import KNOTS, closed_form_indices, completed, eliminated, require_linear
 from .streams import Advance, chunks
 
 _OF_CORE = 2  # starts searched at a time: the cache holds their residuals, and both end sooner
@@ -187,7 +187,7 @@ def unstarted(
     Returns (count, P) unconstrained, NaN for a parameter without both bounds and prior; and (count,
     P) its distance from its start. A number that is solved in closed form is 0 everywhere.
     """
-    closed = in_closed_form(problem)
+    closed = closed_form_indices(problem)
     shares = _kronecker(count, len(problem.space), seed)
     columns = []
     for i, (parameter, share) in enumerate(zip(problem.space, shares.T, strict=True)):
@@ -289,13 +289,13 @@ def search(
     if solver is not None:
         _require_solver(solver, problem)
         mean, sd = (jnp.asarray(x, jnp.result_type(float)) for x in prior_gaussian(problem.space))
-        vectors = _by_solver(jnp.asarray(begin, mean.dtype), problem, mean, 1 / sd, solver)
+        vectors = _solver_end(jnp.asarray(begin, mean.dtype), problem, mean, 1 / sd, solver)
         vectors = on_host(vectors, dtype=np.float64)
         costs = derivatives(vectors, problem)[0]
     elif problem.likelihood.least_squares:
         vectors, costs = _levenberg_marquardt(begin, problem, as_given=as_given, told=told)
     else:
-        modes = _modes(_by_surrogate(begin, problem, as_given, told), local, told)
+        modes = _modes(_surrogate_ends(begin, problem, as_given, told), local, told)
         vectors, costs = modes.vector, modes.cost
     costs = np.where(np.isfinite(costs), costs, np.inf)
     best = int(np.argmin(costs))
@@ -355,7 +355,7 @@ def joined(one: Optimum, other: Optimum) -> Optimum:
     )
 
 
-def _by_surrogate(
+def _surrogate_ends(
     starts: np.ndarray, problem: Problem, as_given: bool, told: Told | None
 ) -> np.ndarray:
     """Where searches of the surrogate end; a start stays where it is likelier than its end, among
@@ -397,10 +397,10 @@ def _require_solver(solver: Any, problem: Problem) -> None:
 
 
 @eqx.filter_jit
-def _by_solver(starts: Array, problem: Problem, mean: Array, weight: Array, solver: Any) -> Array:
+def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, solver: Any) -> Array:
     """The end of a search by a solver of optimistix or jaxopt."""
     if _is_of_jaxopt(solver):
-        return jax.lax.map(partial(_by_jaxopt, problem, mean, weight, solver), starts)
+        return jax.lax.map(partial(_jaxopt_end, problem, mean, weight, solver), starts)
     import optimistix as optx
 
     squares = isinstance(solver, optx.AbstractLeastSquaresSolver)
@@ -420,7 +420,7 @@ def _by_solver(starts: Array, problem: Problem, mean: Array, weight: Array, solv
     return jax.lax.map(one, starts, batch_size=at_a_time(starts))
 
 
-def _by_jaxopt(problem: Problem, mean: Array, weight: Array, solver: Any, start: Array) -> Array:
+def _jaxopt_end(problem: Problem, mean: Array, weight: Array, solver: Any, start: Array) -> Array:
     """The end of jaxopt's minimiser, with numbers scaled by their prior and a cost per datum.
 
     L-BFGS-B, which needs a box, has one of ten standard deviations; without the scaling it misses
@@ -477,7 +477,7 @@ def _levenberg_marquardt(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where the searches ended and their costs, under a Gaussian prior."""
     mean, sd = prior_gaussian(problem.space)
-    closed, searched, others = in_closed_form(problem), problem.space, _nonlinear(problem)
+    closed, searched, others = closed_form_indices(problem), problem.space, _nonlinear(problem)
     if closed:
         starts, mean, sd = starts[:, others], mean[others], sd[others]
         searched = tuple(problem.space[i] for i in others)
@@ -488,7 +488,7 @@ def _levenberg_marquardt(
             return np.tile(end, (len(starts), 1)), np.zeros(len(starts))
 
     def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        cost, gradient, gram = _in_groups(_squares_at, vectors, problem)
+        cost, gradient, gram = _grouped_calls(_squares_at, vectors, problem)
         away = (vectors - mean) / sd
         # Against a bound the prediction hardly changes, and Gauss and Newton's step has no end.
         bent = np.maximum(gradient * natural_slopes(searched, vectors)[1], 0)
@@ -534,7 +534,7 @@ def _tolerances() -> dict[str, Any]:
 
 def _nonlinear(problem: Problem) -> np.ndarray:
     """Indices of the numbers that are searched."""
-    return np.setdiff1d(np.arange(len(problem.space)), in_closed_form(problem))
+    return np.setdiff1d(np.arange(len(problem.space)), closed_form_indices(problem))
 
 
 @compiled_briefly
@@ -601,7 +601,7 @@ def prior_derivatives(vector: Any, problem: Problem) -> Derivatives:
         first, second = log_flat_slopes(space, vector)
         return -log_prior(space, vector), -first, -_diagonal(second)
     if isinstance(vector, np.ndarray):
-        return _in_groups(_prior_at, vector, problem)
+        return _grouped_calls(_prior_at, vector, problem)
 
     def prior(vector: Array) -> Array:
         return -log_prior_at(problem, vector)
@@ -650,7 +650,7 @@ def _prior_at(vectors: Array, wanted: Array, problem: Problem) -> Derivatives:
     return jax.vmap(lambda vector: prior_derivatives(vector, problem))(vectors)
 
 
-def _in_groups(
+def _grouped_calls(
     program: Callable[..., Derivatives], vectors: np.ndarray, problem: Problem
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What a program of `TOGETHER` vectors finds at (n, P) vectors: one program for any n."""
@@ -735,7 +735,7 @@ def derivatives(
     curvature of a sum of squares too is that of second derivatives."""
     squared = problem.likelihood.least_squares and not exact
     program = _squares_at if squared else _twice_at
-    found = [_in_groups(program, vectors, part) for part in parts or [problem]]
+    found = [_grouped_calls(program, vectors, part) for part in parts or [problem]]
     cost, gradient, curvature = (sum(sums) for sums in zip(*found, strict=True))
     return with_prior(vectors, problem, (cost, gradient, curvature), squared=squared)
 

@@ -77,7 +77,7 @@ def non_negative_amplitudes(
     if count > 4:
         raise ValueError(f"at most four columns, got {count}: the supports grow as 2^columns.")
     supports = jnp.array(_supports((True,) * count)[1:])
-    found, solvable = jax.vmap(_on_support, (0, None, None))(supports, gram, moment)
+    found, solvable = jax.vmap(_support_optimum, (0, None, None))(supports, gram, moment)
     cost = jnp.where(solvable & jnp.all(found >= 0, axis=-1), -found @ moment, jnp.inf)
     best = jnp.argmin(cost)
     better = cost[best] < 0
@@ -101,10 +101,10 @@ def amplitudes(
         return _solve_scaled(gram, moment)[0]
     if sum(signed) > MOST_SIGNED:
         support = _descended(*jax.lax.stop_gradient((gram, moment)), np.array(signed))
-        found, _ = _on_support(support, gram, moment)
+        found, _ = _support_optimum(support, gram, moment)
         return jnp.where(np.array(signed), jnp.maximum(found, 0), found)
     supports = jnp.array(_supports(signed))
-    found, solvable = jax.vmap(_on_support, (0, None, None))(supports, gram, moment)
+    found, solvable = jax.vmap(_support_optimum, (0, None, None))(supports, gram, moment)
     inside = jnp.all((found >= 0) | ~np.array(signed)[None], axis=-1)
     fall = jnp.where(solvable & inside, found @ moment, -jnp.inf)
     best = jnp.argmax(fall)
@@ -124,7 +124,7 @@ def _descended(gram: Array, moment: Array, signed: np.ndarray) -> Array:
     return (found > 0) | ~signed
 
 
-def _on_support(support: Array, gram: Array, moment: Array) -> tuple[Array, Array]:
+def _support_optimum(support: Array, gram: Array, moment: Array) -> tuple[Array, Array]:
     """The unconstrained optimum of some columns, 0 for the others, and whether it exists."""
     both = support[:, None] & support[None]
     own = jnp.where(both, gram, jnp.eye(len(moment), dtype=gram.dtype))
@@ -230,7 +230,7 @@ def _projected(
 _non_negative = jax.jit(jax.vmap(jax.vmap(non_negative_amplitudes)), compiler_options=briefly())
 
 
-def in_closed_form(problem: Problem) -> tuple[int, ...]:
+def closed_form_indices(problem: Problem) -> tuple[int, ...]:
     """Indices, in a problem's space, of the numbers that are solved in closed form."""
     surrogate = problem.likelihood.surrogate
     if not (
@@ -256,7 +256,7 @@ class Eliminated(eqx.Module):
 
 def eliminated(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Eliminated:
     """The best linear numbers at given nonlinear ones."""
-    closed = in_closed_form(problem)
+    closed = closed_form_indices(problem)
     rest, along = jax.linearize(
         lambda a: residuals_from(_natural(nonlinear, a, problem), problem),
         jnp.zeros(len(closed), nonlinear.dtype),
@@ -274,7 +274,7 @@ def eliminated(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Elimi
 
 def _natural(nonlinear: Array, linear: Array, problem: Problem) -> Array:
     """(P,) in the order of the space."""
-    closed = np.array(in_closed_form(problem), int)
+    closed = np.array(closed_form_indices(problem), int)
     others = np.setdiff1d(np.arange(len(problem.space)), closed)
     space = tuple(problem.space[i] for i in others)
     whole = jnp.zeros(len(problem.space), nonlinear.dtype).at[closed].set(linear)
@@ -286,7 +286,7 @@ def completed(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Float[
     that is at least 0 is at the mode of its posterior on the logarithmic scale, a = (a_0 +
     sqrt(a_0^2 + 4 sd^2)) / 2."""
     found = eliminated(nonlinear, problem)
-    signed = np.array([ends(problem.space[i])[0] == 0 for i in in_closed_form(problem)], bool)
+    signed = np.array([ends(problem.space[i])[0] == 0 for i in closed_form_indices(problem)], bool)
     variance = 1 / jnp.where(found.precision > 0, found.precision, 1)
     inside = (found.natural + jnp.sqrt(found.natural**2 + 4 * variance)) / 2
     linear = jnp.where(signed, inside, found.natural)
@@ -298,7 +298,7 @@ def require_linear(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> N
     on_line, own = (on_host(x) for x in _bends(nonlinear, problem))
     size = np.max(np.abs(on_line)) + np.finfo(on_line.dtype).tiny
     if np.isfinite(own).all() and np.max(np.abs(own)) > BEND * size:
-        names = [problem.space[i].name for i in in_closed_form(problem)]
+        names = [problem.space[i].name for i in closed_form_indices(problem)]
         raise InputError(
             f"predict is not linear in {', '.join(names)}: state linear=True only of numbers that "
             "multiply or add."

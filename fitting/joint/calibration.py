@@ -10,7 +10,7 @@ from ..inference.clustering import Robustness, curvature_stretch
 from ..inference.emcee_run import Emcee
 from ..inference.given import require_kind
 from ..inference.posterior import Posterior
-from ..inference.precision import in_double
+from ..inference.precision import double_precision
 from ..reflectance.from_images.fit import Adjusted, adjusted_posterior, robust
 from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.shading_check import without_strangers
@@ -20,7 +20,7 @@ from ..reflectance.names import INDEX, Model
 from ..report.notebook import ShownInNotebooks
 from ..report.progress import Progress
 from .fit import JointFit, fit_turned
-from .misfit import Halves, by_halves, degrees_of_freedom, laplace_miss, over_images, widened
+from .misfit import Halves, degrees_of_freedom, fit_halves, image_sandwich, laplace_miss, widened
 from .model import log_posterior
 
 STEPS = ("fit", "halves", "posterior")  # of each channel
@@ -55,7 +55,7 @@ class JointCalibration(ShownInNotebooks):
         return None if gamma is None else float(gamma)
 
 
-@in_double
+@double_precision
 def calibrate(
     measurement: Photographs,
     *,
@@ -104,10 +104,10 @@ def calibrate(
         fit = fit_turned(observation, channel, form)
         done(1)
         if is_determined(fit):
-            shown = over_images(observation, fit)
+            shown = image_sandwich(observation, fit)
             if shown is not None:
                 if shown.design_effect > 1 and (
-                    apart := by_halves(observation, channel, fit, shown)
+                    apart := fit_halves(observation, channel, fit, shown)
                 ):
                     halves[fit.channel], shown = apart, widened(shown, apart)
                 robusts[fit.channel] = shown

@@ -55,7 +55,7 @@ def _parts(of: Residuals) -> tuple[Array, Array]:
     square = jnp.sum(of.weight * of.residual**2)
     log_volume = -jnp.sum(jnp.log(jnp.where(of.weight > 0, of.weight, 1)))
     if of.cell_errors is not None:
-        pull, stiffness = _of_cells(of, of.cell_errors)
+        pull, stiffness = _cell_sums(of, of.cell_errors)
         square = square - jnp.sum(pull**2 / stiffness)
         log_volume = log_volume + jnp.sum(jnp.log(stiffness))
     if of.image_errors is None:
@@ -78,7 +78,7 @@ def image_error_means(of: Residuals) -> tuple[OfImages, OfImages]:
     return mean.reshape(shape), spread.reshape(shape)
 
 
-def _of_cells(of: Residuals, errors: Table) -> tuple[Array, Array]:
+def _cell_sums(of: Residuals, errors: Table) -> tuple[Array, Array]:
     """G'W r and D, (cells,) each."""
     pull = jnp.sum(of.weight * errors * of.residual, axis=0)
     return pull, 1 + jnp.sum(of.weight * errors**2, axis=0)
@@ -100,7 +100,7 @@ def _of_images(of: Residuals, image_errors: Array) -> tuple[Array, Array]:
     if of.precision is not None:
         matrix = matrix + of.precision
     if of.cell_errors is not None:
-        cell_pull, stiffness = _of_cells(of, of.cell_errors)
+        cell_pull, stiffness = _cell_sums(of, of.cell_errors)
         across = (weighted * of.cell_errors[:, None]).reshape(images * errors, cells)
         matrix = matrix - (across / stiffness[None]) @ across.T
         pull = pull - across @ (cell_pull / stiffness)

@@ -89,7 +89,7 @@ ALONE = 1e-9  # of the column R^2: the part that gain and read noise leave is ro
 # ---------------------------------------------------------------- images
 
 
-def over_images(observation: Photographs, fit: JointFit) -> Robustness | None:
+def image_sandwich(observation: Photographs, fit: JointFit) -> Robustness | None:
     """Return the sandwich covariance of a fit whose images err independently, or None if the rig
     states errors of images and the images show no larger ones.
 
@@ -97,7 +97,7 @@ def over_images(observation: Photographs, fit: JointFit) -> Robustness | None:
     of independent cells, and 1 if that is within chance.
     """
     vector = jnp.asarray(fit.vector)
-    scores, information = (np.asarray(x, np.float64) for x in _by_image(vector, fit.data))
+    scores, information = (np.asarray(x, np.float64) for x in _image_scores(vector, fit.data))
     prior = fit.information - np.asarray(_of_images(vector, fit.data), np.float64)
     own = of_surface(fit.space)
     if fit.data.cells.products is None:
@@ -169,7 +169,7 @@ def _of_images(vector: Array, data: JointData) -> Float[Array, "parameters param
 
 
 @eqx.filter_jit
-def _by_image(
+def _image_scores(
     vector: Array, data: JointData
 ) -> tuple[Float[Array, "images parameters"], Float[Array, "images parameters parameters"]]:
     """Gradient of the log likelihood with respect to the parameters of each image, and minus its
@@ -218,7 +218,7 @@ class Halves:
         return bool((np.abs(self.deviations) < APART).all())
 
 
-def by_halves(
+def fit_halves(
     observation: Photographs, channel: int, fit: JointFit, robust: Robustness
 ) -> Halves | None:
     """Fit the halves of one channel's images, where the fit of all images has the covariance

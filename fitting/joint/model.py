@@ -280,7 +280,7 @@ def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Arra
     marginalised."""
     values = values_at(vector, data)
     total = _log_likelihood(predicted(values, data, data.cells), data)
-    return total if data.levels is None else total + _of_levels(values, data)
+    return total if data.levels is None else total + _uniform_frames_log_density(values, data)
 
 
 def log_likelihood_by_image(
@@ -310,7 +310,7 @@ def _log_likelihood(model: Prediction, data: JointData) -> Array:
     return marginal.log_density(residuals(model, data)) + of_scatter
 
 
-def _of_levels(values: Values, data: JointData) -> Array:
+def _uniform_frames_log_density(values: Values, data: JointData) -> Array:
     """ln p of the temporal variances of uniform frames, Gamma distributed about the model's
     variance at their mean."""
     assert data.levels is not None

@@ -123,11 +123,11 @@ def calibrate(
         for same in copies.found
     )
     if focal_length is None:
-        told += _of_no_lens(found, lens.centre)
+        told += _lens_finding(found, lens.centre)
     return Lights(**{**found.__dict__, "findings": (*told, *found.findings)})
 
 
-def _of_no_lens(found: Lights, middle: tuple[float, float]) -> tuple[str, ...]:
+def _lens_finding(found: Lights, middle: tuple[float, float]) -> tuple[str, ...]:
     """What a lens that was not stated could change, where this is more than the errors."""
     beside = np.hypot(*(found.outlines[:, :2] - middle).T) + found.outlines[:, 2]
     turn, sd = float(beside.max()) / FOCAL, np.median(found.place_sd)

@@ -30,7 +30,7 @@ from ..inference.importance import laplace_where_it_holds
 from ..inference.left_out import LeftOut
 from ..inference.parameters import Parameter, names, to_unconstrained
 from ..inference.posterior import Posterior, estimates, sample
-from ..inference.precision import in_double
+from ..inference.precision import double_precision
 from ..inference.problem import log_density
 from ..inference.search import search
 from ..report.notebook import ShownInNotebooks
@@ -219,7 +219,7 @@ class NoiseCalibration(ShownInNotebooks):
         return None if interval is None else interval[0] / 100
 
 
-@in_double
+@double_precision
 def calibrate(
     measurement: PhotonTransfer, *, sampling: Emcee | None = None, seed: int = 0
 ) -> NoiseCalibration:

@@ -232,10 +232,10 @@ def _of_the_dimmest(calibration: NoiseCalibration) -> bool:
     told = _light_offset(True, calibration) or _light_offset(False, calibration)
     if not told or not _linear(False, calibration):
         return False
-    return _by_the_dimmest_alone(calibration.measurement, calibration.usable)
+    return _dimmest_alone(calibration.measurement, calibration.usable)
 
 
-def _by_the_dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
+def _dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
     """Whether only the dimmest level shows an offset of the light: the others lie on a line of
     signal over light through the origin."""
     bright = measurement.bright

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 
-from ..inference.precision import in_double
+from ..inference.precision import double_precision
 from ..observation import MEMORY, Load, each, in_memory, require_as_many, require_frames
 from ..rig import Camera, Rig
 from .levels import Levels, PhotonTransfer
@@ -14,7 +14,7 @@ from .release_4.stacks import Stacks, reduce_stacks
 from .usable import check
 
 
-@in_double
+@double_precision
 def from_frames(
     flats: Sequence[Sequence[ArrayLike]],
     darks: Sequence[Sequence[ArrayLike]],
@@ -60,7 +60,7 @@ def from_frames(
     return measurement
 
 
-@in_double
+@double_precision
 def stacks_from_frames(
     flats: Sequence[Sequence[ArrayLike]],
     darks: Sequence[Sequence[ArrayLike]],
@@ -137,7 +137,7 @@ def _rig_of(
     return in_memory(images, called=called, camera=camera, flat=flat, dark=dark)
 
 
-@in_double
+@double_precision
 def darks_from_frames(
     darks: Sequence[Sequence[ArrayLike]],
     exposures: Sequence[float],

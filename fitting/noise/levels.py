@@ -276,11 +276,11 @@ def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
     if saturated is not None:
         signal = signal_of(measurement)
         usable &= signal <= LINEAR_TOP * signal[saturated]
-    below = np.flatnonzero(usable & _of_one_converter(measurement))
+    below = np.flatnonzero(usable & _first_converter(measurement))
     return below if len(below) >= FEWEST_OF_ONE else np.flatnonzero(usable)
 
 
-def _of_one_converter(measurement: PhotonTransfer) -> np.ndarray:
+def _first_converter(measurement: PhotonTransfer) -> np.ndarray:
     """Levels below the number at which another converter takes over."""
     bright, top = measurement.bright, measurement.converter.coarse_from
     if top is None:

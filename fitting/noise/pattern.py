@@ -129,7 +129,9 @@ def unequal_offsets(dark: Levels) -> tuple[Found, ...]:
     return tuple(fixed_lines(shared, *levels, axis) for axis in (0, 1))
 
 
-def _of_population(levels: Levels, of_die: float, noise: float, lines: Sequence[Found]) -> Spread:
+def _population_spread(
+    levels: Levels, of_die: float, noise: float, lines: Sequence[Found]
+) -> Spread:
     """The variance over the pixels of a die, scaled to that of their population."""
     n = float(levels.pixels)
     counts = () if levels.shared is None else levels.shared.shape
@@ -218,10 +220,10 @@ def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVari
     level = int(linear[np.lexsort((np.abs(signal[linear] - half), -frames))[0]])
     own = matched[level]
     noise = float(np.sqrt(dark_by_noise[own]))
-    offsets = _of_population(dark, float(dark_pattern[own]), noise, unequal_offsets(dark))
+    offsets = _population_spread(dark, float(dark_pattern[own]), noise, unequal_offsets(dark))
     of_die = float(pattern[level] - dark_pattern[own]) / signal[level] ** 2
     gains = _all_unequal_gains(measurement, linear)
-    response = _of_population(bright, of_die, 0.0, gains)
+    response = _population_spread(bright, of_die, 0.0, gains)
     chance = 4 * signal[level] ** 2 * _chance_covariance(offsets, response, float(bright.pixels))
     temporal = by_noise[level] + dark_by_noise[own]
     noise, temporal = (
@@ -258,7 +260,9 @@ def fitted_pattern(
         chi_square = float(left @ weights @ left)
         noise = np.sqrt(np.diagonal(covariance) * max(chi_square / degrees, 1))
         offsets, gains = (
-            replace(_of_population(levels, float(one), float(error), lines), temporal=float(own))
+            replace(
+                _population_spread(levels, float(one), float(error), lines), temporal=float(own)
+            )
             for levels, one, error, own, lines in zip(
                 (dark, bright), found, noise, by_temporal, unequal, strict=True
             )

@@ -40,7 +40,7 @@ def block_products(
     found = np.full((2, BLOCK), np.nan)
     if min(deviation.shape) >= 2 * BLOCK:
         for own, products, pairs in zip(
-            found, _by_line(deviation), _by_line(live.mask.astype(float)), strict=True
+            found, _line_products(deviation), _line_products(live.mask.astype(float)), strict=True
         ):
             own[:] = [
                 products[i::BLOCK].sum() / max(pairs[i::BLOCK].sum(), 1.0) for i in range(BLOCK)
@@ -48,7 +48,7 @@ def block_products(
     return found
 
 
-def _by_line(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
+def _line_products(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
     """Sums of the products of neighbours, by row of those below, by column of those beside."""
     below = np.einsum("ij,ij->i", x[:-1], x[1:])
     beside = np.einsum("ij,ij->j", x[:, :-1], x[:, 1:])

@@ -21,7 +21,7 @@ from ..frame_checks.frame import ALONE, FrameSample, OddFrames, refuse_half
 from ..frame_checks.heads import Stated, odd_heads
 from ..frame_checks.levels import odd_frames
 from ..inference.formatting import format_percent
-from ..inference.precision import in_double
+from ..inference.precision import double_precision
 from ..observation import Load, read_frame, split_channels
 from ..rig import Camera, Dark, Flat, Rig, load_rig, require
 from .counted import code_tables, dim_levels
@@ -38,7 +38,7 @@ DARK_MATCH = 0.05  # relative difference in exposure up to which a dark is a fla
 BRIGHTEST = 2  # levels by which dead pixels are found
 
 
-@in_double
+@double_precision
 def read_photon_transfer(
     path: str | os.PathLike[str] | Rig, *, bits: int | None = None, channel: str = ""
 ) -> PhotonTransfer:

@@ -16,7 +16,7 @@ from jaxvision.files.cameras import write_sensor
 from ..codes import Converter
 from ..inference.compiled import compiled_briefly
 from ..inference.parameters import names, to_natural
-from ..inference.precision import in_double
+from ..inference.precision import double_precision
 from .brighter_fatter import (
     electrons_and_steps,
     fitted_effect,
@@ -181,7 +181,7 @@ def sensors_of(numbers: Numbers) -> Sensor:
     return _sensors(numbers.about, numbers.natural, numbers.beside)
 
 
-@in_double
+@double_precision
 def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
     """Write the sensor of a calibration, with its draws in a second file."""
     best, draws = fitted_sensor(calibration)

@@ -62,7 +62,7 @@ class Setting:
 
 def by_setting(rig: Rig) -> dict[Setting, Rig]:
     """The flats and darks of a rig, one rig for each gain and temperature."""
-    flats, darks = _by_setting(rig, rig.flat), _by_setting(rig, rig.dark)
+    flats, darks = _levels_by_setting(rig, rig.flat), _levels_by_setting(rig, rig.dark)
     settings = {*flats, *darks}
     for name, word in (("gain", "iso (or gain_db)"), ("temperature", "temperature")):
         if len({getattr(setting, name) is None for setting in settings}) > 1:
@@ -83,7 +83,7 @@ def by_setting(rig: Rig) -> dict[Setting, Rig]:
     }
 
 
-def _by_setting(rig: Rig, entries: tuple[Level, ...]) -> dict[Setting, list[Level]]:
+def _levels_by_setting(rig: Rig, entries: tuple[Level, ...]) -> dict[Setting, list[Level]]:
     found: dict[Setting, list[Level]] = {}
     for entry in entries:
         gain = entry.iso if entry.gain_db is None else entry.gain_db

@@ -29,7 +29,7 @@ from jaxvision.files.cameras import write_sensor
 
 from ..inference.compiled import compiled_briefly
 from ..inference.formatting import format_p
-from ..inference.precision import in_double
+from ..inference.precision import double_precision
 from ..rig import PARTS, Camera
 from .calibration import NoiseCalibration, refitted
 from .periodic import taps_in_words
@@ -67,7 +67,7 @@ class SensorOfSites:
     findings: tuple[str, ...]
 
 
-@in_double
+@double_precision
 def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera) -> SensorOfSites:
     """The one sensor of a camera whose sites were calibrated separately.
 
@@ -107,7 +107,7 @@ def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera
     seen = {name for one in each for name in drawn_numbers(one).beside} - {"full_well"}
     numbers = [drawn_numbers(one, asked=frozenset(seen)) for one in each]
     count = min(len(one.natural) for one in numbers)
-    numbers, findings = _of_one_die([_shuffled(one, i, count) for i, one in enumerate(numbers)])
+    numbers, findings = _common_die([_shuffled(one, i, count) for i, one in enumerate(numbers)])
     widest = int(np.argmax([float(one.top) / one.of("system_gain")[0] for one in numbers]))
     sensors = [sensors_of(one) for one in numbers]
     rates = None
@@ -142,7 +142,7 @@ def joined_sensors(
     return best_and_draws(_joined(tuple(each), None, 0, camera))
 
 
-@in_double
+@double_precision
 def write_sensor_of_sites(
     calibrations: Mapping[str, NoiseCalibration], camera: Camera, path: Path
 ) -> None:
@@ -227,7 +227,7 @@ def _shuffled(numbers: Numbers, seed: int, count: int) -> Numbers:
     return Numbers(numbers.about, numbers.natural[order], beside)
 
 
-def _of_one_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]]:
+def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]]:
     """The parameters of all taps under the condition of common die properties, and findings on
     those that differ."""
     labels = set.intersection(*(set(one.about.labels) for one in each))

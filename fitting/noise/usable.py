@@ -112,9 +112,9 @@ def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndar
     there = np.asarray(measurement.dark_of)[levels]
     black, noise = float(np.mean(dark.mean[there])), float(np.mean(dark.variance[there]))
     errors = variance * np.sqrt(2 / (float(bright.pixels) * (frames - 1)))
-    by_variance, slope, error = _at_zero(mean, variance - noise, errors)
+    by_variance, slope, error = _extrapolated_zero(mean, variance - noise, errors)
     by_variance, error = -by_variance / slope, np.hypot(error, noise) / abs(slope)
-    by_light, _, light_error = _at_zero(light, mean, np.sqrt(variance))
+    by_light, _, light_error = _extrapolated_zero(light, mean, np.sqrt(variance))
     off = np.array([by_variance, by_light]) - black
     signal = float(mean.min() - by_variance)
     sure = np.all(np.abs(off) > SURE_OF_BLACK * np.array([error, light_error]))
@@ -127,7 +127,9 @@ def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndar
         )
 
 
-def _at_zero(x: np.ndarray, y: np.ndarray, errors: np.ndarray) -> tuple[float, float, float]:
+def _extrapolated_zero(
+    x: np.ndarray, y: np.ndarray, errors: np.ndarray
+) -> tuple[float, float, float]:
     """Value and slope of a parabola at zero, with the error of the value from the scatter of y."""
     design = np.stack([np.ones_like(x), x, x**2], axis=1) / errors[:, None]
     scale = np.sqrt(np.sum(design**2, axis=0))

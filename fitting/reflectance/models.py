@@ -191,7 +191,7 @@ def unit_brdf(
     model: Model, shape: Float[Array, ""], wi: Vec, wo: Vec, index: float
 ) -> Float[Array, " n"]:
     """f_r of unit amplitude."""
-    return _over_pairs(evaluate, model, shape, wi, wo, index)
+    return _pair_values(evaluate, model, shape, wi, wo, index)
 
 
 def unit_shading(
@@ -199,11 +199,11 @@ def unit_shading(
 ) -> Float[Array, " n"]:
     """The reflected light per irradiance on a surface that faces the light, for unit amplitude and
     one shape for all pairs of directions, or one for each."""
-    return _over_pairs(shading, model, shape, wi, wo, index)
+    return _pair_values(shading, model, shape, wi, wo, index)
 
 
 @eqx.filter_jit
-def _over_pairs(
+def _pair_values(
     of_pair: Callable[[Material, Vec, Vec], Array],
     model: Model,
     shape: Array,

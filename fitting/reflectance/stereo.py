@@ -191,7 +191,7 @@ def photometric_stereo(
     readings = stack.reshape(len(stack), -1)
     clipped: tuple[str, ...] = ()
     if np.isinf(highest) and (top := converter_of(stack).clips_at) is not None:
-        highest, clipped = top, (_of_clipped(readings, top),)
+        highest, clipped = top, (_clipped_finding(readings, top),)
     between = (readings > lowest) & (readings < highest)
     limits = (lowest, highest)
     counts = _counted(rows, readings, between, limits, robust=robust)
@@ -201,7 +201,7 @@ def photometric_stereo(
     common, alone = _common(rows, readings, between, limits, robust=robust)
     if common is not None and alone.any():
         between[alone] = False
-        findings += _of_deviating_factors(common, alone)
+        findings += _deviating_factors_finding(common, alone)
         common, _ = _common(rows, readings, between, limits, robust=False)
     agreeing = readings
     if apart.any() or alone.any() or common is not None:
@@ -215,7 +215,7 @@ def photometric_stereo(
         covariance_of_g = departures(rows, directions, stack, shaped).covariance
         moved = solved(rows, agreeing, found.weights)[0] - g
         covariance_of_g = covariance_of_g + moved[:, :, None] * moved[:, None, :]
-        findings += (_of_common(common, moved / _typical(g)),)
+        findings += (_common_factor_finding(common, moved / _typical(g)),)
     if together is not None:
         covariance_of_g = covariance_of_g + by_lights(
             rows, irradiance, found.weights, found.inverse, g, together
@@ -227,9 +227,9 @@ def photometric_stereo(
         misfit = np.where(np.isfinite(albedo), found.size / albedo, np.nan)
         by_noise = _deviations(normals, albedo, found.inverse * found.noise[:, None, None])[0]
     if found.significant and np.nanmedian(misfit) > NEGLIGIBLE:
-        findings += (_of_misfit(misfit, normal_sd / by_noise, counts.sum(axis=0)),)
+        findings += (_misfit_finding(misfit, normal_sd / by_noise, counts.sum(axis=0)),)
     if not findings:
-        findings = _of_contradiction(rows, stack, between, limits)
+        findings = _contradiction_finding(rows, stack, between, limits)
     shape = stack.shape[1:]
     return Stereo(
         normals.reshape(*shape, 3),
@@ -242,7 +242,7 @@ def photometric_stereo(
     )
 
 
-def _of_clipped(readings: Readings, top: float) -> str:
+def _clipped_finding(readings: Readings, top: float) -> str:
     lit, at = np.sum(readings > 0), np.sum(readings >= top)
     return (
         f"{at} readings ({format_percent(at / lit)} of those above 0) are equal to the largest, "
@@ -276,7 +276,9 @@ def _common(
     return common, alone & few & others_agree
 
 
-def _of_deviating_factors(common: Common, alone: Bool[np.ndarray, " lights"]) -> tuple[str, ...]:
+def _deviating_factors_finding(
+    common: Common, alone: Bool[np.ndarray, " lights"]
+) -> tuple[str, ...]:
     return tuple(
         f"images[{i}] is {format_with_error(common.factors[i], common.factor_sds[i])} times as "
         "bright as the other images predict, by the same factor in all pixels, and was left out: "
@@ -285,7 +287,7 @@ def _of_deviating_factors(common: Common, alone: Bool[np.ndarray, " lights"]) ->
     )
 
 
-def _of_common(common: Common, moved: Vectors) -> str:
+def _common_factor_finding(common: Common, moved: Vectors) -> str:
     allowed = (
         f"This explains {format_percent(common.explained)} of the residuals' sum of squares and "
         f"would change g = rho n by {format_percent(_typical(moved), decimals=1)} of the albedo "
@@ -308,7 +310,7 @@ def _of_common(common: Common, moved: Vectors) -> str:
     )
 
 
-def _of_contradiction(
+def _contradiction_finding(
     rows: Rows, stack: Images, between: Counted, limits: tuple[float, float]
 ) -> tuple[str, ...]:
     """Return a sentence about readings between the limits that most pixels contradict in the same
@@ -334,7 +336,7 @@ def _of_contradiction(
     )
 
 
-def _of_misfit(misfit: OfPixels, wider: OfPixels, used: Int[np.ndarray, " pixels"]) -> str:
+def _misfit_finding(misfit: OfPixels, wider: OfPixels, used: Int[np.ndarray, " pixels"]) -> str:
     few = (
         f" With only {np.median(used):.0f} lights they are lower bounds: a rough surface may bias "
         f"normals by twice as much; {SHOWN_BY} lights would show it."

@@ -5,7 +5,7 @@ from functools import cached_property
 from html import escape
 from importlib import import_module
 
-from ..inference.precision import in_double
+from ..inference.precision import double_precision
 from .section import Section
 from .sentences import said_once
 from .sheet import Cell, sheet
@@ -30,7 +30,7 @@ class ShownInNotebooks:
         return section_text(self.section)
 
 
-@in_double
+@double_precision
 def _section_of(calibration: ShownInNotebooks) -> Section:
     module = import_module(type(calibration).__module__.rpartition(".")[0] + ".section")
     return module.section(calibration)

@@ -11,7 +11,7 @@ from jaxvision.errors import InputError, nearest
 
 from ..inference.estimates import Estimate, find, not_determined
 from ..inference.posterior import Posterior
-from ..inference.precision import in_double
+from ..inference.precision import double_precision
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -57,7 +57,7 @@ class Picture:
 
     def drawn(self) -> "Figure":
         """The figure, drawn with numbers in double precision."""
-        return in_double(self.draw)()
+        return double_precision(self.draw)()
 
     def __repr__(self) -> str:
         return f"Picture({self.name!r}, {self.title!r})"  # what it draws from may be long

@@ -13,7 +13,7 @@ from jaxvision.errors import InputError
 from ..frame_checks.dialled import LESS, exact_times, worst_in_words
 from ..inference.emcee_run import Emcee, for_group
 from ..inference.given import require_kind
-from ..inference.precision import in_double
+from ..inference.precision import double_precision
 from ..report.notebook import ShownInNotebooks
 from .clipping import clear_of_clipping
 from .colour_rounding import COLOURS, shared_rounding, with_shared_rounding
@@ -75,7 +75,7 @@ class ResponseCalibration(ShownInNotebooks):
     seed: int
 
 
-@in_double
+@double_precision
 def calibrate(
     stack: ExposureStack, *, sampling: Emcee | None = None, seed: int = 0
 ) -> ResponseCalibration:
@@ -104,7 +104,7 @@ def calibrate(
     if not channels:
         plane, reason = skipped[0]
         suspects = _suspects(plane, stack, seed)
-        raise InputError(f"This stack ({plane.label}): {reason}{_of_suspects(suspects)}")
+        raise InputError(f"This stack ({plane.label}): {reason}{_suspects_text(suspects)}")
     stack, channels = _as_dialled(stack, channels, sampling, seed)
     return ResponseCalibration(stack, tuple(channels), tuple(skipped), sampling, seed)
 
@@ -168,7 +168,7 @@ def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> list[str]:
     return [name for name, error in left.items() if error <= AS_GOOD * least]
 
 
-def _of_suspects(names: list[str]) -> str:
+def _suspects_text(names: list[str]) -> str:
     if not names:
         return ""
     if len(names) == 1:
@@ -286,7 +286,7 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
     the values of neighbours give the ratio."""
     first = taps[0]
     if len(taps) == 1:
-        return first.radiance.radiance * _of_mid_scale(first.curve)
+        return first.radiance.radiance * _mid_scale_factor(first.curve)
     (down, across), shape = first.plane.step, [0, 0]
     for tap in taps:
         for axis, size in enumerate(tap.radiance.radiance.shape):
@@ -307,7 +307,7 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
         known = np.isfinite(one - other)
         ratio = np.exp(np.median((one - other)[known])) if known.any() else np.nan
         whole[row::down, column::across] = tap.radiance.radiance * np.float32(ratio)
-    return whole * _of_mid_scale(first.curve)
+    return whole * _mid_scale_factor(first.curve)
 
 
 def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
@@ -322,19 +322,19 @@ def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
     ):
         if start:
             with np.errstate(divide="ignore", invalid="ignore"):
-                apart.append(_at_border(np.log(before)) - _at_border(np.log(inside)))
+                apart.append(_border_values(np.log(before)) - _border_values(np.log(inside)))
     first = np.isnan(whole).all()
     known = np.zeros(1) if first else np.concatenate(apart)
     known = known[np.isfinite(known)]
     whole[rows, columns] = own * np.float32(np.exp(np.median(known)) if known.size else np.nan)
 
 
-def _at_border(lines: np.ndarray) -> np.ndarray:
+def _border_values(lines: np.ndarray) -> np.ndarray:
     """Values half a line before the first, extrapolated from the first two."""
     return lines[0] if len(lines) < 2 else 1.5 * lines[0] - 0.5 * lines[1]
 
 
-def _of_mid_scale(curve: ResponseCurve) -> np.float32:
+def _mid_scale_factor(curve: ResponseCurve) -> np.float32:
     """Return the factor that makes exposures relative to mid-scale, if no pixel determines it."""
     if curve.bins.anchor is None:
         return np.float32(1)

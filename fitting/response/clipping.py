@@ -55,7 +55,7 @@ def clear_of_clipping(
     scene = np.ones(codes.shape[1:], bool) if mask is None else mask
     for contrast in CONTRASTS if hidden else ():
         lost = _lost_peaks(codes, clip, contrast, scene)
-        if not _by_chance(codes, clip, lost, near | ~scene) < CHANCE:
+        if not _darker_p_value(codes, clip, lost, near | ~scene) < CHANCE:
             break
         near |= _around(lost)
     return np.where(near, np.maximum(codes, int(np.ceil(clip))), codes).astype(codes.dtype)
@@ -79,7 +79,9 @@ def _lost_peaks(codes: np.ndarray, clip: float, contrast: float, scene: np.ndarr
     return lost
 
 
-def _by_chance(codes: np.ndarray, clip: float, lost: np.ndarray, left_out: np.ndarray) -> float:
+def _darker_p_value(
+    codes: np.ndarray, clip: float, lost: np.ndarray, left_out: np.ndarray
+) -> float:
     """p-value for pixels around lost peaks being darker than others with the same code in the
     shorter exposure, from the scatter of tiles; 1 if nothing can be compared.
 

@@ -44,13 +44,21 @@ from ..inference.formatting import format_percent
 from .beyond import extrapolated
 from .code_bins import MAX_BINS, CodeBins, code_bins, interval_variance
 from .code_pairs import PairStatistics, statistics_of_parts, total
-from .flat_places import in_register, to_flat_places
-from .pilot import NO_CURVE, degrees_of_freedom, fit_pilot, on_bins, rising
+from .flat_places import to_flat_places, well_registered
+from .pilot import NO_CURVE, degrees_of_freedom, fit_pilot, rebinned, rising
 from .pixel_noise import NoiseModel, noise_variance
 from .places import CLASSES, Layout, equal_classes, tiles_of
-from .repeats import HeldOut, Repeats, over_exposures, over_tiles, widened
+from .repeats import HeldOut, Repeats, exposure_jackknife, tile_jackknife, widened
 from .shutter import UNINFORMATIVE, Shutter, over_tau
-from .solve import MOST_ROUNDS, SHAKIEST, STEADIEST, Solution, at_centres, solve, spread_of_times
+from .solve import (
+    MOST_ROUNDS,
+    SHAKIEST,
+    STEADIEST,
+    Solution,
+    bin_centre_curve,
+    solve,
+    spread_of_times,
+)
 from .weights import APART, WeightRule, cells_of, coarsest, hat_rule, noise_rule
 
 PILOT_PIXELS = 2048  # of a class of steepness: enough for its noise model and a first curve
@@ -247,7 +255,7 @@ def fit_response_curve(
     with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
         few, of_few = codes[:, sample], classes[sample]
         pilot = fit_pilot(few, of_few, log_t, coarse, least_error=least_error)
-        means = rising(on_bins(pilot.means, coarse, bins), bins)
+        means = rising(rebinned(pilot.means, coarse, bins), bins)
         offset_t = log_t + pilot.solution.delta
         rule = noise_rule(pilot.noises, means, coarsest=coarsest(log_t))
         parts, activity = _parts(codes, bins, layout, linked)
@@ -261,10 +269,10 @@ def fit_response_curve(
         start = pilot.solution.suggested
         whole = solve(tiles, log_t, bins, start, least_error=least_error, rounds=rounds)
         rounding = float(interval_variance(whole.means)[bins.middle])
-        flat = in_register(pilot.noises, rounding)
+        flat = well_registered(pilot.noises, rounding)
         found = to_flat_places(whole, cells, activity, log_t, bins) if flat else whole
         fraction = min(1.0, len(sample) / max(int(linked.sum()), 1))
-        left_out = over_exposures(few, of_few, log_t, coarse, pilot, found.used, bins, fraction)
+        left_out = exposure_jackknife(few, of_few, log_t, coarse, pilot, found.used, bins, fraction)
         tau = _shutter_error(found)
         if tau is not None and tau >= max(SHAKIEST, 2 * least_error):
             raise InputError(
@@ -347,7 +355,7 @@ def _shutter_error(found: Solution) -> float | None:
     noise explains the errors."""
     if not len(found.free):
         return None
-    pull, information = _by_the_images(found)
+    pull, information = _image_information(found)
     known, axes = np.linalg.eigh(information)
     told = known > UNINFORMATIVE * known.max()
     known, square = known[told], ((pull @ axes)[told] / known[told]) ** 2
@@ -365,7 +373,7 @@ def _bound(shutter_error: float, free: int) -> float:
     return shutter_error * float(np.sqrt(free / chdtri(free, SIGNIFICANCE))) if free else np.inf
 
 
-def _by_the_images(found: Solution) -> tuple[np.ndarray, np.ndarray]:
+def _image_information(found: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Score and information of the images about free shutter errors, without their prior."""
     precision, size = np.linalg.inv(found.free_covariance), len(found.means)
     information = precision - found.prior[size:, size:]
@@ -380,7 +388,7 @@ def _expected(rule: WeightRule, means: np.ndarray) -> np.ndarray:
     return np.any(rule.weight[:, cells] > 0, axis=0)
 
 
-def _at_ends_of_light(
+def _end_errors(
     density: np.ndarray, g: np.ndarray, noise: np.ndarray, seen: np.ndarray
 ) -> Float[np.ndarray, "2 bins"]:
     """Return the error that a rough curve may have at codes near the first and the last observed
@@ -411,22 +419,22 @@ def _curve(
     least_error: float,
 ) -> ResponseCurve:
     size = len(found.means)
-    g = at_centres(found.means, bins)
-    covariance = at_centres(found.covariance[:size, :size], bins)
-    covariance = at_centres(covariance.T, bins).T
+    g = bin_centre_curve(found.means, bins)
+    covariance = bin_centre_curve(found.covariance[:size, :size], bins)
+    covariance = bin_centre_curve(covariance.T, bins).T
     hidden = ripple(exposures, found.used.smoothness)
     covariance += np.diag(((UNCORRECTED * noise_variance(noise, g)) ** 2 + hidden**2) * (g != 0))
     covariance += np.outer(g, g) * slope_error(noise) ** 2
     likely = found.suggested.shutter_error if len(found.free) else 0.0
-    tau_k, weights = over_tau(*_by_the_images(found), least_error)
+    tau_k, weights = over_tau(*_image_information(found), least_error)
     shutter = Shutter(g**2 / spread_of_times(exposures), likely, tau_k, weights)
     by_exposures, held_out = left_out
-    covariance, freedom = widened(covariance, shutter, over_tiles(whole, bins), by_exposures)
+    covariance, freedom = widened(covariance, shutter, tile_jackknife(whole, bins), by_exposures)
     spread = found.basis @ found.free_covariance @ found.basis.T
     seen = (np.diagonal(statistics.matrix)[:size] > 0) & expected
     own = np.sqrt(noise_variance(noise, g))
     density = np.diagonal(statistics.matrix)[:size] * own**2 / np.gradient(g)
-    bent = _at_ends_of_light(density, g, own, seen)
+    bent = _end_errors(density, g, own, seen)
     g, covariance = extrapolated(bins, g, covariance, seen & ~np.any(bent, axis=0))
     bent *= _room(found.used.smoothness)
     covariance += bent.T @ bent

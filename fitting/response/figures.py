@@ -191,11 +191,11 @@ def _middle_exposure(
     have the radiance of the brightest code."""
     channels = [channel for channel in calibration.channels if channel.plane.group == group]
     exposures = channels[0].plane.exposures
-    alone = replace(calibration, channels=tuple(map(_by_middle_exposure, channels)))
+    alone = replace(calibration, channels=tuple(map(_middle_exposure_map, channels)))
     return radiance_images(alone)[group], float(exposures[len(exposures) // 2])
 
 
-def _by_middle_exposure(channel: ChannelResponse) -> ChannelResponse:
+def _middle_exposure_map(channel: ChannelResponse) -> ChannelResponse:
     """A channel whose map uses a single exposure."""
     plane, curve = channel.plane, channel.curve
     middle = len(plane.exposures) // 2

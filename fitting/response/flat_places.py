@@ -34,7 +34,7 @@ QUIET = 2.0  # times the noise of the quietest places, up to which all are in re
 APART = 0.5  # of the mean activity, its deviation at a code, from which it shows its effect
 
 
-def in_register(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
+def well_registered(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
     """Whether the steepness classes have similar noise; twice the noise indicates
     misregistration."""
     if any(noise is None for noise in noises):

@@ -161,7 +161,7 @@ def fit_gamma(
     known = 0.0 if "exposure_sd" in named else exposure_sd
     sums = _gamma_sums(curve, column, dispersion, known, exposure_sd)
     sums = eqx.tree_at(lambda s: s.added, sums, _from_elsewhere(curve, sums, dispersion, black_sd))
-    log_tau, weights, given = _over_shutter(sums)
+    log_tau, weights, given = _shutter_mixture(sums)
     best = int(np.argmax(weights))
     space = space_of(sums.td.size, stated=exposure_sd)
     likeliest = jnp.asarray([float(given.mean[best]), float(np.exp(log_tau[best]))])
@@ -348,7 +348,7 @@ def _tabulate(sums: GammaSums, log_tau: Float[Array, " grid"]) -> GivenShutter:
     return jax.vmap(lambda x: given_shutter(sums, jnp.exp(x)))(log_tau)
 
 
-def _over_shutter(sums: GammaSums) -> tuple[np.ndarray, np.ndarray, GivenShutter]:
+def _shutter_mixture(sums: GammaSums) -> tuple[np.ndarray, np.ndarray, GivenShutter]:
     """(grid of ln tau, its posterior weights, gamma at each)."""
     log_tau = np.linspace(np.log(TABULATED[0]), np.log(float(sums.most)), 1001)
     given = _tabulate(sums, jnp.asarray(log_tau))

@@ -115,7 +115,7 @@ def rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarra
     return np.maximum.accumulate(means - floor) + floor
 
 
-def on_bins(
+def rebinned(
     means: Float[np.ndarray, " bins"], bins: CodeBins, other: CodeBins
 ) -> Float[np.ndarray, " others"]:
     """Bin means of a curve, interpolated to other bins."""

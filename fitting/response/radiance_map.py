@@ -90,7 +90,7 @@ def _merge(
     error = np.where(total > 0, 1 / np.sqrt(np.where(total > 0, total, 1)), np.inf)
 
     faint = np.flatnonzero(coverage == 0)
-    merged[faint], error[faint] = _of_noise(codes[:, faint], np.exp(log_t), curve)
+    merged[faint], error[faint] = _noise_radiance(codes[:, faint], np.exp(log_t), curve)
     return merged, error, coverage
 
 
@@ -107,7 +107,7 @@ def exposure_of_codes(curve: ResponseCurve) -> Float[np.ndarray, " codes"]:
     return np.where(near, np.sign(away) * size, 0)
 
 
-def _of_noise(
+def _noise_radiance(
     codes: np.ndarray, times: np.ndarray, curve: ResponseCurve
 ) -> tuple[np.ndarray, np.ndarray]:
     """Radiance and relative error of pixels whose exposures are all within noise of black or

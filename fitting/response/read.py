@@ -19,7 +19,7 @@ from ..frame_checks.exposures import blank_images, odd_exposures, refuse_toned
 from ..frame_checks.frame import frame_sample, refuse_half
 from ..frame_checks.heads import Stated, odd_heads
 from ..inference.formatting import format_percent
-from ..observation import Load, in_region, read_frame, read_stack, split_channels
+from ..observation import Load, cropped_to_region, read_frame, read_stack, split_channels
 from ..rig import Camera, Exposure, Rig, SiteCamera, as_rig, require
 from .moved import moved_exposures
 
@@ -352,7 +352,7 @@ def _scene_mask(
     if mask is None:
         return np.ones(shape, bool)
     if mask.shape != shape:  # as it is where it has the size of the region already
-        mask = in_region(mask, rig.camera, rig.path("the mask"))
+        mask = cropped_to_region(mask, rig.camera, rig.path("the mask"))
     if mask.shape != shape:
         raise InputError(f"{where} are {shape} pixels, the mask is {mask.shape}; resize it.")
     if not mask.any():

@@ -22,7 +22,7 @@ from .code_bins import CodeBins
 from .code_pairs import pair_statistics
 from .pilot import Pilot
 from .shutter import MOST_FREE, Shutter, mixed
-from .solve import Hyperparameters, Solution, at_centres, inverse, solve
+from .solve import Hyperparameters, Solution, bin_centre_curve, inverse, solve
 from .weights import cells_of, weighted_mean
 
 FEWEST_PREDICTING = 3  # exposures: leaving one out must leave two
@@ -83,7 +83,7 @@ class Repeats:
         return np.where(self.variance > likely, self.variance - explained, 0), freedom
 
 
-def over_tiles(found: Solution, bins: CodeBins) -> Repeats | None:
+def tile_jackknife(found: Solution, bins: CodeBins) -> Repeats | None:
     """The jackknife over tiles."""
     if len(found.equations) < 2:
         return None
@@ -94,11 +94,11 @@ def over_tiles(found: Solution, bins: CodeBins) -> Repeats | None:
     fits = []
     for tile in tiles:
         covariance = inverse((matrix - tile.matrix) / phi + found.prior, bins)
-        fits.append(at_centres((covariance @ (right - tile.right))[:size] / phi, bins))
+        fits.append(bin_centre_curve((covariance @ (right - tile.right))[:size] / phi, bins))
     return Repeats(_jackknife(fits), _pixel_variance(found, matrix / phi, bins))
 
 
-def over_exposures(
+def exposure_jackknife(
     codes: Integer[np.ndarray, "exposures pixels"],
     classes: Int[np.ndarray, " pixels"],
     log_t: Float[np.ndarray, " exposures"],
@@ -125,7 +125,7 @@ def over_exposures(
     if len(log_t) < FEWEST_EXPOSURES:
         return None, held_out
     whole = without(None)
-    departures = _jackknife([at_centres(fit.means, coarse) for fit in fits])
+    departures = _jackknife([bin_centre_curve(fit.means, coarse) for fit in fits])
     matrix = whole.equations[0].matrix / hyper.design_effect**2 / fraction
     explained = 2 * _pixel_variance(whole, matrix, coarse)  # a pair goes with either exposure
     fine, x = np.log(bins.centres - bins.black), np.log(coarse.centres - coarse.black)
@@ -172,7 +172,7 @@ def _jackknife(fits: Sequence[np.ndarray]) -> np.ndarray:
 def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.ndarray:
     """Variance of g at centres from a covariance of the right-hand side."""
     size = len(found.means)
-    rows = at_centres(found.covariance[:size], bins)
+    rows = bin_centre_curve(found.covariance[:size], bins)
     return np.maximum(np.sum((rows @ noise) * rows, axis=1), 0)
 
 

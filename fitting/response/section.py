@@ -141,7 +141,7 @@ def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
     for code in picks:
         cells: list[Any] = [f"{code:g}"]
         for channel in shown:
-            cells.append(_at_code(channel.curve, code))
+            cells.append(_exposure_at_code(channel.curve, code))
         rows.append(tuple(cells))
     return Table(
         "Response curve",
@@ -152,7 +152,7 @@ def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
     )
 
 
-def _at_code(curve: ResponseCurve, code: float) -> str | None:
+def _exposure_at_code(curve: ResponseCurve, code: float) -> str | None:
     """Exposure at a code, by linear interpolation in the logarithms above black."""
     if not max(curve.bins.black, curve.bins.edges[0]) < code <= curve.bins.edges[-1]:
         return None

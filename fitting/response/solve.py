@@ -264,7 +264,7 @@ def _design_effect(
     return max(1.0, float(spread / np.sum(covariance * matrix)))
 
 
-def at_centres(
+def bin_centre_curve(
     means: Float[np.ndarray, " bins *more"], bins: CodeBins
 ) -> Float[np.ndarray, " bins *more"]:
     """g at the centres of bins, 0 at mid-scale, from its means over the bins.

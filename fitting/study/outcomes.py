@@ -19,7 +19,7 @@ from jaxvision.tasks import PROGRAMS
 
 from .. import folders
 from ..inference.estimates import Estimate
-from ..inference.precision import in_double
+from ..inference.precision import double_precision
 from ..report.page import as_json, write_report
 from ..report.progress import Progress
 from ..report.section import Section
@@ -175,7 +175,7 @@ def remembered(settings: Settings, folder: Folder) -> Outcome | None:
     return None if outcome is None or outcome.failed else outcome
 
 
-@in_double
+@double_precision
 def calibrated(settings: Settings, folder: Folder) -> Outcome:
     """Calibrate a folder, write its report, and store the outcome. If a folder cannot be
     calibrated, the outcome gives the reason."""

@@ -63,7 +63,7 @@ def show(
         )
     if not as_json:
         print(f"{problem.name}; {machine()}", problem.about, sep="\n")
-        print(in_columns(rows(problem, curves, together=together)))
+        print(aligned_columns(rows(problem, curves, together=together)))
         print("\n".join(notes(curves, together=together)), flush=True)
     return as_dict(problem, curves, together=together, machine=machine(), command=command)
 
@@ -90,7 +90,7 @@ def print_json(sheet: Mapping[str, Any]) -> None:
     print(json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False), flush=True)
 
 
-def in_columns(rows: Sequence[tuple[str, ...]]) -> str:
+def aligned_columns(rows: Sequence[tuple[str, ...]]) -> str:
     """Rows with equal numbers of cells as lines with aligned columns."""
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     return "\n".join(

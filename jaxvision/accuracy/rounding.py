@@ -195,7 +195,7 @@ def _rounded(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
     wide = [x.astype(_WIDE.get(x.dtype, x.dtype)) for x in inputs]
     params = {n: None if n == "preferred_element_type" else v for n, v in params.items()}
     return [
-        _at_random(x, own, jax.random.fold_in(key, i)) if x.dtype in _WIDE.values() else own
+        _randomly_rounded(x, own, jax.random.fold_in(key, i)) if x.dtype in _WIDE.values() else own
         for i, (x, own) in enumerate(zip(bound(wide, params), native, strict=True))
     ]
 
@@ -241,12 +241,14 @@ def _as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
     return run(inner.solve, key, [*consts, *right])
 
 
-def _at_random(exact: Any, native: Any, key: Any) -> Any:
+def _randomly_rounded(exact: Any, native: Any, key: Any) -> Any:
     """A float64 rounded to a neighbouring float32, so that its expectation is the number itself;
     `native` is the float32 of the operation itself, whose own error is taken with either sign."""
     if jnp.iscomplexobj(exact):
         parts = zip((exact.real, exact.imag), (native.real, native.imag), (2, 3), strict=True)
-        return jax.lax.complex(*(_at_random(x, y, jax.random.fold_in(key, i)) for x, y, i in parts))
+        return jax.lax.complex(
+            *(_randomly_rounded(x, y, jax.random.fold_in(key, i)) for x, y, i in parts)
+        )
     near, off = exact.astype(jnp.float32), native.astype(jnp.float64) - exact
     unit = jnp.abs(jnp.nextafter(near, jnp.float32(jnp.inf)) - near).astype(jnp.float64)
     sign = jax.random.rademacher(jax.random.fold_in(key, 1), exact.shape, jnp.float64)

@@ -64,7 +64,7 @@ def _cells(curve: Curve) -> list[str]:
 
 def _cell(trial: Trial) -> str:
     inferred = "" if trial.measured else " (inferred)"
-    return f"{trial.setting}{inferred} in {in_seconds(trial.seconds)}"
+    return f"{trial.setting}{inferred} in {seconds_text(trial.seconds)}"
 
 
 def _all(together: Together) -> str:
@@ -76,10 +76,10 @@ def _all(together: Together) -> str:
         f"{n} {setting}{left.get(n, '')}" for n, setting in combination.settings.items()
     )
     said = "" if together.checked else " (not checked)"
-    return f"{words} in {in_seconds(combination.seconds)}{said}"
+    return f"{words} in {seconds_text(combination.seconds)}{said}"
 
 
-def in_seconds(seconds: float) -> str:
+def seconds_text(seconds: float) -> str:
     """A time with two significant digits, as text in ms, s, min or h."""
     if seconds < 0.1:
         return f"{1e3 * seconds:.2g} ms"
@@ -194,7 +194,7 @@ def choice_in_words(chosen: Chosen) -> str:
     how = "checked with fresh seeds" if chosen.checked else "not checked, for want of time"
     said = (
         f"Chosen: {words}: within {in_percent(chosen.promised)} ({how}), about "
-        f"{in_seconds(chosen.predicted_seconds)}."
+        f"{seconds_text(chosen.predicted_seconds)}."
     )
     if not chosen.unknown:
         return said

@@ -41,7 +41,7 @@ def _chebyshev(place: Array, count: int) -> Array:
     return jnp.stack(found)
 
 
-def _of_roughness(alpha: Scalar, count: int) -> Float[Array, " count"]:
+def _roughness_basis(alpha: Scalar, count: int) -> Float[Array, " count"]:
     def stretched(a):
         return jnp.arcsinh(jnp.sqrt(a / 0.3))
 
@@ -53,7 +53,7 @@ def _fitted(alpha: Scalar) -> Scalar:
     return jnp.clip(alpha, SMOOTHEST, ROUGHEST)
 
 
-def _of_cosine(cosine: Array, alpha: Scalar, count: int) -> Array:
+def _cosine_basis(cosine: Array, alpha: Scalar, count: int) -> Array:
     """T_k at the places of cosines; smoother facets look alike at the same cosine over alpha."""
     a = _fitted(alpha)
     scaled = cosine * (a / jnp.clip(alpha, LEAST_ROUGHNESS, ROUGHEST))
@@ -64,8 +64,8 @@ def _of_cosine(cosine: Array, alpha: Scalar, count: int) -> Array:
 def lost(cosine: Array, alpha: Scalar, distribution: Distribution) -> Array:
     """The share of light that white facets lose, seen at a cosine."""
     table = jnp.asarray(_coefficients(distribution)[0], alpha.dtype)
-    line = table @ _of_roughness(alpha, table.shape[1])
-    return jnp.clip(line @ _of_cosine(cosine, alpha, table.shape[0]), 0, 1)
+    line = table @ _roughness_basis(alpha, table.shape[1])
+    return jnp.clip(line @ _cosine_basis(cosine, alpha, table.shape[0]), 0, 1)
 
 
 def mean_lost(alpha: Scalar, distribution: Distribution) -> Scalar:
@@ -77,11 +77,11 @@ def mean_lost(alpha: Scalar, distribution: Distribution) -> Scalar:
 def reflected(cosine: Scalar, alpha: Scalar, eta: Colour, distribution: Distribution) -> Colour:
     """The share that clear facets of relative indices `eta` reflect, (bands,), seen at a cosine."""
     table = jnp.asarray(_coefficients(distribution)[1], alpha.dtype)
-    by_index = jnp.einsum("xyz,y->xz", table, _of_roughness(alpha, table.shape[1]))
+    by_index = jnp.einsum("xyz,y->xz", table, _roughness_basis(alpha, table.shape[1]))
     span = float(np.log(LARGEST_INDEX / LEAST_INDEX))
     place = jnp.log(jnp.clip(eta, LEAST_INDEX, LARGEST_INDEX) / LEAST_INDEX) / span
     line = by_index @ _chebyshev(place, table.shape[2])
-    added = _of_cosine(cosine, alpha, table.shape[0]) @ line
+    added = _cosine_basis(cosine, alpha, table.shape[0]) @ line
     # of smoother facets than fitted the loss stays at the same cosine over alpha; what the tilt of
     # the facets changes of Fresnel's reflectance falls with alpha
     loss, smoother = lost(cosine, alpha, distribution), alpha / _fitted(alpha)

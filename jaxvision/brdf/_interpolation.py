@@ -57,7 +57,7 @@ def in_unit(position: Scalar, count: int) -> Place:
     return [(i, 1 - w), (i + 1, w)]
 
 
-def in_bins(position: Scalar, count: int, *, periodic: bool = False) -> Place:
+def bin_centre_position(position: Scalar, count: int, *, periodic: bool = False) -> Place:
     """The position of a number in [0, 1] among the centres of `count` equal bins."""
     scaled = position * count - np.asarray(0.5, position.dtype)
     low = jnp.floor(scaled)
@@ -67,7 +67,7 @@ def in_bins(position: Scalar, count: int, *, periodic: bool = False) -> Place:
     return [(jnp.clip(i, 0, count - 1), 1 - w), (jnp.clip(i + 1, 0, count - 1), w)]
 
 
-def in_bin(position: Scalar, count: int) -> Place:
+def containing_bin(position: Scalar, count: int) -> Place:
     """The bin that contains a number in [0, 1]."""
     i = jnp.clip(jnp.floor(position * count).astype(jnp.int32), 0, count - 1)
     return [(i, jnp.ones_like(position))]

@@ -46,7 +46,7 @@ from ._registry import family, integrate_shading, is_delta, register, suprema
 from .eon import EON
 from .fresnel import Dielectric
 from .lambert import Lambert
-from .microfacet import Distribution, at_least_polished, facet_pdf, sample_facet
+from .microfacet import Distribution, clamped_roughness, facet_pdf, sample_facet
 from .torrance_sparrow import TorranceSparrow
 
 
@@ -193,7 +193,7 @@ def _body_part(material: Coated, wo: Direction) -> Scalar:
 
 
 def _alpha(material: Coated) -> Float[Array, "2"]:
-    return at_least_polished(jnp.broadcast_to(material.roughness, (2,)))
+    return clamped_roughness(jnp.broadcast_to(material.roughness, (2,)))
 
 
 def sample(material: Coated, wo: Direction, u: Float[Array, "3"]) -> Vec:

@@ -27,7 +27,7 @@ from ..core._types import Colour, Scalar, as_float, as_optional_float, check_cho
 from ..core._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._half_vector import azimuth, elevation, elevation_to_unit, spherical
-from ._interpolation import in_bin, in_bins, multilinear
+from ._interpolation import bin_centre_position, containing_bin, multilinear
 from ._lobe import where_seen
 from ._lobe_sampler import LobeSampler, albedo, pdf, sample, table_bound
 from ._registry import register
@@ -135,9 +135,13 @@ def evaluate(material: HalfDifferenceTable, wi: Direction, wo: Direction) -> Col
     p = angles.phi_d * (1 / jnp.pi)
     p = p - jnp.floor(p)
     if material.interpolation == "nearest":
-        places = in_bin(h, n_h), in_bin(d, n_d), in_bin(p, n_p)
+        places = containing_bin(h, n_h), containing_bin(d, n_d), containing_bin(p, n_p)
     else:
-        places = in_bins(h, n_h), in_bins(d, n_d), in_bins(p, n_p, periodic=True)
+        places = (
+            bin_centre_position(h, n_h),
+            bin_centre_position(d, n_d),
+            bin_centre_position(p, n_p, periodic=True),
+        )
     return where_seen(wi, wo, multilinear(material.values, *places))
 
 

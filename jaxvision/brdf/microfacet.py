@@ -37,7 +37,7 @@ print_by_name(globals(), "Alpha")
 LEAST_ROUGHNESS = 1e-6  # what is smoother counts as this
 
 
-def at_least_polished(alpha: Alpha) -> Alpha:
+def clamped_roughness(alpha: Alpha) -> Alpha:
     """Return the effective roughness, no unit. Below 1e-6 it is 1e-6, without gradient."""
     return jnp.maximum(alpha, LEAST_ROUGHNESS)
 
@@ -56,7 +56,7 @@ def normal_distribution(h: Direction, alpha: Alpha, *, distribution: Distributio
         beckmann   exp(-(p^2 + q^2)) / (pi alpha_x alpha_y h.z^4)
         ggx        1 / (pi alpha_x alpha_y h.z^4 (1 + p^2 + q^2)^2)
     """
-    n, a = as_vec(h), at_least_polished(alpha)
+    n, a = as_vec(h), clamped_roughness(alpha)
     across = jnp.square(n.x / a[0]) + jnp.square(n.y / a[1])
     scale = jnp.pi * a[0] * a[1]
     match distribution:
@@ -81,7 +81,7 @@ def hidden_cosine(w: Direction, alpha: Alpha, *, distribution: Distribution) -> 
     """cos(theta) Lambda(w), no unit: the hidden part of the facet area projected toward `w`, per
     area of the surface; the visible part is cos(theta). It is finite at grazing angles, where
     Lambda is not. Source: Heitz (2014), equations 68 to 72."""
-    v, a = as_vec(w), at_least_polished(alpha)
+    v, a = as_vec(w), clamped_roughness(alpha)
     squared = jnp.square(v.x * a[0]) + jnp.square(v.y * a[1])
     match distribution:
         case "beckmann":
@@ -141,7 +141,7 @@ def sample_facet(wo: Direction, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
     It also serves Beckmann facets: with the same alpha, D_beckmann / D_ggx <= 4 / e. Source: Heitz,
     "Sampling the GGX Distribution of Visible Normals", JCGT 7(4) (2018).
     """
-    v, a = as_vec(wo), at_least_polished(alpha)
+    v, a = as_vec(wo), clamped_roughness(alpha)
     view = as_vec(normalize(Vec(v.x * a[0], v.y * a[1], v.z)))
     sine = safe_sqrt(view.x * view.x + view.y * view.y)
     tilted = sine > smallest_divisor(sine.dtype)

@@ -85,7 +85,7 @@ from .microfacet import (
     Alpha,
     Distribution,
     Shadowing,
-    at_least_polished,
+    clamped_roughness,
     facet_pdf,
     half_vector,
     normal_distribution,
@@ -165,7 +165,7 @@ class TorranceSparrow(Material):
 
 
 def _alpha(material: TorranceSparrow) -> Alpha:
-    return at_least_polished(jnp.broadcast_to(material.roughness, (2,)))
+    return clamped_roughness(jnp.broadcast_to(material.roughness, (2,)))
 
 
 def microfacet_lobe(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:

@@ -49,7 +49,7 @@ Scheduler = Annotated[
 ]
 
 
-def _in_plain_words(params: Any, ctx: Any) -> Any:
+def _described_parameters(params: Any, ctx: Any) -> Any:
     """Return the parameters of a command with a short word for the value of each option in the
     help. Flags have no word, and arguments have their name."""
     for param in params:
@@ -71,7 +71,7 @@ class _Command(TyperCommand):
         return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
 
     def get_params(self, ctx: Any) -> Any:
-        return _in_plain_words(super().get_params(ctx), ctx)
+        return _described_parameters(super().get_params(ctx), ctx)
 
 
 class _Group(TyperGroup):
@@ -79,7 +79,7 @@ class _Group(TyperGroup):
     UTF-8."""
 
     def get_params(self, ctx: Any) -> Any:
-        return _in_plain_words(super().get_params(ctx), ctx)
+        return _described_parameters(super().get_params(ctx), ctx)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         try:

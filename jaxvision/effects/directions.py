@@ -19,7 +19,7 @@ from .reflection import Reflection
 from .sums import Sums, lobe_sent, pictured
 
 
-def over_lens(sums: Sums, onward: Onward) -> np.ndarray:
+def lens_spread_bound(sums: Sums, onward: Onward) -> np.ndarray:
     """A bound on the difference in radiance of any point in the picture between two points of the
     lens, (bands,) W m^-2 sr^-1. It is 0 for a pinhole and inf if a mirror or glass is in view.
     `onward` bounds the light after its first reflection."""
@@ -37,7 +37,7 @@ def over_lens(sums: Sums, onward: Onward) -> np.ndarray:
     smooth = np.array([_is_smooth(surface.low.shape) for surface in sums.surfaces])
     bent = (smooth[of_cell] & (cos_seen(cells, eye)[0] <= 0))[:, None]
     plain = _plain(sums)
-    total = _of_others(sums, onward, plain, smooth)[of_cell]
+    total = _interreflection_bound(sums, onward, plain, smooth)[of_cell]
     for k, spectrum in enumerate(sums.spectrum):
         even, facing = sums.body[k][:, None], sums.facing[k][:, None]
         of_body = times(sums.k_body, spectrum)[of_cell]
@@ -71,7 +71,9 @@ def _is_smooth(shape: Shape) -> bool:
     return isinstance(shape, TriangleMesh) and shape.normals is not None
 
 
-def _of_others(sums: Sums, onward: Onward, plain: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+def _interreflection_bound(
+    sums: Sums, onward: Onward, plain: np.ndarray, smooth: np.ndarray
+) -> np.ndarray:
     """(n, bands) the same for the light between surfaces."""
     found = np.zeros_like(sums.own)
     if onward.depth is None:

@@ -223,7 +223,7 @@ def diffraction(
             f_number = jnp.ones_like(lens.f_number) if closed else lens.f_number
             working = f_number / (sensor_vergence(lens) * lens.focal_length)
             wide = lens.diffraction.wavelength * working / fine
-            middles.append(on_pixel(np.asarray(wide, float)) - _SHARES)
+            middles.append(middle_pixel_share(np.asarray(wide, float)) - _SHARES)
             continue
         middles.append(np.asarray(kernel, float)[kernel.shape[0] // 2, kernel.shape[1] // 2])
     least = np.min(middles, axis=0)
@@ -232,7 +232,7 @@ def diffraction(
         return irradiance * np.clip(1 - least, 0, 1), 0.0, why
 
 
-def on_pixel(width: np.ndarray) -> np.ndarray:
+def middle_pixel_share(width: np.ndarray) -> np.ndarray:
     """The smallest share of any Airy pattern, no wider than the given `width` of lambda N in
     pixels, on the pixel in its middle, (...) no unit.
 

@@ -19,7 +19,7 @@ from .bounces import EMITTED, Onward
 from .boxes import put, steps_of, value_at
 from .cells import anywhere, eye_of, in_view, part_of
 from .certificate import RADIANCE, Effect
-from .directions import over_lens
+from .directions import lens_spread_bound
 from .extent import extent_change
 from .illumination import times
 from .reflection import Lobe, absorbs, reflection_of
@@ -65,7 +65,7 @@ def scene_stage(
         *(varied_by(sums, onward, i, place) for i, own in enumerate(varied) for place in own),
         ambient(scene, sums, onward),
     ]
-    found = Arriving(top(sums, onward), *depths(sums), over_lens(sums, onward))
+    found = Arriving(top(sums, onward), *depths(sums), lens_spread_bound(sums, onward))
     return tuple(rows), found, sums
 
 

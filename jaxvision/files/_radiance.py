@@ -106,7 +106,7 @@ def _scanlines(file: Path, data: bytes, rows: int, width: int) -> np.ndarray:
     """(rows, width, 4) bytes, unpacked."""
     mark = bytes((2, 2, width >> 8, width & 255))
     if not 8 <= width < 1 << 15 or data[:4] != mark:
-        return _by_pixels(file, data, rows * width).reshape(rows, width, 4)
+        return _pixel_sequence(file, data, rows * width).reshape(rows, width, 4)
     found = np.empty((rows, 4, width), np.uint8)
     at = 0
     for row in range(rows):
@@ -133,7 +133,7 @@ def _scanlines(file: Path, data: bytes, rows: int, width: int) -> np.ndarray:
     return found.swapaxes(1, 2)
 
 
-def _by_pixels(file: Path, data: bytes, count: int) -> np.ndarray:
+def _pixel_sequence(file: Path, data: bytes, count: int) -> np.ndarray:
     """(count, 4) pixels in sequence, some of which repeat the previous one."""
     pixels = np.frombuffer(data[: len(data) // 4 * 4], np.uint8).reshape(-1, 4)
     repeats = np.flatnonzero((pixels[:count, :3] == 1).all(axis=1))

@@ -307,7 +307,7 @@ def _eulumdat(path: Path, lines: list[str]) -> Luminaire:
     factor = at(24).one("conversion factor (line 24)", 0, 1e6)
     sets = at(26).count("number of lamp sets (line 26)", 1, 20)
     start = 26 + 6 * sets
-    flux_line, watts_line = _of_first_set(path, lines[26:start], sets)
+    flux_line, watts_line = _first_lamp_set(path, lines[26:start], sets)
     if len(lines) < start + 10:
         raise InputError(f"{path}: ends within its sets of lamps; it is cut off.")
     lumens = at(flux_line).one("flux of the lamps", 0, 1e10)
@@ -343,7 +343,7 @@ def _eulumdat(path: Path, lines: list[str]) -> Luminaire:
     return _made(numbers, table, vertical, horizontal, opening, lumens, watts, "C", name, ratio)
 
 
-def _of_first_set(path: Path, lines: Sequence[str], sets: int) -> tuple[int, int]:
+def _first_lamp_set(path: Path, lines: Sequence[str], sets: int) -> tuple[int, int]:
     """The lines of the first set's lumens and watts: the standard stores field by field, and many
     programs set by set. The fields are number, type, lumens, colour, rendering and watts."""
 

@@ -44,7 +44,7 @@ def padded(image: Stack, size: tuple[int, ...], anchor: Anchor, border: str) -> 
     return image
 
 
-def by_conv(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
+def correlate_conv(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
     """`lax.conv_general_dilated`, with planes as a batch if bands share a kernel, else as
     groups."""
     wide, bands = padded(image, kernel.shape[:2], anchor, border), image.shape[-1]
@@ -65,7 +65,7 @@ def by_conv(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result
     return result
 
 
-def by_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
+def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
     """The product of the transforms, planes last in memory.
 
     A transform spreads the rounding errors of its largest values over the whole plane. The
@@ -280,7 +280,7 @@ def _fast_length(n: int) -> int:
         n += 1
 
 
-def by_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
+def correlate_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
     """The sum of shifted images, in loops over whole rows (h, w c).
 
     A shift by one pixel is then a shift by c numbers: the loop vectorises even for few bands.
@@ -328,4 +328,4 @@ def by_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Resu
     return total.reshape(n, h, w, c)
 
 
-METHODS = {"conv": by_conv, "direct": by_shifts, "fft": by_fft}
+METHODS = {"conv": correlate_conv, "direct": correlate_shifts, "fft": correlate_fft}

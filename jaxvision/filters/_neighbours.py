@@ -32,7 +32,7 @@ def planes_of(picture: AnyPicture) -> tuple[Planes, Callable[[Planes], Floats]]:
     return planes, lambda bands: restore(jnp.stack(bands, axis=-1))
 
 
-def in_its_unit(
+def scaled_guide(
     guide: Planes, *sizes: float | Scalars, dtype: DTypeLike
 ) -> tuple[Planes, tuple[Scalars, ...]]:
     """A guide and sizes in its unit, both divided by one power of two, so that no bound on a size

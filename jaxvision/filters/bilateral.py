@@ -23,9 +23,9 @@ from ._neighbours import (
     Floats,
     Plane,
     Planes,
-    in_its_unit,
     inverse,
     planes_of,
+    scaled_guide,
     weighted_mean,
 )
 from .padding import check_border
@@ -125,7 +125,7 @@ def joint_bilateral_filter(
             f"{jnp.shape(picture)} and {jnp.shape(guide)}."
         )
     dtype = values[0].dtype
-    edges, (in_its_range,) = in_its_unit(edges, sigma_range, dtype=dtype)
+    edges, (in_its_range,) = scaled_guide(edges, sigma_range, dtype=dtype)
     in_space, in_range = inverse(sigma_space, dtype), inverse(in_its_range, dtype)
     square = DIFFERENCES[difference]
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Int
 from ..core._arguments import takes_numbers
 from ..core._numerics import log_of_zero
 from ..core._types import Scalars, check_choice, check_count
-from ._neighbours import Plane, Planes, in_its_unit, inverse, planes_of, weighted_mean
+from ._neighbours import Plane, Planes, inverse, planes_of, scaled_guide, weighted_mean
 from .padding import Filtered, Picture, check_border
 
 
@@ -70,7 +70,7 @@ def nonlocal_means_filter(
     check_border(border, refused=("constant",))
     values, restore = planes_of(picture)
     dtype = values[0].dtype
-    guide, (strength, noise) = in_its_unit(values, strength, noise, dtype=dtype)
+    guide, (strength, noise) = scaled_guide(values, strength, noise, dtype=dtype)
     scale = inverse(strength, dtype)
     taps = _taps(patch, profile)
     noise_share = 2 * (scale * noise) ** 2

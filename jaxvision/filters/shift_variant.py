@@ -370,7 +370,7 @@ def _blended(members: list[Filtered], position: ScaleMap) -> Filtered:
     """The kernels of a bank, weighted with hat functions of `position`."""
     bands = 1 if members[0].ndim == 2 else members[0].shape[-1]
     batch = (1,) * max(members[0].ndim - 3, 0)
-    # rows of numbers, whatever the bands: see `_methods.by_shifts`
+    # rows of numbers, whatever the bands: see `_methods.correlate_shifts`
     t = jnp.clip(position, 0, len(members) - 1).astype(members[0].dtype)
     t = materialise(lambda t: jnp.repeat(t, bands, axis=1), t).reshape(
         *batch, position.shape[0], -1

@@ -338,7 +338,7 @@ def _rule(settings: RenderEntry, key: Key) -> Rule:
             return Balanced(key, settings.order)
 
 
-def in_words_of(source: SceneFile, text: str) -> str:
+def named_text(source: SceneFile, text: str) -> str:
     """A text with surfaces and lights by their names in the scene file."""
     names = {"surfaces": source.surfaces, "lights": source.lights}
     return re.sub(
@@ -354,4 +354,4 @@ def _refusals_in_words(source: SceneFile) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise InputError(f"{source.path}: {in_words_of(source, str(error))}") from error
+        raise InputError(f"{source.path}: {named_text(source, str(error))}") from error

@@ -19,7 +19,7 @@ from ..files.scenes.schema import RenderEntry
 from ..rendering import PixelSamples
 from ..rendering.band_count import band_count
 from ..scene import Camera, View
-from .integrators import in_words_of
+from .integrators import named_text
 
 CUT = "path", "light"  # integrators whose paths may be cut to fewer pieces
 _NAMED = 4  # effects in one line
@@ -122,7 +122,7 @@ def pruned_for(
     try:
         return effects.prune(source.scene, seen, tolerance, **asked)
     except InputError as error:
-        raise InputError(in_words_of(source, str(error))) from error
+        raise InputError(named_text(source, str(error))) from error
 
 
 def nothing_lost(source: SceneFile, settings: RenderEntry) -> Pruned | None:

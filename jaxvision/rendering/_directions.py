@@ -18,13 +18,13 @@ from ..scene import Light, Material
 from .shadows import Place, clear
 
 
-def in_frame(normal: Direction, wo: Direction, tangent: Vector | None) -> tuple[Frame, Vec]:
+def local_viewer(normal: Direction, wo: Direction, tangent: Vector | None) -> tuple[Frame, Vec]:
     """The frame of a surface point, and the viewer in it."""
     frame = local_frame(normal, tangent=tangent)
     return frame, as_vec(to_local(frame, wo))
 
 
-def in_world(frame: Frame, wi: Vec, like: Vector) -> Vector:
+def world_direction(frame: Frame, wi: Vec, like: Vector) -> Vector:
     """A local direction in the world, as an array or a `Vec`, like `like`."""
     world = to_world(frame, wi)
     return as_array(world) if isinstance(like, Array) else world
@@ -44,7 +44,7 @@ def balanced(
     densities. The mean over uniform numbers is the radiance, W m^-2 sr^-1."""
 
     def weighed(wi: Vec) -> Colour:
-        world = in_world(frame, wi, point)
+        world = world_direction(frame, wi, point)
         density = direction_pdf(light, point, world) + brdf.pdf(material, wi, viewer)
         arriving = arriving_from(light, point, world, place)
         return arriving * brdf.shading(material, wi, viewer) * reciprocal(density)

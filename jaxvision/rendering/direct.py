@@ -165,7 +165,7 @@ def _facing(
         normal = where(turned, -normal, normal)
         smooth = where(turned, -smooth, smooth)
     if patch is not None and tilted is not None:
-        smooth = shading_normal(patch, smooth, normal, -ray.direction)
+        smooth = shading_normal(smooth, normal, -ray.direction)
     return smooth, Leaving(normal, hit.size)
 
 

@@ -192,7 +192,7 @@ class Eye(eqx.Module):
         return 0 * point[0] + jnp.inf if self.at_infinity else norm(self.place - point)
 
 
-def _on_curve(curve: Curves, t: Scalar, eye: Eye) -> Float[Array, "3"]:
+def _curve_point(curve: Curves, t: Scalar, eye: Eye) -> Float[Array, "3"]:
     """The point of one curve at t in [0, 1], m."""
     away = 0 * curve.radius
     if not eye.at_infinity:
@@ -213,7 +213,7 @@ def _beside(
     curve: Curves, t: Scalar, eye: Eye, side: float = 1.0, lifted: Any = 1.0
 ) -> tuple[Array, Array]:
     """A point a little outside of an outline, and a little from it toward the eye, m."""
-    away = _on_curve(curve, t, eye) - curve.centre
+    away = _curve_point(curve, t, eye) - curve.centre
     point = curve.centre + (1 + side * _BESIDE) * away
     return point, point + lifted * _BESIDE * norm(away) * eye.direction(point)
 
@@ -364,10 +364,10 @@ def moving_edges(
 
         found, along = zeros, (again, moving, motion, edges)
         if _seen_outlines(scene):
-            found = found + _of_outlines(*along, seen, sampled=sampled)
+            found = found + _outline_integral(*along, seen, sampled=sampled)
         if rules is not None and _blocking_outlines(scene):
             for group in range(len(lights_by_rule(again(moving)[0].lights, rules))):
-                found = found + _of_shadows(*along, under, rules, group, sampled=sampled)
+                found = found + _shadow_integral(*along, under, rules, group, sampled=sampled)
         return zeros, found
 
     nothing.defjvp(derivative, symbolic_zeros=True)
@@ -394,7 +394,7 @@ def _can_move(scene: Scene, view: View) -> Any:
     return jax.tree_util.tree_map_with_path(moves, (scene, view))
 
 
-def _of_outlines(
+def _outline_integral(
     again: Callable[[Any], tuple[Scene, View]],
     moving: Any,
     motion: Any,
@@ -415,7 +415,7 @@ def _of_outlines(
 
         def end(t: Array) -> tuple[Array, Array, Array]:
             shown = _reaches(_beside(curve, t, eye)[1], eye, shapes) | (curve.kind == _HORIZON)
-            return *_imaged(view, _on_curve(curve, t, eye), None), shown
+            return *_imaged(view, _curve_point(curve, t, eye), None), shown
 
         return _lengths(view, *jax.vmap(end)(jnp.linspace(0, 1, _CELLS + 1, dtype=dtype)))
 
@@ -428,7 +428,7 @@ def _of_outlines(
         scene, view = again(moving)
 
         def place(curve: Curves, t: Array, u: Array | None) -> tuple[Array, Array]:
-            return _imaged(view, _on_curve(curve, t, _eye(view, u)), u)
+            return _imaged(view, _curve_point(curve, t, _eye(view, u)), u)
 
         return jax.vmap(place)(_row(_curves(_seen_outlines(scene)), chosen), t, lens)
 
@@ -441,7 +441,7 @@ def _of_outlines(
         curve: Curves, t: Array, at: Array, tangent: Array, u: Array | None, number: Array
     ) -> Colour:
         across = _aside(view) * _across(tangent)
-        point = _on_curve(curve, t, _eye(view, u))
+        point = _curve_point(curve, t, _eye(view, u))
         near = jnp.array(_NEAR, dtype)[curve.kind] * norm(point - curve.centre)
 
         def beside(side: Scalar) -> tuple[Ray, Array, Colour, Array]:
@@ -463,7 +463,7 @@ def _of_outlines(
     return _integral(view, at, tangent * step[:, None], velocity, ahead, jumps)
 
 
-def _of_shadows(
+def _shadow_integral(
     again: Callable[[Any], tuple[Scene, View]],
     moving: Any,
     motion: Any,
@@ -516,7 +516,7 @@ def _of_shadows(
         def end(t: Array) -> tuple[Array, Array, Array]:
             shown = _reaches(_beside(curve, t, eye)[1], eye, blocking)
             met = receiver(curve, t, eye)
-            return *cast(_on_curve(curve, t, eye), eye, met, None, (shapes, view))[:2], shown
+            return *cast(_curve_point(curve, t, eye), eye, met, None, (shapes, view))[:2], shown
 
         return _lengths(view, *jax.vmap(end)(jnp.linspace(0, 1, _CELLS + 1, dtype=dtype)))
 
@@ -536,7 +536,7 @@ def _of_shadows(
         met = receiver(curve, t, eye)
 
         def place(at: Array) -> tuple[Array, Any]:
-            away = _on_curve(curve, at[0], eye) - curve.centre
+            away = _curve_point(curve, at[0], eye) - curve.centre
             place, *rest = cast(curve.centre + (1 + at[1]) * away, eye, met, u, (shapes, view))
             return place, (place, *rest)
 
@@ -587,7 +587,7 @@ def _of_shadows(
             if extended:  # from the fixed ray of the camera, by the same numbers of the lamp
                 point = as_array(hit_shape(view_ray(view, *at, u=u), shapes, met).point)
             eye = eye_of(lamp, point, own)
-            return cast(_on_curve(curve, t, eye), eye, met, u, (shapes, view))[0]
+            return cast(_curve_point(curve, t, eye), eye, met, u, (shapes, view))[0]
 
         lamps = lights_by_rule(scene.lights, rules)[which][1]
         rows = _row(lamps, lamp_number), _row(_curves(_blocking_outlines(scene)), chosen)

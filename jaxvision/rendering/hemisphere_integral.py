@@ -21,7 +21,7 @@ from ..core._vector import Direction, Vec, Vector, as_vec
 from ..geometry import Shapes, sorted_shapes
 from ..geometry.hemisphere import product_nodes
 from ..scene import Light, Material
-from ._directions import arriving_from, balanced, in_frame, in_world
+from ._directions import arriving_from, balanced, local_viewer, world_direction
 from .shadows import Leaving, Place
 
 
@@ -85,7 +85,7 @@ def hemisphere_radiance(
     """
     check_count("polar", polar, 2)
     check_count("azimuths", azimuths, 2)
-    frame, viewer = in_frame(normal, wo, tangent)
+    frame, viewer = local_viewer(normal, wo, tangent)
 
     def integral(polar: int, azimuths: int) -> Colour:
         directions, weights = (
@@ -93,7 +93,9 @@ def hemisphere_radiance(
         )
 
         def at(wi: Vec) -> Colour:
-            return incident_radiance(in_world(frame, wi, wo)) * brdf.shading(material, wi, viewer)
+            return incident_radiance(world_direction(frame, wi, wo)) * brdf.shading(
+                material, wi, viewer
+            )
 
         return (weights[:, None] * jax.vmap(at)(as_vec(directions))).sum(axis=0)
 
@@ -137,16 +139,16 @@ def sampled_radiance(
         (0.5, 0.0)
     """
     check_count("samples", samples, 2)
-    frame, viewer = in_frame(normal, wo, tangent)
+    frame, viewer = local_viewer(normal, wo, tangent)
     if (mirror := brdf.seen_in_mirror(material, viewer)) is not None:
         toward, reflectance = mirror
-        arriving = incident_radiance(in_world(frame, toward, wo))
+        arriving = incident_radiance(world_direction(frame, toward, wo))
         return Estimate(reflectance * arriving, jnp.zeros_like(arriving))
 
     def draw(u: Float[Array, "3"]) -> Colour:
         wi = as_vec(brdf.sample(material, viewer, u))
         density = brdf.pdf(material, wi, viewer)
-        arriving = incident_radiance(in_world(frame, wi, wo))
+        arriving = incident_radiance(world_direction(frame, wi, wo))
         return arriving * brdf.shading(material, wi, viewer) * reciprocal(density)
 
     return _mean(jax.vmap(draw)(jax.random.uniform(key, (samples, 3), viewer.z.dtype)))
@@ -200,11 +202,11 @@ def lit_radiance(
         True
     """
     check_count("samples", samples, 2)
-    frame, viewer = in_frame(normal, wo, tangent)
+    frame, viewer = local_viewer(normal, wo, tangent)
     place = None if occluders is None else Place(point, Leaving(normal), sorted_shapes(occluders))
     if (mirror := brdf.seen_in_mirror(material, viewer)) is not None:
         toward, reflectance = mirror
-        arriving = arriving_from(light, point, in_world(frame, toward, point), place)
+        arriving = arriving_from(light, point, world_direction(frame, toward, point), place)
         return Estimate(reflectance * arriving, jnp.zeros_like(arriving))
 
     def draw(u: Float[Array, "5"]) -> Colour:

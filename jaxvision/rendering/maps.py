@@ -13,11 +13,8 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from ..brdf.eon import EON
-from ..brdf.lambert import Lambert
-from ..brdf.oren_nayar import OrenNayar
 from ..core._arguments import takes_numbers
 from ..core._maps import maps_of, replace_maps
 from ..core._numerics import arctan2, divide, dot, normalize, safe_sqrt, with_gradient_of
@@ -47,25 +44,22 @@ class Summed(Varying):
 
 
 class Varied(eqx.Module):
-    """The surfaces of a scene that maps vary: their shapes, their normals or None, their numbers,
-    and whether each reflects by a lobe or as a mirror."""
+    """The surfaces of a scene that maps vary: their shapes, their normals or None, and their
+    numbers."""
 
     shapes: tuple[Shape, ...]
     normals: tuple[Any, ...]
     numbers: tuple[int, ...] = eqx.field(static=True)
-    glossy: tuple[bool, ...] = eqx.field(static=True)
 
 
 class Patch(eqx.Module):
     """The piece of a surface that a ray meets. `point`: m. `own`: the shape's coordinates.
-    `tilted`: unit shading normal of a map, or None. `bends`: whether that normal is bent for the
-    viewer. `steps`: m along the surface from one pixel to the next row and column; None for a
-    point."""
+    `tilted`: unit shading normal of a map, or None. `steps`: m along the surface from one pixel to
+    the next row and column; None for a point."""
 
     point: Vec
     own: Coordinates
     tilted: Vec | None
-    bends: Bool[Array, ""] | None
     steps: tuple[Vec, Vec] | None
 
 
@@ -106,7 +100,7 @@ def material_at(
     steps = None if width is None else (width[0] * across, width[1] * down)
     own = Coordinates(uv[0], uv[1], across, down)
     ready = material if width is None else replace_maps(material, summed)
-    return at_patch(ready, Patch(Vec(zero, zero, zero), own, None, None, steps))
+    return at_patch(ready, Patch(Vec(zero, zero, zero), own, None, steps))
 
 
 def at_patch(record: Any, patch: Patch) -> Any:
@@ -240,12 +234,7 @@ def varied_surfaces(scene: Scene) -> Varied | None:
     if not found:
         return None
     own = [scene.surfaces[i] for i in found]
-    return Varied(
-        tuple(s.shape for s in own),
-        tuple(s.normals for s in own),
-        tuple(found),
-        tuple(not isinstance(s.material, Lambert | OrenNayar | EON) for s in own),
-    )
+    return Varied(tuple(s.shape for s in own), tuple(s.normals for s in own), tuple(found))
 
 
 def patch_of(
@@ -272,8 +261,8 @@ def patch_of(
             )
         )
         if normals is not None:
-            x, y, z = _value(normals, Patch(point, here, None, None, steps))
-            along = _coordinates(normals.uv, Patch(point, here, None, None, None))
+            x, y, z = _value(normals, Patch(point, here, None, steps))
+            along = _coordinates(normals.uv, Patch(point, here, None, None))
             # of growing u with v unchanged, along the surface
             way = cross(along.along_v, hit.normal)
             way = way * jnp.where(dot(way, along.along_u) < 0, -1, 1)
@@ -282,9 +271,8 @@ def patch_of(
             tilted = where(surface == number, found, tilted)
     assert own is not None
     if all(normals is None for normals in varied.normals):
-        return Patch(point, own, None, None, steps)
-    bends = [i for i, glossy in zip(varied.numbers, varied.glossy, strict=True) if glossy]
-    return Patch(point, own, tilted, jnp.isin(surface, jnp.asarray(bends, jnp.int32)), steps)
+        return Patch(point, own, None, steps)
+    return Patch(point, own, tilted, steps)
 
 
 def _step(ray: Ray, change: Ray, hit: Hit) -> Vec:
@@ -295,14 +283,14 @@ def _step(ray: Ray, change: Ray, hit: Hit) -> Vec:
     return aside - divide(dot(hit.normal, aside), slope, where=slope != 0) * ray.direction
 
 
-def shading_normal(patch: Patch, tilted: Vec, flat: Vec, viewer: Vec) -> Vec:
-    """The normal of a map, unit and on the viewer's side like `flat`, the shape's; for a glossy
-    material bent toward that so that the viewer's mirror image lies above the surface.
+def shading_normal(tilted: Vec, flat: Vec, viewer: Vec) -> Vec:
+    """The normal of a map, unit and on the viewer's side like `flat`, the shape's, bent toward that
+    so that the viewer's mirror image lies above the surface. A matt surface would else be black
+    where the viewer is below the tilted surface.
 
     In the plane of both normals, the viewer's angle to `flat` is b and that of the shading normal
     a >= 0. The mirror image has the angle 2 a - b, which is at most pi / 2 for a <= pi / 4 + b / 2.
     """
-    assert patch.bends is not None
     height = dot(tilted, flat)
     aside = tilted - height * flat
     across = as_vec(normalize(aside))
@@ -311,4 +299,4 @@ def shading_normal(patch: Patch, tilted: Vec, flat: Vec, viewer: Vec) -> Vec:
     angle = jnp.where(beside < 0, -1, 1) * arctan2(jnp.abs(beside), dot(viewer, flat))
     most = jnp.pi / 4 + angle / 2
     bent = jnp.sin(most) * across + jnp.cos(most) * flat
-    return where(patch.bends & (tilt > most) & (dot(viewer, flat) > 0), bent, tilted)
+    return where((tilt > most) & (dot(viewer, flat) > 0), bent, tilted)

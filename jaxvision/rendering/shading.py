@@ -37,7 +37,7 @@ from ..lights import (
     rule_of_each,
 )
 from ..scene import AmbientLight, Light, Material
-from ._directions import balanced, in_frame, in_world, where_clear
+from ._directions import balanced, local_viewer, where_clear, world_direction
 from .band_count import band_count
 from .shadows import DEFAULT_RULE, UNROLLED, Leaving, Place, Visible, clear, visibility
 
@@ -146,11 +146,11 @@ def reflected_radiance(
     The samples of one light, and more than eight lights at one place, are a loop over one piece of
     code. Up to eight lights at one place are summed in one pass over the rays.
     """
-    frame, viewer = in_frame(normal, wo, tangent)
+    frame, viewer = local_viewer(normal, wo, tangent)
     point, dtype = light.point, common_dtype(material, light, normal, wo)
     around = [] if light.ambient is None else [light.ambient.radiance]
     bands = band_count([material], light.lights, spectra=around)
-    parameters, k_a = _in_numbers(material), getattr(material, "ambient", None)
+    parameters, k_a = _scalarised(material), getattr(material, "ambient", None)
 
     def shown(arriving: Incident, wi: Direction, passes: Bool[Array, ""] | None) -> Bands:
         shading = brdf.shading(parameters(), wi, viewer)
@@ -196,7 +196,7 @@ def reflected_radiance(
             radiance = plus(radiance, shown(one, wi, flag))
     if (mirror := brdf.seen_in_mirror(material, viewer)) is not None:
         toward, reflectance = mirror
-        seen = _seen_along(light, as_vec(in_world(frame, toward, wo)))
+        seen = _seen_along(light, as_vec(world_direction(frame, toward, wo)))
         radiance = plus(radiance, split_bands(reflectance * seen, bands))
     unseen = jnp.where(viewer.z <= 0, 0, viewer.z)  # or NaN
     return jnp.stack(fuse(tuple(jnp.where(viewer.z > 0, band, unseen) for band in radiance)))
@@ -209,7 +209,7 @@ def _seen_along(light: Lighting, direction: Vec) -> Colour:
     return where_clear(passes, ahead.radiance)
 
 
-def _in_numbers(material: Material) -> Callable[[], Material]:
+def _scalarised(material: Material) -> Callable[[], Material]:
     """Assemble the material from scalars at each use. The cotangents of scalars are summed over the
     lights directly, whereas those of arrays would be stacked first."""
     leaves, tree = jax.tree.flatten(material)

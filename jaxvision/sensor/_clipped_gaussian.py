@@ -143,11 +143,11 @@ def density(a: Scalars) -> Scalars:
 
 
 def is_narrow(width: Scalars, offset: Scalars) -> Bool[Array, "..."]:
-    """Whether `in_narrow_window` is accurate for a window of that width and offset."""
+    """Whether `narrow_window_moments` is accurate for a window of that width and offset."""
     return width * jnp.maximum(offset, 1) < (0.5 if width.dtype == jnp.float64 else 1.0)
 
 
-def in_narrow_window(width: Scalars, offset: Scalars) -> tuple[Scalars, Scalars]:
+def narrow_window_moments(width: Scalars, offset: Scalars) -> tuple[Scalars, Scalars]:
     """Mean and variance of Z clipped to [offset - width / 2, offset + width / 2], measured from the
     lower end in units of the width.
 

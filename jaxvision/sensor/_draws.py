@@ -69,16 +69,16 @@ def needed(key: Key | None, use: Frame | Die) -> Key:
 
 def gaussian(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
     """Standard Gaussian draws of that shape, no unit."""
-    return upper_quantile(words(key, use, shape), at_least_single(dtype)).astype(dtype)
+    return upper_quantile(words(key, use, shape), counting_dtype(dtype)).astype(dtype)
 
 
 def uniform(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
     """Draws that are uniform in (0, 1] with full relative precision near 0, no unit. They are
     float32 where the dtype is narrower, because that dtype would round them to 0 or 1."""
-    return tail_probability(words(key, use, shape), at_least_single(dtype))
+    return tail_probability(words(key, use, shape), counting_dtype(dtype))
 
 
-def at_least_single(dtype: DTypeLike) -> jnp.dtype:
+def counting_dtype(dtype: DTypeLike) -> jnp.dtype:
     """The dtype in which random bits are counted. 2^32 is beyond float16."""
     return jnp.dtype(dtype if jnp.dtype(dtype).itemsize >= 4 else jnp.float32)
 

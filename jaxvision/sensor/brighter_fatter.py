@@ -155,7 +155,7 @@ def flat_covariances(area_change: Quadrant, electrons: Scalars) -> Float[Array, 
         >>> [round(float(c)) for c in covariances.ravel()]
         [9613, 95, 95, 1]
     """
-    size, terms = _series(area_change, _of_counts)
+    size, terms = _series(area_change, _count_series)
     ones = (1,) * electrons.ndim
     mu = electrons[..., None, None]
     terms = [term.reshape(*ones, *area_change.shape) for term in terms]
@@ -173,7 +173,7 @@ def flat_variance(effect: BrighterFatter, electrons: Scalars) -> Scalars:
     Returns:
         (...) electrons^2.
     """
-    size, terms = _series(area_changes(effect.kernel), _of_counts)
+    size, terms = _series(area_changes(effect.kernel), _count_series)
     return electrons * polynomial([term[0, 0] for term in terms], _held(size, electrons))
 
 
@@ -188,16 +188,16 @@ def smoothed_pattern(effect: BrighterFatter, electrons: Scalars) -> Scalars:
     Returns:
         (...) no unit, for a pattern that is independent from pixel to pixel.
     """
-    size, terms = _series(area_changes(effect.kernel), _of_patterns)
+    size, terms = _series(area_changes(effect.kernel), _pattern_series)
     return polynomial([term[0, 0] for term in terms], _held(size, electrons))
 
 
-def _of_counts(m: int) -> float:
+def _count_series(m: int) -> float:
     """Power series of (exp(2 y) - 1) / (2 y)."""
     return 2**m / factorial(m + 1)
 
 
-def _of_patterns(m: int) -> float:
+def _pattern_series(m: int) -> float:
     """Power series of ((exp y - 1) / y)^2."""
     return (2 ** (m + 2) - 2) / factorial(m + 2)
 

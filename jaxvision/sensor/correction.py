@@ -191,7 +191,7 @@ class Calibrated(Shown):
         counted = kept.astype(self.image.dtype)
         weights = counted / jnp.sum(counted, axis=(-3, -2), keepdims=True)
         value = jnp.sum(jnp.where(kept, self.image, 0) * weights, axis=(-3, -2))
-        variances = (_of_sum(part, weights) for part in self.parts)
+        variances = (_sum_variance(part, weights) for part in self.parts)
         return Moments(value, sum(variances, jnp.zeros_like(value)))
 
     def filtered(self, kernel: Kernel) -> "Calibrated":
@@ -253,7 +253,7 @@ def _variance(part: Part) -> Counts:
     return convolve(part.amplitude**2, kernel**2)
 
 
-def _of_sum(part: Part, weights: Counts) -> Scalars:
+def _sum_variance(part: Part, weights: Counts) -> Scalars:
     """Variance of a weighted sum over the pixels, (..., bands)."""
     back = weights if part.kernel is None else convolve(weights, part.kernel[::-1, ::-1])
     share = back * part.amplitude

@@ -61,7 +61,7 @@ def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) 
         69219
     """
     per_joule = wavelength / (PLANCK * SPEED_OF_LIGHT)
-    return irradiance * _over_bands("wavelength", pixel_area * per_joule, irradiance)
+    return irradiance * _band_values("wavelength", pixel_area * per_joule, irradiance)
 
 
 @takes_numbers
@@ -126,7 +126,7 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
     freed = over_exposure(sensor, _freed(sensor, electrons))
     if offset is None:
         return freed
-    beside = _over_bands("Sensor.light_offset", offset, electrons)
+    beside = _band_values("Sensor.light_offset", offset, electrons)
     return freed + _freed(sensor, jnp.broadcast_to(beside, electrons.shape))
 
 
@@ -134,10 +134,10 @@ def _freed(sensor: Sensor, photons: Spectrum) -> Counts:
     """Photoelectrons behind all filters."""
     electrons = photons
     if sensor.infrared_cut is not None:
-        electrons = electrons * _over_bands("Sensor.infrared_cut", sensor.infrared_cut, electrons)
+        electrons = electrons * _band_values("Sensor.infrared_cut", sensor.infrared_cut, electrons)
     if sensor.quantum_efficiency is not None:
         efficiency = sensor.quantum_efficiency
-        electrons = electrons * _over_bands("Sensor.quantum_efficiency", efficiency, electrons)
+        electrons = electrons * _band_values("Sensor.quantum_efficiency", efficiency, electrons)
     if sensor.colour_filter is not None:
         electrons = filtered(sensor.colour_filter, electrons)
     if sensor.pixel_aperture is not None:
@@ -197,7 +197,7 @@ def filtered(colour_filter: ColourFilter, electrons: Image) -> Counts:
     if electrons.ndim < 3 or electrons.shape[-1] != transmission.shape[1]:
         raise ValueError(
             f"ColourFilter.transmission is over {transmission.shape[1]} bands, the irradiance has "
-            f"shape {electrons.shape}.{_of_an_rgb_picture(electrons.shape, transmission.shape[1])}"
+            f"shape {electrons.shape}.{_rgb_advice(electrons.shape, transmission.shape[1])}"
         )
     seen = jnp.einsum("...b,cb->...c", electrons, transmission)
     return mosaic(seen, colour_filter.pattern)[..., None]
@@ -298,19 +298,19 @@ def _check_irradiance(irradiance: Spectrum) -> None:
         raise ValueError(f"irradiance must be finite and at least 0 everywhere, got {wrong}.")
 
 
-def _over_bands(name: str, x: Scalars, like: Spectrum) -> Scalars:
+def _band_values(name: str, x: Scalars, like: Spectrum) -> Scalars:
     """A scalar unchanged; one value per band broadcast over the pixels."""
     if x.ndim == 0:
         return x
     if x.shape != like.shape[-1:]:
         raise ValueError(
             f"{name} must be () or ({like.shape[-1]},), one per band of the irradiance, got shape "
-            f"{x.shape}.{_of_an_rgb_picture(like.shape, x.size)}"
+            f"{x.shape}.{_rgb_advice(like.shape, x.size)}"
         )
     return jnp.broadcast_to(x, like.shape)
 
 
-def _of_an_rgb_picture(shape: tuple[int, ...], bands: int) -> str:
+def _rgb_advice(shape: tuple[int, ...], bands: int) -> str:
     """The error message's advice for a picture of three bands and a sensor of other bands."""
     if shape[-1:] != (3,) or bands == 3:
         return ""

@@ -17,7 +17,7 @@ from ._draws import (
     Shape,
     along_columns,
     along_rows,
-    at_least_single,
+    counting_dtype,
     gaussian,
     tail_probability,
     uniform,
@@ -89,7 +89,7 @@ def hot_rates(
         >>> print(round(float((rates > 0).mean()), 2))
         0.1
     """
-    from_end = tail_probability(~words(die_key, Die.DEFECT, shape), at_least_single(dtype))
+    from_end = tail_probability(~words(die_key, Die.DEFECT, shape), counting_dtype(dtype))
     hot = from_end <= hot_pixels.fraction
     place = divide(from_end, hot_pixels.fraction, hot, 1)
     return jnp.where(hot, -hot_pixels.rate * jnp.log(place), 0).astype(dtype)

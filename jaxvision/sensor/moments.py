@@ -25,8 +25,8 @@ from ..core._arguments import takes_numbers
 from ..core._types import Scalar, Scalars, check_count, is_known
 from ..scene import BrighterFatter, FastPoissonShotNoise, PoissonShotNoise, Sensor
 from ._clipped_gaussian import (
-    in_narrow_window,
     is_narrow,
+    narrow_window_moments,
     tail_mean,
     tail_square,
     tail_variance,
@@ -210,7 +210,7 @@ def neighbour_covariances(
     if sensor.own is not None:
         names = ", ".join(type(effect).__name__ for effect in sensor.own)
         raise ValueError(f"neighbour_covariances knows no {names}; draw frames by raw_image.")
-    mean, found = _of_charges(sensor, irradiance, reach)
+    mean, found = _charge_moments(sensor, irradiance, reach)
     if sensor.nonlinearity is not None:
         one = Moments(mean, jnp.ones_like(mean))
         slope = stage_of(sensor.nonlinearity).moments
@@ -312,7 +312,9 @@ def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
     return jax.lax.cond(
         jnp.any(faint),
         lambda: jax.tree.map(
-            partial(jnp.where, faint), _over_counts(sensor, jnp.where(faint, mean, 1)), gaussian
+            partial(jnp.where, faint),
+            _count_sum_moments(sensor, jnp.where(faint, mean, 1)),
+            gaussian,
         ),
         lambda: gaussian,
     )
@@ -352,9 +354,9 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
     if high is not None:
         clipped = jnp.where(clipped > high, high, clipped)
     if low is None or high is None:
-        moved, spread = _at_one_end(mean, sigma, clipped, low=low, high=high)
+        moved, spread = _one_end_moments(mean, sigma, clipped, low=low, high=high)
     else:
-        moved, spread = _at_both_ends(mean, sigma, clipped, low, high)
+        moved, spread = _both_ends_moments(mean, sigma, clipped, low, high)
     return Moments(jnp.where(noisy, moved, clipped), jnp.where(noisy, spread, 0))
 
 
@@ -362,7 +364,7 @@ def _are_crossed(low: Scalar, high: Scalar) -> bool:
     return is_known(low) and is_known(high) and bool(np.any(np.asarray(low) > np.asarray(high)))
 
 
-def _at_one_end(
+def _one_end_moments(
     mean: Scalars, sigma: Scalars, clipped: Scalars, *, low: Scalar | None, high: Scalar | None
 ) -> tuple[Scalars, Scalars]:
     """Mean and variance of a Gaussian variable clipped at one end or not at all."""
@@ -377,7 +379,7 @@ def _at_one_end(
     return moved, sigma * sigma * tail_variance(inside)
 
 
-def _at_both_ends(
+def _both_ends_moments(
     mean: Scalars, sigma: Scalars, clipped: Scalars, low: Scalar, high: Scalar
 ) -> tuple[Scalars, Scalars]:
     """Mean and variance of a Gaussian variable clipped to [low, high].
@@ -400,7 +402,7 @@ def _at_both_ends(
     width, offset = (last - first) / sigma, jnp.abs(middle) / sigma
     narrow = bounded & is_narrow(width, offset)
     taken = bounded & is_narrow(width / 2, offset)
-    part, square = in_narrow_window(jnp.where(taken, width, 0), jnp.where(taken, offset, 0))
+    part, square = narrow_window_moments(jnp.where(taken, width, 0), jnp.where(taken, offset, 0))
     within = (last - first) * part
     within = jnp.where(middle < 0, last - within, first + within)
     return (
@@ -460,7 +462,7 @@ def _repelled_share(sensor: Sensor, mean: Scalars) -> Scalars:
     return jnp.where(lit, _mixed(kernel, found, 0)[..., 0, 0] / alone, 1)
 
 
-def _of_charges(sensor: Sensor, irradiance: Light, reach: int) -> tuple[Scalars, Covariances]:
+def _charge_moments(sensor: Sensor, irradiance: Light, reach: int) -> tuple[Scalars, Covariances]:
     """Mean of the charges after mixing, and their covariances, electrons^2."""
     charge = _charge(sensor, irradiance)
     mean, variance = _passed_on(sensor, charge)
@@ -522,7 +524,7 @@ def _acted(sensor: Sensor, charge: Moments) -> Moments:
     return moments_after(on_charge(sensor), charge)
 
 
-def _over_counts(sensor: Sensor, mean: Scalars) -> Moments:
+def _count_sum_moments(sensor: Sensor, mean: Scalars) -> Moments:
     """Moments of the raw numbers for Poisson counts of a mean below FAINT, summed over counts near
     the mean."""
     about = _converted(sensor, _read(sensor, Moments(mean, jnp.zeros_like(mean)))).mean

@@ -40,7 +40,7 @@ from ..scene import FastPoissonShotNoise, GaussianShotNoise, ShotNoise
 from ._draws import (
     Frame,
     Words,
-    at_least_single,
+    counting_dtype,
     from_middle,
     gaussian,
     subkey,
@@ -89,7 +89,7 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
     """
     if not jnp.issubdtype(mean.dtype, jnp.floating):
         mean = as_float(mean)
-    given, mean = mean.dtype, mean.astype(at_least_single(mean.dtype))
+    given, mean = mean.dtype, mean.astype(counting_dtype(mean.dtype))
     if isinstance(shot_noise, GaussianShotNoise):
         expected = jnp.maximum(mean, 0)
         noise = gaussian(key, Frame.SHOT, mean.shape, mean.dtype)
@@ -121,11 +121,11 @@ def _exact_poisson(key: Key, bits: Words, mean: Scalars) -> Scalars:
     few = mean < SUMMED_MEAN
     summed = _summed_inverse(tail_probability(bits, mean.dtype), jnp.where(few, mean, 0))
     many = (mean >= SUMMED_MEAN) & (mean <= MOST_ELECTRONS)
-    return jnp.where(few, summed, _by_rejection(key, jnp.where(many, mean, SUMMED_MEAN), ~many))
+    return jnp.where(few, summed, _rejection_draws(key, jnp.where(many, mean, SUMMED_MEAN), ~many))
 
 
 @one_program
-def _by_rejection(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scalars:
+def _rejection_draws(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scalars:
     """Poisson draws for means of at least 10; the whole part of the mean where `done` is true.
 
     A count is drawn as its distance from the whole part of the mean, and tested in float32.

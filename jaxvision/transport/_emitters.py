@@ -129,12 +129,12 @@ def toward_emitter(emitters: Emitters, point: Vec, u: Float[Array, "3"]) -> Towa
             return _toward_surface(emitter, point, u[:2])
         return _toward_light(emitter, point, u[:2])
 
-    drawn, count = of_drawn(emitters, u[2], toward), emitters.count
+    drawn, count = apply_to_drawn(emitters, u[2], toward), emitters.count
     irradiance, density = drawn.irradiance * count, drawn.density / count
     return Toward(drawn.direction, drawn.distance, drawn.clear, irradiance, density)
 
 
-def of_drawn(emitters: Emitters, u: Scalar, function: Callable[[Any], Tree]) -> Tree:
+def apply_to_drawn(emitters: Emitters, u: Scalar, function: Callable[[Any], Tree]) -> Tree:
     """`function` applied to the emitter that `u`, uniform in [0, 1), selects."""
     count = emitters.count
     index = jnp.minimum((u * count).astype(jnp.int32), count - 1)

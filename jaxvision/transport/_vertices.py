@@ -245,7 +245,7 @@ def _seen_from(
     smooth = tilted or hit.shading_normal
     shading = (hit.normal if smooth is None else smooth) * side
     if met.patch is not None and tilted is not None:
-        shading = shading_normal(met.patch, shading, hit.normal * side, back)
+        shading = shading_normal(shading, hit.normal * side, back)
     frame = local_frame(shading)
     flat = None if smooth is None else as_vec(to_local(frame, hit.normal * side))
     return frame, as_vec(to_local(frame, back)), as_vec(to_local(frame, asked)), flat

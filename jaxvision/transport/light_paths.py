@@ -32,7 +32,7 @@ from ..optics import (
 )
 from ..rendering import Traced
 from ..scene import Light, Orthographic, Scene, ThinLens, View
-from ._emitters import Emissive, Emitters, of_drawn, transmitted
+from ._emitters import Emissive, Emitters, apply_to_drawn, transmitted
 from ._vertices import (
     World,
     absorption_after,
@@ -254,5 +254,5 @@ def _emitted(emitters: Emitters, around: Ball | None, u: Float[Array, "5"]) -> E
             return emitted_from_surface(shape, radiance, u[:4], two_sided=emitter.two_sided)
         return lights.emitted(emitter, u[:4], around=around)
 
-    drawn = of_drawn(emitters, u[4], ray)
+    drawn = apply_to_drawn(emitters, u[4], ray)
     return Emitted(drawn.ray, drawn.flux * emitters.count, drawn.normal)

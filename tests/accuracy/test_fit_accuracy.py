@@ -33,7 +33,7 @@ knots panels subdivisions degree refine cutoff
 # ... unless it is one of these, where the word means something else: a result, a number of things
 # or of data, repeats that are simulated, what several fits share, or what a certificate bounds.
 OTHER = words("""
-*.sensitivities.*
+*.sensitivities.* *.samples.cells_of.width
 *.Posterior.* *.Chain.* *.Bands.draws *.*Solution.steps *.Grouping.count *.Grid.count *.Cells.count
 *.budget.posterior *.budget.count *.plan.posterior *.method_of.posterior *.price.count *.unstarted.*
 *.beyond_chance.count *.SharedFit.posterior *.starts_about.* *.SamplingOptions.* *.NutsOptions.*
@@ -43,7 +43,7 @@ OTHER = words("""
 *.about_search.posterior *.about_posterior.posterior *.about_chains.posterior
 *.estimates.posterior *.is_trusted.posterior *.Likelihood.posterior *.piled_at.draws
 *.convergence_in_words.posterior *.*Calibration.* *.Fit.posterior *.GammaFit.posterior
-*.fitted_material.* *.fit_separable.coarse *.over_exposures.coarse *.scatter_log_density.count
+*.fitted_material.* *.fit_separable.coarse *.exposure_jackknife.coarse *.scatter_log_density.count
 *.quantised_moments.window *.sampled_estimate.* *.split_r_hat.draws *.effective_draws.draws
 *.calibrate_lab.draws *.folders.*.draws *.commands.run.repeats
 *.format_within.width *.plain_tables.width *.called_for.tolerance *.bands.bands.draws

@@ -261,7 +261,7 @@ def test_places_are_those_of_the_printed_intervals():
     assert places_in(drawn, {"a": 2.0})["a"] == pytest.approx(norm.cdf(1), abs=0.02)
     printed = gaussian_estimate(Parameter("a"), 3.0, 0.5)
     truths = 3 + 0.5 * np.array([-3, -1.96, -1, 0, 0.5, 1.5, 2.5])
-    places = [response._of_estimate(printed, x) for x in truths]
+    places = [response._interval_deviate(printed, x) for x in truths]
     np.testing.assert_allclose(places, norm.cdf((truths - 3) / 0.5), atol=3e-3)
 
 

@@ -11,7 +11,7 @@ from oracles import lenses
 from scipy import integrate, ndimage, special
 
 from jaxvision import scene as s
-from jaxvision.effects.optics import BOUNDS, GEOMETRY, defocus, on_pixel, optics_stage
+from jaxvision.effects.optics import BOUNDS, GEOMETRY, defocus, middle_pixel_share, optics_stage
 from jaxvision.effects.stages import Arriving, Draft, Ends
 from jaxvision.optics import sensor_irradiance
 from jaxvision.rendering import PixelSamples
@@ -126,7 +126,7 @@ def test_diffraction_of_an_opening_that_may_change(ends):
         sharp = picture(replace(low, f_number=n, diffraction=None), spot)
         worst = max(worst, float(jnp.abs(blurred - sharp).max()))
     assert worst <= row.amount[0] * (1 + 1e-4)
-    most = 1 - on_pixel(np.array(5.5e-7 * ends[1] / 2e-5))
+    most = 1 - middle_pixel_share(np.array(5.5e-7 * ends[1] / 2e-5))
     open_widest = math.pi / 4 / ends[0] ** 2
     assert row.amount[0] <= open_widest * most + open_widest * 3e-5
     if ends[1] < 10 * ends[0]:  # what is widest open is least spread
@@ -149,7 +149,9 @@ def test_share_of_airys_pattern_on_a_pixel(width):
     steps = 400
     y = (np.arange(steps) + 0.5) / steps / 2
     share = 4 * sum(map(in_row, y)) / steps / 2 * math.pi / (2 * width) ** 2
-    np.testing.assert_allclose(on_pixel(np.array(width)), share, atol=2e-4 if width < 0.1 else 1e-5)
+    np.testing.assert_allclose(
+        middle_pixel_share(np.array(width)), share, atol=2e-4 if width < 0.1 else 1e-5
+    )
 
 
 @pytest.mark.parametrize("seeds", [range(6), pytest.param(range(100), marks=pytest.mark.slow)])

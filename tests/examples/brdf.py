@@ -94,7 +94,7 @@ EXAMPLES = {
     "brdf.fresnel.fresnel_dielectric": ((COS, 1 + KD), {}),
     "brdf.fresnel.fresnel_conductor": ((COS, KD, 10 * KS), {}),
     "brdf.fresnel.fresnel_schlick": ((COS, KD), {}),
-    "brdf.microfacet.at_least_polished": ((ALPHA,), {}),
+    "brdf.microfacet.clamped_roughness": ((ALPHA,), {}),
     "brdf.microfacet.half_vector": ((WI, WO), {}),
     "brdf.microfacet.normal_distribution": ((N, ALPHA), GGX),
     "brdf.microfacet.hidden_cosine": ((WO, ALPHA), {"distribution": "beckmann"}),

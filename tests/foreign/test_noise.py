@@ -15,7 +15,7 @@ from fitting import folders, noise
 from fitting.codes import Converter
 from fitting.noise.doubts import printed_times
 from fitting.noise.emva1288 import ranges
-from fitting.noise.findings import _by_the_dimmest_alone, _glow, _light_offset
+from fitting.noise.findings import _dimmest_alone, _glow, _light_offset
 from fitting.noise.level_sums import LevelSums, Unlit
 from fitting.noise.levels import knee_of, linear_levels
 from fitting.noise.live_pixels import LivePixels, hits
@@ -549,7 +549,7 @@ def test_black_that_is_clipped_and_saturation_are_no_dead_pixels():
 def test_an_offset_that_the_dimmest_level_alone_shows_is_told_from_one_of_all(late, alone):
     stated = np.linspace(1e-3, 2e-2, 10)
     true = stated - np.where((late == "all") | (np.arange(10) == 0), 1e-4, 0)
-    assert _by_the_dimmest_alone(*timed(stated, true, 2e-4)) == alone
+    assert _dimmest_alone(*timed(stated, true, 2e-4)) == alone
 
 
 def timed(times, true, scatter=0.0):

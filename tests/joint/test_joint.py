@@ -28,10 +28,10 @@ from fitting.joint.findings import OF_CHANNEL, findings
 from fitting.joint.fit import fit_channel, fit_turned
 from fitting.joint.misfit import (
     Halves,
-    _by_image,
+    _image_scores,
     degrees_of_freedom,
+    image_sandwich,
     laplace_miss,
-    over_images,
     unequal_pixels,
     widened,
 )
@@ -576,7 +576,7 @@ def test_what_all_cells_of_an_image_miss_is_no_noise_of_a_free_sensor(waves, prn
     wave = 1 + waves * np.sin(4 * along + phases)
     measurement = replace(seen, dn=np.round(seen.black + (seen.dn - seen.black) * wave))
     fit = fit_channel(measurement, 0, Form("phong"))
-    robust = over_images(measurement, fit)
+    robust = image_sandwich(measurement, fit)
     assert robust is not None
     assert (robust.design_effect == 1) == (waves == 0)
     if waves == 0:
@@ -607,11 +607,11 @@ def test_images_whose_lights_were_turned_are_judged_one_by_one(together):
     fit = fit_turned(measurement, 0, Form("phong"))
     assert fit.data.cells.geometry.about is not None
     vector = jnp.asarray(fit.vector)
-    scores, _ = _by_image(vector, fit.data)
+    scores, _ = _image_scores(vector, fit.data)
     whole = jax.grad(log_likelihood)(vector, replace(fit.data, levels=None))
     size = np.sqrt(np.diagonal(fit.information))
     np.testing.assert_allclose((np.asarray(scores).sum(axis=0) - whole) / size, 0, atol=1e-6)
-    robust = over_images(measurement, fit)
+    robust = image_sandwich(measurement, fit)
     assert robust is None or robust.design_effect == 1
 
 

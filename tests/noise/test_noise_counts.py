@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fitting.inference.precision import in_double
+from fitting.inference.precision import double_precision
 from fitting.noise import Camera, calibrate, from_frames
 from fitting.noise.counted import dim_levels, fitted_tables
 from fitting.noise.findings import findings
@@ -91,7 +91,7 @@ def test_a_camera_below_an_electron_is_calibrated_by_its_histograms():
 def test_errors_of_the_histogram_are_right_whatever_the_offsets(read_noise, dsnu, darks):
     """40 cameras: z of gain, read noise and light has mean 0 and standard deviation of at most 1
     within four errors; frames that share a dark make the errors a little wide."""
-    fitted, z = in_double(fitted_tables), []
+    fitted, z = double_precision(fitted_tables), []
     for seed in range(40):
         one = fitted(measured(read_noise, dsnu, darks=darks, seed=seed))
         assert not one.failures

@@ -10,11 +10,11 @@ import pytest
 
 import jaxvision as jv
 from fitting import folders, noise
-from fitting.inference.precision import in_double
+from fitting.inference.precision import double_precision
 from fitting.noise.levels import linear_levels
 from fitting.noise.periodic import periodic_structure, taps_of
 from fitting.noise.sensor import Numbers, drawn_numbers
-from fitting.noise.sites import _of_one_die, camera_of_taps, of_tap, sensor_of_sites, tap_of
+from fitting.noise.sites import _common_die, camera_of_taps, of_tap, sensor_of_sites, tap_of
 from fitting.rig import Camera
 from jaxvision.errors import InputError
 
@@ -85,7 +85,7 @@ def deviations(sensor, draws, known, taps):
     return np.array(found)
 
 
-@in_double
+@double_precision
 def check(kind, seed):
     """(deviations, whether later frames are missed by tap), by the written file alone."""
     given, tap, known = KINDS[kind]
@@ -125,7 +125,7 @@ def test_intervals_of_taps_cover_their_numbers(kind):
 
 
 @pytest.mark.slow
-@in_double
+@double_precision
 def test_what_taps_have_in_common_is_one_number_as_of_dense_conditioning():
     """Numbers of two taps of which the offset of the light is common, against the Normal of both
     under the condition that the two are equal."""
@@ -140,7 +140,7 @@ def test_what_taps_have_in_common_is_one_number_as_of_dense_conditioning():
         np.concatenate([mean[None], mean + rng.standard_normal((4000, 5)) @ mix.T])
         for mean, mix in zip(means, mixed, strict=True)
     ]
-    found, _ = _of_one_die([Numbers(about, one, {}) for one in drawn])
+    found, _ = _common_die([Numbers(about, one, {}) for one in drawn])
     whole = np.zeros((10, 10))
     for i in (0, 1):
         whole[5 * i : 5 * i + 5, 5 * i : 5 * i + 5] = np.cov(drawn[i][1:], rowvar=False)

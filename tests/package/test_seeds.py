@@ -127,7 +127,7 @@ def test_a_seed_reaches_every_setting_and_the_fit_of_all(monkeypatch):
         seeds.append(("all", seed))
 
     across = "fitting.noise.across_settings"
-    monkeypatch.setattr(f"{across}.read.reduce_by_setting", lambda rig, **_: ["low", "high"])
+    monkeypatch.setattr(f"{across}.setting.reduce_by_setting", lambda rig, **_: ["low", "high"])
     monkeypatch.setattr(f"{across}.calibration.calibrate_one", calibrate_one)
     monkeypatch.setattr(f"{across}.calibration.calibrate_settings", calibrate_settings)
     monkeypatch.setattr(f"{across}.section.sections", lambda calibration: ["whole"])
@@ -159,7 +159,7 @@ def test_a_joint_calibration_hands_its_seed_to_every_channel(monkeypatch):
 
     monkeypatch.setattr(joint, "fit_turned", lambda _, i, *__, **___: SimpleNamespace(channel=i))
     monkeypatch.setattr(joint, "is_determined", lambda fit: True)
-    monkeypatch.setattr(joint, "over_images", lambda *_: None)
+    monkeypatch.setattr(joint, "image_sandwich", lambda *_: None)
     monkeypatch.setattr(joint, "without_strangers", lambda observation: observation)
     monkeypatch.setattr(joint, "_posterior", posterior)
     monkeypatch.setattr(joint, "require_kind", lambda *_, **__: None)  # of the stand-in

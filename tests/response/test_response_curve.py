@@ -27,7 +27,13 @@ from fitting.response.from_memory import from_stack
 from fitting.response.pixel_noise import NoiseModel
 from fitting.response.places import layout_of
 from fitting.response.section import section
-from fitting.response.solve import Hyperparameters, at_centres, roughness, shutter_basis, solve
+from fitting.response.solve import (
+    Hyperparameters,
+    bin_centre_curve,
+    roughness,
+    shutter_basis,
+    solve,
+)
 from fitting.response.weights import hat_rule, noise_rule, observe, undithered
 from fitting.rig import Camera
 from jaxvision.errors import InputError
@@ -234,9 +240,9 @@ def test_g_at_a_centre_follows_from_its_means_over_codes_of_any_width(bits):
     bins = code_bins(bits, 0.0, 2.0**bits - 1)
     means = 1.8 * (np.log(bins.edges[1:]) + np.log(bins.edges[:-1])) / 2
     exact = 1.8 * np.log(bins.centres / bins.centres[bins.middle])
-    np.testing.assert_allclose(at_centres(means, bins), exact, atol=1e-12)
+    np.testing.assert_allclose(bin_centre_curve(means, bins), exact, atol=1e-12)
     bent = np.log(bins.edges / bins.edges[-1]) ** 2
-    found = at_centres((bent[1:] + bent[:-1]) / 2, bins)
+    found = bin_centre_curve((bent[1:] + bent[:-1]) / 2, bins)
     exact = np.log(bins.centres / bins.edges[-1]) ** 2
     far = bins.centres > 20
     np.testing.assert_allclose(found[far], (exact - exact[bins.middle])[far], atol=1e-3)

@@ -108,7 +108,6 @@ def test_names_make_levels_of_flats_and_darks(tmp_path):
     path, found = write_rig(tmp_path)
     rig = load_rig(path)
     assert found.kind == "noise"
-    assert "# taps = ?  # amplifiers: [1, 2] of odd and even columns" in path.read_text()
     assert [flat.exposure for flat in rig.flat] == [0.002, 0.010, 0.250]
     assert rig.dark[2].files == ("dark_250ms_0.tif", "dark_250ms_1.tif")
     assert rig.camera.bits == 12  # 3100 DN

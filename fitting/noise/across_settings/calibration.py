@@ -19,7 +19,7 @@ from ...inference.emcee_run import Emcee
 from ...inference.estimates import QUANTILES, find
 from ...inference.parameters import names
 from ...inference.posterior import Posterior
-from ...inference.precision import in_double
+from ...inference.precision import double_precision
 from ...report.notebook import ShownInNotebooks
 from ..calibration import LIKELIHOOD, NoiseCalibration, calibrate
 from ..levels import Levels, PhotonTransfer
@@ -167,7 +167,7 @@ class CameraCalibration(ShownInNotebooks):
         )
 
 
-@in_double
+@double_precision
 def calibrate_settings(
     frames: Sequence[FramesOfSetting],
     *,

@@ -11,7 +11,7 @@ from jaxtyping import Bool
 
 from ...inference.diagnostics import listed
 from ...inference.formatting import format_p
-from ...inference.precision import in_double
+from ...inference.precision import double_precision
 from ...report.section import Table
 from ..calibration import NoiseCalibration
 from ..prediction.comparison import Agreement, compare
@@ -27,7 +27,7 @@ from .statement import fitted
 SHOWN = 3  # settings of which missing effects are named
 
 
-@in_double
+@double_precision
 def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
     """Predict the levels that were kept out of the fit, by the camera over all settings."""
     parts = [

@@ -213,7 +213,7 @@ def _estimates(calibration: CameraCalibration) -> tuple[Estimate, ...]:
         scale = np.log(2) * BOLTZMANN_EV * _middle(calibration) ** 2
         ours, theirs = (scale / x["activation_energy"] for x in (best, draws))
         read_noises.append(_drawn(DOUBLING, ours, theirs, ""))
-    return (*found, *read_noises, *_of_die(calibration))
+    return (*found, *read_noises, *_die_estimates(calibration))
 
 
 def _drawn(
@@ -242,7 +242,7 @@ def _root(
     return quantile_estimate(what, scale * value, scale * total / (2 * value), ends)
 
 
-def _of_die(calibration: CameraCalibration) -> list[Estimate]:
+def _die_estimates(calibration: CameraCalibration) -> list[Estimate]:
     found, well = [], calibration.full_well
     if well is not None and well.serves:
         ends = well.value * np.exp(ndtri(QUANTILES) * well.known_to / well.value)

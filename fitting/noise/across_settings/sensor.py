@@ -14,7 +14,7 @@ from jaxvision import ArrheniusDarkCurrent, PoissonShotNoise, Sensor
 from jaxvision.errors import InputError
 from jaxvision.files.cameras import write_sensor
 
-from ...inference.precision import in_double
+from ...inference.precision import double_precision
 from ...inference.problem import values_from
 from ...rig import Camera
 from ..levels import Levels, PhotonTransfer
@@ -25,7 +25,7 @@ from .calibration import CameraCalibration
 from .statement import figures
 
 
-@in_double
+@double_precision
 def sensor_at(
     calibration: CameraCalibration,
     *,
@@ -78,7 +78,7 @@ def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Pa
     write_sensor(best, path, draws=draws, about=about + "pixel and second.")
 
 
-@in_double
+@double_precision
 def write_sensor_of_sites_at(
     calibrations: Mapping[str, CameraCalibration], camera: Camera, gain: float | None, path: Path
 ) -> None:

@@ -23,7 +23,7 @@ from jaxvision.files.images import read_image
 
 from ...inference.diagnostics import OPEN
 from ...inference.parameters import names
-from ...inference.precision import in_double
+from ...inference.precision import double_precision
 from ...observation import Load
 from ...rig import Rig, load_rig
 from ..calibration import NoiseCalibration, finest_read_noise
@@ -133,7 +133,7 @@ def _line(x: np.ndarray, y: np.ndarray, variances: np.ndarray) -> tuple[np.ndarr
     return found, covariance * inflation(chi_square, len(x) - 2)
 
 
-@in_double
+@double_precision
 def read_by_setting(
     path: str | os.PathLike[str], *, channel: str = ""
 ) -> tuple[FramesOfSetting, ...]:
@@ -154,7 +154,7 @@ def read_by_setting(
     return reduce_by_setting(load_rig(path), channel=channel)
 
 
-@in_double
+@double_precision
 def reduce_by_setting(
     rig: Rig,
     *,

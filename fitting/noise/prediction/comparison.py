@@ -146,7 +146,7 @@ def compare(
     found, drawn, die = _expected(best, every, measurement, lit, len(seen) == len(QUANTITIES))
     ended = np.zeros(shown.size, bool)
     if not fitted:
-        ended = shown & _at_an_end(best, found.values, measurement)
+        ended = shown & _end_codes(best, found.values, measurement)
         shown = shown & ~ended
     if not noise_known:
         found = replace(found, values=np.concatenate([found.values[:1], seen[1:]]))
@@ -182,7 +182,7 @@ def compare(
     return Comparison(lit, levels, found, own, camera + die, agreement, int(ended.sum()))
 
 
-def _at_an_end(sensor: Sensor, values: np.ndarray, measurement: PhotonTransfer) -> np.ndarray:
+def _end_codes(sensor: Sensor, values: np.ndarray, measurement: PhotonTransfer) -> np.ndarray:
     """Which levels are all in the first or last code of the sensor, without any noise."""
     if sensor.bits is None:
         return np.zeros(values.shape[1], bool)
@@ -238,12 +238,12 @@ def _expected(
     )
     over_light = np.zeros_like(values)
     over_light[:2] = step * by_light, step**2 * slope * by_light
-    values = _in_file(values, step, origin)
+    values = _file_numbers(values, step, origin)
     found = Expected(values, over_light, electrons, step * slope, rows, columns, frames)
-    return found, _in_file(of_every[min(len(of_every) - 1, 1) :], step, origin), die
+    return found, _file_numbers(of_every[min(len(of_every) - 1, 1) :], step, origin), die
 
 
-def _in_file(values: np.ndarray, step: float, origin: float) -> np.ndarray:
+def _file_numbers(values: np.ndarray, step: float, origin: float) -> np.ndarray:
     """Codes, or squares of codes, converted to numbers of the file."""
     scaled = values * step**2
     scaled[..., 0, :] = origin + step * values[..., 0, :]

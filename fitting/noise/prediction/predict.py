@@ -19,7 +19,7 @@ from jaxvision.files.toml import read_toml
 
 from ...inference.given import require_kind
 from ...inference.parameters import names
-from ...inference.precision import in_double
+from ...inference.precision import double_precision
 from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration
 from ..levels import PhotonTransfer, linear_levels
@@ -66,7 +66,7 @@ class Prediction(ShownInNotebooks):
         return self.comparisons[0]
 
 
-@in_double
+@double_precision
 def predict(
     camera: Camera,
     measurement: PhotonTransfer,
@@ -121,7 +121,7 @@ def predict(
     if camera.taps is not None:
         camera, draws = _of_one_tap(name, camera, draws, measurement)
         name = f"{name}, {measurement.site},"
-    camera = _of_one_channel(name, camera)
+    camera = _channel_sensor(name, camera)
     _require_bits(name, camera, measurement)
     if draws is not None:
         draws = eqx.tree_at(_conversion, draws, None, is_leaf=lambda leaf: leaf is None)
@@ -192,7 +192,7 @@ def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> Non
         )
 
 
-@in_double
+@double_precision
 def predict_own_frames(calibration: NoiseCalibration) -> Prediction:
     """The prediction of a calibration's own frames by its written and re-read camera, for all
     levels. With enough levels, it also covers levels that a second fit of the same model did not
@@ -308,7 +308,7 @@ def _of_one_tap(
     return of_tap(sensor, tap), every
 
 
-def _of_one_channel(name: str, sensor: Sensor) -> Sensor:
+def _channel_sensor(name: str, sensor: Sensor) -> Sensor:
     """The sensor with light in photons per pixel."""
     several = sensor.colour_filter is not None and sensor.colour_filter.transmission.size > 1
     several |= sensor.quantum_efficiency is not None and sensor.quantum_efficiency.size > 1

@@ -60,7 +60,7 @@ def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges
         light, error = _interpolated(lights[pair], share, count)
     else:
         end = measurement.full_scale - measurement.converter.step / 2
-        light, error = _of_gaussian(lights, mean, numbers.spread, end, above)
+        light, error = _gaussian_saturation(lights, mean, numbers.spread, end, above)
     place = (light - lights[above - 1]) / max(lights[above] - lights[above - 1], 1e-300)
     signal = mean - np.asarray(dark.mean)[np.asarray(measurement.dark_of)]
     top = signal[above - 1] + place * (signal[above] - signal[above - 1])
@@ -87,7 +87,7 @@ def _interpolated(lights: np.ndarray, share: np.ndarray, count: np.ndarray) -> t
     return float(light), float(np.hypot((high - low) / np.sqrt(12), slope * np.hypot(*by_counts)))
 
 
-def _of_gaussian(
+def _gaussian_saturation(
     lights: np.ndarray, mean: np.ndarray, spread: np.ndarray, end: float, above: int
 ) -> tuple[float, float]:
     """Light and its error, from mean and standard deviation of the two levels below."""

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jaxvision import as_dtype
 
 from ...inference.compiled import compiled_briefly
-from ...inference.precision import in_double
+from ...inference.precision import double_precision
 from ...report.notebook import ShownInNotebooks
 from ..emva1288 import Evaluation, Ranges, evaluate
 from ..shared import shared_noise
@@ -75,7 +75,7 @@ class Release4(ShownInNotebooks):
 _evaluated = compiled_briefly(evaluate)
 
 
-@in_double
+@double_precision
 def release_4_sheet(stacks: Stacks, *, seed: int = 0) -> Release4:
     """The sheet of EMVA 1288, release 4.0, of a camera.
 

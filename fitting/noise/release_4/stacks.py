@@ -21,7 +21,7 @@ from jaxtyping import Float
 from jaxvision.errors import InputError
 from jaxvision.files.images import read_image
 
-from ...inference.precision import in_double
+from ...inference.precision import double_precision
 from ...observation import Load
 from ...rig import Rig, load_rig
 from ..levels import PhotonTransfer
@@ -92,7 +92,7 @@ class Stacks:
     averages: Averages | None = None
 
 
-@in_double
+@double_precision
 def read_stacks(
     path: str | os.PathLike[str], *, bits: int | None = None, channel: str = ""
 ) -> Stacks:

@@ -24,7 +24,7 @@ from ...inference.diagnostics import OPEN
 from ...inference.emcee_run import Emcee, for_group
 from ...inference.parameters import ParameterSpace
 from ...inference.posterior import Posterior, laplace, laplace_or_emcee
-from ...inference.precision import in_double
+from ...inference.precision import double_precision
 from ...inference.problem import Problem, log_density
 from ...report.notebook import ShownInNotebooks
 from ..models import REFLECTANCES, check_index, shape_range, surface_space
@@ -82,7 +82,7 @@ class BRDFCalibration(ShownInNotebooks):
     posterior: Posterior | None
 
 
-@in_double
+@double_precision
 def calibrate(
     measured: MeasuredBRDF,
     *,

@@ -30,7 +30,7 @@ from .errors import (
     weight_by_incidence,
     winner_of,
 )
-from .fit import in_metric
+from .fit import compared_quantity
 
 MOST_WEIGHT = 0.5  # of a fit, at one incidence, from which it is reported
 NESTED = 1e-3  # relative excess over a contained model: the ends of the shapes' ranges cost less
@@ -240,7 +240,7 @@ def _ends(calibration: BRDFCalibration) -> tuple[list[Model], list[Model]]:
 def _failures(calibration: BRDFCalibration) -> Iterable[Numbers]:
     """Searches that did not converge, or ended above Lambert's model, which all others contain."""
     measured = calibration.measured
-    signal = in_metric(measured, calibration.objective, measured.values)
+    signal = compared_quantity(measured, calibration.objective, measured.values)
     nothing = NOTHING**2 * float(np.sum(measured.weights[:, None] * signal**2))
     lambert = calibration.fits["lambert"]
     for model, fit in calibration.fits.items():

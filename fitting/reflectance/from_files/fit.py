@@ -88,8 +88,8 @@ def problem_of(
     amplitudes are fixed, and all samples have equal errors in the objective's metric."""
     whole = fit.whole
     mean = {"diffuse": whole.diffuse.mean(), "specular": whole.specular.mean() or 1.0}
-    wanted = in_metric(measured, fit.objective, measured.values)
-    missed = in_metric(measured, fit.objective, whole.predicted) - wanted
+    wanted = compared_quantity(measured, fit.objective, measured.values)
+    missed = compared_quantity(measured, fit.objective, whole.predicted) - wanted
     squares = np.mean(missed**2, axis=1)
     variance = np.average(squares, weights=measured.weights)
     variance = max(float(variance), float(np.finfo(np.float32).tiny))
@@ -151,7 +151,9 @@ def compressed(measured: MeasuredBRDF, values: np.ndarray) -> OfSamples:
     return np.cbrt(np.maximum(reflected(measured, values), 0) + darkness(measured))
 
 
-def in_metric(measured: MeasuredBRDF, objective: Objective, values: np.ndarray) -> OfSamples:
+def compared_quantity(
+    measured: MeasuredBRDF, objective: Objective, values: np.ndarray
+) -> OfSamples:
     """The quantity that an objective compares."""
     return (reflected if objective == "cosine" else compressed)(measured, values)
 
@@ -182,7 +184,7 @@ class _Search:
 
     @cached_property
     def wanted(self) -> np.ndarray:
-        return in_metric(self.measured, self.objective, self.measured.values)
+        return compared_quantity(self.measured, self.objective, self.measured.values)
 
     def columns(self, log_shapes: Any) -> Array:
         """(knots, n) f_r of unit amplitude."""
@@ -202,7 +204,7 @@ class _Search:
         parameters = self.model, diffuse, specular, shape
         predicted = np.asarray(brdf(*parameters, measured.wi, measured.wo, self.index))
         predicted = np.broadcast_to(predicted, measured.values.shape)
-        missed = in_metric(measured, self.objective, predicted) - self.wanted
+        missed = compared_quantity(measured, self.objective, predicted) - self.wanted
         cost = float(np.sum((kept * measured.weights)[:, None] * missed**2))
         return LobeFit(*parameters, predicted, cost, converged=True)
 

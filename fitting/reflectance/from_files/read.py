@@ -237,7 +237,7 @@ def from_samples(
     weights = weights[chosen]
     turn = np.asarray(samples.phi_o - samples.phi_i, np.float64)[chosen]
     azimuth = np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
-    findings += _of_a_cosine(theta_i[chosen], theta_o[chosen], azimuth, values[chosen])
+    findings += _reciprocity_remark(theta_i[chosen], theta_o[chosen], azimuth, values[chosen])
     nanometres = _nanometres(samples)
     return MeasuredBRDF(
         name=name,
@@ -274,7 +274,7 @@ def _cut_bands(values: Float[np.ndarray, "n bands"], bands: tuple[str, ...]) -> 
     )
 
 
-def _of_a_cosine(
+def _reciprocity_remark(
     theta_i: np.ndarray, theta_o: np.ndarray, azimuth: np.ndarray, values: np.ndarray
 ) -> tuple[str, ...]:
     """A remark if samples with exchanged light and viewer, which Helmholtz reciprocity makes equal,

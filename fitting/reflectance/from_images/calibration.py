@@ -15,7 +15,7 @@ from ...inference.diagnostics import OPEN
 from ...inference.emcee_run import Emcee, Progress
 from ...inference.given import require_kind
 from ...inference.posterior import Posterior
-from ...inference.precision import in_double
+from ...inference.precision import double_precision
 from ...report.notebook import ShownInNotebooks
 from ..models import check_index, shape_of
 from ..names import INDEX, MODELS, Model
@@ -77,7 +77,7 @@ class ReflectanceCalibration(ShownInNotebooks):
         return float(fit.natural[-1]) if fit.form.free_gamma else None
 
 
-@in_double
+@double_precision
 @threadpool_limits.wrap(limits=1, user_api="blas")  # threads cost more than matrices this small
 def calibrate(
     observation: Photographs,

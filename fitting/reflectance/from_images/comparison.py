@@ -162,7 +162,7 @@ def comparison_table(scores: Sequence[ModelScore], held_out: int) -> Table:
     )
 
 
-def _by_model(scores: Sequence[ModelScore]) -> dict[Model, list[ModelScore]]:
+def _scores_by_model(scores: Sequence[ModelScore]) -> dict[Model, list[ModelScore]]:
     found: dict[Model, list[ModelScore]] = {}
     for score in scores:
         found.setdefault(score.model, []).append(score)
@@ -182,7 +182,7 @@ def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
     """Return the models whose prediction of held-out lights differs from the best one's within
     chance in every channel. The best comes first; of models with equal predictions the first
     fitted. Without held-out lights, return the model of smallest BIC."""
-    by_model = _by_model(scores)
+    by_model = _scores_by_model(scores)
     if any(score.predicted_error is None for score in scores):
         costs = _bic(by_model)
         return (_least(costs),)
@@ -206,7 +206,7 @@ def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
 def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str] | None:
     """Return the model that predicts held-out lights better, or if they do not decide, the one
     whose BIC is decisively smaller, and in words by how much; None if there is no such model."""
-    by_model, equal = _by_model(scores), equally_good(scores)
+    by_model, equal = _scores_by_model(scores), equally_good(scores)
     tested = all(gap.freedom for gap in _differences(by_model[model], by_model[equal[0]]))
     if tested and model not in equal:
         more = _more(by_model[model], by_model[equal[0]])
@@ -219,7 +219,7 @@ def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str
 
 def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
     """Name the best model and its lead, in one or two sentences."""
-    channels, by_model = tuple(dict.fromkeys(s.channel for s in scores)), _by_model(scores)
+    channels, by_model = tuple(dict.fromkeys(s.channel for s in scores)), _scores_by_model(scores)
     costs = _bic(by_model)
     cheapest = _least(costs)
     if not held_out:

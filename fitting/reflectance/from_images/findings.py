@@ -171,7 +171,7 @@ def _design_effect(of: OfChannel) -> Numbers | None:
     }
 
 
-def _in_regions(of: OfChannel) -> Numbers | None:
+def _region_numbers(of: OfChannel) -> Numbers | None:
     regions, lights = _regions(of[1]), _lights(of[1])
     return {"regions": regions, "lights": lights} if regions < lights else None
 
@@ -453,7 +453,7 @@ OF_CHANNEL = (
     ),
     Finding(
         "regions of lights",
-        _in_regions,
+        _region_numbers,
         "The misfit of images under neighbouring lights is similar, so the intervals count"
         " {regions} regions of the {lights} lights as independent, not each light. Parameters may"
         " differ under lights from other directions.",

@@ -28,7 +28,7 @@ from ...inference.importance import laplace_where_it_holds
 from ...inference.neighbours import regions
 from ...inference.parameters import ParameterSpace, natural_numbers
 from ...inference.posterior import Posterior, sample
-from ...inference.precision import in_double
+from ...inference.precision import double_precision
 from .lights import (
     StatedErrors,
     TurnedLights,
@@ -148,7 +148,7 @@ class ChannelFit:
         return evidence - float(flat @ np.linalg.solve(prior, flat) + volume) / 2
 
 
-@in_double
+@double_precision
 def fit_channel(view: View, form: Form, grouping: Grouping) -> ChannelFit:
     """Return the best fit of one channel with its robustness, misfit and evidence."""
     observation, selection, samples = view.observation, view.selection, view.samples(form)

@@ -215,7 +215,7 @@ def _consistent_turns(
     step, prior = max(1, len(view.selection.light) // ENOUGH), view.observation.turn_prior
     stages = [(view, MOST_TURNS)]
     if step > 1:
-        stages = [(view.of_some_pixels(step), MOST_TURNS), (view, 2)]
+        stages = [(view.every_nth_pixel(step), MOST_TURNS), (view, 2)]
     for seen, rounds in stages:
         if step > 1:
             samples = _about(seen, turns, found.samples.form)

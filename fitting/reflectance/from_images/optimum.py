@@ -318,7 +318,7 @@ def optimum(start: Vector, samples: Samples) -> tuple[Prediction, Matrix, bool]:
     in between, a bounded search comes first."""
     found = minimise_samples(start, [samples])
     if not found.converged:
-        found = minimise_samples(_in_box(start, samples), [samples])
+        found = minimise_samples(_box_optimum(start, samples), [samples])
     vector, model, within = found.vector, samples.form.model, True
     if model != "lambert":
         place = names(parameter_space(samples.form)).index(shape_of(model).name)
@@ -328,7 +328,7 @@ def optimum(start: Vector, samples: Samples) -> tuple[Prediction, Matrix, bool]:
     return prediction, found.information, found.converged and within
 
 
-def _in_box(start: Vector, samples: Samples) -> Vector:
+def _box_optimum(start: Vector, samples: Samples) -> Vector:
     """The least cost within `REACH` of a start, by L-BFGS-B."""
 
     def scaled(away: Vector) -> tuple[float, Vector]:

@@ -34,8 +34,8 @@ from ...lights.file import read_lights
 from ...noise.settings import require_one_setting
 from ...observation import (
     Load,
+    cropped_to_region,
     in_memory,
-    in_region,
     one_site,
     pixels_of_colour,
     read_mask,
@@ -399,7 +399,7 @@ def _stored_normals(
     rig: Rig, name: str, shape: tuple[int, int], mask: np.ndarray | None, load: Load
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     path = rig.path(name)
-    normals = in_region(np.asarray(load(path), np.float64), rig.camera, path)
+    normals = cropped_to_region(np.asarray(load(path), np.float64), rig.camera, path)
     if normals.shape != (*shape, 3):
         raise InputError(
             f"{path}: the normals are {normals.shape}, the images are {shape}; give one normal "

@@ -137,7 +137,7 @@ class View:
             gamma=None,
         )
 
-    def of_some_pixels(self, step: int) -> "View":
+    def every_nth_pixel(self, step: int) -> "View":
         """The samples of every `step`-th pixel."""
         kept = self.selection.pixel % step == 0
         some = Selection(self.selection.light[kept], self.selection.pixel[kept] // step)

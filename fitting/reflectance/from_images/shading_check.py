@@ -78,7 +78,11 @@ def contradictions(observation: Photographs, *, gamma: float | None = None) -> l
     encoding exponent that a fit has found; None for the rig's."""
     if gamma is not None:
         observation = replace(observation, gamma=gamma)
-    return [*_of_copies(observation), *_of_directions(observation), *_of_outline(observation)]
+    return [
+        *_copies_findings(observation),
+        *_direction_findings(observation),
+        *_ball_outline_findings(observation),
+    ]
 
 
 def without_strangers(observation: Photographs) -> Photographs:
@@ -139,7 +143,7 @@ def _copies(observation: Photographs) -> Copies:
     return copies
 
 
-def _of_copies(observation: Photographs) -> list[str]:
+def _copies_findings(observation: Photographs) -> list[str]:
     """Images with equal numbers, which noise rules out for two exposures."""
     copies = _copies(observation)
     if not copies.found:
@@ -158,14 +162,14 @@ def _spread(normals: Float[np.ndarray, "pixels 3"]) -> float:
     return float(np.linalg.svd(normals, compute_uv=False)[2] / np.sqrt(len(normals)))
 
 
-def _of_directions(observation: Photographs) -> list[str]:
+def _direction_findings(observation: Photographs) -> list[str]:
     shown, told = directions_by_shading(observation)
     if told.sum() < 2:
         return []
     stated = _stated(observation)
     off = float(np.median(_angles(shown, stated)[told]))
     if off < FAR:
-        return _of_single_lights(observation, _angles(shown, stated), told, off)
+        return _single_light_findings(observation, _angles(shown, stated), told, off)
     words = (
         "The shading of the images shows the lights "
         f"{off:.0f}° (median of {told.sum()}) from where the rig states them"
@@ -187,7 +191,7 @@ def _of_directions(observation: Photographs) -> list[str]:
     ]
 
 
-def _of_single_lights(
+def _single_light_findings(
     observation: Photographs,
     angles: Float[np.ndarray, " lights"],
     told: Bool[np.ndarray, " lights"],
@@ -209,7 +213,7 @@ def _angles(
     return np.degrees(np.arccos(np.clip((one * other).sum(axis=1), -1, 1)))
 
 
-def _of_outline(observation: Photographs) -> list[str]:
+def _ball_outline_findings(observation: Photographs) -> list[str]:
     """Pixels that stay dark under lights that they face."""
     signal = np.mean(observation.dn - observation.black, axis=0)
     facing = observation.cosine.max(axis=0) > SIDE

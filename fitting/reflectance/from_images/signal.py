@@ -36,7 +36,7 @@ from jaxvision.programs import moderately
 from jaxvision.sensor import QUANTISATION_VARIANCE
 
 from ...inference.parameters import Parameter, ParameterSpace
-from ...inference.precision import in_double
+from ...inference.precision import double_precision
 from ..models import amplitude, has_lobe, shape_of, surface_space, unit_shading
 from ..names import INDEX, Model
 from .read import VIEW
@@ -141,7 +141,7 @@ def unit_lobe(form: Form, shape: Float[Array, ""], geometry: Geometry) -> Array:
     return jnp.where(geometry.wi.z > 0, unit, 0)
 
 
-@in_double
+@double_precision
 def lobe_with_slopes(
     form: Form, log_shape: Float[np.ndarray, " samples"] | float, geometry: Geometry
 ) -> Float[np.ndarray, "3 samples"]:

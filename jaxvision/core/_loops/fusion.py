@@ -111,7 +111,7 @@ def fuse(values: Any) -> Any:
     return jax.tree.unflatten(tree, _fuse(*leaves))
 
 
-def _in_one_loop(*values: Array) -> Sequence[Array]:
+def _one_loop(*values: Array) -> Sequence[Array]:
     """One loop for each floating precision among the values, because a reduction cannot mix
     them."""
     is_float = [jnp.issubdtype(value.dtype, jnp.floating) for value in values]
@@ -133,7 +133,7 @@ def _in_one_loop(*values: Array) -> Sequence[Array]:
     return results
 
 
-_fuse = None if PLAIN else _primitives.identity("fuse", _in_one_loop)
+_fuse = None if PLAIN else _primitives.identity("fuse", _one_loop)
 
 
 def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:

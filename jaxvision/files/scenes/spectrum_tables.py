@@ -105,7 +105,7 @@ def read_table(file: Path, column: str | None, quantity: str) -> tuple[np.ndarra
     is_percent = "%" in wanted or _words(wanted) & {"percent", "pct"}
     if is_percent and quantity == "reflectance":
         values = values / 100
-    return _in_metres(file, heads[along], given, values, quantity)
+    return _metres(file, heads[along], given, values, quantity)
 
 
 def _cells(line: str) -> list[str]:
@@ -152,7 +152,7 @@ def _only(file: Path, others: list[str], quantity: str) -> str:
     return chosen[0]
 
 
-def _in_metres(
+def _metres(
     file: Path, head: str, given: np.ndarray, values: np.ndarray, quantity: str
 ) -> tuple[np.ndarray, np.ndarray]:
     words = _words(head)

@@ -207,15 +207,15 @@ def beside_light(*, name: str | None = None) -> None:
 
 def light_tables() -> dict[str, Table]:
     """The tables of all registered lights, by their `kind`."""
-    return _by_word("lights", kinds())
+    return _tables_by_word("lights", kinds())
 
 
 def material_tables() -> dict[str, Table]:
     """The tables of all registered materials, by their `family`."""
-    return _by_word("materials", families())
+    return _tables_by_word("materials", families())
 
 
-def _by_word(things: str, registered: Mapping[type, Any]) -> dict[str, Table]:
+def _tables_by_word(things: str, registered: Mapping[type, Any]) -> dict[str, Table]:
     """The tables by their word. A class that is defined again replaces itself; two classes may not
     share a word."""
     found: dict[str, Table] = {}

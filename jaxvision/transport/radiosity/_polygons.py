@@ -47,7 +47,7 @@ def far_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     relative error is about .03 (s / d)^4 for a polygon of size s at distance d."""
     total = jnp.zeros_like(point.x)
     for s, t, weight in square_places(2, total.dtype):
-        place, area = on_polygon(corners, s, t)
+        place, area = polygon_point(corners, s, t)
         toward = place - point
         square = dot(toward, toward)
         facing = jnp.maximum(dot(normal, toward), 0) * jnp.maximum(-dot(area, toward), 0)
@@ -55,7 +55,7 @@ def far_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     return total / jnp.pi
 
 
-def on_polygon(corners: Polygon, s: Scalar, t: Scalar) -> tuple[Vec, Vec]:
+def polygon_point(corners: Polygon, s: Scalar, t: Scalar) -> tuple[Vec, Vec]:
     """The point of the bilinear patch of the corners, m, at a position of the unit square, and its
     vector area per unit of the square, m^2."""
     a, b, c, d = corners

@@ -32,7 +32,7 @@ from ...core._shown import Shown
 from ...core._types import Scalar, Scalars, check_count
 from ...core._vector import Vec, as_vec
 from ...lights import square_nodes
-from ._polygons import Polygon, far_factor, is_far, near_factor, on_polygon
+from ._polygons import Polygon, far_factor, is_far, near_factor, polygon_point
 
 _LARGEST = 1e8  # side over distance: its square is far from overflow in float32
 
@@ -354,7 +354,7 @@ def _gauss_exchange(first: Polygon, second: Polygon, order: int) -> Scalar:
     nodes, weights = square_nodes(order)
     s, t = jnp.asarray(nodes, first[0].x.dtype).T
     (place, patch), (other, facing) = (
-        jax.vmap(partial(on_polygon, corners))(s, t) for corners in (first, second)
+        jax.vmap(partial(polygon_point, corners))(s, t) for corners in (first, second)
     )
     place, patch = jax.tree.map(lambda x: x[:, None], (place, patch))
     other, facing = jax.tree.map(lambda x: x[None], (other, facing))
@@ -424,7 +424,7 @@ def polygon_to_polygon(first: Polygon, second: Polygon, *, order: int = 4) -> Ex
         nodes, weights = square_nodes(order)
 
         def one(s: Scalar, t: Scalar, weight: Scalar) -> tuple[Scalar, Scalar]:
-            place, patch = on_polygon(first, s, t)
+            place, patch = polygon_point(first, s, t)
             size = weight * norm(patch)
             return size * point_to_polygon(place, as_vec(normalize(patch)), second), size
 

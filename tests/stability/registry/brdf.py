@@ -257,8 +257,8 @@ ENTRIES = [
         note="the half vector of directions that all but cancel",
     ),
     Entry(
-        "brdf.microfacet.at_least_polished",
-        microfacet.at_least_polished,
+        "brdf.microfacet.clamped_roughness",
+        microfacet.clamped_roughness,
         lambda m, a: tuple(a.T),
         (ROUGH,),
         parts=("x", "y"),

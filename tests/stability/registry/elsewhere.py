@@ -389,7 +389,7 @@ ELSEWHERE = (
         CHOICES,
         "test_from_memory foreign/test_exposure_stacks",
         """
-            fitting.inference.precision: in_double refuse_word_of_command
+            fitting.inference.precision: double_precision refuse_word_of_command
         """,
     ),
     Elsewhere(
@@ -566,7 +566,7 @@ ELSEWHERE = (
             fitting.inference.search: at_a_time given_start joined negative_log_density search
             fitting.inference.search: present_numbers spread_starts start_at starts_about unstarted
             fitting.inference.separable: amplitudes completed eliminated first_knots fit_amplitudes
-            fitting.inference.separable: fit_separable in_closed_form non_negative_amplitudes
+            fitting.inference.separable: fit_separable closed_form_indices non_negative_amplitudes
             fitting.inference.separable: require_linear
         """,
     ),
@@ -705,7 +705,7 @@ ELSEWHERE = (
             fitting.frame_checks.heads: odd_heads
             fitting.frame_checks.between_levels: distribution_of_levels light_of_levels
             fitting.frame_checks.between_levels: noise_of_levels
-            fitting.frame_checks.compared: of_one_mean rms trimmed_variance without_lines
+            fitting.frame_checks.compared: scaled_to_one_mean rms trimmed_variance without_lines
             fitting.frame_checks.deviates: beyond_chance usual_size
             fitting.frame_checks.moved: moved_frames
             fitting.noise.doubts: doubts
@@ -741,17 +741,17 @@ ELSEWHERE = (
             fitting.response.gamma: fit_gamma given_shutter log_code_means log_density space_of
             fitting.response.left_out: without_effect
             fitting.response.moved: moved_exposures
-            fitting.response.pilot: degrees_of_freedom fit_noise fit_pilot on_bins rising
+            fitting.response.pilot: degrees_of_freedom fit_noise fit_pilot rebinned rising
             fitting.response.pixel_noise: noise_variance
             fitting.response.clipping: clear_of_clipping
             fitting.response.colour_rounding: shared_rounding with_shared_rounding
-            fitting.response.flat_places: in_register to_flat_places
+            fitting.response.flat_places: well_registered to_flat_places
             fitting.response.places: equal_classes layout_of tiles_of
             fitting.response.radiance_map: exposure_of_codes merge
-            fitting.response.repeats: over_exposures over_tiles widened
+            fitting.response.repeats: exposure_jackknife tile_jackknife widened
             fitting.response.shape: error_of_departure judged_codes largest largest_departure shapes
-            fitting.response.solve: at_centres equations_of inverse roughness shutter_basis solve
-            fitting.response.solve: spread_of_times
+            fitting.response.solve: bin_centre_curve equations_of inverse roughness shutter_basis
+            fitting.response.solve: solve spread_of_times
             fitting.response.weights: cells_of coarsest hat_rule noise_rule observe undithered
             fitting.response.weights: weighted_mean
         """,
@@ -764,7 +764,7 @@ ELSEWHERE = (
             fitting.joint.cells: cell_width image_geometry make_grid pixels_at reduce_images
             fitting.joint.fit: first_noise first_reflectance fit_channel fit_turned image_errors
             fitting.joint.fit: is_searched_shape likeliest_turns with_misfit without_small_errors
-            fitting.joint.misfit: by_halves degrees_of_freedom laplace_miss over_images
+            fitting.joint.misfit: fit_halves degrees_of_freedom laplace_miss image_sandwich
             fitting.joint.misfit: unequal_pixels widened
             fitting.joint.marginal: chi_square image_error_means log_density scatter_log_density
             fitting.joint.model: black_level cost log_likelihood log_likelihood_by_image
@@ -783,7 +783,7 @@ ELSEWHERE = (
             fitting.reflectance.from_files.errors: prediction_of_held_out
             fitting.reflectance.from_files.errors: weight_by_incidence winner_of
             fitting.reflectance.from_files.fit: brdf compressed darkness fit_model fit_models
-            fitting.reflectance.from_files.fit: in_metric problem_of reflected
+            fitting.reflectance.from_files.fit: compared_quantity problem_of reflected
             fitting.reflectance.models: amplitude check_index facet_sentence has_lobe log_range
             fitting.reflectance.models: is_searched
             fitting.reflectance.models: shape_of shape_range surface_space unit_brdf unit_shading
