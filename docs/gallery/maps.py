@@ -25,7 +25,7 @@ view = jv.Pinhole([0, 0, 1], axes, 1.0, 0.0125, resolution=(100, 110))
 middles = jax.vmap(jax.vmap(lambda r, c: jv.radiance_along(scene, jv.view_ray(view, r, c))))
 rows, columns = np.meshgrid(np.arange(100.0), np.arange(110.0), indexing="ij")
 pictures = {"at points": middles(rows, columns), "over pixels": jv.render(scene, view)}
-figure, pair = plt.subplots(1, 2)
+figure, pair = plt.subplots(1, 2, figsize=(4.4, 2.2))
 for place, (name, picture) in zip(pair, pictures.items(), strict=True):
     place.imshow(jv.srgb_encode(np.clip(picture[..., 0], 0, 1)), cmap="gray", vmin=0, vmax=1)
     place.set(title=name, xticks=[], yticks=[])
