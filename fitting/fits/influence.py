@@ -172,8 +172,8 @@ def influence(
         ...     data=jv.render(jv.Scene(floor, lamps), view),
         ...     records={"scene": jv.Scene(floor, lamps), "camera": jv.Camera(view, jv.Sensor())},
         ... )
-        >>> round(influence(problem, "intensity[0]").of("lights[1]").shift, 1)
-        0.6
+        >>> round(influence(problem, "intensity[0]").of("lights[1]").shift, 1)  # 1 % of 8 over .041
+        2.0
     """
     found = fit(fitted) if isinstance(fitted, Problem) else fitted
     value, sd, measure = measured(found, target)

@@ -121,10 +121,10 @@ def cost_in_words(posteriors: Iterable[Posterior], seconds: float, *, typed: boo
     known = f"moves the ends of 95 % intervals by about {error:.1g} standard errors"
     told = "has not been tested here" if np.isnan(error) else "describes the posterior badly"
     told = known if np.isfinite(error) else told
-    took = f", in {seconds:.2g} s" if np.isfinite(seconds) else ""
+    took = f"The fit took {seconds:.2g} s; " if np.isfinite(seconds) else ""
     name = {"Laplace": "Laplace's approximation", "marginal": "An integral on a grid"}
     of = name.get(worst.method, f"The finite number of draws by {worst.method}")
-    return f"{of} {told}{took}; {others.get(worst.method, usual)}."
+    return f"{of} {told}. {took}{others.get(worst.method, usual)}."
 
 
 def _error_of_end(posterior: Posterior) -> float:

@@ -24,6 +24,7 @@ from ._laplacian import apply_stencil, matting_laplacian, restricted_to
 from ._multigrid import coarsened, v_cycle
 
 BACKGROUND, FOREGROUND = 0.1, 0.9
+STEPS = 500  # of the solver, at most
 
 
 class Matte(Shown):
@@ -47,7 +48,7 @@ def closed_form_matte(
     epsilon: float = 1e-7,
     confidence: float | None = None,
     tolerance: float | None = None,
-    max_steps: int = 500,
+    max_steps: int = STEPS,
 ) -> Matte:
     """The matte of a picture from a trimap.
 
@@ -94,8 +95,13 @@ def closed_form_matte(
         )
     _check_numbers(image, trimap)
     if tolerance is None:
-        tolerance = 1e-7 if image.dtype == jnp.float64 else 1e-6
+        tolerance = _least_residual(image)
     return _solved(image, trimap, epsilon, confidence, tolerance, max_steps)
+
+
+def _least_residual(image: Array) -> float:
+    """The relative residual that the solver can reach in the image's precision."""
+    return 1e-7 if image.dtype == jnp.float64 else 1e-6
 
 
 @partial(jax.jit, static_argnames="max_steps")

@@ -25,7 +25,7 @@ from ..core._arguments import takes_numbers
 from ..core._shown import Shown
 from ..core._types import as_relative, check_count
 from ..filters import gaussian
-from .closed_form import BACKGROUND, FOREGROUND, closed_form_matte
+from .closed_form import BACKGROUND, FOREGROUND, STEPS, _least_residual, _solved, closed_form_matte
 
 _SMOOTH = 32.0  # pixels over which the colour of a side varies
 _FAR = 1e-6  # weight of a side's mean where none of its pixels is near
@@ -108,6 +108,7 @@ def _drawn(
     confidence: Any,
 ) -> Float[Array, "draws h w 1"]:
     """By how much the matte of each drawn picture differs from that which made it."""
+    tolerance = jnp.asarray(_least_residual(image), image.dtype)
     sides = [_side(image, at[..., None]) for at in (trimap >= FOREGROUND, trimap <= BACKGROUND)]
 
     def one(key: Array) -> Float[Array, "h w 1"]:
@@ -116,8 +117,7 @@ def _drawn(
             for own, (smooth, texture) in zip(jax.random.split(key), sides, strict=True)
         )
         drawn = alpha * front + (1 - alpha) * behind
-        found = closed_form_matte(drawn, trimap, epsilon=epsilon, confidence=confidence)
-        return found.alpha - alpha
+        return _solved(drawn, trimap, epsilon, confidence, tolerance, STEPS).alpha - alpha
 
     return jax.lax.map(one, keys)
 

@@ -196,7 +196,7 @@ def lens_kernel(
         >>> lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(9, 9), f_number=8.0)
         >>> kernel = jv.optics.lens_kernel(lens, jv.Diffraction(550e-9, size=3), 1e-5)
         >>> round(float(kernel[1, 1]), 2)
-        0.83
+        0.89
     """
     # a closed aperture passes no light to spread
     f_number = jnp.where(jnp.isinf(view.f_number), 1, view.f_number)

@@ -113,7 +113,7 @@ def wavefront_kernel(
         >>> sharp = jv.optics.wavefront_kernel([0.0, 0, 0, 0], **lens)
         >>> blurred = jv.optics.wavefront_kernel([0.0, 0, 0, 275e-9], **lens)
         >>> print(f"{sharp[8, 8]:.3f} {blurred[8, 8]:.3f}")
-        0.144 0.010
+        0.156 0.006
     """
     check_count("size", size, 1, odd=True)
     check_count("order", order, 1)

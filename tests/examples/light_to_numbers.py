@@ -56,7 +56,7 @@ EXAMPLES = {
     "point_ops.curves.srgb_encode": ((X,), {}),
     "point_ops.curves.srgb_decode": ((X,), {}),
     "rendering.maps.material_at": (
-        (Lambert(s.Map(np.random.default_rng(5).random((4, 6, 3)))), jnp.asarray([0.3, 0.7])),
+        (Lambert(jnp.asarray([0.1, 0.2])), jnp.asarray([0.3, 0.7])),  # of a map: `test_maps`
         {"width": jnp.asarray([0.9, 0.4])},
     ),
     "rendering.shading.outgoing_radiance": (

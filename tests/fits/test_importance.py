@@ -116,9 +116,9 @@ def test_a_fit_says_what_its_approximation_costs():
     one = found.estimates[0]
     apart = np.abs(np.array(one.interval_95) - exact).max() / one.standard_error
     assert 0.8 * found.posterior.miss == pytest.approx(apart, rel=0.2)
-    assert "95 % intervals by about 0.2 standard errors, in " in str(found)
+    assert "95 % intervals by about 0.2 standard errors. The fit took " in str(found)
     assert "posterior=Emcee() draws from the posterior itself." in str(found)
     drawn = replace(found.posterior, method="importance sampling", effective=1e4)
     error = np.sqrt(0.025 * 0.975 / 1e4) / norm.pdf(norm.ppf(0.975))
     told = cost_in_words([drawn], np.nan, typed=True)
-    assert f"by about {error:.1g} standard errors; --mcmc" in told
+    assert f"by about {error:.1g} standard errors. --mcmc" in told
