@@ -426,9 +426,10 @@ OF_CHANNEL = (
     Finding(
         "pixels are points",
         _points,
-        "A pixel is taken for a point. Its mean over a highlight of this width is {share} lower at"
-        " the peak, {times:.2g} standard errors of k_s, which is too low by about as much; take"
-        " photographs in which the object is larger.",
+        "A pixel is taken for a point. If it is a mean over its area, as a camera's is, it is"
+        " {share} lower at the peak of a highlight of this width, and k_s is too low by about as"
+        " much ({times:.2g} standard errors). Photographs in which the object is larger are less"
+        " so.",
     ),
     Finding(
         "unjudged",
