@@ -49,6 +49,7 @@ _FINEST = 1.0  # cycles per pixel, the highest frequency of the free MTF
 _NARROWEST = 1e-3  # pixels: of widths in a denominator
 _LEAST_DIFFRACTION = 0.02  # pixels
 _MOSAIC = 0.05  # of a side's level: what sites of a mosaic may differ by
+_NOT_TAKEN = "more starts", "other start", "Censored("  # advice of `fit` for its own arguments
 _PILED = 0.01  # of all pixels at an end of the range
 _ONE_VALUE = 0.2  # of all pixels, of a side without noise
 _CONDITION = 1e4  # of the frequencies' normal matrix
@@ -635,7 +636,7 @@ def _findings(
 ) -> Iterator[str]:  # fmt: skip
     """What the reader should know, in sentences."""
     for sentence in (*result.fit.failures, *result.fit.findings):
-        if "start" not in sentence and "Censored(" not in sentence:  # which this does not take
+        if not any(advice in sentence for advice in _NOT_TAKEN):
             yield sentence
     if result.fit.failures:
         yield (

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _FEWEST = 4  # readings of a channel
 _LENGTHS = 5e-9, 400e-9  # m, of the prior
 _STARTS = 25e-9, 60e-9, 120e-9  # m
-_OF_MODEL = 1e-4  # of the largest reading: what no description of light and camera is free of
+_OF_MODEL = 1e-4  # of the largest reading: error of any description of light and camera
 _LOUDER = 1.3  # times the stated noise: a misfit that is told
 
 
@@ -110,8 +110,8 @@ class Sensitivities:
     def delta_e(self, illuminant: ArrayLike, *, reflectances: ArrayLike | None = None) -> Bands:
         """CIEDE2000 between each reflectance and what the camera shows of it by the mean matrix.
 
-        The spread over draws is that of the camera's sensitivities: what they leave open. The
-        mean also has what no matrix can do.
+        The spread over draws comes from the errors of the sensitivities. The mean also holds the
+        error that the best matrix has.
 
         Args:
             illuminant: (bands,) spectrum of the light on a perfect white, relative.

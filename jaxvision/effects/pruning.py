@@ -144,9 +144,7 @@ def inspect(
         moments: of a motion, as in `capture`.
         depth: number of segments of the longest path, as in `transport.Paths`; None for direct
             light, as in `render`.
-        estimates: whether the contribution of long paths, and of effects whose bound is above the
-            brightest pixel or missing, is estimated from pictures of 16 x 16 pixels with and
-            without. Each effect needs a compilation.
+        estimates: whether the contribution of long paths is also estimated, from a small picture.
         whole_paths: whether the integrator follows paths to their end, as radiosity does, so that
             none can be shortened.
         caustics: whether paths start at the lights, as in `light_traced`: mirrors and glass then
@@ -243,8 +241,8 @@ def prune(
             whole sensor; "DN" and "sigma" need a whole camera.
         level: W m^-2 sr^-1 that "relative" refers to; None for the brightest pixel of a small
             picture, which is rendered for it.
-        estimates: whether to remove effects by estimates too, which prove nothing; they come from
-            small pictures, as in `inspect`.
+        estimates: whether to remove effects by estimates too, which prove nothing; for long paths
+            these come from a small picture.
         whole_paths, caustics: as in `inspect`.
 
     Returns:
