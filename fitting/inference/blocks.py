@@ -27,10 +27,8 @@ Block = dict[str, np.ndarray]
 
 
 def begun(folder: Path | str | None, before: Sequence[Block], fingerprint: str) -> list[Block]:
-    """The blocks from which a run continues: those in memory or those in a folder, whichever are
-    more. Blocks that the folder lacks are written to it.
-
-    `folder`: of the checkpoint; None for memory alone."""
+    """The blocks from which a run continues: those in memory or those in the checkpoint folder
+    (None for no folder), whichever are more. Blocks that the folder lacks are written to it."""
     stored = [] if folder is None else _stored(Path(folder))
     other = "the chain of another run (other data, density, seed, settings or package versions)"
     if not _all_of(stored, fingerprint):
@@ -45,9 +43,7 @@ def begun(folder: Path | str | None, before: Sequence[Block], fingerprint: str) 
 
 
 def store(folder: Path | str | None, index: int, block: Block) -> None:
-    """Write one block atomically.
-
-    `folder`: of the checkpoint; None writes nothing."""
+    """Write one block atomically; a folder of None writes nothing."""
     if folder is None:
         return
     file = _place(folder, index)

@@ -154,8 +154,6 @@ def price(
 ) -> float:
     """The squared Wald ratio above which a term is kept.
 
-    It has no unit.
-
     Example:
         >>> from fitting.inference.candidates import price
         >>> round(price(1000), 2), round(price(100), 2)  # ln 1000, and 2.58^2 above ln 100
@@ -167,25 +165,18 @@ def price(
         larger = scatter[0] / freedom
     if numbers == 1:
         by_chance = float(stdtrit(freedom, chance / 2)) ** 2 if chance < 1 else 0.0
+    elif np.isinf(freedom):
+        by_chance = float(chdtri(numbers, chance))
     else:  # Hotelling's T^2 for errors of so many degrees of freedom is Fisher's F times k
-        by_chance = numbers * _fisher(numbers, freedom, chance)
+        by_chance = numbers * float(fdtri(numbers, freedom, 1 - chance))
     return max(numbers * float(np.log(count)), by_chance * larger)
-
-
-def _fisher(numbers: int, freedom: float, chance: float) -> float:
-    if np.isinf(freedom):
-        return float(chdtri(numbers, chance)) / numbers
-    return float(fdtri(numbers, freedom, 1 - chance))
 
 
 def weakest(
     ratios: Mapping[str, float], prices: Mapping[str, float], candidates: Sequence[Candidate]
 ) -> str | None:
-    """The candidate to drop next.
-
-    Among those that no other requires, it is the one with the smallest ratio of gain to threshold;
-    None if every gain exceeds its threshold.
-    """
+    """The candidate with the smallest ratio of gain to threshold, of those that no other requires;
+    None if every gain exceeds its threshold."""
     required = {name for candidate in candidates for name in candidate.requires}
     shares = {c.name: ratios[c.name] / prices[c.name] for c in candidates if c.name not in required}
     least = min(shares, key=shares.__getitem__, default=None)

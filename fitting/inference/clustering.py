@@ -158,7 +158,8 @@ def cluster_robust(
             total = total + found.variance
             if always:
                 total = total - from_data
-            for others in _subsets(inside):
+            sizes = range(1, len(inside) + 1)
+            for others in (some for size in sizes for some in combinations(inside, size)):
                 both = _common(cluster, *others)
                 if both.max() + 1 == len(cluster):
                     common = found.unclustered
@@ -179,12 +180,6 @@ def cluster_robust(
         freedom = np.diagonal(covariance) ** 2 / uncertainty
     effect = max(float(np.trace(total)) / count, 1.0) if clustered else 1.0
     return Robustness(covariance, freedom, tuple(effects), effect)
-
-
-def _subsets(levels: list[np.ndarray]) -> list[tuple[np.ndarray, ...]]:
-    """Subsets of one or more levels, for inclusion and exclusion."""
-    sizes = range(1, len(levels) + 1)
-    return [some for size in sizes for some in combinations(levels, size)]
 
 
 def _common(*levels: np.ndarray) -> np.ndarray:

@@ -89,9 +89,7 @@ def quantile_estimate(
     method: str = "",
     group: str = "",
 ) -> Estimate:
-    """Estimate with given intervals; without a value if these are infinite.
-
-    `value`: in its unit. `standard_error`: in its unit."""
+    """Estimate with given intervals; without a value if these are infinite."""
     if not np.all(np.isfinite(np.asarray([value, standard_error, *quantiles], float))):
         why = "the data leave it open over more than the range of numbers"
         return not_determined(what, why, method=method, group=group)
@@ -114,8 +112,6 @@ def gaussian_estimate(
 ) -> Estimate:
     """Estimate with Gaussian intervals, or those of Student's t.
 
-    `value`: in its unit. `standard_error`: of the value, in its unit.
-
     Example:
         >>> from fitting.inference.estimates import gaussian_estimate
         >>> from fitting.inference.parameters import Parameter
@@ -126,12 +122,8 @@ def gaussian_estimate(
     """
     steps = stdtrit(freedom, QUANTILES) * standard_error
     with np.errstate(over="ignore"):  # an infinite end is reported as such
-        ends = [_shifted(value, float(step), log_scale) for step in steps]
+        ends = value * np.exp(steps / value) if log_scale and value > 0 else value + steps
     return quantile_estimate(what, value, standard_error, ends, method=method, group=group)
-
-
-def _shifted(value: float, step: float, log_scale: bool) -> float:
-    return float(value * np.exp(step / value)) if log_scale and value > 0 else float(value + step)
 
 
 def from_the_end(
@@ -155,9 +147,8 @@ def sampled_estimate(
     group: str = "",
     ends: Sequence[float] | Float[np.ndarray, "5"] | None = None,
 ) -> Estimate:
-    """Median, standard deviation and equal-tailed quantile intervals of draws.
-
-    `draws`: (draws,) in its unit. `ends`: other intervals, at `QUANTILES`; None for the default."""
+    """Median, standard deviation and equal-tailed quantile intervals of draws, or the intervals
+    with these `ends` at `QUANTILES`."""
     ends = np.quantile(draws, QUANTILES) if ends is None else ends
     return quantile_estimate(what, ends[2], np.std(draws), ends, method=method, group=group)
 

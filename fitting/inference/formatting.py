@@ -25,11 +25,8 @@ class Uncertain(Protocol):
 
 
 def decimals_for(uncertainty: float) -> int | None:
-    """Decimal places that keep two significant digits of an uncertainty.
-
-    `uncertainty`: in any unit. Returns the places, negative for tens and more; None if the
-    uncertainty is zero or not finite.
-    """
+    """Decimal places that keep two significant digits of an uncertainty, negative for tens and
+    more; None if the uncertainty is zero or not finite."""
     if not math.isfinite(uncertainty) or uncertainty <= 0:
         return None
     return DIGITS - 1 - math.floor(math.log10(uncertainty))
@@ -58,19 +55,14 @@ def format_percent(share: float, *, decimals: int = 0) -> str:
 
 
 def format_spread(values: np.ndarray) -> tuple[str, str]:
-    """Return the median, and the interval of the middle 90 %.
-
-    `values`: finite, in any unit."""
+    """The median, and the interval of the middle 90 %, of finite values."""
     low, middle, high = np.percentile(values, (5, 50, 95))
     return f"{middle:.4g}", f"[{low:.4g}, {high:.4g}]"
 
 
 def format_number(value: float, decimals: int | None, *, beside: float | None = None) -> str:
-    """A number rounded to the given decimal places.
-
-    `decimals`: places; negative for tens, hundreds and so on; None for six digits. `beside`: a
-    number whose notation, with or without an exponent, is used; None for its own.
-    """
+    """A number rounded to the given decimal places (negative for tens, hundreds and so on; None for
+    six digits), with or without an exponent as `beside` has, if given."""
     if decimals is None or not math.isfinite(value):
         return f"{value:.6g}"
     size = abs(value if beside is None else beside)
@@ -81,18 +73,14 @@ def format_number(value: float, decimals: int | None, *, beside: float | None = 
 
 
 def format_with_error(value: float, error: float, *, signed: bool = False) -> str:
-    """`value ± error`, both to two digits of the error.
-
-    `error`: its standard error, in the same unit."""
+    """`value ± error`, both to two digits of the error."""
     places = decimals_for(error)
     sign = "+" if signed and value > 0 else ""
     return f"{sign}{format_number(value, places)} ± {format_number(error, places, beside=value)}"
 
 
 def format_within(value: float, width: float) -> str:
-    """A number known to within a width, to two digits of the width.
-
-    `width`: of the range that contains it, in the same unit."""
+    """A number known to within a width, to two digits of the width."""
     return format_number(value, decimals_for(width))
 
 

@@ -66,9 +66,7 @@ def is_concrete(tree: Any) -> bool:
 def require_whole(
     what: str, value: Any, *, least: int = 1, most: int | None = None, of: str = ""
 ) -> None:
-    """Refuse values that are not integers.
-
-    `most`: largest; None for no maximum."""
+    """Refuse values that are not integers from `least` to `most` (None for no maximum)."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if whole and value >= least and (most is None or value <= most):
         return
@@ -121,9 +119,7 @@ def number_or_name(what: str) -> Callable[[Any], Any]:
 
 
 def end_or_name(what: str) -> Callable[[Any], Any]:
-    """As `number_or_name`, for a bound that may be None.
-
-    None stays None."""
+    """As `number_or_name`, for a bound that may be None."""
     convert = number_or_name(what)
     return lambda value: None if value is None else convert(value)
 
@@ -139,9 +135,8 @@ def require_positive(what: str, value: Any) -> None:
 
 
 def require_ascending(what: str, low: Any, high: Any) -> None:
-    """Refuse an empty interval. An end that is a parameter's name or a traced value is not checked.
-
-    `low`: number or array; None for an open end."""
+    """Refuse an empty interval. An end that is open (None), a parameter's name or a traced value is
+    not checked."""
     ends = {"low": low, "high": high}
     known = {
         name: on_host(end)

@@ -203,7 +203,11 @@ def posterior_prior(
     space = tuple(posterior.space[i] for i in index)
     freedom = None if posterior.freedom is None else posterior.freedom[index]
     if posterior.method == "Laplace":
-        _refuse_missed(posterior)
+        if name := posterior.missed or posterior.endless:
+            raise InputError(
+                f"as_prior: the posterior of {name} is far from a Gaussian, which a prior of "
+                "another fit must be; fit the data of both in one problem, or take more data."
+            )
         centre, spread = posterior.unconstrained_mode[index], posterior.covariance
         spread = spread[np.ix_(index, index)]
     else:
@@ -283,30 +287,19 @@ def _prior(
     centre, spread, freedom = density
     freedom = np.full(len(space), np.inf) if freedom is None else freedom
     deviation = np.sqrt(np.diagonal(spread))
-    marginals = tuple(
-        Marginal(float(m), float(sd), float(nu), _scale_of(parameter))
-        for parameter, m, sd, nu in zip(space, centre, deviation, freedom, strict=True)
-    )
+    marginals = []
+    for parameter, m, sd, nu in zip(space, centre, deviation, freedom, strict=True):
+        lower, upper = ends(parameter)
+        scale = Parameter(transform=parameter.transform, lower=lower, upper=upper)
+        marginals.append(Marginal(float(m), float(sd), float(nu), scale))
     correlation = spread / np.outer(deviation, deviation)
     if not np.linalg.eigvalsh(correlation)[0] > 1e-12:
         raise InputError(
             f"as_prior: {listed(list(named))} determine each other, so that their joint density "
             "has no width; name fewer of them, or give more draws."
         )
-    return JointPrior(named, shapes, marginals, correlation, required=required, words=words)
-
-
-def _scale_of(parameter: Parameter) -> Parameter:
-    lower, upper = ends(parameter)
-    return Parameter(transform=parameter.transform, lower=lower, upper=upper)
-
-
-def _refuse_missed(posterior: Posterior) -> None:
-    if name := posterior.missed or posterior.endless:
-        raise InputError(
-            f"as_prior: the posterior of {name} is far from a Gaussian, which a prior of another "
-            "fit must be; fit the data of both in one problem, or take more data."
-        )
+    own = tuple(marginals)
+    return JointPrior(named, shapes, own, correlation, required=required, words=words)
 
 
 def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) -> None:
@@ -401,9 +394,7 @@ def places_of(prior: JointPrior, space: ParameterSpace) -> np.ndarray:
 
 
 def scores(prior: JointPrior, space: ParameterSpace, vectors: Array) -> Float[Array, "... numbers"]:
-    """The numbers on the scale on which the prior makes each N(0, 1).
-
-    `vectors`: (..., P) unconstrained."""
+    """The numbers of unconstrained vectors on the scale on which the prior makes each N(0, 1)."""
     natural = to_natural(space, vectors)[..., places_of(prior, space)]
     places = [one.score(natural[..., i]) for i, one in enumerate(prior.marginals)]
     return jnp.stack(places, axis=-1)

@@ -361,9 +361,7 @@ class Clustered(eqx.Module):
 
 
 def check_data(likelihood: Any, data: Numbers) -> None:
-    """Refuse data that are impossible under a likelihood.
-
-    `data`: to check, 0 or NaN where missing."""
+    """Refuse data (0 or NaN where missing) that are impossible under a likelihood."""
     if hasattr(likelihood, "check_data"):
         likelihood.check_data(data)
 
@@ -374,9 +372,8 @@ def for_data(likelihood: Any, data: Numbers) -> Any:
 
 
 def with_noise_scaled(likelihood: Any, factor: Any) -> Any:
-    """Return the likelihood with larger noise than stated. It is None for a likelihood without a
-    field `sd` or `scale`, such as a sensor's, whose noise depends on its light.
-    """
+    """The likelihood with larger noise than stated; None without a field `sd` or `scale`, as for a
+    sensor, whose noise depends on its light."""
     if isinstance(likelihood, Clustered):
         inside = with_noise_scaled(likelihood.likelihood, factor)
         return None if inside is None else Clustered(inside, likelihood.labels)
@@ -387,9 +384,7 @@ def with_noise_scaled(likelihood: Any, factor: Any) -> Any:
 
 
 def named_width(likelihood: Any) -> str | None:
-    """The parameter that is the width of the noise.
-
-    Returns its name; None if the width is known or follows from other values."""
+    """The name of the parameter that is the width of the noise; None if no parameter is."""
     if isinstance(likelihood, Clustered):
         return named_width(likelihood.likelihood)
     width = getattr(likelihood, "sd", getattr(likelihood, "scale", None))
@@ -397,9 +392,7 @@ def named_width(likelihood: Any) -> str | None:
 
 
 def with_values(likelihood: Any, value_of: Callable[[str], Any]) -> Any:
-    """A likelihood with values in place of their names.
-
-    `value_of`: from a name to its value, a number in the unit of the data or a record."""
+    """A likelihood with values in place of the names of parameters and records."""
     return jax.tree.map(lambda leaf: value_of(leaf) if isinstance(leaf, str) else leaf, likelihood)
 
 

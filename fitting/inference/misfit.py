@@ -48,10 +48,8 @@ class Misfit:
 def sums(
     residuals: Float[np.ndarray, "..."], *, before: Float[np.ndarray, "..."] | None = None
 ) -> Float[np.ndarray, " sums"]:
-    """Sums of residuals for both tests. The sums of parts of the data add up to the sums of all
-    data.
-
-    `residuals`: standardised, of any shape; NaN where a datum is missing."""
+    """Sums of standardised residuals (NaN where a datum is missing) for both tests. The sums of
+    parts of the data add up to those of all data."""
     present = ~np.isnan(residuals)
     found = [float(present.sum()), float(np.sum(residuals[present] ** 2))]
     for axis in range(residuals.ndim):
@@ -66,9 +64,7 @@ def sums(
 
 
 def judge(residuals: Float[np.ndarray, "..."], parameters: float) -> Misfit:
-    """Both tests.
-
-    `residuals`: standardised, of any shape; NaN where a datum is missing."""
+    """Both tests, from standardised residuals, NaN where a datum is missing."""
     return judge_sums(sums(residuals), parameters)
 
 

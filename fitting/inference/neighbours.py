@@ -22,9 +22,7 @@ def regions(
     cluster: Int[np.ndarray, " samples"],
     places: Float[np.ndarray, "clusters axes"],
 ) -> Int[np.ndarray, " clusters"]:
-    """The region of each cluster.
-
-    `places`: (clusters, axes) positions of the clusters, in comparable units."""
+    """The region of each cluster, from positions in comparable units."""
     count = len(places)
     sums = np.stack([np.bincount(cluster, row, count) for row in scores], axis=1)
     present = np.flatnonzero(np.bincount(cluster, minlength=count))

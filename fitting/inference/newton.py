@@ -79,15 +79,9 @@ def minimise(
     max_steps: int | Int[Array, ""] = 100,
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
-    """Minimise objective(vector, args) until a step predicts a decrease below the tolerance. Works
-    under `vmap`.
-
-    A step to a point where the objective is not finite is refused. A fit that does not converge
-    raises nothing; read `converged`.
-
-    `derivatives`: cost, gradient (parameters,) and curvature (parameters, parameters) of the
-    objective at (vector, args); None differentiates it twice.
-    """
+    """Minimise objective(vector, args) until a step predicts a decrease below the tolerance, from
+    its cost, gradient and curvature by `derivatives` (None differentiates it twice). A step to a
+    point where the objective is not finite is refused."""
     most, enough = jnp.asarray(max_steps), jnp.asarray(tolerance, start.dtype)
     return _minimise(objective, start, args, derivatives, most, enough)
 
@@ -107,10 +101,10 @@ def _search(
         # The only evaluation in the loop, derivatives included: it is most of what is compiled.
         return _advanced(state, *local(state.proposal, args), digit=digit)
 
-    def goes_on(state: _State) -> Array:
-        return _goes_on(state, max_steps, tolerance)
-
-    return _solution(jax.lax.while_loop(goes_on, step, _initial_state(start)), tolerance)
+    end = jax.lax.while_loop(
+        lambda state: _goes_on(state, max_steps, tolerance), step, _initial_state(start)
+    )
+    return _solution(end, tolerance)
 
 
 _minimise = compiled_briefly(_search)
@@ -155,7 +149,6 @@ def minimise_read(
     derivatives: Callable[[Any], tuple[Any, Any, Any]],
     start: Float[Any, " parameters"],
     *,
-    max_steps: int = 100,
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
     """As `minimise`, for an objective that is computed by several programs because its data are
@@ -166,8 +159,8 @@ def minimise_read(
         cost, gradient, curvature = (np.asarray(x, np.float64)[None] for x in found)
         return cost, gradient, curvature
 
-    how = {"max_steps": max_steps, "digit": float(jnp.finfo(start.dtype).eps)}
-    found = minimise_many(local, np.asarray(start)[None], tolerance=tolerance, **how)
+    digit = float(jnp.finfo(start.dtype).eps)
+    found = minimise_many(local, np.asarray(start)[None], tolerance=tolerance, digit=digit)
     return jax.tree.map(lambda x: x[0], found)
 
 

@@ -130,9 +130,6 @@ def nuts(
 
     Chains that are not yet reliable are kept and report how many draws they lack. With `after`, or
     with their checkpoint, and more draws they continue, with the same bits as uninterrupted chains.
-
-    `log_density`: module-level function of (vector, args), differentiable; NaN counts as
-    impossible. `options`: for the chains; None for the defaults.
     """
     _ = require_blackjax()
     options = options or Nuts()

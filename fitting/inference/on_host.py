@@ -15,9 +15,7 @@ from jaxvision.errors import InputError
 
 def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
     """All values, gathered from the processes if no process has them all. Every process must call
-    it.
-
-    `dtype`: of the result; None for its own."""
+    it."""
     if _off_device(values):
         from jax.experimental.multihost_utils import process_allgather
 

@@ -187,9 +187,7 @@ def scalars(parameter: Parameter, shape: tuple[int, ...]) -> ParameterSpace:
 
 
 def ends(parameter: Parameter) -> tuple[float, float]:
-    """Bounds of a scalar parameter, including those of its prior.
-
-    Returns lower and upper bound in its unit, infinite if there is none."""
+    """Lower and upper bound of a scalar parameter, including those of its prior, in its unit."""
     lower, upper = float(np.asarray(parameter.lower)), float(np.asarray(parameter.upper))
     if parameter.prior is not None:
         low, high = support(parameter.prior)
@@ -198,9 +196,7 @@ def ends(parameter: Parameter) -> tuple[float, float]:
 
 
 def scaled_ends(parameter: Parameter) -> tuple[float, float]:
-    """Bounds of a scalar parameter on its own scale (identity or logarithm).
-
-    Returns a and b, infinite if there is none."""
+    """Lower and upper bound of a scalar parameter on its own scale (identity or logarithm)."""
     lower, upper = ends(parameter)
     if parameter.transform == "identity":
         return lower, upper
@@ -352,11 +348,8 @@ def log_flat_slopes(
 
 @partial(jax.jit, static_argnums=0)
 def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Float[Array, "..."]]:
-    """Unconstrained values on the scale of each number (identity or logarithm), inside its bounds.
-
-    Returns (..., P) natural values or their logarithms, and (...) the logarithm of the volume
-    ratio.
-    """
+    """Unconstrained values on the scale of each number (identity or logarithm), inside its bounds,
+    and the logarithm of the volume ratio."""
     slopes = jnp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
     for parameter, index in _kinds(space):
         slope = _log_slope(unconstrained[..., np.array(index)], *scaled_ends(parameter))
@@ -370,9 +363,7 @@ def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Flo
 
 @partial(jax.jit, static_argnums=0)
 def from_scaled(space: ParameterSpace, scaled: Vector) -> Vector:
-    """Inverse of `to_scaled`.
-
-    Returns (..., P) unconstrained; NaN outside the bounds."""
+    """Inverse of `to_scaled`; NaN outside the bounds."""
 
     def columns(parameter: Parameter, v: Array) -> Array:
         return _out_of_bounds(v, *scaled_ends(parameter))
@@ -399,9 +390,8 @@ def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "...
 
 
 def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of each unconstrained value before any data.
-
-    Returns (P,) means and (P,) standard deviations, infinite if nothing is known."""
+    """Mean and standard deviation (infinite if nothing is known) of each unconstrained value before
+    any data."""
     known = [prior_values(parameter) for parameter in space]
     nothing = np.full(len(FLAT_QUANTILES), np.nan)
     table = np.stack([nothing if x is None else x for x in known], axis=-1)
@@ -411,9 +401,8 @@ def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
 
 
 def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None:
-    """Evenly spaced quantiles of a scalar parameter's prior within its bounds.
-
-    Returns (quantiles,) ascending, in its unit; None if neither prior nor bounds limit it."""
+    """Evenly spaced quantiles of a scalar parameter's prior within its bounds, in its unit; None if
+    neither prior nor bounds limit it."""
     if (prior := parameter.prior) is not None:
         low, high = (share_below(prior, end) for end in ends(parameter))
         return np.asarray(prior.quantile(low + (high - low) * FLAT_QUANTILES))

@@ -74,11 +74,8 @@ def fit_side_by_side(
     max_steps: Int[Array, ""],
     chance: Float[Array, "..."],
 ) -> Ends:
-    """The modes of problems that differ in their data and in some inputs.
-
-    `data`: (problems, ...) NaN where a datum is missing. `own`: leaves of the inputs in their
-    order, with a leading axis; None for a leaf that all problems share.
-    """
+    """The modes of problems that differ in their data (NaN where missing) and in some leaves of the
+    inputs; None is a leaf that all problems share."""
     leaves, form = jax.tree.flatten(problem.inputs)
 
     def one(data: Array, own: list[Any]) -> Ends:

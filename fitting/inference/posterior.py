@@ -139,17 +139,10 @@ def laplace_or_emcee(
     *,
     sampling: Emcee | None,
     seed: int,
-    freedom: Float[np.ndarray, " parameters"] | None = None,
 ) -> Posterior:
-    """Draws from a posterior by Laplace's approximation, or by emcee.
-
-    `sampling`: how to run emcee; None for Laplace. `freedom`: (P,) degrees of freedom of the
-    variances, for Laplace; None if they are known.
-    """
+    """Draws from a posterior by emcee, or by Laplace's approximation if `sampling` is None."""
     if sampling is None:
-        return laplace(
-            log_density, space, mode, args, covariance=covariance, freedom=freedom, seed=seed
-        )
+        return laplace(log_density, space, mode, args, covariance=covariance, seed=seed)
     return sample(log_density, space, mode, covariance, args, options=sampling, seed=seed)
 
 
@@ -161,27 +154,20 @@ def laplace(
     *,
     covariance: Float[np.ndarray, "parameters parameters"] | None = None,
     freedom: Float[np.ndarray, " parameters"] | None = None,
-    inflation: float = 1.0,
     seed: int = 0,
     draws: int = 4000,
 ) -> Posterior:
-    """Return the Gaussian approximation of the posterior about its mode, on the unconstrained
-    scale.
-
-    With degrees of freedom, the draws of every parameter follow Student's t, with the dependence of
-    the Gaussian.
-
-    `covariance`: (P, P) to use, such as a sandwich; None for the inverse of the negative Hessian of
-    `log_density` at the mode. `freedom`: (P,) degrees of freedom of the variances; None if they are
-    known.
-    """
+    """The Gaussian approximation of the posterior about its mode, on the unconstrained scale, with
+    the given covariance or the inverse of the negative Hessian at the mode. With degrees of freedom
+    of the variances, the draws of every parameter follow Student's t, with the dependence of the
+    Gaussian."""
     if covariance is None:
         information = on_host(_information(log_density, mode, args), dtype=np.float64)
         judged = identifiability(space, information)
         if not judged.determined:
             raise InputError(" ".join(judged.sentences))
         covariance = np.linalg.inv(information)
-    covariance = inflation * np.asarray(covariance, np.float64)
+    covariance = np.asarray(covariance, np.float64)
     centre = np.asarray(mode, np.float64)
     rng = np.random.default_rng(seed)
     try:
@@ -223,9 +209,6 @@ def sample(
     A chain that reaches the ceiling of steps before it has 50 autocorrelation times is kept and
     reports how many steps it lacks. With `after`, or with its checkpoint, and a higher ceiling it
     continues, with the same bits as an uninterrupted run.
-
-    `log_density`: module-level function of (vector, args); NaN counts as impossible. `options`: of
-    the ensemble; None for the defaults.
     """
     options = options or Emcee()
 
@@ -350,9 +333,7 @@ def _information(log_density: LogDensity, vector: Array, args: Any) -> Array:
 def evaluate_density(
     log_density: LogDensity, vectors: Float[Array, "draws parameters"], args: Any
 ) -> Float[np.ndarray, " draws"]:
-    """A log density at many vectors, in batches.
-
-    Returns (draws,); minus infinity where it is NaN."""
+    """A log density at many vectors, in batches; minus infinity where it is NaN."""
     return on_host(_evaluate(log_density, vectors, args), dtype=float)
 
 

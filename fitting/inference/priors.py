@@ -204,8 +204,6 @@ class Gamma:
 
 
 def support(prior: Prior) -> tuple[float, float]:
-    """The support of a prior.
-
-    Returns lower and upper end in the unit of the number; infinite if there is none."""
+    """Lower and upper end of a prior's support, in the unit of the number."""
     lower, upper = (float(prior.quantile(np.array(p))) for p in (0.0, 1.0))
     return lower, upper

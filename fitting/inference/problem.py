@@ -317,16 +317,12 @@ def _check_shapes(problem: Problem) -> None:
 
 
 def values_at(problem: Problem, vector: Vector) -> Values:
-    """Natural values of every parameter, including fixed and tied numbers.
-
-    Returns by name, each of its own shape and in its own unit."""
+    """Natural values of every parameter by name, including fixed and tied numbers."""
     return values_from(problem, to_natural(problem.space, vector))
 
 
 def values_from(problem: Problem, natural: Vector) -> Values:
-    """As `values_at`, from natural numbers.
-
-    `natural`: (P,) in their own units."""
+    """As `values_at`, from natural numbers (P,)."""
     values, begin = {}, 0
     for parameter in problem.free:
         size = int(np.prod(_shape(parameter)))
@@ -400,18 +396,14 @@ def prediction(problem: Problem, values: Values, *, inputs: Any = None) -> Array
 
 
 def records_at(problem: Problem, values: Values) -> dict[str, Any]:
-    """The records with the given values.
-
-    `values`: natural values by name, each in its own unit."""
+    """The records with the given natural values."""
     return replaced(
         problem.records, {name: value for name, value in values.items() if is_path(name)}
     )
 
 
 def likelihood_at(problem: Problem, values: Values) -> Likelihood:
-    """The likelihood with the values of the parameters and records that it names.
-
-    `values`: natural values by name, each in its own unit."""
+    """The likelihood with the values of the parameters and records that it names."""
 
     def value_of(name: str) -> Any:
         return values[name] if name in values else reach(records_at(problem, values), name)
@@ -485,9 +477,8 @@ def as_arrays(tree: Any) -> Any:
 
 
 def missing_in_words(problem: Problem, *, first: int = 0) -> str:
-    """The first NaN among the arguments of `predict`, in words; empty if there is none.
-
-    `first`: index, among all data, of the first row."""
+    """The first NaN among the arguments of `predict`, in words; empty if there is none. `first` is
+    the index of the first row among all data."""
     given = {"inputs": problem.inputs} | problem.fixed | problem.records
     for path, leaf in jax.tree_util.tree_leaves_with_path(given):
         if not eqx.is_inexact_array(leaf) or not (missing := np.isnan(on_host(leaf))).any():
@@ -576,9 +567,7 @@ def placed_like(given: Any, values: np.ndarray) -> Array:
 
 
 def finite_data(data: Any) -> np.ndarray:
-    """Data as an array.
-
-    `data`: of any shape; NaN where a datum is missing."""
+    """Data as an array, NaN where a datum is missing."""
     data = on_host(plain_numbers("data", data), dtype=jnp.result_type(float))
     if np.isinf(data).any():
         raise InputError(

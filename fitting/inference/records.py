@@ -66,9 +66,7 @@ def _offers(value: Any) -> str:
 
 
 def read(records: Mapping[str, Any], path: str) -> Array:
-    """The number or array that a path leads to.
-
-    Returns the value, of any shape, in its own unit."""
+    """The number or array that a path leads to."""
     value = reach(records, path)
     if not _is_number(value):
         raise InputError(f"{path} is no number; there is {_offers(value)}.")
@@ -116,5 +114,4 @@ def _with(record: Any, steps: list[Step], value: Array) -> Any:
         return jnp.asarray(record).at[tuple(steps)].set(value)
     step = steps[0]
     inner = _with(_inside(record)[step], steps[1:], value)
-
     return eqx.tree_at(lambda record: _inside(record)[step], record, inner)

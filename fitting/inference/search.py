@@ -182,11 +182,8 @@ def spread_starts(
 def unstarted(
     problem: Problem, count: int, *, seed: int
 ) -> tuple[Float[np.ndarray, "starts parameters"], Float[np.ndarray, "starts parameters"]]:
-    """Starts spread over bounds and priors, independent of the data.
-
-    Returns (count, P) unconstrained, NaN for a parameter without both bounds and prior; and (count,
-    P) its distance from its start. A number that is solved in closed form is 0 everywhere.
-    """
+    """Starts spread over bounds and priors, unconstrained (NaN for a parameter without both, 0 for
+    one that is solved in closed form), and the distance of each number from its own start."""
     closed = closed_form_indices(problem)
     shares = _kronecker(count, len(problem.space), seed)
     columns = []
@@ -237,9 +234,7 @@ def _either(parameter: Parameter, found: Any, own: np.ndarray) -> Array:
 def start_at(
     space: ParameterSpace, natural: Float[ArrayLike, " parameters"]
 ) -> Float[Array, " parameters"]:
-    """A start from natural values, moved inside the bounds.
-
-    `natural`: (P,) in their own units; NaN stays NaN."""
+    """A start from natural values (P,), moved inside the bounds; NaN stays NaN."""
     low, high = np.array([ends(parameter) for parameter in space]).T
     xp = np if isinstance(natural, np.ndarray) else jnp
     size = xp.where(natural == 0, 1.0, abs(natural))
@@ -269,17 +264,18 @@ def search(
     told: Told | None = None,
     without: Sequence[str] = (),
 ) -> Optimum:
-    """The mode of a problem's posterior.
-
-    `solver`: of optimistix, or a class of jaxopt's minimisers; None chooses by the likelihood.
-    `told`: is called with how many searches have ended. `without`: names of candidates that are
-    absent; the optimum is that of the other numbers. Newton's method finds it by the compiled
-    program of the whole problem, so that all choices of candidates share one."""
+    """The mode of a problem's posterior, by a solver of optimistix or jaxopt or by that of the
+    likelihood. `told` is called with how many searches have ended. The candidates in `without` are
+    absent; Newton's method then uses the compiled program of the whole problem, so that all choices
+    of candidates share one."""
     begin, modes = np.asarray(starts, np.float64), None
     free, whole = present_numbers(problem, without)
     begin = begin[:, free]
     if without and (solver or problem.likelihood.least_squares or problem.likelihood.surrogate):
-        problem = _without(problem, without)
+        last = sorted(
+            without, key=lambda name: any(name in c.requires for c in problem.candidates)
+        )  # after those that require them
+        problem = reduce(Problem.without, last, problem)
         return search(problem, begin, solver=solver, as_given=as_given, told=told)
 
     def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -317,12 +313,6 @@ def search(
         ends=vectors,
         costs=costs - costs[best],
     )
-
-
-def _without(problem: Problem, names: Sequence[str]) -> Problem:
-    """The problem without several candidates, those first that require others."""
-    last = sorted(names, key=lambda name: any(name in c.requires for c in problem.candidates))
-    return reduce(Problem.without, last, problem)
 
 
 def present_numbers(
@@ -413,7 +403,7 @@ def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, sol
             args = (problem, mean, weight)
             how: Any = (_with_gaussian_prior, solver, start, args)
             found = optx.least_squares(*how, max_steps=MANY_STEPS, throw=False)
-            return _whole(found.value, problem)
+            return completed(found.value, problem) if others.size else found.value
         how = (negative_log_density, solver, start, problem)
         return optx.minimise(*how, max_steps=MANY_STEPS, throw=False).value
 
@@ -459,10 +449,6 @@ def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
     else:
         residuals = least_squares_residuals(vector, problem)
     return jnp.concatenate([residuals, weight * (vector - mean)])
-
-
-def _whole(vector: Vector, problem: Problem) -> Vector:
-    return completed(vector, problem) if vector.size < len(problem.space) else vector
 
 
 def at_a_time(vectors: Any) -> int:
@@ -729,10 +715,9 @@ def derivatives(
     parts: Iterable[Problem] | None = None,
     exact: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cost (n,), gradient (n, P) and curvature (n, P, P) at each of (n, P) vectors.
-
-    `parts`: the problem with each chunk of its data; None for the data that it holds. `exact`: the
-    curvature of a sum of squares too is that of second derivatives."""
+    """Cost (n,), gradient (n, P) and curvature (n, P, P) at each of (n, P) vectors, for the data
+    that the problem holds or those of all `parts`; with `exact` the curvature of a sum of squares
+    too is that of second derivatives."""
     squared = problem.likelihood.least_squares and not exact
     program = _squares_at if squared else _twice_at
     found = [_grouped_calls(program, vectors, part) for part in parts or [problem]]

@@ -168,9 +168,8 @@ def fit_separable(
     coarse: Float[Any, "knots observations"] | None = None,
     finer: int = KNOTS,
 ) -> SeparableFit:
-    """The global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t.
-
-    `finer`: knots of each finer grid. Fewer of them in more grids evaluate fewer columns."""
+    """The global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t. Fewer knots of
+    each `finer` grid, in more grids, evaluate fewer columns."""
     knots = first_knots(lower, upper)
     table = columns(knots.astype(values.dtype)) if coarse is None else coarse
     amplitudes, cost = _projected(table, fixed, values, weights)
@@ -210,13 +209,11 @@ def _projected(
     columns, fixed, values, weights = map(np.asarray, (columns, fixed, values, weights))
     weighted = weights * values
     own = np.square(columns) @ weights
-
-    def of_fixed(i: int, j: int) -> np.ndarray:
-        return np.broadcast_to((fixed[i] * fixed[j]) @ weights, own.shape)
-
-    count = len(fixed)
     cross = [(columns * column) @ weights for column in fixed[:, None]]
-    rows = [[of_fixed(i, j) for j in range(count)] + [cross[i]] for i in range(count)]
+    rows = [
+        [*(np.broadcast_to((one * other) @ weights, own.shape) for other in fixed), mixed]
+        for one, mixed in zip(fixed, cross, strict=True)
+    ]
     rows.append([*cross, own])
     gram = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
     moments = [np.broadcast_to(column @ weighted, own.shape) for column in fixed]

@@ -78,11 +78,8 @@ class Stream:
 def opened(
     data: Any, inputs: Any, likelihood: Any, size: int
 ) -> tuple[Stream, np.ndarray, Any, Any]:
-    """Read all data once to count, check and sample them.
-
-    Returns the stream, and a sample: `size` rows of data in their order, NaN in rows that are
-    missing, their inputs and their likelihood.
-    """
+    """Read all data once to count, check and sample them: the stream, and `size` rows of data in
+    their order (NaN in rows that are missing) with their inputs and their likelihood."""
     if isinstance(likelihood, Clustered):
         raise InputError(
             "Clustered: errors that groups share are judged with all data in memory; leave chunk "
@@ -139,7 +136,10 @@ def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
         if stream.mark is not None:
             mark = _marked(mark, rows if there.all() else _taken(rows, there))
         known = there.reshape(-1, *[1] * (rows.data.ndim - 1)) & ~np.isnan(rows.data)
-        beside = _floating(_placed(stream, (problem.inputs, problem.likelihood), rows))
+        beside = jax.tree.map(
+            lambda x: jnp.asarray(x, jnp.result_type(float)) if eqx.is_inexact_array_like(x) else x,
+            _placed(stream, (problem.inputs, problem.likelihood), rows),
+        )
         yield eqx.tree_at(
             lambda p: (p.data, p.present, p.inputs, p.likelihood),
             problem,
@@ -285,11 +285,3 @@ def _filled(rows: Rows, size: int) -> tuple[Rows, np.ndarray]:
 
 def _by_row(leaf: Any, count: int) -> bool:
     return np.ndim(leaf) > 0 and np.shape(leaf)[0] == count
-
-
-def _floating(tree: Any) -> Any:
-    """NumPy arrays as JAX arrays, floating ones in its default width."""
-    return jax.tree.map(
-        lambda x: jnp.asarray(x, jnp.result_type(float)) if eqx.is_inexact_array_like(x) else x,
-        tree,
-    )

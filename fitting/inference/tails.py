@@ -31,11 +31,8 @@ def log1mexp(log_p: Float[Array, "..."]) -> Float[Array, "..."]:
 
 @jax.custom_jvp
 def log_ndtr(z: Float[Array, "..."]) -> Float[Array, "..."]:
-    """log Phi(z) at `z` standard deviations; its slope, phi(z) / Phi(z), tends to -z.
-
-    The relative error of JAX's own slope is 30 % at -1e4 in float32, and 1 at -1e10 in float64.
-
-    Returns (...) no unit."""
+    """log Phi(z) at `z` standard deviations; its slope, phi(z) / Phi(z), tends to -z. The relative
+    error of JAX's own slope is 30 % at -1e4 in float32, and 1 at -1e10 in float64."""
     return _log_ndtr(z)
 
 
@@ -93,9 +90,7 @@ def log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array
     It is computed from the incomplete beta function. Beyond z^2 = 3 dof it uses the series (DLMF
     8.17.22), with the logarithm of its leading power, so that nothing underflows. For many degrees
     of freedom the series loses digits. There the density is integrated: by Gauss-Laguerre
-    quadrature in the tail, and from there to the median by Gauss-Legendre quadrature.
-
-    Returns (...) no unit."""
+    quadrature in the tail, and from there to the median by Gauss-Legendre quadrature."""
     return _log_student(z, dof)
 
 
@@ -143,9 +138,7 @@ def _over(z: Float[Array, "..."], values: np.ndarray) -> np.ndarray:
 
 
 def student_log_density(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln of Student's density at z scales, of scale 1.
-
-    Returns (...) no unit."""
+    """ln of Student's density at z scales, of scale 1."""
     norm = _half_step(dof / 2) - jnp.log(dof) / 2 - HALF_LOG_PI
     return norm - (dof + 1) / 2 * _log1p_square(z / jnp.sqrt(dof))
 
