@@ -403,7 +403,8 @@ def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, sol
             args = (problem, mean, weight)
             how: Any = (_with_gaussian_prior, solver, start, args)
             found = optx.least_squares(*how, max_steps=MANY_STEPS, throw=False)
-            return completed(found.value, problem) if others.size else found.value
+            partly = found.value.size < len(problem.space)
+            return completed(found.value, problem) if partly else found.value
         how = (negative_log_density, solver, start, problem)
         return optx.minimise(*how, max_steps=MANY_STEPS, throw=False).value
 

@@ -153,9 +153,11 @@ def _family(shares: tuple[float, ...]) -> list[Float[np.ndarray, "curves bins"]]
     u = np.array(shares)
     log_u = np.log(u)
     gammas = [g * log_u for g in np.linspace(1, 3, 9)]
-    toes = [
-        _with_toe(u, g, a) for g in (1.6, 1.9, 2.22, 2.4, 2.8) for a in (0.02, 0.055, 0.1, 0.16)
-    ]
+    toes = []  # power laws that are linear below their tangent through black
+    for g, a in product((1.6, 1.9, 2.22, 2.4, 2.8), (0.02, 0.055, 0.1, 0.16)):
+        end = a / (g - 1)
+        power = g * np.log((np.maximum(u, end) + a) / (1 + a))
+        toes.append(power + np.minimum(np.log(u / end), 0))
     logs = [np.log(np.expm1(u * np.log1p(a))) for a in (3, 10, 30, 100, 300, 1000)]
     saturating = [_saturating(u, n, c) for n in (0.45, 0.6, 0.8, 1.0) for c in (0.15, 0.4, 1.5)]
     film = [_saturating(u, n, c) for n in (0.9, 1.25, 1.65) for c in (0.05, 0.1, 0.2)]
@@ -166,13 +168,6 @@ def _family(shares: tuple[float, ...]) -> list[Float[np.ndarray, "curves bins"]]
         for k in (0.3, 0.6, 0.9)
     ]
     return [np.array(kind) for kind in (gammas, toes, logs, saturating, film, tones)]
-
-
-def _with_toe(u: np.ndarray, g: float, a: float) -> np.ndarray:
-    """ln X of a power law that is linear below its tangent through black."""
-    end = a / (g - 1)
-    power = g * np.log((np.maximum(u, end) + a) / (1 + a))
-    return power + np.minimum(np.log(u / end), 0)
 
 
 def _saturating(u: np.ndarray, n: float, c: float) -> np.ndarray:

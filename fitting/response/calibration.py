@@ -103,8 +103,7 @@ def calibrate(
             skipped.append((plane, str(error)))
     if not channels:
         plane, reason = skipped[0]
-        suspects = _suspects(plane, stack, seed)
-        raise InputError(f"This stack ({plane.label}): {reason}{_suspects_text(suspects)}")
+        raise InputError(f"This stack ({plane.label}): {reason}{_suspects(plane, stack, seed)}")
     stack, channels = _as_dialled(stack, channels, sampling, seed)
     return ResponseCalibration(stack, tuple(channels), tuple(skipped), sampling, seed)
 
@@ -145,12 +144,13 @@ def _shutter_error_of(channels: Sequence[ChannelResponse]) -> float:
     return max(channel.curve.shutter_error or 0.0 for channel in channels)
 
 
-def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> list[str]:
-    """Return the images whose removal makes the others agree, and of several the ones with the best
-    agreement. (A free curve can adapt to a wrong image near the end of a stack.)"""
+def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> str:
+    """A sentence on the images whose removal makes the others agree, of several those with the best
+    agreement; empty if there are none. (A free curve can adapt to a wrong image near the end of a
+    stack.)"""
     count = len(plane.files)
     if count < FEWEST_TO_LEAVE_OUT:
-        return []
+        return ""
     coarse = int(np.ceil(np.sqrt(plane.mask.size / MOST_PIXELS)))
     left: dict[str, float] = {}
     for i, name in enumerate(plane.files):
@@ -165,10 +165,7 @@ def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> list[str]:
         with contextlib.suppress(InputError):
             left[name] = _calibrate(without, stack, None, seed).curve.shutter_error or 0.0
     least = max(min(left.values(), default=0.0), GOOD_SHUTTER)
-    return [name for name, error in left.items() if error <= AS_GOOD * least]
-
-
-def _suspects_text(names: list[str]) -> str:
+    names = [name for name, error in left.items() if error <= AS_GOOD * least]
     if not names:
         return ""
     if len(names) == 1:
@@ -204,16 +201,18 @@ def _calibrate(
     hidden = not np.array_equal(strict, visible)
     attempts = [strict, visible, plane.codes] if hidden else [visible, plane.codes]
     curve, used = _first_that_fits(curve_of, attempts)
-    shared = _shared_rounding(plane, stack)
+    shared = None
+    of_group = {one.channel: one.codes for one in stack.planes if one.group == plane.group}
+    if tuple(of_group) == COLOURS:
+        shared = shared_rounding(list(of_group.values()), plane.channel, plane.clip)
     if shared is not None:
         curve = with_shared_rounding(curve, shared)
-    own = for_group(sampling, plane.label)
     gamma = fit_gamma(
         curve,
         label=plane.label,
         black_sd=plane.black_sd,
         exposure_sd=plane.exposure_sd,
-        sampling=own,
+        sampling=for_group(sampling, plane.label),
         seed=seed,
     )
     radiance = merge(plane.codes, plane.exposures, curve, signed=plane.black_measured)
@@ -228,15 +227,6 @@ def _calibrate(
         clear_of_hidden=hidden and used is strict,
         shared_rounding=0.0 if shared is None else float(np.sqrt(np.mean(shared[seen] ** 2))),
     )
-
-
-def _shared_rounding(plane: Plane, stack: ExposureStack) -> np.ndarray | None:
-    """The rounding of JPEG's colours in a plane; None where there are no three colours."""
-    of_group = {one.channel: one for one in stack.planes if one.group == plane.group}
-    if tuple(of_group) != COLOURS:
-        return None
-    alike = [of_group[colour].codes for colour in COLOURS]
-    return shared_rounding(alike, plane.channel, plane.clip)
 
 
 def _first_that_fits(
@@ -285,8 +275,12 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
     """One map from the taps of a colour. Their exposures are relative to each one's mid-scale, so
     the values of neighbours give the ratio."""
     first = taps[0]
+    bins, factor = first.curve.bins, np.float32(1)
+    if bins.anchor is not None:  # no pixel is at mid-scale, to which exposures are made relative
+        halfway = (bins.black + bins.edges[-1]) / 2
+        factor = np.float32(np.exp(-np.interp(halfway, bins.centres, first.curve.log_exposure)))
     if len(taps) == 1:
-        return first.radiance.radiance * _mid_scale_factor(first.curve)
+        return first.radiance.radiance * factor
     (down, across), shape = first.plane.step, [0, 0]
     for tap in taps:
         for axis, size in enumerate(tap.radiance.radiance.shape):
@@ -307,7 +301,7 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
         known = np.isfinite(one - other)
         ratio = np.exp(np.median((one - other)[known])) if known.any() else np.nan
         whole[row::down, column::across] = tap.radiance.radiance * np.float32(ratio)
-    return whole * _mid_scale_factor(first.curve)
+    return whole * factor
 
 
 def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
@@ -332,14 +326,6 @@ def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
 def _border_values(lines: np.ndarray) -> np.ndarray:
     """Values half a line before the first, extrapolated from the first two."""
     return lines[0] if len(lines) < 2 else 1.5 * lines[0] - 0.5 * lines[1]
-
-
-def _mid_scale_factor(curve: ResponseCurve) -> np.float32:
-    """Return the factor that makes exposures relative to mid-scale, if no pixel determines it."""
-    if curve.bins.anchor is None:
-        return np.float32(1)
-    halfway = (curve.bins.black + curve.bins.edges[-1]) / 2
-    return np.float32(np.exp(-np.interp(halfway, curve.codes, curve.log_exposure)))
 
 
 def _log_radiance(channel: ChannelResponse) -> np.ndarray:

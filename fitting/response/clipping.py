@@ -83,10 +83,7 @@ def _darker_p_value(
     codes: np.ndarray, clip: float, lost: np.ndarray, left_out: np.ndarray
 ) -> float:
     """p-value for pixels around lost peaks being darker than others with the same code in the
-    shorter exposure, from the scatter of tiles; 1 if nothing can be compared.
-
-    A pixel's own noise does not enter, because peaks are two to four pixels away.
-    """
+    shorter exposure, from the scatter of tiles; 1 if nothing can be compared."""
     rows, columns = np.indices(codes.shape[1:])
     tile = rows * SIDE // codes.shape[1] * SIDE + columns * SIDE // codes.shape[2]
     width = max(1, round(clip / INTERVALS))

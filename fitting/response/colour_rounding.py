@@ -31,10 +31,8 @@ MOST_PIXELS = 1 << 19  # looked at
 def shared_rounding(
     codes: Sequence[UInt16[np.ndarray, "exposures h w"]], colour: str, clip: float
 ) -> Float[np.ndarray, "256"] | None:
-    """Standard deviation, DN, of the error that all pixels of a code share; None for pictures that
-    were no JPEG.
-
-    `codes`: of red, green and blue."""
+    """Standard deviation, DN, of the error that all pixels of a code in red, green and blue share;
+    None for pictures that were no JPEG."""
     if max(int(one.max()) for one in codes) > 255:
         return None
     every = max(1, codes[0].size // MOST_PIXELS)

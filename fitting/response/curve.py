@@ -46,7 +46,6 @@ from .code_bins import MAX_BINS, CodeBins, code_bins, interval_variance
 from .code_pairs import PairStatistics, statistics_of_parts, total
 from .flat_places import to_flat_places, well_registered
 from .pilot import NO_CURVE, degrees_of_freedom, fit_pilot, rebinned, rising
-from .pixel_noise import NoiseModel, noise_variance
 from .places import CLASSES, Layout, equal_classes, tiles_of
 from .repeats import HeldOut, Repeats, exposure_jackknife, tile_jackknife, widened
 from .shutter import UNINFORMATIVE, Shutter, over_tau
@@ -59,7 +58,16 @@ from .solve import (
     solve,
     spread_of_times,
 )
-from .weights import APART, WeightRule, cells_of, coarsest, hat_rule, noise_rule
+from .weights import (
+    APART,
+    NoiseModel,
+    WeightRule,
+    cells_of,
+    coarsest,
+    hat_rule,
+    noise_rule,
+    noise_variance,
+)
 
 PILOT_PIXELS = 2048  # of a class of steepness: enough for its noise model and a first curve
 PILOT_BINS = 140
@@ -156,13 +164,10 @@ def slope_error(noise: NoiseModel) -> float:
 
 
 def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> float:
-    """Return the standard deviation, in ln X, of a ripple of g that no pixel distinguishes from the
-    curve.
-
-    The size comes from the errors of simulated stacks with S-shaped and sRGB responses: .01 at 2
-    1/4 stops, .038 at three. For a smoother curve this error is smaller, in proportion to the
-    prior's 1 / sqrt(smoothness).
-    """
+    """The standard deviation, in ln X, of a ripple of g that no pixel distinguishes from the
+    curve."""
+    # From the errors of simulated stacks with S-shaped and sRGB responses: .01 at 2 1/4 stops, .038
+    # at three; smaller for a smoother curve, in proportion to the prior's 1 / sqrt(smoothness).
     steps = np.diff(np.unique(np.log(exposures)))
     steps = steps[steps > SAME]
     if not steps.size:

@@ -27,7 +27,7 @@ LEGEND = 0.2  # of the height of an axis, that its legend takes
 def curve_figure(calibration: ResponseCalibration) -> Figure:
     """Log exposure against code, one panel per group, with data, band and gamma."""
     figure, panels = _panels(calibration, height=3.4)
-    for axis, (_, channels) in panels:
+    for axis, channels in panels:
         for i, channel in enumerate(channels):
             # The widest line lies lowest, so that curves that agree are all seen.
             _draw_curve(axis, channel, width=1.5 + 2.0 * (len(channels) - 1 - i))
@@ -64,18 +64,13 @@ def _draw_curve(axis: Axes, channel: ChannelResponse, *, width: float) -> None:
     axis.fill_between(
         z[seen], np.exp((g - band)[seen]), np.exp((g + band)[seen]), color=colour, alpha=0.25
     )
-    label = f"{channel.plane.channel}, {_gamma_in_words(channel)}"
+    gamma, (shape,) = channel.gamma.gamma.value or np.nan, shapes([channel])
+    told = f"γ = {format_value(channel.gamma.gamma)}" if shape.pure else f"best γ {gamma:.3g}"
+    label = f"{channel.plane.channel}, {told}"
     axis.plot(z, np.exp(np.where(seen, g, np.nan)), color=colour, lw=width, label=label)
     axis.plot(z, np.exp(g), color=colour, lw=0.8, ls=":")
-    gamma = channel.gamma.gamma.value or np.nan
     pure = gamma * np.log(z) + np.nanmedian(g[seen] - gamma * np.log(z[seen]))
     axis.plot(z, np.exp(pure), color=colour, lw=0.8, ls="--")
-
-
-def _gamma_in_words(channel: ChannelResponse) -> str:
-    """Gamma with its error, or a remark that the response is not a pure gamma."""
-    gamma, (shape,) = channel.gamma.gamma, shapes([channel])
-    return f"γ = {format_value(gamma)}" if shape.pure else f"best γ {gamma.value or np.nan:.3g}"
 
 
 def departure_figure(calibration: ResponseCalibration) -> Figure:
@@ -106,7 +101,7 @@ def departure_figure(calibration: ResponseCalibration) -> Figure:
 def offsets_figure(calibration: ResponseCalibration) -> Figure:
     """Offset of every image's exposure from its nominal time, one panel per group."""
     figure, panels = _panels(calibration, height=2.8)
-    for axis, (_, channels) in panels:
+    for axis, channels in panels:
         for i, channel in enumerate(channels):
             curve = channel.curve
             nudge = 1 + 0.04 * (i - (len(channels) - 1) / 2)
@@ -142,7 +137,9 @@ def radiance_figure(
     for i, (group, image) in enumerate(shown):
         single, seconds = _middle_exposure(calibration, group)
         white = float(np.nanquantile(image, 0.999))
-        for row, gain in zip(axes[2 * i : 2 * i + 2], (1, _shadow_gain(image, white)), strict=True):
+        dark = max(float(np.nanquantile(image, 0.2)), 1e-4 * white)
+        shadows = int(2 ** max(2, round(np.log2(MIDDLE_GREY * white / dark))))
+        for row, gain in zip(axes[2 * i : 2 * i + 2], (1, shadows), strict=True):
             brighter = f", {gain} times brighter" if gain > 1 else ""
             for axis, light, name in zip(
                 row, (image, single), (f"{group} merged", f"{seconds:.4g} s alone"), strict=True
@@ -153,29 +150,17 @@ def radiance_figure(
     return figure
 
 
-def _shadow_gain(image: Float[np.ndarray, "h w *rgb"], white: float) -> int:
-    """The power of two that raises the darkest fifth of a map to middle grey; at least 4."""
-    dark = max(float(np.nanquantile(image, 0.2)), 1e-4 * white)
-    return int(2 ** max(2, round(np.log2(MIDDLE_GREY * white / dark))))
-
-
 def coverage_figure(calibration: ResponseCalibration) -> Figure:
     """The number of exposures for each pixel, in the worst channel of its group."""
-    groups = _groups(calibration)[:MOST_GROUPS]
-    columns = min(3, len(groups))
-    rows = -(-len(groups) // columns)
-    figure = Figure(figsize=(4.6 * columns, 4.2 * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    figure, panels = _panels(calibration, height=4.0)
     drawn = None
-    most = max(len(channels[0].plane.exposures) for _, channels in groups)
-    for axis, (group, channels) in zip(axes, groups, strict=False):
+    most = max(len(channels[0].plane.exposures) for _, channels in panels)
+    for axis, channels in panels:
         worst = np.min(alike([channel.radiance.coverage for channel in channels]), axis=0)
         drawn = axis.imshow(worst, vmin=0, vmax=most, cmap="viridis", interpolation="nearest")
-        axis.set_title(group, fontsize=10)
-    for axis in axes:
         axis.set_axis_off()
     assert drawn is not None
-    figure.colorbar(drawn, ax=list(axes), label="exposures used", shrink=0.8)
+    figure.colorbar(drawn, ax=figure.axes, label="exposures used", shrink=0.8)
     return figure
 
 
@@ -189,32 +174,26 @@ def _middle_exposure(
 ) -> tuple[Float[np.ndarray, "h w *rgb"], float]:
     """The radiance from the middle exposure of a group alone, and its time in s; clipped pixels
     have the radiance of the brightest code."""
-    channels = [channel for channel in calibration.channels if channel.plane.group == group]
-    exposures = channels[0].plane.exposures
-    alone = replace(calibration, channels=tuple(map(_middle_exposure_map, channels)))
-    return radiance_images(alone)[group], float(exposures[len(exposures) // 2])
-
-
-def _middle_exposure_map(channel: ChannelResponse) -> ChannelResponse:
-    """A channel whose map uses a single exposure."""
-    plane, curve = channel.plane, channel.curve
-    middle = len(plane.exposures) // 2
-    log_exposure = np.interp(plane.codes[middle], curve.codes, curve.log_exposure)
-    radiance = np.exp(log_exposure) / plane.exposures[middle]
-    return replace(channel, radiance=replace(channel.radiance, radiance=radiance))
-
-
-def _groups(calibration: ResponseCalibration) -> list[tuple[str, list[ChannelResponse]]]:
-    groups: dict[str, list[ChannelResponse]] = {}
+    found, seconds = [], np.nan
     for channel in calibration.channels:
-        groups.setdefault(channel.plane.group, []).append(channel)
-    return list(groups.items())
+        plane, curve = channel.plane, channel.curve
+        if plane.group == group:
+            middle = len(plane.exposures) // 2
+            seconds = float(plane.exposures[middle])
+            log_exposure = np.interp(plane.codes[middle], curve.codes, curve.log_exposure)
+            alone = replace(channel.radiance, radiance=np.exp(log_exposure) / seconds)
+            found.append(replace(channel, radiance=alone))
+    return radiance_images(replace(calibration, channels=tuple(found)))[group], seconds
 
 
 def _panels(
     calibration: ResponseCalibration, *, height: float
-) -> tuple[Figure, list[tuple[Axes, tuple[str, list[ChannelResponse]]]]]:
-    groups = _groups(calibration)[:MOST_GROUPS]
+) -> tuple[Figure, list[tuple[Axes, list[ChannelResponse]]]]:
+    """A figure with an axis for each group, and the group's channels."""
+    of_group: dict[str, list[ChannelResponse]] = {}
+    for channel in calibration.channels:
+        of_group.setdefault(channel.plane.group, []).append(channel)
+    groups = list(of_group.items())[:MOST_GROUPS]
     columns = min(3, len(groups))
     rows = -(-len(groups) // columns)
     width = 5.4 if columns == 1 else 4.4 * columns
@@ -224,4 +203,4 @@ def _panels(
         axis.set_axis_off()
     for axis, (group, _) in zip(axes, groups, strict=False):
         axis.set_title(group, fontsize=10)
-    return figure, list(zip(axes, groups, strict=False))
+    return figure, [(axis, own) for axis, (_, own) in zip(axes, groups, strict=False)]

@@ -124,7 +124,13 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
     sizes = np.array([shape.size for shape in found])
     if not np.isfinite(sizes).any():
         return "No code is known well enough to judge how far the response is a pure gamma."
-    codes = _judged_in_words(channels)
+    judged = [channel.curve.codes[judged_codes(channel.curve)] for channel in channels]
+    ends = [(own[0], own[-1]) for own in judged if len(own)]
+    each = "it is" if len(ends) == 1 else "each channel is"
+    codes = (
+        f"codes {min(low for low, _ in ends):g} to {max(high for _, high in ends):g}, where {each} "
+        f"known to {format_percent(SURE)}"
+    )
     shown = np.array([shape.significant for shape in found])
     worst = int(np.argmax(shown) if shown.any() else np.nanargmax(sizes))
     shape, where = found[worst], channels[worst].plane.label or "the grey channel"
@@ -182,15 +188,6 @@ def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
         return "the stated times and the gains"
     place = int(np.argmin(np.abs(plane.exposures - curve.exposures[most])))
     return f"the time and gain of {plane.files[place]}"
-
-
-def _judged_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """The codes used for the verdict, for each channel."""
-    judged = [channel.curve.codes[judged_codes(channel.curve)] for channel in channels]
-    ends = [(codes[0], codes[-1]) for codes in judged if len(codes)]
-    low, high = min(low for low, _ in ends), max(high for _, high in ends)
-    each = "it is" if len(ends) == 1 else "each channel is"
-    return f"codes {low:g} to {high:g}, where {each} known to {format_percent(SURE)}"
 
 
 def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
@@ -311,16 +308,18 @@ def _near_clipped_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
-    sizes = [_notable_ripple(channel) for channel in channels]
-    if not max(sizes) > 0:
+    sizes = {}
+    for channel in channels:
+        curve, name = channel.curve, channel.plane.label or "grey"
+        size = ripple(curve.exposures, curve.smoothness)
+        if size**2 > NOTABLE_RIPPLE * np.median(curve.standard_error[curve.seen] ** 2):
+            sizes[name] = size
+    if not sizes:
         return ""
-    names = ", ".join(
-        c.plane.label or "grey" for c, size in zip(channels, sizes, strict=True) if size > 0
-    )
     return (
         "All exposures are more than two stops apart, so the data cannot exclude a ripple of that "
-        f"period in the response ({names}). The error bands include a ripple of "
-        f"{format_percent(max(sizes), decimals=1)}. "
+        f"period in the response ({', '.join(sizes)}). The error bands include a ripple of "
+        f"{format_percent(max(sizes.values()), decimals=1)}. "
         "One more exposure, a stop from another, would settle this."
     )
 
@@ -367,15 +366,6 @@ def _power_of(curve: ResponseCurve, reference: ResponseCurve) -> tuple[float, fl
     if square == 0:
         return 1.0, np.inf
     return float(x @ y) / square, float(np.abs(x) @ errors) / square
-
-
-def _notable_ripple(channel: ChannelResponse) -> float:
-    """The ripple included in the bands; 0 if it is a small part of them."""
-    curve = channel.curve
-    size = ripple(curve.exposures, curve.smoothness)
-    return (
-        size if size**2 > NOTABLE_RIPPLE * np.median(curve.standard_error[curve.seen] ** 2) else 0.0
-    )
 
 
 def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:

@@ -25,8 +25,8 @@ from scipy.special import fdtri
 
 from .code_bins import CodeBins
 from .code_pairs import PairStatistics
-from .pixel_noise import NoiseModel, noise_variance
 from .solve import Solution, equations_of, inverse
+from .weights import NoiseModel, noise_variance
 
 FEWEST_CLASSES = 3
 CHANCE = 0.975  # of the F test

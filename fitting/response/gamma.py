@@ -23,13 +23,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.special import ndtr
 
 from jaxvision.point_ops import srgb_decode
 
 from ..inference.diagnostics import identifiability
 from ..inference.emcee_run import Emcee
-from ..inference.estimates import Estimate, sampled_estimate
-from ..inference.left_out import LeftOut
+from ..inference.estimates import QUANTILES, Estimate, quantile_estimate, sampled_estimate
+from ..inference.left_out import LeftOut, distance, negligible
 from ..inference.parameters import (
     Parameter,
     ParameterSpace,
@@ -38,8 +39,6 @@ from ..inference.parameters import (
 )
 from ..inference.posterior import Posterior, estimates, laplace, sample
 from .curve import ResponseCurve, slope_error
-from .left_out import without_effect
-from .mixture import Mixture
 from .shutter import SHUTTER_PRIOR, TABULATED, prior_of
 from .solve import BELIEVED, shutter_basis, spread_of_times
 
@@ -47,6 +46,7 @@ BLACK_STEP = 0.1  # DN by which black is moved to see what it does to gamma
 EDGES = 0.05, 0.95  # of the range of codes, between which weightings are compared
 FEWEST_CODES = 10
 FEWEST_SHOWN = 3  # shutter errors that show, from which those of the free curve bound a gamma's
+REACH, HALVINGS = 40.0, 50  # standard deviations in which a quantile is sought, by bisection
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
     "shutter_error", symbol="τ", unit="relative", transform="log", prior=SHUTTER_PRIOR
@@ -111,6 +111,52 @@ class GivenShutter(eqx.Module):
 
 
 @dataclass(frozen=True)
+class Mixture:
+    """The posterior of tau and of a parameter that is Gaussian given tau, on a grid of tau.
+
+    Attributes:
+        log_tau: (grid,) ln tau, evenly spaced.
+        weights: (grid,) of each tau; their sum is 1.
+        mean: (grid,) of the quantity, given tau.
+        variance: (grid,) of the quantity, given tau.
+    """
+
+    log_tau: Float[np.ndarray, " grid"]
+    weights: Float[np.ndarray, " grid"]
+    mean: Float[np.ndarray, " grid"]
+    variance: Float[np.ndarray, " grid"]
+
+    def of_mean(self, what: Parameter, group: str) -> Estimate:
+        """The estimate of the parameter, with the quantiles of the mixture."""
+        centre = float(self.weights @ self.mean)
+        spread = float(np.sqrt(self.weights @ (self.variance + (self.mean - centre) ** 2)))
+        low, high = (centre + side * spread * np.full(len(QUANTILES), REACH) for side in (-1, 1))
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            chances = ndtr((middle[:, None] - self.mean) / np.sqrt(self.variance))
+            below = chances @ self.weights < QUANTILES
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        ends = (low + high) / 2
+        return quantile_estimate(what, centre, spread, ends, method="marginal", group=group)
+
+    def of_tau(self, what: Parameter, group: str, *, stated: float = 0.0) -> Estimate:
+        """The estimate of tau, with its median as the value."""
+        tau = np.hypot(np.exp(self.log_tau), stated)
+        ends = np.interp(QUANTILES, np.cumsum(self.weights), tau)
+        spread = float(np.sqrt(self.weights @ (tau - self.weights @ tau) ** 2))
+        return quantile_estimate(what, ends[2], spread, ends, method="marginal", group=group)
+
+    def draws(self, count: int, seed: int) -> Float[np.ndarray, "count 2"]:
+        """Draws of the parameter and tau: tau by its weights, uniform between the grid's points,
+        then the parameter given tau."""
+        rng = np.random.default_rng(seed)
+        which = rng.choice(len(self.log_tau), size=count, p=self.weights)
+        step = (self.log_tau[1] - self.log_tau[0]) * rng.uniform(-0.5, 0.5, count)
+        deviation = np.sqrt(self.variance[which]) * rng.standard_normal(count)
+        return np.stack([self.mean[which] + deviation, np.exp(self.log_tau[which] + step)], axis=1)
+
+
+@dataclass(frozen=True)
 class GammaFit:
     """The best gamma of a response.
 
@@ -149,7 +195,7 @@ def fit_gamma(
     """The gamma that explains the pixels behind a response curve."""
     column = log_code_means(curve)
     dispersion = _dispersion(curve, column)
-    gone = without_effect(
+    gone = _undetectable(
         curve,
         _least_squares(curve, column) * (log_code_means(curve, shift=black_sd) - column),
         dispersion * curve.design_effect,
@@ -161,7 +207,12 @@ def fit_gamma(
     known = 0.0 if "exposure_sd" in named else exposure_sd
     sums = _gamma_sums(curve, column, dispersion, known, exposure_sd)
     sums = eqx.tree_at(lambda s: s.added, sums, _from_elsewhere(curve, sums, dispersion, black_sd))
-    log_tau, weights, given = _shutter_mixture(sums)
+    log_tau = np.linspace(np.log(TABULATED[0]), np.log(float(sums.most)), 1001)
+    given = _tabulate(sums, jnp.asarray(log_tau))
+    prior = -(((log_tau - np.log(float(sums.median))) / float(sums.log_sd)) ** 2) / 2
+    log_weight = np.asarray(given.log_evidence) + prior
+    weights = np.exp(log_weight - log_weight.max())
+    weights /= weights.sum()
     best = int(np.argmax(weights))
     space = space_of(sums.td.size, stated=exposure_sd)
     likeliest = jnp.asarray([float(given.mean[best]), float(np.exp(log_tau[best]))])
@@ -183,16 +234,42 @@ def fit_gamma(
         tau = mixture.of_tau(SHUTTER_ERROR, label, stated=exposure_sd)
     assert gamma.value is not None
     information = np.linalg.inv(found.covariance)
+    encoded = (curve.codes - curve.bins.black) / (curve.bins.full_scale - curve.bins.black)
+    srgb = np.log(np.asarray(jax.jit(srgb_decode)(encoded)))
     return GammaFit(
         gamma=gamma,
         shutter_error=tau,
         posterior=found,
         departure=_departure(curve, gamma.value * np.log(curve.codes - curve.bins.black)),
-        srgb_departure=_departure(curve, _srgb(curve)),
+        srgb_departure=_departure(curve, srgb),
         dispersion=dispersion,
         findings=identifiability(space, information).sentences,
         left_out=gone,
     )
+
+
+def _undetectable(
+    curve: ResponseCurve,
+    of_black: Float[np.ndarray, " bins"],
+    overstated: float,
+    *,
+    black_sd: float,
+    exposure_sd: float,
+) -> tuple[LeftOut, ...]:
+    """Stated errors of the black level, which change ln X by `of_black`, and of the exposures that
+    no pixel can detect, where so many pixels count as one."""
+    # The energy of the code pairs, v' A v / 2 for a shift v of the curve and of the log exposures,
+    # is half the squared shift in standard deviations of all pixels, with their irradiances
+    # eliminated. Therefore |h|^2 = v' A v for an error of one standard deviation.
+    found, size = [], len(of_black)
+    matrix = curve.statistics.matrix / overstated
+    if black_sd:
+        square = max(float(of_black @ matrix[:size, :size] @ of_black), 0.0)
+        found.append(LeftOut("black_sd", black_sd, distance(np.array(square))))
+    if exposure_sd:
+        squares = np.linalg.eigvalsh(exposure_sd**2 * matrix[size:, size:])
+        found.append(LeftOut("exposure_sd", exposure_sd, distance(np.maximum(squares, 0))))
+    return negligible(found)
 
 
 def log_code_means(curve: ResponseCurve, *, shift: float = 0.0) -> Float[np.ndarray, " bins"]:
@@ -318,6 +395,10 @@ def _gamma_sums(
     log_t, basis = np.log(curve.exposures), shutter_basis(np.log(curve.exposures))
     mixed, times = column @ matrix[:size, size:], matrix[size:, size:]
     prior = prior_of(basis.shape[1], stated=stated)
+    # Without a limit, shutter errors of a half could explain a response that is not a gamma. A few
+    # visible errors do not limit the invisible ones.
+    few = basis.shape[1] < FEWEST_SHOWN
+    most = TABULATED[1] if few else max(BELIEVED, curve.shutter_bound)
     return GammaSums(
         cc=jnp.asarray(column @ matrix[:size, :size] @ column, float),
         ct=jnp.asarray(mixed @ log_t, float),
@@ -329,38 +410,15 @@ def _gamma_sums(
         spread=jnp.asarray(spread_of_times(curve.exposures), float),
         known=jnp.asarray(known, float) if known else None,
         added=jnp.zeros(()),
-        most=jnp.asarray(_most_of_shutter(curve, basis.shape[1]), float),
+        most=jnp.asarray(most, float),
         median=jnp.asarray(prior.median, float),
         log_sd=jnp.asarray(prior.log_sd, float),
     )
 
 
-def _most_of_shutter(curve: ResponseCurve, free: int) -> float:
-    """Return the upper limit of tau. Without it, shutter errors of a half could explain a response
-    that is not a gamma. A few visible errors do not limit the invisible ones."""
-    if free < FEWEST_SHOWN:
-        return TABULATED[1]
-    return max(BELIEVED, curve.shutter_bound)
-
-
 @jax.jit
 def _tabulate(sums: GammaSums, log_tau: Float[Array, " grid"]) -> GivenShutter:
     return jax.vmap(lambda x: given_shutter(sums, jnp.exp(x)))(log_tau)
-
-
-def _shutter_mixture(sums: GammaSums) -> tuple[np.ndarray, np.ndarray, GivenShutter]:
-    """(grid of ln tau, its posterior weights, gamma at each)."""
-    log_tau = np.linspace(np.log(TABULATED[0]), np.log(float(sums.most)), 1001)
-    given = _tabulate(sums, jnp.asarray(log_tau))
-    prior = -(((log_tau - np.log(float(sums.median))) / float(sums.log_sd)) ** 2) / 2
-    log_weight = np.asarray(given.log_evidence) + prior
-    weights = np.exp(log_weight - log_weight.max())
-    return log_tau, weights / weights.sum(), given
-
-
-def _srgb(curve: ResponseCurve) -> np.ndarray:
-    encoded = (curve.codes - curve.bins.black) / (curve.bins.full_scale - curve.bins.black)
-    return np.log(np.asarray(jax.jit(srgb_decode)(encoded)))
 
 
 def _departure(curve: ResponseCurve, model: np.ndarray) -> np.ndarray:

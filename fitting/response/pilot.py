@@ -11,9 +11,16 @@ from jaxvision.errors import InputError
 
 from .code_bins import CodeBins, interval_variance
 from .code_pairs import PairStatistics, pair_statistics
-from .pixel_noise import NoiseModel
 from .solve import MOST_ROUNDS, SMOOTHEST, STEADIEST, Hyperparameters, Solution, solve
-from .weights import Observations, WeightRule, coarsest, hat_rule, noise_rule, observe
+from .weights import (
+    NoiseModel,
+    Observations,
+    WeightRule,
+    coarsest,
+    hat_rule,
+    noise_rule,
+    observe,
+)
 
 PASSES = 4
 KEPT = 0.3  # share of a class's pixels that its noise model must leave
@@ -56,15 +63,8 @@ def fit_pilot(
     *,
     least_error: float = STEADIEST,
 ) -> Pilot:
-    """Fit the pilot curve. Its first pass uses the weights of Debevec & Malik, because there is no
-    curve yet.
-
-    A class with too few pixels after the noise model is dropped, because its errors are not noise.
-
-    The smoothness has two fixed points if the residual of the score's corrections looks like
-    curvature. The last pass starts from both sides, and takes the smoother curve unless the images
-    clearly support the other.
-    """
+    """Fit the pilot curve; its first pass uses the weights of Debevec & Malik, because there is no
+    curve yet."""
     x = bins.log_codes
     means, binned = x - x[bins.middle], bins.lookup[codes]
     count = int(classes.max()) + 1
@@ -80,6 +80,9 @@ def fit_pilot(
         rounds = MOST_ROUNDS if turn == PASSES - 1 else 1
         found = solve([statistics], log_t, bins, hyper, least_error=least_error, rounds=rounds)
         if rounds > 1:
+            # The smoothness has two fixed points if the residual of the score's corrections looks
+            # like curvature. The smoother curve is taken unless the images clearly support the
+            # other.
             smooth = replace(hyper, smoothness=SMOOTHEST)
             other = solve([statistics], log_t, bins, smooth, least_error=least_error, rounds=rounds)
             rises = min(np.ptp(found.means), np.ptp(other.means)) > np.ptp(x) / SLOWEST
@@ -89,6 +92,7 @@ def fit_pilot(
         offset_t = log_t + found.delta
         hyper = found.suggested if turn else Hyperparameters(FIRST_SMOOTHNESS, FIRST_ERROR)
         seen = observe(binned, classes, offset_t, means, rule, screened=False)
+        # Of a class that loses more of its pixels, the errors are not noise.
         alive &= np.bincount(seen.classes, minlength=count) >= KEPT * full
         if not alive.any():
             raise InputError(NO_CURVE)
@@ -129,12 +133,8 @@ def fit_noise(
     log_t: Float[np.ndarray, " exposures"],
     means: Float[np.ndarray, " bins"],
 ) -> NoiseModel:
-    """The three variances of a class's noise model.
-
-    The noise model is fitted to squared residuals in cells of predicted log exposure, by
-    non-negative least squares. Residuals are clipped at three standard deviations of their cell,
-    and the known variance of the code intervals is subtracted.
-    """
+    """The three variances of a class's noise model, by non-negative least squares of squared
+    residuals (clipped at three standard deviations) in cells of predicted log exposure."""
     used = (seen.weights > 0) & of_class
     predicted = (seen.log_irradiance + log_t[:, None])[used]
     free = (1 - seen.weights / seen.total)[used]
@@ -144,7 +144,11 @@ def fit_noise(
     count = np.bincount(cells, free, count_of_cells)
     filled = count > FEWEST_IN_CELL
     square = seen.residuals[used] ** 2 / np.maximum(free, 1e-3)
-    limit = _cell_medians(cells, square, count_of_cells)
+    parts = np.split(
+        square[np.argsort(cells, kind="stable")],
+        np.cumsum(np.bincount(cells, minlength=count_of_cells))[:-1],
+    )
+    limit = np.array([np.median(part) if len(part) else 0.0 for part in parts])
     square = np.minimum(square, WINSOR * limit[cells])
     measured = np.bincount(cells, square * free, count_of_cells)[filled] / count[filled]
     centre = ((edges[1:] + edges[:-1]) / 2)[filled]
@@ -158,9 +162,3 @@ def fit_noise(
         found = nnls(terms * precision[:, None], (measured - interval) * precision)[0]
         expected = terms @ found + interval
     return NoiseModel(*(float(x) for x in found))
-
-
-def _cell_medians(cells: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    order = np.argsort(cells, kind="stable")
-    parts = np.split(values[order], np.cumsum(np.bincount(cells, minlength=count))[:-1])
-    return np.array([np.median(part) if len(part) else 0.0 for part in parts])

@@ -24,8 +24,7 @@ from jaxtyping import Float, Int, Integer
 
 from .code_pairs import CHUNK
 from .curve import ResponseCurve
-from .pixel_noise import noise_variance
-from .weights import cells_of, noise_rule, weighted_mean
+from .weights import cells_of, noise_rule, noise_variance, weighted_mean
 
 REWEIGHTED = 3  # times that a pixel which is mostly noise is weighted by what it came out as
 
@@ -53,10 +52,8 @@ def merge(
     *,
     signed: bool = True,
 ) -> RadianceMap:
-    """The radiance map of codes for given exposure times, which are taken as exact.
-
-    An apparent shutter offset may be a slight misfit of the curve.
-    """
+    """The radiance map of codes for given exposure times, which are taken as exact, because an
+    apparent shutter offset may be a slight misfit of the curve."""
     flat = codes.reshape(len(exposures), -1)
     count = flat.shape[1]
     radiance, error = np.empty(count, np.float32), np.empty(count, np.float32)

@@ -319,10 +319,7 @@ def ceiling_level(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera, *, step: int = 1
 ) -> float:
     """Clip level from pixels above half scale whose code changes by at most one step while the
-    exposure grows by at least 1.9.
-
-    Sensors saturate at codes that vary between pixels, so it is nearly the lowest of them.
-    """
+    exposure grows by at least 1.9: nearly the lowest of their codes, which vary between pixels."""
     shorter = np.flatnonzero(exposures * BRIGHTER <= exposures[-1])
     if not len(shorter):
         return float(camera.full_scale)

@@ -141,13 +141,9 @@ def widened(
     tiles: Repeats | None,
     exposures: Repeats | None,
 ) -> tuple[Float[np.ndarray, "bins bins"], Float[np.ndarray, " bins"]]:
-    """A covariance widened to the observed scatter, with its degrees of freedom.
-
-    The scatter of tiles beyond their pixels is added, the scatter of exposures beyond pixels and
-    shutter, and the shutter's errors of any size (`shutter.py`). Correlations are kept. Degrees of
-    freedom are Satterthwaite's: tiles minus one, exposures minus two (a factor and an exponent are
-    lost), and infinite for the part that pixels explain.
-    """
+    """A covariance widened to the observed scatter, with Satterthwaite's degrees of freedom: by the
+    scatter of tiles beyond their pixels, that of exposures beyond pixels and shutter, and the
+    shutter's errors of any size (`shutter.py`)."""
     parts = []
     if tiles is not None:
         parts.append(tiles.beyond(tiles.pixels, 1))

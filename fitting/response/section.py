@@ -93,6 +93,7 @@ def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
         gap, _ = largest_departure(channel.curve, channel.gamma.departure)
         srgb, _ = largest_departure(channel.curve, channel.gamma.srgb_departure)
         clean = float(np.mean(channel.radiance.coverage[channel.plane.mask] > 0))
+        held = channel.curve.held_out
         rows.append(
             (
                 channel.plane.label or "grey",
@@ -102,7 +103,7 @@ def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
                 format_percent(np.expm1(gap), decimals=1),
                 format_percent(np.expm1(srgb), decimals=1),
                 f"{channel.gamma.dispersion:.2f}",
-                _held_out(channel),
+                "" if held is None else format_with_error(held.mean, held.standard_error),
                 format_percent(clean, decimals=1),
             )
         )
@@ -128,25 +129,14 @@ def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
     )
 
 
-def _held_out(channel: ChannelResponse) -> str:
-    found = channel.curve.held_out
-    return "" if found is None else format_with_error(found.mean, found.standard_error)
-
-
 def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
     shown = channels[:4]
     codes = shown[0].curve.codes
     picks = codes[np.linspace(0, len(codes) - 1, 17).astype(int)]
-    rows = []
-    for code in picks:
-        cells: list[Any] = [f"{code:g}"]
-        for channel in shown:
-            cells.append(_exposure_at_code(channel.curve, code))
-        rows.append(tuple(cells))
     return Table(
         "Response curve",
         ("code (DN)", *(channel.plane.label or "grey" for channel in shown)),
-        tuple(rows),
+        tuple((f"{code:g}", *(_exposure_at_code(c.curve, code) for c in shown)) for code in picks),
         "Exposure of each code relative to mid-scale, with its standard error. A dash stands for "
         "codes that the channel does not have above its black.",
     )

@@ -60,9 +60,8 @@ class Shutter:
 
 
 def prior_of(shown: int, *, stated: float = 0.0) -> LogNormal:
-    """The prior on tau, or on the error in addition to a stated one. If no error is visible, the
-    prior alone determines the interval. It is then narrower, near the errors of real cameras.
-    """
+    """The prior on tau, or on the error in addition to a stated one; narrower, near the errors of
+    real cameras, if no error is visible, so that the prior alone determines the interval."""
     if stated > STEADIEST:
         return LogNormal(median=BEYOND * stated, log_sd=BEYOND_LOG_SD)
     return SHUTTER_SHOWN if shown else SHUTTER_PRIOR
@@ -94,16 +93,8 @@ def over_tau(
 def mixed(
     variance: Float[np.ndarray, " bins"], freedom: Float[np.ndarray, " bins"], shutter: Shutter
 ) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, " bins"]]:
-    """Student's t for the combined errors of a variance and the shutter.
-
-    Args:
-        variance: (bins,) from other sources.
-        freedom: (bins,) degrees of freedom of that variance.
-        shutter: over whose tau the variances are mixed.
-
-    Returns:
-        (bins,) squared scale and (bins,) degrees of freedom.
-    """
+    """Squared scale and degrees of freedom of Student's t for the combined errors of a variance
+    from other sources and of the shutter, mixed over its tau."""
     parts = variance[:, None] + shutter.per_square[:, None] * shutter.tau**2
     some = np.where(parts > 0, parts, 1)  # none at mid-scale, where g = 0 by definition
     uncertain = np.where(variance > 0, variance, 1)[:, None]

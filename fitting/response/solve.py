@@ -105,11 +105,8 @@ class Solution:
 
 
 def roughness(bins: CodeBins) -> Float[np.ndarray, "bins bins"]:
-    """R of the prior energy smoothness g^T R g.
-
-    It sums squared increments of the local exponent dg / d ln(z - black), per tick of the bins'
-    clock.
-    """
+    """R of the prior energy smoothness g^T R g: the sum of squared increments of the local exponent
+    dg / d ln(z - black), per tick of the bins' clock."""
     increments = _increments(bins)
     return increments.T @ increments
 
@@ -267,13 +264,10 @@ def _design_effect(
 def bin_centre_curve(
     means: Float[np.ndarray, " bins *more"], bins: CodeBins
 ) -> Float[np.ndarray, " bins *more"]:
-    """g at the centres of bins, 0 at mid-scale, from its means over the bins.
-
-    Light is log-uniform across a bin, so the mean is that of g at the two ends. In u = ln (code -
-    black), the ends lie `half` from the mean of u, and the centre deviates slightly from that mean:
-
-        g(centre) = mean + g' (u(centre) - mean of u) - g'' half^2 / 2.
-    """
+    """g at the centres of bins, 0 at mid-scale, from its means over the bins."""
+    # Light is log-uniform across a bin, so the mean is that of g at the two ends. In u = ln (code -
+    # black), the ends lie `half` from the mean of u, and the centre deviates slightly from it:
+    # g(centre) = mean + g' (u(centre) - mean of u) - g'' half^2 / 2.
     u = bins.log_codes
     half = np.log(bins.edges[1:] - bins.black) - u
     off = np.log(bins.centres - bins.black) - u

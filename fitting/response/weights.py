@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .code_bins import CodeBins, interval_variance
-from .pixel_noise import NoiseModel, noise_variance
 
 LOOSEST = 0.15  # log standard deviation up to which terms of second order are a percent or two
 WIDEST = 0.2  # the same of codes that are looked at: those used stay clear of the others
@@ -26,6 +25,29 @@ HAT_BRIM = 0.08  # below this height the noise of a logarithm is anyone's guess
 OUTLIER = 5.0  # standard deviations beyond which a residual cannot be noise: the pixel is left out
 HARMONICS = 16  # of rounding
 MARGIN = 3.0  # standard deviations between a predicted exposure and unobserved codes
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Variance of ln X at relative exposure X: relative + shot / X + read / X^2.
+
+    Attributes:
+        relative: of the pixels' own gains.
+        shot: at mid-scale.
+        read: at mid-scale.
+    """
+
+    relative: float
+    shot: float
+    read: float
+
+
+def noise_variance(
+    noise: NoiseModel, log_exposure: Float[np.ndarray, " points"]
+) -> Float[np.ndarray, " points"]:
+    """Variance of the logarithm of an exposure because of noise."""
+    inverse = np.exp(-log_exposure)
+    return noise.relative + noise.shot * inverse + noise.read * inverse**2
 
 
 @dataclass(frozen=True)
@@ -78,8 +100,7 @@ class Observations:
 
 def hat_rule(bins: CodeBins, *, classes: int = 1) -> WeightRule:
     """Weights by the observed code, highest at mid-scale and falling to both ends (Debevec &
-    Malik's hat, squared).
-    """
+    Malik's hat, squared)."""
     height = np.minimum(bins.centres - bins.black, bins.edges[-1] - bins.centres)
     hat = height / height.max()
     by_bin = np.where(hat > HAT_BRIM, (hat / HAT_DEVIATION) ** 2, 0)
@@ -101,12 +122,10 @@ def noise_rule(
 
 
 def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
-    """Return the largest rounding, in ln X, of codes used in a fit if no noise dithers it.
-
-    The rounding error of a code is the same in all pixels. It adds a ripple to the curve, with the
-    period of the exposures, which the exposures do not contradict. Linear 8-bit cameras with little
-    noise had half of their codes outside the band. Exposures far apart need all codes.
-    """
+    """The largest rounding, in ln X, of codes used in a fit if no noise dithers it."""
+    # The rounding error of a code is the same in all pixels. It adds a ripple to the curve, with
+    # the period of the exposures, which the exposures do not contradict. Linear 8-bit cameras with
+    # little noise had half of their codes outside the band. Exposures far apart need all codes.
     return COARSEST if np.diff(np.sort(log_t)).max() < APART else np.inf
 
 

@@ -24,7 +24,6 @@ from fitting.response.code_pairs import (
 )
 from fitting.response.curve import fit_response_curve, ripple
 from fitting.response.from_memory import from_stack
-from fitting.response.pixel_noise import NoiseModel
 from fitting.response.places import layout_of
 from fitting.response.section import section
 from fitting.response.solve import (
@@ -34,7 +33,7 @@ from fitting.response.solve import (
     shutter_basis,
     solve,
 )
-from fitting.response.weights import hat_rule, noise_rule, observe, undithered
+from fitting.response.weights import NoiseModel, hat_rule, noise_rule, observe, undithered
 from fitting.rig import Camera
 from jaxvision.errors import InputError
 

@@ -739,10 +739,8 @@ ELSEWHERE = (
             fitting.response.code_pairs: pair_statistics statistics_of_parts total
             fitting.response.curve: fit_response_curve ripple slope_error
             fitting.response.gamma: fit_gamma given_shutter log_code_means log_density space_of
-            fitting.response.left_out: without_effect
             fitting.response.moved: moved_exposures
             fitting.response.pilot: degrees_of_freedom fit_noise fit_pilot rebinned rising
-            fitting.response.pixel_noise: noise_variance
             fitting.response.clipping: clear_of_clipping
             fitting.response.colour_rounding: shared_rounding with_shared_rounding
             fitting.response.flat_places: well_registered to_flat_places
@@ -752,7 +750,8 @@ ELSEWHERE = (
             fitting.response.shape: error_of_departure judged_codes largest largest_departure shapes
             fitting.response.solve: bin_centre_curve equations_of inverse roughness shutter_basis
             fitting.response.solve: solve spread_of_times
-            fitting.response.weights: cells_of coarsest hat_rule noise_rule observe undithered
+            fitting.response.weights: cells_of coarsest hat_rule noise_rule noise_variance observe
+            fitting.response.weights: undithered
             fitting.response.weights: weighted_mean
         """,
     ),
