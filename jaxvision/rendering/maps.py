@@ -22,7 +22,7 @@ from ..core._types import Scalar, Varying
 from ..core._vector import Vec, as_vec, where
 from ..geometry import Hit, Ray
 from ..geometry.hemisphere import cross
-from ..scene import Map, Material, Scene, Shape
+from ..scene import Map, Material, Scene, Shape, TriangleMesh
 from ._coordinates import Coordinates, coordinates
 from .pixel_loop import PixelRay
 
@@ -267,7 +267,10 @@ def patch_of(
             way = cross(along.along_v, hit.normal)
             way = way * jnp.where(dot(way, along.along_u) < 0, -1, 1)
             right = as_vec(normalize(way - dot(way, shading) * shading))
-            found = as_vec(normalize(x * right + y * cross(shading, right) + z * shading))
+            up = cross(shading, right)
+            if isinstance(shape, TriangleMesh):  # whose charts may be mirrored
+                up = up * jnp.where(dot(up, along.along_v) > 0, -1, 1)
+            found = as_vec(normalize(x * right + y * up + z * shading))
             tilted = where(surface == number, found, tilted)
     assert own is not None
     if all(normals is None for normals in varied.normals):

@@ -43,8 +43,10 @@ class Surface(Shown):
         two_sided: whether both sides are fronts, with the normal turned towards the viewer;
             otherwise a surface is black from behind. Static.
         normals: a `Map` of (3,) shading normals of any length, or None. x follows growing u, z the
-            shape's normal n, and y is n x x. Where a glossy material would mirror the viewer below
-            the surface, its normal is bent back to where the mirrored viewer grazes it.
+            shape's normal n, and y is n x x. On a mesh y is the side of decreasing v, up in the
+            picture, also where its texture coordinates are mirrored. Where a glossy material would
+            mirror the viewer below the surface, its normal is bent back to where the mirrored
+            viewer grazes it.
 
     Raises:
         ValueError: for a map on a shape without texture coordinates, unless `Map.uv` places it.

@@ -57,16 +57,19 @@ def test_a_material_with_a_map_is_read_back(tmp_path):
     assert again.diffuse.wrap == "clamp"
 
 
-def textured(tmp_path, **material):
-    """A square of 2 m, whose picture is `codes.png`, upright as seen from above."""
-    write_image(tmp_path / "codes.png", CODES)
-    corners = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], "<f4")
+UPRIGHT = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], "<f4")  # as seen from above
+
+
+def textured(tmp_path, codes=CODES, corners=UPRIGHT, scale=(1, 1, 1), **material):
+    """A square of 2 m, whose picture is `codes.png`."""
+    write_image(tmp_path / "codes.png", codes)
     data = CORNERS.tobytes() + FACES.tobytes() + corners.tobytes()
     made = content({"name": "paint", **material})
     made["accessors"].append({"bufferView": 2, "componentType": 5126, "count": 4, "type": "VEC2"})
     made["bufferViews"].append({"buffer": 0, "byteOffset": 60, "byteLength": 32})
     uri = "data:application/gltf-buffer;base64," + base64.b64encode(data).decode()
     made["buffers"] = [{"byteLength": len(data), "uri": uri}]
+    made["nodes"][0]["scale"] = list(scale)
     made["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = 2
     made["images"], made["textures"] = [{"uri": "codes.png"}], [{"source": 0}]
     (tmp_path / "a.gltf").write_text(json.dumps(made))
@@ -97,6 +100,33 @@ def test_textures_of_gltf(tmp_path):
     (made,) = textured(tmp_path, normalTexture={"index": 0, "scale": 0.5}).surfaces
     wanted = (2 * (CODES / 255) - 1) * [0.5, 0.5, 1]
     np.testing.assert_allclose(made.normals.values, wanted, atol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("corners", [UPRIGHT, UPRIGHT * [-1, 1], UPRIGHT * [1, -1], -UPRIGHT])
+@pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1), (1, -1, 1)])
+def test_normals_of_gltf_stay_upright_on_mirrored_charts(tmp_path, corners, scale):
+    """x of the map follows growing u, and y falling v, as the corners of the square show."""
+    codes = np.full((2, 2, 3), [200, 160, 230], np.uint8)
+    scene = textured(
+        tmp_path,
+        codes,
+        corners.astype("<f4"),
+        scale,
+        normalTexture={"index": 0},
+        extensions={"KHR_materials_specular": {"specularFactor": 0}},
+        pbrMetallicRoughness={"metallicFactor": 0},
+    )
+    along_u = (CORNERS[1] - CORNERS[0]) * (corners[1] - corners[0])[0] * scale
+    along_v = (CORNERS[3] - CORNERS[0]) * (corners[3] - corners[0])[1] * scale
+    x, y, z = 2 * (codes[0, 0] / 255) - 1
+    normal = x * along_u / 2 - y * along_v / 2 + z * np.array([0, 0, 1])
+    normal /= np.linalg.norm(normal)
+    for place in ([0.3, 0.2], [-0.3, -0.2]):
+        toward = np.array([*place, -2.0]) * -1
+        light = max(normal @ toward, 0) / np.linalg.norm(toward) ** 3
+        seen = jv.radiance_along(scene, jv.as_dtype(jv.Ray([*place, 5], [0, 0, -1]), "float32"))
+        np.testing.assert_allclose(seen, light / np.pi, rtol=1e-5)
 
 
 @pytest.mark.filterwarnings("ignore:.*max_depth has no limit")

@@ -10,7 +10,8 @@
 Values: float, integer, boolean, string, vector, point, rgb and spectrum, transforms, `<default>`,
 `<ref>`, `<alias>` and `<include>`; lights take blackbody. Colours are those of Mitsuba's RGB
 variants. Unsupported parts are refused by name and never dropped. A warning names small
-differences.
+differences. On a mesh with mirrored texture coordinates, y of a normal map stays up in the picture,
+where Mitsuba turns it down.
 """
 
 import warnings
