@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxvision.accuracy import Curve, Problem, curve
 from jaxvision.accuracy.curves import LEAST
-from jaxvision.accuracy.deadlines import OutOfTime, in_time
-from jaxvision.accuracy.knobs_in_turn import asked_knobs, in_turn
+from jaxvision.accuracy.deadlines import OutOfTime, run_within
+from jaxvision.accuracy.knobs_in_turn import asked_knobs, measure_in_turn
 from jaxvision.accuracy.session import Clock
 from jaxvision.errors import InputError
 from jaxvision.files.images import read_image
@@ -68,7 +68,7 @@ def problems(
     fits, now = fits_of(rig), time.perf_counter
     until = now() + seconds * len(fits)
     try:
-        return in_time(lambda: _calibrated(rig, fits, load), lambda: until - now())
+        return run_within(lambda: _calibrated(rig, fits, load), lambda: until - now())
     except OutOfTime:
         raise InputError(
             f"{rig.folder}: the calibration that errors are measured by takes longer than "
@@ -134,7 +134,7 @@ def measured(
         if name == "pixels":
             every = problem.prepare({"pixels": 1.0})
             with suppress(OutOfTime):  # then `curve` has no time left, too
-                whole = in_time(lambda: every(0), lambda: share + begun - now())
+                whole = run_within(lambda: every(0), lambda: share + begun - now())
         settings = knob.settings
         if name == "posterior" and not find_spec("blackjax"):
             settings = tuple(setting for setting in settings if setting != "nuts")
@@ -143,4 +143,4 @@ def measured(
 
     now = clock or time.perf_counter
     chosen = asked_knobs(problem.name, names, known)
-    return in_turn(chosen, measure, seconds=seconds, clock=clock)
+    return measure_in_turn(chosen, measure, seconds=seconds, clock=clock)

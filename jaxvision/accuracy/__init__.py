@@ -7,15 +7,13 @@ A `Knob` is the setting of an approximation, such as a number of samples.
     curves           `curve` measures error against time within a budget of time
     session          times the calls of a problem
     reference        computes the reference result
-    norms            norms of errors
+    norms            norms of errors, and bounds on that of another seed
     rounding         digits that rounding leaves, and the operation that loses them
-    spread           bounds on the error of another seed
     fitted           the measured order of convergence
-    choice several   choose one setting, or a combination for several knobs
+    choice several   choose one setting, or a combination that fresh runs check
     knobs examples   every approximation of the library by name, and a problem for each
     scenes           scene files as problems; `scene_settings`: their settings for a tolerance
     tables plots pages   output
-    together         tests of the combination of all knobs
 
 Timing is eager and stays outside pure functions: measure, choose, then call.
 """

@@ -16,8 +16,12 @@ from .records import (
     Trial as Trial,
 )
 from .scenes import knobs_of as knobs_of, scene_problem as scene_problem
-from .scene_settings import Chosen as Chosen, measured as measured, settings as settings
+from .scene_settings import (
+    Chosen as Chosen,
+    measured as measured,
+    measured_together as measured_together,
+    settings as settings,
+)
 from .rounding import Digits as Digits, digits as digits
 from .several import Combination as Combination, combined as combined
 from .tables import notes as notes, rows as rows
-from .together import measured_together as measured_together

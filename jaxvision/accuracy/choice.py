@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import InputError
-from .fitted import holds
+from .fitted import order_holds
 from .records import Curve, Trial
 
 BEYOND = 2**14  # times the finest setting, as far as the declared order of chance is relied upon
@@ -15,12 +15,14 @@ STEP = 2**0.5  # between settings that are inferred
 
 
 def candidates(curve: Curve) -> tuple[Trial, ...]:
-    """List the measured settings and the inferred ones, cheapest first, times in s. A setting
-    between or beyond the measured ones is inferred if the knob takes any whole number and the
-    measured errors fall at least as fast as its declared order. Its error is extrapolated
-    from the next coarser setting, with the declared or the measured order, whichever is slower."""
+    """List measured settings and those inferred from the declared order where errors fall at least
+    as fast, cheapest first, times in s."""
     run = tuple(t for t in curve.trials if np.isfinite(t.error))
-    if not curve.knob.whole or curve.knob.law != "power" or not holds(curve.knob, curve.order):
+    if (
+        not curve.knob.whole
+        or curve.knob.law != "power"
+        or not order_holds(curve.knob, curve.order)
+    ):
         return run
     solid = [trial for trial in run if not trial.hollow]
     known, found = {trial.setting for trial in run}, list(run)
@@ -76,7 +78,7 @@ def choose(
     The error of a random setting is estimated from a few seeds. If a result depends on rare events,
     such as light by a rare path, these seeds may have missed them. The error then exceeds the
     stated bound in more than one of twenty runs. The same is true if all settings share a bias with
-    their reference, as with light that an integrator cannot find (`transport.missing_light`).
+    their reference, as with light that an integrator cannot find (`transport.light_findings`).
 
     Args:
         curve: from `curve`, or the trials of `error_against_time`.

@@ -12,16 +12,15 @@ from ..errors import InputError
 from .pages import write_page
 from .records import Curve, Problem
 from .scene_settings import machine
-from .tables import as_dict, notes, rows
-from .together import Together
+from .several import Together
+from .tables import json_sheet, notes, rows
 
 _OF_PAGES = ("jinja2", "matplotlib.backends.backend_svg", "matplotlib.figure")
 
 
 def check_request(seconds: float, out: Path | None) -> None:
-    """`InputError` if a measuring command has no time, s, or cannot write its page to the given
-    path. The plotting modules are imported here, because an interrupted run still writes a page and
-    has little time for it."""
+    """`InputError` if a measuring command has no time, s, or cannot write its page; plotting is
+    imported here, since an interrupted run has little time for it."""
     if not seconds > 0:
         raise InputError(f"--seconds {seconds:g}: give a time above 0.")
     if out is not None and out.exists() and not out.is_dir():
@@ -65,7 +64,7 @@ def show(
         print(f"{problem.name}; {machine()}", problem.about, sep="\n")
         print(aligned_columns(rows(problem, curves, together=together)))
         print("\n".join(notes(curves, together=together)), flush=True)
-    return as_dict(problem, curves, together=together, machine=machine(), command=command)
+    return json_sheet(problem, curves, together=together, machine=machine(), command=command)
 
 
 def keep(

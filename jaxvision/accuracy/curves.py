@@ -12,7 +12,7 @@ from ..errors import InputError
 from .deadlines import OutOfTime
 from .fitted import fit_order
 from .knobs import knob_named
-from .norms import check_norms, level_of, norms_of, relative_rms, spreads_over
+from .norms import check_norms, level_of, next_error, norms_of, relative_rms, spreads_over
 from .records import Curve, Knob, Problem, Reference, Trial
 from .reference import (
     PAIRED,
@@ -24,7 +24,6 @@ from .reference import (
     unlike,
 )
 from .session import GRACE, Clock, Point, Session, whole_seconds
-from .spread import next_error
 
 FIRST_LOOK = 0.45  # of the time that is left, for two calls of one more setting
 LAST_LOOK = 0.9  # the same of a setting that is the finest reference, too
@@ -147,9 +146,8 @@ def curve(
 
 
 def _look(session: Session, names: tuple[str, ...]) -> None:
-    """Run each setting twice, as long as the time allows. If no setting fits in the time, run the
-    first that needs no new program, else the first, provided that one call fits. Settings that the
-    problem refuses, such as too few pixels for a fit, are left out."""
+    """Run each setting twice while time allows, at least one that fits a call, without settings
+    that the problem refuses."""
     settings, finest = session.knob.settings, session.knob.reference[-1:]
     if session.left <= LEAST:
         raise OutOfTime
@@ -251,10 +249,8 @@ def _curve_of(
 def _gap(
     session: Session, others: Sequence[Point], exact: np.ndarray, reference: Reference
 ) -> float:
-    """Return the distance of the finest setting from the reference if it exceeds their scatter, so
-    that one of the two is wrong; else 0. If all seeds of the reference agree, its scatter is no
-    measure of its error. The result is then the distance of the nearest other setting, at least
-    that setting's own scatter, and infinite without another."""
+    """Return the distance of the finest setting from the reference if it exceeds their scatter (for
+    equal seeds: the nearest setting's), so that one of them is wrong; else 0."""
     from scipy.special import stdtrit
 
     error, known = reference.error, [one for one in others if len(one.results) > 1]
@@ -323,9 +319,8 @@ def _trial(
 
 
 def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:
-    """The part of a difference that all seeds share, with its bounds. The mean product of two
-    seeds' differences is its square without noise. If noise hides it, the upper bound counts as the
-    bias."""
+    """The part of a difference that all seeds share, with its bounds: the root of the mean product
+    of two seeds' differences, or the upper bound if noise hides it."""
     typical = float(np.sqrt(np.mean(norms**2)))
     noise = float(np.mean(np.var(apart, axis=0, ddof=1))) if len(apart) > 1 else 0.0
     whole = float(np.mean(apart**2))

@@ -82,7 +82,7 @@ def wait_for_the_rest(left: Callable[[], float]) -> None:
         _left_behind[0].ended.wait(TICK)
 
 
-def in_time(work: Callable[[], Any], left: Callable[[], float]) -> Any:
+def run_within(work: Callable[[], Any], left: Callable[[], float]) -> Any:
     """The result of some work; `OutOfTime` if the `left` s are over first. The work must not change
     anything that the caller still needs."""
     if np.isinf(left()):

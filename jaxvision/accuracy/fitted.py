@@ -16,10 +16,9 @@ def variable(setting: float, law: Law) -> float:
 
 
 def fit_order(knob: Knob, trials: Sequence[Trial]) -> Order | None:
-    """The law of the errors that are not hollow; None for fewer than two, or settings that are not
-    numbers. A point is weighted by its precision over seeds. If a power law describes the errors
-    better than the declared geometric law, as for a Gauss rule across an edge, the result is the
-    power law."""
+    """Fit the law of the errors, weighted by their precision over seeds; the power law where it
+    describes them better than a declared geometric law. None for fewer than two, or settings that
+    are not numbers."""
     solid = [one for one in trials if not one.hollow and one.error > 0 and _is_number(one.setting)]
     if len({one.setting for one in solid}) < 2:
         return None
@@ -64,11 +63,9 @@ def _is_number(setting: object) -> bool:
     return isinstance(setting, int | float) and not isinstance(setting, bool) and setting > 0
 
 
-def holds(knob: Knob, order: Order | None) -> bool:
-    """Return whether the measured errors fall at least as fast as the declared order, so that the
-    order may be used beyond the measured settings. The interval of the measured order must reach
-    the declared one, and its middle must not be so much shallower that only the width of the
-    interval reaches it."""
+def order_holds(knob: Knob, order: Order | None) -> bool:
+    """Whether the measured errors fall at least as fast as the declared order: their interval
+    reaches it, and not by its width alone."""
     if order is None or knob.order is None or order.points < 3:
         return False
     return order.low <= knob.order and order.exponent <= SHALLOWEST * knob.order

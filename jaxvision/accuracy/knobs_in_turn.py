@@ -24,7 +24,7 @@ def asked_knobs(of: str, names: Sequence[str] | None, known: Sequence[str]) -> t
     return tuple(names or known)
 
 
-def in_turn(
+def measure_in_turn(
     names: Sequence[str],
     measure: Callable[[str, float], Curve],
     *,
@@ -32,13 +32,9 @@ def in_turn(
     worth: float = WORTH,
     clock: Clock | None = None,
 ) -> tuple[Curve, ...]:
-    """Measure the curves of several settings with equal shares of the given s. `measure` takes a
-    name and its share. An interrupt keeps the finished curves.
-
-    The remaining time goes to settings whose share was too short, such as one that compiles a new
-    program for each value. They are measured again, those with the fewest values first, while
-    `worth` shares remain.
-    """
+    """Measure the curves of settings with equal shares of the given s by `measure(name, share)`,
+    then again those with the fewest values while `worth` shares remain; an interrupt keeps the
+    finished curves."""
     now = clock or time.perf_counter
     until = now() + seconds
     found: list[Curve] = []

@@ -11,8 +11,8 @@ from ..plots.inline import figure_svg
 from .plots import front, plot
 from .records import Curve, Problem
 from .scene_settings import machine
-from .tables import as_dict, notes, rows
-from .together import Together, all_together
+from .several import Together, all_together
+from .tables import json_sheet, notes, rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -102,7 +102,7 @@ def write_page(
         Paths of `accuracy.html` and `accuracy.json`. Each file is written as soon as its contents
         are known.
     """
-    sheet = as_dict(problem, curves, together=together, machine=machine(), command=command)
+    sheet = json_sheet(problem, curves, together=together, machine=machine(), command=command)
     folder.mkdir(parents=True, exist_ok=True)
     numbers, drawn = folder / "accuracy.json", folder / "accuracy.html"
     _write(numbers, json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False))

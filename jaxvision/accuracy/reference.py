@@ -33,12 +33,7 @@ def _rms(values: np.ndarray) -> float:
 
 def mean_of(draws: Sequence[np.ndarray], compared: Compared | None) -> tuple[np.ndarray, float]:
     """Return the compared function of the mean of at least two independent results, and its
-    standard error as a root mean square over its numbers. The error comes from the jackknife, which
-    leaves out one result in turn. If the results are compared directly, this is their standard
-    deviation over the root of their number.
-
-    Source: Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", SIAM (1982), ch. 3.
-    """
+    standard error by the jackknife (Efron, SIAM (1982), ch. 3)."""
     count, total = len(draws), np.sum(draws, axis=0)
     if compared is None:
         return total / count, _rms(np.std(draws, axis=0, ddof=1)) / count**0.5
@@ -70,9 +65,8 @@ def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
 
 
 def _drawn(session: Session, setting: Any) -> list[np.ndarray]:
-    """Return independent draws of a setting, as many as are worth their time. If a prediction was
-    too short, some time is left for a coarser setting. A seed that fails after others is left
-    out."""
+    """Return independent draws of a setting, as many as are worth their time, without seeds that
+    fail after others."""
     draws: list[np.ndarray] = []
     until = session.taken + SHARE * max(session.left, 0.0)
     latest = session.taken + LATEST * session.left
@@ -100,9 +94,8 @@ def _drawn(session: Session, setting: Any) -> list[np.ndarray]:
 def paired_reference(
     session: Session, *, finer: bool = True
 ) -> tuple[Reference, dict[int, np.ndarray]]:
-    """The finest setting that fits the time, with the same seeds as the trials; without `finer`,
-    the finest of those already run. Its error follows from the steps between it and the two
-    previous settings."""
+    """The finest setting that fits the time (without `finer`, that was run), with the trials'
+    seeds, and its error by the steps between the finest settings."""
     knob = session.knob
     exact = bool(knob.reference) and not isinstance(knob.reference[-1], int | float)
     steps: list[Any] = [s for s, p in session.points.items() if p.results.keys() >= set(PAIRED)]
@@ -135,9 +128,8 @@ def paired_reference(
 
 
 def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
-    """The distance of a reference from the finest of at least three other settings, if it
-    exceeds what their steps allow, so that one of them is wrong; else 0. It is in the unit of
-    the result."""
+    """The distance, in the result's unit, of a reference from the finest of at least three other
+    settings if it exceeds what their steps allow; else 0."""
     run = [one for one in settings if session.points[one].results.keys() >= set(PAIRED)]
     run = run[-RUNGS:]
     rungs = [one for one in run if isinstance(one, int | float)]
@@ -165,14 +157,9 @@ def _finest(session: Session, *, calls: int) -> Any:
 
 
 def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.ndarray]]) -> float:
-    """Estimate the error of the last of a sequence of at least two results.
-
-    Assume errors E exp(-k x), where x is the variable of the knob's law. The step between two
-    results is the difference of their errors if all numbers move in one direction, and the root of
-    their sum of squares if they move at random. The correlation between steps shows which of the
-    two applies. The steps give k, and k gives the last error. The rates of three steps show whether
-    a law declared as geometric is a power law instead, as for Gauss's rule across an edge.
-    """
+    """Estimate the error of the last of at least two results by the law E exp(-k x) of the knob's
+    variable x: the correlation between steps shows whether their errors add in one direction or at
+    random, and the steps give k."""
     if len(ladder) < 2:
         return float("inf")
     steps = [
@@ -199,9 +186,8 @@ def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.
 
 
 def _laws(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> tuple[Law, ...]:
-    """Return the laws that a sequence may follow. If only a power law is declared, it is this. Else
-    it is the law under which the rates of three steps are most constant, and both laws for fewer
-    steps."""
+    """The declared power law; else the law under which the rates of three steps are most constant,
+    and both laws for fewer steps."""
     if law == "power":
         return (law,)
     if len(steps) < 3 or min(steps) == 0:

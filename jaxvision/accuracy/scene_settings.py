@@ -22,18 +22,19 @@ from ..errors import InputError
 from ..files.images import replaced_on_success
 from ..files.scenes import SceneFile
 from ..files.scenes.schema import RenderEntry
-from ..render_command import left_of, pruned_for
-from .checks import settled
+from ..render_command import prune_scene, pruned_scene
 from .curves import LEAST, curve
-from .deadlines import OutOfTime, TooLittleTime, in_time
+from .deadlines import OutOfTime, TooLittleTime, run_within
 from .knobs import KNOBS
-from .knobs_in_turn import KEPT, WORTH, asked_knobs, in_turn
+from .knobs_in_turn import KEPT, WORTH, asked_knobs, measure_in_turn
 from .records import Curve, Knob, Problem
 from .scenes import APART, entry_of, knobs_of, scene_problem
 from .session import Clock, part_seconds
+from .several import Together, all_together, combine_and_check
 
 PROVED = 0.25  # of the tolerance, for what is left out
 CHECK = 0.35  # of the budget
+TOGETHER = 0.25  # of the time to measure in, for the checks
 PRUNING = 0.5  # of the budget, after which the scene is rendered whole
 
 
@@ -108,7 +109,48 @@ def measured(
         return curve(own, turned, seconds=share, metrics=metrics, clock=clock)
 
     worth = WORTH if own.compiled is None else KEPT
-    return own, in_turn(chosen, measure, seconds=until - now(), worth=worth, clock=clock)
+    return own, measure_in_turn(chosen, measure, seconds=until - now(), worth=worth, clock=clock)
+
+
+def measured_together(
+    source: SceneFile,
+    *,
+    names: Sequence[str] | None = None,
+    seconds: float = 60.0,
+    metrics: tuple[str, ...] = ("rms", "p99", "max"),
+    clock: Clock | None = None,
+) -> tuple[Problem, tuple[Curve, ...], tuple[Together, ...]]:
+    """The curves of a scene file's settings and, in a quarter of the time, checks of their
+    combination.
+
+    Args:
+        source: the scene and its view, with its `[render]`.
+        names: of the knobs; None for all that change the picture.
+        seconds: time budget, s.
+        metrics: as in `curve`.
+        clock: function that returns seconds; None for the machine's clock.
+
+    Returns:
+        The problem, the curves, and the settings for each of `TOLERANCES`.
+
+    Raises:
+        InputError: for a knob that the scene file does not have.
+    """
+    now = clock or time.perf_counter
+    until = now() + seconds
+    asked = asked_knobs(str(source.path), names, knobs_of(source, source.render))
+    several = len(set(asked) - set(APART)) > 1
+    problem, curves = measured(
+        source,
+        source.render,
+        names=asked,
+        seconds=(1 - TOGETHER) * seconds if several else seconds,
+        metrics=metrics,
+        clock=clock,
+    )
+    ended = any(curve.stopped == "interrupted" for curve in curves)
+    left = 0.0 if ended else until - now()
+    return problem, curves, all_together(problem, curves, seconds=left, clock=clock)
 
 
 def _with_base(knob: Knob, base: Any) -> Knob:
@@ -169,10 +211,10 @@ def settings(
         level = float(np.sqrt(np.mean(picture**2)))
     pruned, prunable = None, until - (1 - PRUNING) * seconds
     with suppress(OutOfTime):
-        pruned = in_time(lambda: _pruned(scene_file, tolerance, level), lambda: prunable - now())
+        pruned = run_within(lambda: _pruned(scene_file, tolerance, level), lambda: prunable - now())
     if pruned is not None and pruned.certificate.dropped:
         problem = None
-    left, _ = left_of(scene_file, own, pruned)
+    left, _ = pruned_scene(scene_file, own, pruned)
     remains = until - now()
     if remains < LEAST:
         raise _too_little(scene_file, seconds)
@@ -200,7 +242,7 @@ def settings(
     if not any(np.isfinite(trial.error) for curve in curves for trial in curve.trials):
         raise _too_little(scene_file, seconds)
     try:
-        best, checked = settled(
+        best, checked = combine_and_check(
             problem, curves, wanted, allowed, seconds=until - now(), clock=clock
         )
     except InputError as error:
@@ -259,7 +301,7 @@ def _pruned(source: SceneFile, tolerance: float | None, level: float | None) -> 
     deep = own.model_copy(update={"depth": max(own.depth, deepest)})
     share = "0" if tolerance is None else f"{PROVED * tolerance:.6e}"
     try:
-        return pruned_for(source, deep, share, level=level)
+        return prune_scene(source, deep, share, level=level)
     except InputError:  # a scene of which nothing can be bounded is rendered whole
         return None
 

@@ -17,13 +17,13 @@ from ..files.scenes import SceneFile
 from ..files.scenes.schema import RenderEntry
 from ..lights import DirectionalLight, PointLight, SmallLight
 from ..render_command import (
-    lacking,
+    light_findings,
     linear_srgb,
     seeded_passes_of,
     seeded_pixels_of,
     with_resolution,
 )
-from .deadlines import OutOfTime, TooLittleTime, in_time
+from .deadlines import OutOfTime, TooLittleTime, run_within
 from .records import Compute, Problem
 from .session import Clock
 
@@ -168,7 +168,7 @@ def scene_problem(
     begun = now()
     compute = prepare(base)
     try:
-        picture = in_time(lambda: compute(0), lambda: seconds + begun - now())
+        picture = run_within(lambda: compute(0), lambda: seconds + begun - now())
     except OutOfTime:
         raise TooLittleTime(
             f"{source.path}: the first program was not compiled and run within {seconds:.3g} s; "
@@ -188,7 +188,7 @@ def scene_problem(
         compiled=None if own.integrator == "light" else known,
         compiling=compiling,
         once=lambda: once,
-        about=" ".join([_ABOUT, *lacking(source, own)]),
+        about=" ".join([_ABOUT, *light_findings(source, own)]),
         compared=lambda radiance: np.minimum(radiance, brightest),
         alone=dict.fromkeys(OF_LIGHT, partial(prepare, within_pixels=0)),
     )
@@ -205,9 +205,8 @@ def scene_problem(
 
 
 def _samples_a_call(entry: RenderEntry) -> int:
-    """Return the number of samples of one call. Several calls give any number of samples, so one
-    program serves all. It is one for paths. For the others, whose single sample is the pixel's
-    middle, it is two or all."""
+    """The samples of one call, several of which give any number: one for paths, and for others,
+    whose single sample is the pixel's middle, two or all."""
     if entry.integrator == "path":
         return 1
     return 2 if entry.samples % 2 == 0 else entry.samples

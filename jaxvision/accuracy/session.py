@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from ..errors import InputError
-from .deadlines import OutOfTime, in_time, something_left_behind, wait_for_the_rest
+from .deadlines import OutOfTime, run_within, something_left_behind, wait_for_the_rest
 from .records import Compute, Knob, Problem
 
 Clock = Callable[[], float]
@@ -77,9 +77,8 @@ class Session:
         wait_for_the_rest(lambda: until - self.taken)
 
     def call(self, setting: Any, seed: int, *, within: float = np.inf) -> Point:
-        """Run a setting once more, within the given time and the remaining time, and return its
-        calls with time and result. If the call is abandoned, `OutOfTime` is raised, and the known
-        results of the setting are kept."""
+        """Run a setting once more within the given and the remaining time, s, and return its calls;
+        `OutOfTime` if it is abandoned."""
         begun, beside = self.clock(), something_left_behind()
         point = self.points.get(setting) or Point(setting)
 
@@ -99,7 +98,7 @@ class Session:
             return min(self.left + GRACE * self.seconds, within - spent)
 
         try:
-            compute, values, taken, once = in_time(run, left)
+            compute, values, taken, once = run_within(run, left)
         except OutOfTime:
             self.given_up = f" ({setting} was given up after {self.clock() - begun:.3g} s)"
             raise
@@ -150,9 +149,8 @@ class Session:
             )
 
     def refuse(self, setting: Any, why: Exception) -> None:
-        """Leave out a value with which the problem cannot be computed. A result that cannot be
-        compared, or a failure before the first measurement, is an error of the problem and
-        raised."""
+        """Leave out a value that the problem cannot compute; raise the error of a problem whose
+        results cannot be compared, or that fails first."""
         self.points.pop(setting, None)
         if isinstance(why, NotComparable) or not (self.points or isinstance(why, InputError)):
             raise why
@@ -202,10 +200,8 @@ def part_seconds(problem: Problem, seconds: float) -> float:
 
 
 def _next(before: Sequence[tuple[Any, float]], setting: Any, power: float) -> float:
-    """Predict the time of the next setting, s, from the previous ones, (setting, s) in their order.
-    It is 0 without any, and at least the time of the last one. The growth between settings is a
-    power of the setting or a factor, whichever predicts more. Of the last two steps the smaller
-    growth is used, so that one slow setting does not prevent later ones."""
+    """Predict the time of the next setting, s, from (setting, s) in their order, by a power or a
+    factor, whichever is slower, and the smaller of the last two growths."""
     if not before:
         return 0.0
     last, taken = before[-1]

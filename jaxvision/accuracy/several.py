@@ -3,18 +3,35 @@ within a time.
 
 Times multiply: a change of one setting changes the time by the same factor as alone. Errors of
 random settings add in quadrature, and biases add linearly: (sum of biases)^2 + sum of squares.
+
+The best combination is checked by runs with fresh seeds against finer values of all settings, and
+tightened if its error exceeds the tolerance.
 """
 
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..core.interrupts import is_handled, raised_interrupts
 from ..errors import InputError
 from .choice import candidates
-from .records import Curve
+from .deadlines import OutOfTime, run_within
+from .norms import level_of, next_error
+from .records import Curve, Problem
+from .reference import DRAWS, FIRST_SEED, SURE, mean_of
+from .session import Clock, part_seconds, whole_seconds
+
+FRESH = 3  # seeds of the check
+FINER = (4, 2)  # times a random setting, for each of the draws of a reference; in a hurry fewer
+ROUNDS = 3  # of tightening after a check that failed
+MARGIN = 0.9
+TOLERANCES = (0.1, 0.01, 0.001)
 
 
 @dataclass(frozen=True)
@@ -133,3 +150,202 @@ def _pareto(curve: Curve, once: float) -> Front:
         if np.isfinite(error) and (not found or error < found[-1][1]):
             found.append((trial.setting, error, trial.seconds / max(once, 1e-12)))
     return found
+
+
+class Check(NamedTuple):
+    """The result of runs with fresh seeds."""
+
+    # relative, what no run is expected to exceed, whatever the reference is itself off by
+    error: float
+    seconds: float  # s, of a warm call, the first of the runs left out
+
+
+def combine_and_check(
+    problem: Problem,
+    curves: Sequence[Curve],
+    wanted: float | None,
+    allowed: float | None,
+    *,
+    seconds: float,
+    clock: Clock | None = None,
+) -> tuple[Combination, bool]:
+    """Return the best combination with error and time from fresh runs, and whether there was time
+    for them; `InputError` if none meets the limit."""
+    now = clock or time.perf_counter
+    until = now() + seconds
+    aim, within, off, slow = wanted, allowed, 1.0, 1.0
+    best, check = None, None
+    for number in range(ROUNDS):
+        try:
+            best = combined(curves, problem.settings, tolerance=aim, seconds=within)
+        except InputError:
+            if number == 0:
+                raise
+            break
+        check = check_combination(problem, curves, best, seconds=until - now(), clock=clock)
+        if check is None:
+            return replace(best, error=best.error * off, seconds=best.seconds * slow), False
+        found = replace(best, error=check.error, seconds=check.seconds)
+        if wanted is not None and check.error <= wanted:
+            return found, True
+        if allowed is not None and (check.seconds <= allowed or number == ROUNDS - 1):
+            return found, True
+        off = check.error / max(best.error, 1e-12)
+        slow = check.seconds / max(best.seconds, 1e-12)
+        if wanted is not None:
+            aim = MARGIN * wanted / off
+        if allowed is not None:  # of what settings can save, the same share as of what they took
+            least = combined(curves, problem.settings, tolerance=np.inf).seconds
+            share = max(allowed - least, 0.0) / max(check.seconds - least, 1e-12)
+            within = least + MARGIN * share * (best.seconds - least)
+    assert best is not None
+    assert check is not None
+    if wanted is None:
+        return replace(best, error=check.error, seconds=check.seconds), True
+    raise InputError(
+        f"{problem.name}: no settings were found within {wanted:.3g}: fresh runs of the last ones "
+        f"are off by {check.error:.3g}; allow more, or more time to measure."
+    )
+
+
+def check_combination(
+    problem: Problem,
+    curves: Sequence[Curve],
+    best: Combination,
+    *,
+    seconds: float,
+    clock: Clock | None = None,
+) -> Check | None:
+    """Measure the error and time, s, of a combination by fresh seeds against finer settings; None
+    without time for a reference of half that error."""
+    now = clock or time.perf_counter
+    until = now() + seconds
+    own = sum(
+        SURE * one.reference.error
+        for one in curves
+        if not one.knob.random and one.knob.name not in best.unknown
+    )
+    turned = {**problem.settings, **best.settings}
+    random = any(one.knob.random for one in curves)
+    for finer in FINER if random else (1,):
+        finest, each = _finer(problem, curves, best, finer)
+        compiling = sum(
+            problem.compiling
+            for one in (finest, turned)
+            if problem.compiled is None or not problem.compiled(one)
+        )
+        call = part_seconds(problem, best.seconds)
+        if compiling + DRAWS * each + FRESH * call <= seconds:
+            with suppress(OutOfTime):
+                work = partial(_fresh_runs, problem, finest, turned, random, now)
+                check = run_within(work, lambda: until - now())
+                return check and check._replace(error=check.error + own)
+            return None
+    return None
+
+
+def _finer(
+    problem: Problem, curves: Sequence[Curve], best: Combination, finer: int
+) -> tuple[dict[str, Any], float]:
+    """Return settings for a reference, and the time of a call in s. Each knob has the setting of
+    its own reference, and a random knob a multiple of the chosen number."""
+    measured = [one for one in curves if one.knob.name not in best.unknown]
+    fine = {c.knob.name: c.reference.setting for c in measured if c.reference.setting is not None}
+    each = part_seconds(problem, best.seconds)
+    for one in measured:
+        name = one.knob.name
+        setting = fine.get(name)
+        if not isinstance(setting, int | float):
+            continue
+        if one.knob.random:
+            fine[name] = finer * best.settings[name]
+            each *= finer
+        else:
+            known = {trial.setting: trial.seconds for trial in one.trials}
+            ends = known.get(best.settings[name], one.trials[0].seconds)
+            each *= max(max(known.values()) / ends, 1.0) if ends > 0 else 1.0
+    return {**problem.settings, **best.settings, **fine}, each
+
+
+def _fresh_runs(
+    problem: Problem,
+    finest: Mapping[str, Any],
+    turned: Mapping[str, Any],
+    random: bool,
+    now: Clock,
+) -> Check | None:
+    """Error and time of settings with fresh seeds; None if the finest settings are not better."""
+    compute = problem.prepare(finest)
+    draws = [np.asarray(compute(FIRST_SEED + n), np.float64) for n in range(DRAWS if random else 1)]
+    compared = problem.compared or np.asarray
+    reference, own = mean_of(draws, compared) if random else (compared(draws[0]), 0.0)
+    chosen = problem.prepare(turned)
+    errors, times = [], []
+    for seed in range(FIRST_SEED // 2, FIRST_SEED // 2 + FRESH):
+        begun = now()
+        result = np.asarray(chosen(seed))
+        times.append(now() - begun)
+        errors.append(np.sqrt(np.mean((compared(result) - reference) ** 2)))
+    level = level_of(reference, problem.level)
+    found = next_error(np.array(errors) / level)[2]
+    seconds = whole_seconds(problem, np.median(times[1:]), problem.once())
+    return None if own / level > found / 2 else Check(found, float(seconds))
+
+
+@dataclass(frozen=True)
+class Together:
+    """The cheapest settings of all knobs within a tolerance."""
+
+    combination: Combination | None  # of the settings; None: no settings are known to be within it
+    # whether error and time are those of runs with fresh seeds; else they follow from the curves of
+    # single knobs
+    checked: bool = False
+
+
+def all_together(
+    problem: Problem,
+    curves: Sequence[Curve],
+    *,
+    seconds: float = 0.0,
+    clock: Clock | None = None,
+) -> tuple[Together, ...]:
+    """Choose and check the cheapest combination of settings for each of `TOLERANCES` within the
+    given s; none for fewer than two knobs. An interrupt ends the checks."""
+    known = [curve for curve in curves if curve.knob.name in problem.settings]
+    if len(known) < 2:
+        return ()
+    now = clock or time.perf_counter
+    until, found = now() + seconds, list[Together]()
+    try:
+        with raised_interrupts():
+            for tolerance in TOLERANCES:
+                left = max(until - now(), 0.0)
+                found.append(_within(problem, known, tolerance, found, left, clock))
+    except KeyboardInterrupt:
+        is_handled()
+        for tolerance in TOLERANCES[len(found) :]:
+            found.append(_within(problem, known, tolerance, found, 0.0, clock))
+    return tuple(found)
+
+
+def _within(
+    problem: Problem,
+    curves: Sequence[Curve],
+    tolerance: float,
+    before: Sequence[Together],
+    seconds: float,
+    clock: Clock | None,
+) -> Together:
+    try:
+        best = combined(curves, problem.settings, tolerance=tolerance)
+        for one in before:  # the same settings need no second check
+            known = one.combination if one.checked else None
+            if known and known.settings == best.settings and known.error <= tolerance:
+                return one
+        if seconds <= 0:
+            return Together(best)
+        return Together(
+            *combine_and_check(problem, curves, tolerance, None, seconds=seconds, clock=clock)
+        )
+    except InputError:
+        return Together(None)

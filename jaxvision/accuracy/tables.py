@@ -11,7 +11,7 @@ from ..errors import InputError
 from .choice import choose
 from .records import Curve, Problem, Trial
 from .scene_settings import Chosen
-from .together import TOLERANCES, Together, all_together
+from .several import TOLERANCES, Together, all_together
 
 NOT_REACHED = "not reached"
 WITHIN = tuple(f"{100 * tolerance:g} %" for tolerance in TOLERANCES)
@@ -57,7 +57,7 @@ def _cells(curve: Curve) -> list[str]:
     found = [NOT_REACHED if trial is None else _cell(trial) for trial in reached(curve)]
     if NOT_REACHED in found:
         best = min((trial.error_high for trial in curve.trials), default=np.inf)
-        known = f"at best {in_percent(best)}" if np.isfinite(best) else "no error is known"
+        known = f"at best {percent_text(best)}" if np.isfinite(best) else "no error is known"
         found[found.index(NOT_REACHED)] = f"{NOT_REACHED}: {known}"
     return found
 
@@ -88,7 +88,7 @@ def seconds_text(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.0f} h"
 
 
-def in_percent(error: float) -> str:
+def percent_text(error: float) -> str:
     """A relative error with two significant digits, as text in per cent."""
     return f"{100 * error:.0f} %" if error >= 1 else f"{100 * error:.2g} %"
 
@@ -108,7 +108,7 @@ def notes(curves: Sequence[Curve], *, together: Sequence[Together] = ()) -> list
     for curve in curves:
         name, own = curve.knob.name, curve.reference
         of = "" if own.setting is None else f" {own.setting}"
-        error = in_percent(own.error) if np.isfinite(own.error) else "not known"
+        error = percent_text(own.error) if np.isfinite(own.error) else "not known"
         if curve.trials:
             found.append(f"{name}: reference{of} ({own.how}), its own error {error}.")
         if curve.not_run:
@@ -134,7 +134,7 @@ def notes(curves: Sequence[Curve], *, together: Sequence[Together] = ()) -> list
     return found
 
 
-def as_dict(
+def json_sheet(
     problem: Problem,
     curves: Sequence[Curve],
     *,
@@ -193,7 +193,7 @@ def choice_in_words(chosen: Chosen) -> str:
     words = ", ".join(f"{name} {setting}" for name, setting in chosen.settings.items())
     how = "checked with fresh seeds" if chosen.checked else "not checked, for want of time"
     said = (
-        f"Chosen: {words}: within {in_percent(chosen.promised)} ({how}), about "
+        f"Chosen: {words}: within {percent_text(chosen.promised)} ({how}), about "
         f"{seconds_text(chosen.predicted_seconds)}."
     )
     if not chosen.unknown:

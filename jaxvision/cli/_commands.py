@@ -218,13 +218,13 @@ def render(
     _prepare()
     from ..effects.certificate import summary
     from ..files.scenes import read_scene
-    from ..files.scenes.schema import idle, overridden
+    from ..files.scenes.schema import idle, override_settings
     from ..render_command import (
-        changing_nothing,
-        in_words,
-        lacking,
-        nothing_lost,
-        pruned_for,
+        cost_sentence,
+        light_findings,
+        lossless_sentence,
+        prune_losslessly,
+        prune_scene,
         render_to_file,
         with_resolution,
     )
@@ -239,7 +239,7 @@ def render(
         "seed": seed,
         "tile": tile,
     }
-    settings = overridden(source.render, given)
+    settings = override_settings(source.render, given)
     for name in idle(settings.integrator, given):
         warnings.warn(
             f"--{name} has no effect with the integrator {settings.integrator!r}.", stacklevel=2
@@ -250,7 +250,7 @@ def render(
         if min(wanted) < 1:
             raise InputError(f"--resolution {resolution}: a picture has at least one pixel.")
         source = replace(source, view=with_resolution(source.view, wanted))
-    pruned = None if tolerance is None else pruned_for(source, settings, tolerance)
+    pruned = None if tolerance is None else prune_scene(source, settings, tolerance)
     if measure is not None and not accuracy and seconds is None:
         warnings.warn("--measure has no effect without --accuracy or --seconds.", stacklevel=2)
     if keep_all and tolerance is not None:
@@ -284,8 +284,8 @@ def render(
             print(choice_in_words(chosen))
     unchanged = None
     if tolerance is None and pruned is None and not keep_all:
-        unchanged = pruned = nothing_lost(source, settings)
-    for sentence in lacking(source, settings):
+        unchanged = pruned = prune_losslessly(source, settings)
+    for sentence in light_findings(source, settings):
         print(sentence, file=sys.stderr)
     title = f"{source.path.stem}, {settings.integrator}"
     with workers_of(workers, scheduler=scheduler), progress_bar(title) as advance:
@@ -293,13 +293,13 @@ def render(
             source, out, settings, pruned=pruned, preview=shown, fresh=fresh, advance=advance
         )
     if unchanged is not None:
-        print(changing_nothing(source, unchanged))
+        print(lossless_sentence(source, unchanged))
     elif pruned is not None:
         print(summary(pruned.certificate))
     print(f"Radiance: {out}")
     if shown is not None:
         print(f"Preview: {shown}")
-    print(in_words(cost, settings))
+    print(cost_sentence(cost, settings))
 
 
 @sub_command(
@@ -322,7 +322,7 @@ def accuracy(
     _prepare()
     from ..accuracy.console import check_request, keep, print_json, repeating, show
     from ..accuracy.curves import LEAST
-    from ..accuracy.together import measured_together
+    from ..accuracy.scene_settings import measured_together
     from ..files.scenes import read_scene
 
     check_request(seconds, out)
@@ -418,7 +418,7 @@ def effects(
     from ..effects import explain, parse
     from ..files.cameras import read_camera
     from ..files.scenes import read_scene
-    from ..render_command import inspected, lacking, pruned_for
+    from ..render_command import inspect_scene, light_findings, prune_scene
     from ..render_command.pruning import box_of, listed, smaller, with_names
 
     goal = None
@@ -432,11 +432,11 @@ def effects(
     bands: Any = source.wavelengths
     sensor = None if camera_file is None else read_camera(camera_file, wavelengths=bands)
     asked: dict[str, Any] = {"camera": sensor, "free": box_of(free or []), "estimates": estimates}
-    for sentence in lacking(source, source.render):
+    for sentence in light_findings(source, source.render):
         print(sentence, file=sys.stderr)
     if goal is None:
         with progress_bar("measuring programs", shown=timed) as advance:
-            found = inspected(source, source.render, time=timed, advance=advance, **asked)
+            found = inspect_scene(source, source.render, time=timed, advance=advance, **asked)
         rows = [_finite_or_null(asdict(effect)) for effect in found]
         if as_json:
             print(json.dumps(rows, indent=2))
@@ -447,7 +447,7 @@ def effects(
             which = "is an estimate" if count < 2 else "are estimates"
             print(f"{count or 'None'} of {len(found)} bounds {which}.")
         return
-    pruned = pruned_for(source, source.render, goal, **asked)
+    pruned = prune_scene(source, source.render, goal, **asked)
     certificate = pruned.certificate
     if as_json:
         sheet = {name: getattr(certificate, name) for name in ("total", "estimated", "place")}

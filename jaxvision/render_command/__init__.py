@@ -7,23 +7,9 @@ pruning      the scene without negligible effects
 tiles        the unfinished picture on disk
 """
 
-from .cost import in_words
-from .integrators import lacking, seeded_passes_of, seeded_pixels_of
-from .job import band_names, linear_srgb, render_to_file, with_resolution
-from .pruning import changing_nothing, inspected, left_of, nothing_lost, pruned_for
+# ruff: noqa: F401
 
-__all__ = [
-    "band_names",
-    "changing_nothing",
-    "in_words",
-    "inspected",
-    "lacking",
-    "left_of",
-    "linear_srgb",
-    "nothing_lost",
-    "pruned_for",
-    "render_to_file",
-    "seeded_passes_of",
-    "seeded_pixels_of",
-    "with_resolution",
-]
+from .cost import cost_sentence
+from .integrators import light_findings, seeded_passes_of, seeded_pixels_of
+from .job import band_names, linear_srgb, render_to_file, with_resolution
+from .pruning import inspect_scene, lossless_sentence, prune_losslessly, prune_scene, pruned_scene

@@ -75,16 +75,9 @@ def relative_error(rows: Iterable[np.ndarray], bands: int) -> float | None:
     return float(np.sqrt(squares / light)) if light > 0 else None
 
 
-def in_words(cost: Cost, settings: RenderEntry) -> str:
-    """One line for the end of a render: samples, error, time, and the time of a smaller error.
-
-    Args:
-        cost: as `render_to_file` returns it.
-        settings: of that call.
-
-    Returns:
-        A sentence with the units s and %.
-    """
+def cost_sentence(cost: Cost, settings: RenderEntry) -> str:
+    """One line for the end of a render: samples, error in %, time in s, and the time of a smaller
+    error."""
     took = _seconds(cost.seconds)
     if cost.workers:
         took += f" of work on {cost.workers} worker{'s' * (cost.workers != 1)}"

@@ -50,9 +50,8 @@ Pixels = Float[Array, "pixels bands"]
 def pixels_of(
     source: SceneFile, settings: RenderEntry
 ) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """A function from (rows, columns) of n pixels to their radiance and its standard error, (n,
-    bands) float32 in W m^-2 sr^-1; compiled once for each n. The value of a pixel does not depend
-    on the others. The error is that of independent samples, inf for a single one."""
+    """A function from (rows, columns) of n pixels to their radiance and its standard error of
+    independent samples (inf for one), (n, bands) float32 in W m^-2 sr^-1."""
     compute = _seeded_traces_of(source, settings)(settings.seed)
 
     def both(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -63,18 +62,9 @@ def pixels_of(
 
 
 def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
-    """Return a function from a seed to the function that computes pixels. It does the work that
-    precedes the first pixel. The second function takes rows, columns and, if there are several
-    samples, the number of the first sample. For paths it also takes another depth, at least 2,
-    without compiling again. A second seed, if given, is for the positions of rays within a pixel.
-
-    Args:
-        source: the scene and its view.
-        settings: integrator, samples and the rest of `[render]` but the seed.
-
-    Returns:
-        The radiance of `pixels_of` in the dtype of the scene; compiled once for all seeds.
-    """
+    """Return a function from a seed, and a further one for the positions of rays, to a function of
+    rows, columns and the number of the first sample, which takes the dtype of the scene, W m^-2
+    sr^-1; compiled once, also for other depths of paths."""
     traces = _seeded_traces_of(source, settings)
 
     def seeded(seed: int, within_pixels: int | None = None) -> Computed:
@@ -123,15 +113,8 @@ def passes_of(source: SceneFile, settings: RenderEntry) -> tuple[int, Callable[[
 
 
 def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int, int], np.ndarray]:
-    """A function from a seed and the number of a pass to its picture.
-
-    Args:
-        source: the scene and its view.
-        settings: depth and the rest of `[render]` but the seed.
-
-    Returns:
-        As `passes_of`, (h, w, bands) W m^-2 sr^-1; compiled once for all seeds.
-    """
+    """A function from a seed and the number of a pass to its picture, (h, w, bands) W m^-2 sr^-1;
+    compiled once for all seeds."""
     _check_light(source, settings)
     one = _kept_pass(_compiled_in(settings), _structure(source))  # pyright: ignore[reportArgumentType]
 
@@ -143,17 +126,9 @@ def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int,
     return compute
 
 
-def lacking(source: SceneFile, settings: RenderEntry) -> list[str]:
-    """Findings on a scene file's picture: lamps that light nothing, and light that the integrator
-    cannot find.
-
-    Args:
-        source: the scene and its view.
-        settings: integrator, depth and the rest of `[render]`.
-
-    Returns:
-        One sentence each, with the names of the file; empty where nothing is known to be missing.
-    """
+def light_findings(source: SceneFile, settings: RenderEntry) -> list[str]:
+    """Sentences on a scene file's lamps that light nothing, and on light that the integrator cannot
+    find."""
     return [
         *idle_lamps(source.scene, lights=source.lights),
         *missing_light(

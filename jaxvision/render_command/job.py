@@ -37,8 +37,8 @@ from ..point_ops import srgb_encode
 from ..scene import View
 from ..tasks import PROGRAMS, in_order
 from .cost import Clock, Cost, relative_error, timed
-from .integrators import BY_PIXEL, lacking, passes_of, pixels_of
-from .pruning import left_of
+from .integrators import BY_PIXEL, light_findings, passes_of, pixels_of
+from .pruning import pruned_scene
 from .tiles import PartialImage, PartialSum
 
 ROWS = 64  # of the picture that are written or shown at once
@@ -64,30 +64,12 @@ def render_to_file(
     fresh: bool = False,
     advance: Advance = lambda done, total: None,
 ) -> Cost:
-    """Render a scene file to an image file, tile by tile.
-
-    With several samples a pixel the file has a layer `error`: the standard error of each pixel, as
-    if its samples were independent. Samples of `path` and of a lens are stratified, which makes the
-    true error smaller.
-
-    Args:
-        source: the scene and its view.
-        out: the EXR file, radiance in W m^-2 sr^-1.
-        settings: integrator, samples and the rest of `[render]`.
-        pruned: the reduced scene from `pruned_for`, whose certificate is written to the file's
-            header; None for the whole scene.
-        preview: file of an additional 8-bit picture, or None.
-        fresh: whether to start again where an earlier call with the same scene and settings was
-            interrupted; otherwise its finished tiles are kept and the rest is rendered.
-        advance: called with (tiles done, all tiles).
-
-    Returns:
-        The rms standard error relative to the rms radiance, and the time, s.
-
-    Raises:
-        KeyboardInterrupt: on an interrupt, with a sentence on how to continue.
-        InputError: for any other failure.
-    """
+    """Render a scene file to an EXR file, W m^-2 sr^-1, tile by tile, and return the rms standard
+    error over the rms radiance, and the time, s. With several samples the file has a layer `error`
+    of standard errors, as if samples were independent. `pruned`: the scene to render in place of
+    the whole one; its certificate goes into the header. `preview`: file of an 8-bit picture.
+    `fresh`: whether to drop the finished tiles of an interrupted call. `advance(done, all)` counts
+    tiles. `KeyboardInterrupt` says how to continue; any other failure is an `InputError`."""
     if out.suffix.lower() != ".exr":
         raise InputError(f"{out}: a render holds radiance and is written as EXR; name it so.")
     check_writable(out)
@@ -241,7 +223,7 @@ class _Work:
     def radiance(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         """`pixels_of` the remaining scene, in all of its bands: (n, bands), or with several samples
         (n, 2 bands), with the standard errors last."""
-        compute = pixels_of(*left_of(self.source, self.settings, self.pruned))
+        compute = pixels_of(*pruned_scene(self.source, self.settings, self.pruned))
         expand = None if self.pruned is None else self.pruned.expand
         several = self.settings.samples > 1
 
@@ -257,7 +239,7 @@ class _Work:
     @cached_property
     def passes(self) -> tuple[int, Callable[[int], np.ndarray]]:
         """`passes_of` the remaining scene."""
-        return passes_of(*left_of(self.source, self.settings, self.pruned))
+        return passes_of(*pruned_scene(self.source, self.settings, self.pruned))
 
 
 def _tile(work: _Work, index: int) -> Part:
@@ -297,33 +279,15 @@ class _Spent:
 
 
 def with_resolution(view: View, resolution: tuple[int, int]) -> View:
-    """The view with another resolution.
-
-    Args:
-        view: any view.
-        resolution: rows and columns.
-
-    Returns:
-        The view, with a pixel pitch in m that leaves the width of the picture unchanged.
-    """
+    """The view with other rows and columns, and a pixel pitch in m that keeps the width of the
+    picture."""
     pitch = view.pixel_pitch * (view.resolution[1] / resolution[1])
     return dataclasses.replace(view, resolution=resolution, pixel_pitch=pitch)
 
 
 def band_names(bands: int, wavelengths: np.ndarray | None) -> tuple[str, ...]:
-    """The channels of an EXR file.
-
-    Args:
-        bands: number of bands.
-        wavelengths: (bands,) m, or None; then three bands are RGB.
-
-    Returns:
-        One name for each band; wavelengths have a fixed number of digits, so that the names sort in
-        order.
-
-    Source:
-        Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3) (2021).
-    """
+    """One EXR channel a band, from wavelengths in m with digits that sort, as in Fichet et al., "An
+    OpenEXR Layout for Spectral Images", JCGT 10(3) (2021)."""
     if wavelengths is not None:
         longest = len(f"{wavelengths[-1] * 1e9:.1f}")
         names = (f"{w * 1e9:0{longest}.1f}".replace(".", ",") for w in wavelengths)
@@ -350,7 +314,7 @@ def _key(source: SceneFile, settings: RenderEntry, pruned: Pruned | None) -> dic
 def _attributes(
     source: SceneFile, settings: RenderEntry, pruned: Pruned | None, error: float | None
 ) -> dict[str, str | int]:
-    lacks = " ".join(lacking(source, settings))
+    lacks = " ".join(light_findings(source, settings))
     unit = "W m^-2 sr^-1" if source.wavelengths is None else "W m^-2 sr^-1 per m"
     return {
         "Software": f"jaxvision {__version__}",
@@ -366,9 +330,8 @@ def _attributes(
 
 
 def _display(rows: Rows, source: SceneFile) -> np.ndarray:
-    """Return the picture in 8-bit sRGB. 95 % of the pixels that are not black are below 0.8 of
-    white. Bands with wavelengths are converted by the standard observer, and other numbers of bands
-    become grey."""
+    """The picture in 8-bit sRGB (grey for bands that are no colours), with 95 % of the lit pixels
+    below 0.8 of white."""
     height, width = source.view.resolution
     step = math.ceil(height * width / _SHOWN)
     to_rgb = linear_srgb(source.bands, source.wavelengths)
@@ -384,16 +347,8 @@ def _display(rows: Rows, source: SceneFile) -> np.ndarray:
 
 
 def linear_srgb(bands: int, wavelengths: np.ndarray | None) -> Float[np.ndarray, "bands 3"]:
-    """The contribution of each band to linear sRGB: by the standard observer for wavelengths,
-    unchanged for RGB, grey for any other bands.
-
-    Args:
-        bands: number of bands.
-        wavelengths: (bands,) m, or None.
-
-    Returns:
-        (bands, 3) relative.
-    """
+    """(bands, 3), relative: the part of each band in linear sRGB, by the standard observer for
+    wavelengths, m, and grey for other bands than RGB."""
     if wavelengths is not None:
         return colours_of(wavelengths, "light")
     return np.eye(3) if bands == 3 else np.full((bands, 3), 1 / bands)

@@ -59,7 +59,7 @@ def _seen_by(source: SceneFile, camera: Camera | None) -> Camera | View:
     return replace(camera, view=source.view)
 
 
-def inspected(
+def inspect_scene(
     source: SceneFile,
     settings: RenderEntry,
     *,
@@ -69,23 +69,9 @@ def inspected(
     time: bool = False,
     advance: Callable[[int, int], Any] | None = None,
 ) -> tuple[Effect, ...]:
-    """The effects of a scene file.
-
-    Args:
-        source: the scene and its view.
-        settings: integrator, samples and the rest of `[render]`.
-        camera: with the sensor for the scene's view, or None.
-        free: as in `effects.inspect`, in the unit of each field.
-        estimates: whether to sample long paths too.
-        time: whether to measure the time of each effect; for direct light and paths only.
-        advance: as in `effects.inspect`.
-
-    Returns:
-        One `Effect` for each.
-
-    Raises:
-        InputError: for `time` with another integrator than direct light and paths.
-    """
+    """The effects of a scene file and, if given, of a camera with its sensor, with times for direct
+    light and paths; other arguments as in `effects.inspect`. `InputError` for the time of another
+    integrator."""
     if time and settings.integrator not in ("direct", "path"):
         raise InputError(f"--time measures direct light and paths; this is {settings.integrator}.")
     seen = _seen_by(source, camera)
@@ -94,7 +80,7 @@ def inspected(
     return effects.inspect(source.scene, seen, **asked)
 
 
-def pruned_for(
+def prune_scene(
     source: SceneFile,
     settings: RenderEntry,
     tolerance: Tolerance | str,
@@ -104,18 +90,8 @@ def pruned_for(
     level: float | None = None,
     estimates: bool = False,
 ) -> Pruned:
-    """A scene file without the effects within a tolerance.
-
-    Args:
-        source, settings, camera, free: as in `inspected`.
-        tolerance: relative, DN or sigma, as in `effects.prune`.
-        level: W m^-2 sr^-1 that "relative" refers to; None for the brightest pixel of a small
-            picture.
-        estimates: whether to remove effects by estimates too.
-
-    Returns:
-        The reduced scene, with its certificate.
-    """
+    """The scene without the effects within a tolerance, with its certificate; arguments as in
+    `effects.prune`. `level`: W m^-2 sr^-1, None for the brightest pixel of a small picture."""
     seen = _seen_by(source, camera)
     asked = _asked(settings)
     asked |= {"free": free, "level": level, "estimates": estimates}
@@ -125,58 +101,33 @@ def pruned_for(
         raise InputError(named_text(source, str(error))) from error
 
 
-def nothing_lost(source: SceneFile, settings: RenderEntry) -> Pruned | None:
-    """A scene file without what is proved to change nothing, if looking takes little time.
-
-    It looks in direct light and mirrors by quadrature, whose pictures draw no random numbers for
-    lamps, and where looking takes less than a twentieth of the time of the picture. Both times are
-    estimated from numbers of pixels, samples, lamps and surfaces, so that a resumed render agrees.
-
-    Args:
-        source, settings: as in `inspected`.
-
-    Returns:
-        What is left, by a tolerance of 0 of 1 W m^-2 sr^-1; None: all of it, also where less than
-        3 % of the work would be saved.
-    """
+def prune_losslessly(source: SceneFile, settings: RenderEntry) -> Pruned | None:
+    """The scene without effects that are proved to be 0 W m^-2 sr^-1, for pictures without random
+    lamp samples, where looking takes at most a twentieth of the picture's time and saves 3 % of its
+    work; else None. Times are estimated by counts, so that a resumed render agrees."""
     if settings.integrator not in ("direct", "rays") or settings.rule != "quadrature":
         return None
     rays = math.prod(source.view.resolution) * settings.samples
     if not looking_pays(source.scene, rays=rays, nodes=settings.order**2):
         return None
-    pruned = pruned_for(source, settings, Tolerance(0.0), level=1.0)
+    pruned = prune_scene(source, settings, Tolerance(0.0), level=1.0)
     return pruned if pruned.certificate.saves > WORTH else None
 
 
-def changing_nothing(source: SceneFile, pruned: Pruned) -> str:
-    """One line that says what `nothing_lost` has left out.
-
-    Args:
-        source: the whole scene.
-        pruned: from `nothing_lost`.
-
-    Returns:
-        A sentence with the names of the file.
-    """
+def lossless_sentence(source: SceneFile, pruned: Pruned) -> str:
+    """One line that says what `prune_losslessly` has left out of `source`, with the names of the
+    file."""
     names = [with_names(source, effect).name for effect in pruned.certificate.dropped]
     shown = ", ".join(names[:_NAMED])
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return f"Left out what changes nothing: {shown}{more} (--keep-all keeps it)."
 
 
-def left_of(
+def pruned_scene(
     source: SceneFile, settings: RenderEntry, pruned: Pruned | None
 ) -> tuple[SceneFile, RenderEntry]:
-    """Return the scene file and the settings of the pruned scene; lengths in m.
-
-    Args:
-        source: the whole scene.
-        settings: of the whole scene, or settings for the reduced one.
-        pruned: the reduced scene; None for the whole scene.
-
-    Returns:
-        Scene and settings, with fewer bands if `pruned.expand` computes the others.
-    """
+    """Return the file and the settings of the pruned scene, lengths in m, with fewer bands if
+    `pruned.expand` computes the others; of the whole scene for None."""
     if pruned is None:
         return source, settings
     gone = {effect.name for effect in pruned.certificate.dropped}
@@ -242,7 +193,7 @@ def listed(found: Iterable[Effect]) -> str:
 
 def smaller(source: SceneFile, pruned: Pruned) -> str:
     """The reduction of the direct-light program's size in per cent, as the end of a sentence."""
-    left, _ = left_of(source, source.render, pruned)
+    left, _ = pruned_scene(source, source.render, pruned)
     before, after = (effects.equations(own.scene, own.view) for own in (source, left))
     share = 1 - after / np.maximum(before, 1)
     return f"; program {100 * share:.0f} % smaller."

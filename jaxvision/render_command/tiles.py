@@ -28,9 +28,8 @@ Key = Mapping[str, Any]  # of what JSON holds
 
 
 class PartialImage:
-    """The tiles of one picture. `key`: identifies this render, with the names for an error
-    message. `values`: numbers per tile. `done`: complete tiles in the file so far. It is a
-    context manager."""
+    """Context with the tiles of one picture. `key`: identifies the render, by names for messages.
+    `values`: numbers per tile. `done`: complete tiles so far."""
 
     def __init__(self, path: Path, *, key: Key, values: int, fresh: bool) -> None:
         """Continue at the end of a file with the same key; `InputError` for a file with another key

@@ -13,11 +13,11 @@ from scene_texts import BALL
 
 from jaxvision.accuracy import Knob, Problem, choose, combined, curve, deadlines, plot
 from jaxvision.accuracy.curves import LEAST
-from jaxvision.accuracy.deadlines import OutOfTime, in_time
-from jaxvision.accuracy.knobs_in_turn import KEPT, WORTH, in_turn
+from jaxvision.accuracy.deadlines import OutOfTime, run_within
+from jaxvision.accuracy.knobs_in_turn import KEPT, WORTH, measure_in_turn
 from jaxvision.accuracy.pages import write_page
 from jaxvision.accuracy.scenes import scene_problem
-from jaxvision.accuracy.tables import as_dict, notes, rows
+from jaxvision.accuracy.tables import json_sheet, notes, rows
 from jaxvision.cli import app
 from jaxvision.errors import InputError
 from jaxvision.files.scenes import read_scene
@@ -139,14 +139,14 @@ def test_the_first_setting_is_given_up_and_the_other_knobs_still_have_their_time
     def measure(name, share):
         return curve(*problems[name], seconds=share, clock=clock)
 
-    first, second = in_turn(["n", "other"], measure, seconds=100.0, clock=clock)
+    first, second = measure_in_turn(["n", "other"], measure, seconds=100.0, clock=clock)
     assert clock.now <= 110.0
     assert (first.trials, first.reference.how, first.not_run) == ((), "none", KNOB.settings)
     assert len(second.trials) == 5
     both = replace(runs, settings={"n": 2, "other": 2})
     assert rows(both, [first, second])[1][2] == "not reached: no error is known"
     assert "n: out of time (1 was given up" in notes([first])[0]
-    assert as_dict(both, [first, second])["knobs"][0]["trials"] == []
+    assert json_sheet(both, [first, second])["knobs"][0]["trials"] == []
     assert combined([first, second], both.settings, tolerance=0.3).unknown == ("n",)
     assert plot(first).texts
     for asked in ({"tolerance": 0.1}, {"seconds": 1.0}):
@@ -172,10 +172,10 @@ def test_an_interrupt_before_a_later_knob_keeps_the_earlier_ones(clock):
             raise KeyboardInterrupt
         return curve(growing(clock), KNOB, seconds=share, clock=clock)
 
-    (kept,) = in_turn(["a", "b", "c"], measure, seconds=60.0, clock=clock)
+    (kept,) = measure_in_turn(["a", "b", "c"], measure, seconds=60.0, clock=clock)
     assert kept.stopped == "interrupted"
     with pytest.raises(KeyboardInterrupt):
-        in_turn(["b"], measure, seconds=60.0, clock=clock)
+        measure_in_turn(["b"], measure, seconds=60.0, clock=clock)
 
 
 def test_time_that_others_leave_is_for_a_knob_whose_share_was_too_short(clock):
@@ -189,7 +189,7 @@ def test_time_that_others_leave_is_for_a_knob_whose_share_was_too_short(clock):
         problem = replace(slow, compiling=8.0) if name == "slow" else quick
         return curve(problem, KNOB, seconds=share, clock=clock)
 
-    found = in_turn(["slow", "quick", "other"], measure, seconds=45.0, clock=clock)
+    found = measure_in_turn(["slow", "quick", "other"], measure, seconds=45.0, clock=clock)
     assert [name for name, _ in shares] == ["slow", "quick", "other", "slow"]
     assert clock.now <= 1.1 * 45.0
     assert len(found[0].trials) >= 2
@@ -200,7 +200,7 @@ def test_time_that_others_leave_is_for_a_knob_whose_share_was_too_short(clock):
             raise KeyboardInterrupt
         return measure(name, share)
 
-    kept = in_turn(["slow", "quick", "other"], interrupted, seconds=45.0, clock=clock)
+    kept = measure_in_turn(["slow", "quick", "other"], interrupted, seconds=45.0, clock=clock)
     assert [one.stopped for one in kept] == ["interrupted", "", ""]
 
 
@@ -226,7 +226,9 @@ def test_programs_that_are_kept_are_not_compiled_again_when_a_knob_is_measured_a
     def settings_run(worth):
         programs.clear()
         begun = clock.now
-        first, _ = in_turn(["kept", "quick"], measure, seconds=60.0, worth=worth, clock=clock)
+        first, _ = measure_in_turn(
+            ["kept", "quick"], measure, seconds=60.0, worth=worth, clock=clock
+        )
         assert clock.now - begun <= 1.1 * 60.0
         return len(first.trials)
 
@@ -236,13 +238,13 @@ def test_programs_that_are_kept_are_not_compiled_again_when_a_knob_is_measured_a
 def test_work_in_time_is_that_of_the_caller(monkeypatch):
     """Its result, its errors, its precision; and what is left behind ends."""
     monkeypatch.setattr(deadlines, "TICK", 1e-3)
-    assert in_time(lambda: 3, lambda: 1.0) == 3
+    assert run_within(lambda: 3, lambda: 1.0) == 3
     with pytest.raises(InputError, match="wrong"):
-        in_time(lambda: _raise(InputError("wrong")), lambda: 1.0)
+        run_within(lambda: _raise(InputError("wrong")), lambda: 1.0)
     before = bool(jax.config.jax_enable_x64)
     with jax.enable_x64(not before):
-        assert in_time(lambda: bool(jax.config.jax_enable_x64), lambda: 1.0) != before
-    assert in_time(lambda: bool(jax.config.jax_enable_x64), lambda: 1.0) == before
+        assert run_within(lambda: bool(jax.config.jax_enable_x64), lambda: 1.0) != before
+    assert run_within(lambda: bool(jax.config.jax_enable_x64), lambda: 1.0) == before
     may_end, ended, left = threading.Event(), threading.Event(), iter([1.0, 1.0, 0.0])
 
     def endless():
@@ -250,11 +252,11 @@ def test_work_in_time_is_that_of_the_caller(monkeypatch):
         ended.set()
 
     with pytest.raises(OutOfTime):
-        in_time(endless, lambda: next(left))
+        run_within(endless, lambda: next(left))
     assert not ended.is_set()
     may_end.set()
     ended.wait()
-    assert in_time(lambda: 4, lambda: 1.0) == 4
+    assert run_within(lambda: 4, lambda: 1.0) == 4
 
 
 def _raise(error):
@@ -353,7 +355,7 @@ def test_what_is_timed_beside_work_that_was_left_behind_says_so(monkeypatch, tmp
         "n: timed while what had been given up was still at work, so that times are too long: 1, 2."
     )
     assert said in notes([other])[-1]
-    assert said in as_dict(held, [other])["notes"][-1]
+    assert said in json_sheet(held, [other])["notes"][-1]
     write_page(tmp_path, held, [other], command="")
     assert said in (tmp_path / "accuracy.html").read_text()
     threading.Timer(0.05, may_end.set).start()

@@ -29,7 +29,7 @@ OTHER = words("""
 *.mean_of_samples.* *.IsotropicTable.azimuths *.measured.sample_directions.samples
 *.write_cornell.samples *.table_of_samples.samples *.path*.method *.shifted_lattice.*
 *.gauss_legendre.* *.read_mesh.dtype *.scipy_operator.dtype *.fixed_pattern.* *.read_out.*
-*.aperture_corners.dtype *.light_nodes.dtype *.pruned_for.tolerance *.capture.tolerance *.moments.*
+*.aperture_corners.dtype *.light_nodes.dtype *.prune_scene.tolerance *.capture.tolerance *.moments.*
 *.shot_noise.count.shot_noise *.compositing.flatten.layers *.tasks.workers.count
 *.register_extended.nodes *.register.moments *.demosaic_menon.refine *.nonlocal_means_filter.cutoff
 *.missing_light.depth *.missing_light.samples *.convolution.summed.method *.new_axes.polar

@@ -9,11 +9,11 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from jaxvision.accuracy import Knob, Problem, choose, combined, curve, relative_rms
-from jaxvision.accuracy.checks import checked, settled
 from jaxvision.accuracy.curves import HOLLOW
 from jaxvision.accuracy.fitted import fit_order
+from jaxvision.accuracy.norms import next_error
 from jaxvision.accuracy.records import Trial
-from jaxvision.accuracy.spread import next_error
+from jaxvision.accuracy.several import check_combination, combine_and_check
 from jaxvision.errors import InputError
 
 SHAPE = np.random.default_rng(0).uniform(0.5, 1.5, 400)
@@ -263,7 +263,9 @@ def both(*, offset=0.0):
 @pytest.mark.parametrize(("tolerance", "seconds"), [(0.15, None), (0.1, None), (None, 5.0)])
 def test_the_promise_after_the_check_holds_what_its_reference_is_off_by(tolerance, seconds):
     problem, curves, clock = both()
-    best, confirmed = settled(problem, curves, tolerance, seconds, seconds=1e9, clock=clock)
+    best, confirmed = combine_and_check(
+        problem, curves, tolerance, seconds, seconds=1e9, clock=clock
+    )
     assert confirmed
     assert best.error <= (tolerance or np.inf)
     compute = problem.prepare({**problem.settings, **best.settings})
@@ -275,11 +277,11 @@ def test_the_check_measures_the_time_where_factors_do_not_multiply():
     """Half a second that no knob changes: factors tell too little for few draws."""
     problem, curves, clock = both(offset=0.5)
     best = combined(curves, problem.settings, seconds=0.52)
-    check = checked(problem, curves, best, seconds=1e9, clock=clock)
+    check = check_combination(problem, curves, best, seconds=1e9, clock=clock)
     assert check is not None
     truth = 1e-4 * best.settings["a"] * best.settings["b"] + 0.5
     assert check.seconds == pytest.approx(truth, rel=1e-9)
-    found, _ = settled(problem, curves, None, 0.6, seconds=1e9, clock=clock)
+    found, _ = combine_and_check(problem, curves, None, 0.6, seconds=1e9, clock=clock)
     assert found.seconds == pytest.approx(
         1e-4 * found.settings["a"] * found.settings["b"] + 0.5, rel=1e-9
     )
@@ -297,4 +299,7 @@ def test_a_check_against_a_reference_no_better_than_the_settings_says_nothing():
         compute = plain({**settings, "a": min(settings["a"], 1)})
         return lambda seed: compute(seed) if seed >= 1_000_000 else plain(settings)(seed)
 
-    assert checked(replace(problem, prepare=prepare), noisy, best, seconds=1e9, clock=clock) is None
+    assert (
+        check_combination(replace(problem, prepare=prepare), noisy, best, seconds=1e9, clock=clock)
+        is None
+    )

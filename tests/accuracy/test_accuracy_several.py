@@ -12,11 +12,10 @@ from commands import called
 from scene_texts import BALL
 
 from jaxvision.accuracy import Knob, Problem, combined, curve, page, plot
-from jaxvision.accuracy.checks import checked, settled
 from jaxvision.accuracy.scene_settings import Chosen
 from jaxvision.accuracy.scenes import base_of, entry_of, knobs_of, scene_problem
-from jaxvision.accuracy.tables import as_dict, choice_in_words, notes, rows
-from jaxvision.accuracy.together import Together, all_together
+from jaxvision.accuracy.several import Together, all_together, check_combination, combine_and_check
+from jaxvision.accuracy.tables import choice_in_words, json_sheet, notes, rows
 from jaxvision.cli import app
 from jaxvision.errors import InputError
 from jaxvision.files.scenes import read_scene
@@ -98,10 +97,10 @@ def test_the_most_accurate_combination_in_a_time():
 def test_the_check_finds_what_a_combination_errs_by():
     problem, curves = measured()
     best = combined(curves, problem.settings, tolerance=0.05)
-    error, _ = checked(problem, curves, best, seconds=1e9)
+    error, _ = check_combination(problem, curves, best, seconds=1e9)
     truth = np.hypot(2.0 ** -best.settings["d"], best.settings["n"] ** -0.5)
     assert truth < error < 1.3 * truth
-    assert checked(problem, curves, best, seconds=1e-6) is None
+    assert check_combination(problem, curves, best, seconds=1e-6) is None
 
 
 def without_time_for(name):
@@ -130,7 +129,7 @@ def test_a_bias_without_time_stays_where_it_is_and_is_named():
     fresh = problem.prepare(best.settings)(10**7)
     assert np.sqrt(np.mean((fresh - (1 - 2.0**-4)) ** 2)) <= 0.2
     assert "d 4 (not known)" in rows(problem, curves)[-1][2]
-    check = checked(problem, curves, best, seconds=1e9)
+    check = check_combination(problem, curves, best, seconds=1e9)
     assert check is not None
     assert check.error < 1.3 * best.settings["n"] ** -0.5
     chosen = Chosen(None, None, 0.2, 1.0, False, best.settings, best.unknown)
@@ -161,9 +160,9 @@ def test_what_fresh_runs_find_beyond_the_tolerance_is_tightened_or_refused(beyon
     planted = replace(problem, prepare=prepare)
     if not met:
         with pytest.raises(InputError, match=r"fresh runs of the last ones are off by"):
-            settled(planted, curves, 0.1, None, seconds=1e9)
+            combine_and_check(planted, curves, 0.1, None, seconds=1e9)
         return
-    best, confirmed = settled(planted, curves, 0.1, None, seconds=1e9)
+    best, confirmed = combine_and_check(planted, curves, 0.1, None, seconds=1e9)
     assert confirmed
     assert np.hypot(2.0 ** -best.settings["d"] - beyond, best.settings["n"] ** -0.5) < best.error
     assert best.error <= 0.1
@@ -183,7 +182,7 @@ def test_the_table_says_settings_times_and_what_was_not_reached():
     assert together[0] == "all together"
     assert "n " in together[2]
     assert any("twice as fine" in note for note in notes(curves))
-    sheet = json.loads(json.dumps(as_dict(problem, curves), allow_nan=False))
+    sheet = json.loads(json.dumps(json_sheet(problem, curves), allow_nan=False))
     assert [knob["name"] for knob in sheet["knobs"]] == ["n", "d"]
     assert sheet["within"]["0.1 %"] is None
 
@@ -222,7 +221,7 @@ def test_settings_of_all_knobs_that_time_leaves_unchecked_say_so(seconds):
     assert not any(one.checked for one in found)
     cells = rows(problem, curves, together=found)[-1]
     assert cells[2].endswith("s (not checked)")
-    sheet = as_dict(problem, curves, together=found)
+    sheet = json_sheet(problem, curves, together=found)
     assert sheet["within"]["10 %"]["checked"] is False
     assert sheet["within"]["0.1 %"] is None
     assert "not checked, for want of time" in sheet["notes"][-1]

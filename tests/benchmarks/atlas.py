@@ -41,7 +41,7 @@ from jaxvision.accuracy.scene_settings import machine
 from jaxvision.accuracy.tables import rows
 from jaxvision.errors import InputError
 from jaxvision.files.scenes import read_scene
-from jaxvision.files.scenes.schema import overridden
+from jaxvision.files.scenes.schema import override_settings
 from jaxvision.render_command import with_resolution
 
 STYLE = (
@@ -120,7 +120,7 @@ _OF_FITS = {
 
 def _replaced(source, settings, side):
     view = with_resolution(source.view, (side, side))
-    return replace(source, render=overridden(source.render, settings), view=view)
+    return replace(source, render=override_settings(source.render, settings), view=view)
 
 
 def _of_scene(source, knob: str) -> Job:

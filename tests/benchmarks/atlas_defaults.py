@@ -15,7 +15,7 @@ from fitting.response.curve import fit_response_curve
 from jaxvision import Diffraction, PixelAperture, capture, optics, point_ops
 from jaxvision.accuracy import Curve
 from jaxvision.accuracy.records import Trial
-from jaxvision.accuracy.tables import in_percent
+from jaxvision.accuracy.tables import percent_text
 from jaxvision.brdf.measured import tabulate_sampler
 from jaxvision.files.scenes.schema import RenderEntry
 from jaxvision.filters import gaussian
@@ -90,9 +90,9 @@ def judged(curve: Curve, trial: Trial) -> str:
     taken = f"in {1e3 * trial.seconds:.3g} ms"
     own = curve.reference.error
     if trial.setting == curve.reference.setting and curve.reference.how != "exact setting":
-        known = in_percent(own) if np.isfinite(own) else "not known"
+        known = percent_text(own) if np.isfinite(own) else "not known"
         return f"the finest that time allowed, {taken}; its own error {known}"
-    said = f"{in_percent(trial.error)} {taken}"
+    said = f"{percent_text(trial.error)} {taken}"
     better = [
         other
         for other in curve.trials

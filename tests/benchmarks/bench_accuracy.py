@@ -35,9 +35,9 @@ CAMERA = """
 from functools import partial
 from jaxvision.accuracy import KNOBS, curve
 from jaxvision.accuracy.examples import example
-from jaxvision.accuracy.knobs_in_turn import in_turn
+from jaxvision.accuracy.knobs_in_turn import measure_in_turn
 begun = time.perf_counter()
-curves = in_turn(
+curves = measure_in_turn(
     ["lens samples", "motion moments"],
     lambda name, share: curve(example(name), KNOBS[name], seconds=share),
     seconds=seconds,

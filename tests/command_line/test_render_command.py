@@ -19,7 +19,7 @@ from jaxvision.cli import app
 from jaxvision.errors import InputError
 from jaxvision.files.images import read_image
 from jaxvision.files.scenes import read_scene
-from jaxvision.files.scenes.schema import overridden
+from jaxvision.files.scenes.schema import override_settings
 from jaxvision.render_command import job, pruning
 from jaxvision.render_command.tiles import PartialImage, PartialSum
 from jaxvision.rendering import PixelSamples, render
@@ -376,11 +376,11 @@ def test_another_integrator_has_its_own_samples_and_depth():
     """Those of a scene are meant for its own; what the command gives counts in any case."""
     own = read_scene("glass_and_mirror").render
     assert (own.integrator, own.samples, own.depth) == ("path", 128, 10)
-    same = overridden(own, {"integrator": "path", "samples": None})
+    same = override_settings(own, {"integrator": "path", "samples": None})
     assert (same.samples, same.depth) == (128, 10)
-    rays = overridden(own, {"integrator": "rays", "depth": None})
+    rays = override_settings(own, {"integrator": "rays", "depth": None})
     assert (rays.samples, rays.depth) == (1, 16)
-    assert overridden(own, {"integrator": "rays", "samples": 4, "seed": 3}).samples == 4
+    assert override_settings(own, {"integrator": "rays", "samples": 4, "seed": 3}).samples == 4
 
 
 def test_what_an_integrator_refuses_is_named_as_in_the_file(rendered, tmp_path):

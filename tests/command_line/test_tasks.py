@@ -29,7 +29,7 @@ from jaxvision.core import _local_workers
 from jaxvision.core._local_workers import replace_lost
 from jaxvision.errors import InputError
 from jaxvision.files.scenes import read_scene
-from jaxvision.files.scenes.schema import overridden
+from jaxvision.files.scenes.schema import override_settings
 from jaxvision.render_command import render_to_file
 
 distributed = pytest.importorskip("distributed")
@@ -326,7 +326,9 @@ def test_tasks_like_earlier_ones_compile_nothing(tmp_path, caplog, every):
             source = read_scene(tmp_path / "ball.toml")
             given = {"integrator": integrator, "samples": 2, "seed": seed}
             render_to_file(
-                source, tmp_path / f"{integrator}{seed}.exr", overridden(source.render, given)
+                source,
+                tmp_path / f"{integrator}{seed}.exr",
+                override_settings(source.render, given),
             )
         if folder is not None:
             noise.places(noise.CASES["5 levels"], seed)

@@ -75,10 +75,10 @@ def test_mistakes_are_one_sentence(scene, arguments, sentence):
 
 
 def test_the_place_is_that_of_the_tolerance(scene, monkeypatch):
-    def pruned_for(source, settings, goal, **asked):
+    def prune_scene(source, settings, goal, **asked):
         raise InputError(f"{goal.value:g} {goal.unit}, {goal.place:g} pixels.")
 
-    monkeypatch.setattr("jaxvision.render_command.pruned_for", pruned_for)
+    monkeypatch.setattr("jaxvision.render_command.prune_scene", prune_scene)
     status, _, said = run("effects", scene, "--tolerance", "1%", "--place", "0.37")
     assert status == 2
     assert "0.01 relative, 0.37 pixels" in said

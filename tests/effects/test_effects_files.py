@@ -16,8 +16,8 @@ from jaxvision.errors import InputError
 from jaxvision.files.images import read_image
 from jaxvision.files.scenes import SceneFile
 from jaxvision.files.scenes.schema import RenderEntry
-from jaxvision.render_command import pruned_for, render_to_file
-from jaxvision.render_command.pruning import left_of
+from jaxvision.render_command import prune_scene, render_to_file
+from jaxvision.render_command.pruning import pruned_scene
 from jaxvision.transport import light_traced
 
 SETTINGS = RenderEntry.model_validate({"dtype": "float64"})
@@ -43,9 +43,9 @@ def test_a_pruned_file_is_the_whole_one_within_its_certificate(seed, tmp_path):
     full = np.asarray(read_image(whole), float)
     if not full.max() > 0:
         with pytest.raises(InputError, match="is black; leave the tolerance out"):
-            pruned_for(source, SETTINGS, "1%")
+            prune_scene(source, SETTINGS, "1%")
         return
-    pruned = pruned_for(source, SETTINGS, "1%")
+    pruned = prune_scene(source, SETTINGS, "1%")
     render_to_file(source, less, SETTINGS, pruned=pruned)
     left, certificate = np.asarray(read_image(less), float), pruned.certificate
     level = certificate.level
@@ -69,7 +69,7 @@ def test_light_traced_from_a_point_is_kept_where_a_mirror_gathers_it():
     for integrator, kept in ("light", True), ("path", False):
         settings = RenderEntry.model_validate({"integrator": integrator, "depth": 3})
         source = SceneFile(Path("m.toml"), scene, view, settings, 1, None, *names)
-        pruned = pruned_for(source, settings, "1%", level=float(lit.max()))
+        pruned = prune_scene(source, settings, "1%", level=float(lit.max()))
         assert (len(pruned.scene.lights) == 1) == kept
 
 
@@ -77,7 +77,7 @@ def test_light_traced_from_a_point_is_kept_where_a_mirror_gathers_it():
 def test_paths_go_only_where_they_can_be_cut(integrator):
     """A solution of radiosity and a tree of rays take what they take."""
     settings = RenderEntry.model_validate({"integrator": integrator})
-    pruned = pruned_for(scene_file(3), settings, "50%", level=1e6)
+    pruned = prune_scene(scene_file(3), settings, "50%", level=1e6)
     cut = integrator in ("path", "light")
     (row,) = (
         (e for e in pruned.certificate.dropped if e.name == "bounces")
@@ -85,7 +85,7 @@ def test_paths_go_only_where_they_can_be_cut(integrator):
         else (e for e in pruned.certificate.kept if e.name == "bounces")
     )
     assert (row.saves > 0) == cut
-    assert (left_of(scene_file(3), settings, pruned)[1].depth < settings.depth) == cut
+    assert (pruned_scene(scene_file(3), settings, pruned)[1].depth < settings.depth) == cut
 
 
 @pytest.mark.slow
@@ -93,7 +93,7 @@ def test_a_pruned_picture_is_not_resumed_as_a_whole_one(tmp_path):
     """The part of a killed render is kept only for the same certificate."""
     source, out = scene_file(41), tmp_path / "out.exr"
     settings = SETTINGS.model_copy(update={"tile": 100})
-    pruned = pruned_for(source, settings, "5%")
+    pruned = prune_scene(source, settings, "5%")
 
     def killed(done, total):
         if done == 1:

@@ -21,7 +21,6 @@ from ...rendering.hemisphere_integral import hemisphere_radiance, sampled_radian
 from ...spectra import integrate_spectrum
 from ...transport import Paths, path_traced
 from ...transport.radiosity import (
-    Plan,
     form_factor_table,
     plan_patches,
     polygon_to_polygon,
@@ -55,12 +54,9 @@ def _paths(method: Callable[[Any], Paths], knob: str) -> Problem:
     return Problem("Cornell box, 16 paths a pixel", prepare)
 
 
-def _plan() -> Plan:
-    return plan_patches(_box().scene, size=PATCH)
-
-
 def _form_factors() -> Problem:
-    scene, plan = _box().scene, _plan()
+    scene = _box().scene
+    plan = plan_patches(scene, size=PATCH)
 
     def prepare(settings: Mapping[str, Any]) -> Compute:
         rays = settings["form factor rays"]

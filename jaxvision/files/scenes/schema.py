@@ -99,13 +99,9 @@ def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]
     ]
 
 
-def overridden(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:
-    """Settings of a file with the given ones (not None) in their place; `InputError` for the first
-    that is out of range or belongs to another integrator.
-
-    Samples and depth belong to the integrator next to which they were written. Another integrator
-    uses its own defaults.
-    """
+def override_settings(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:
+    """Settings of a file with the given ones (not None) in their place; samples and depth hold for
+    the file's integrator only. `InputError` for a wrong value, or one of another integrator."""
     given = {name: value for name, value in given.items() if value is not None}
     kept = settings.model_dump()
     if given.get("integrator", settings.integrator) != settings.integrator:
