@@ -135,10 +135,7 @@ def meant(word: str, known: Iterable[str]) -> tuple[str, ...]:
 
 
 def places(word: str, offered: Iterable[str]) -> str:
-    """The public names and arguments for a textbook's word; empty for another word.
-
-    `offered` are the names of `jaxvision` itself.
-    """
+    """The names among `offered` and the arguments for a textbook's word; empty for another word."""
     names = set(offered)
     found = [
         f"{'fitting' if name.split('.')[0] in _OF_FITTING else 'jaxvision'}.{name}"

@@ -12,18 +12,7 @@ DISTRIBUTION = "jaxvision-imaging"  # in package indices, where `jaxvision` is a
 
 
 def install(extra: str) -> str:
-    """Return the command that installs the dependencies of an optional feature.
-
-    Args:
-        extra: optional dependency of the distribution.
-
-    Returns:
-        The installation command.
-
-    Example:
-        >>> print(jv.errors.install("mesh"))
-        pip install 'jaxvision-imaging[mesh]'
-    """
+    """Return the command that installs an optional feature's dependencies."""
     return f"pip install '{DISTRIBUTION}[{extra}]'"
 
 
@@ -49,22 +38,8 @@ class InputError(ValueError):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Hint after an unknown word: the known name for a textbook's word, the nearest known word, or
-    all of them.
-
-    Args:
-        word: the unknown word.
-        known: the valid words.
-
-    Returns:
-        Part of a sentence.
-
-    Example:
-        >>> jv.errors.nearest("lambart", ["lambert", "phong"])
-        "the nearest is 'lambert'"
-        >>> jv.errors.nearest("k_d", ["diffuse", "specular"])
-        "here it is 'diffuse'"
-    """
+    """Hint after an unknown word: the name for a textbook's word, the nearest of `known`, or all of
+    them."""
     words = sorted(known)
     if not words:
         return "there are none"
@@ -78,14 +53,8 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def check_utf8(path: str | Path) -> None:
-    """Check a path, because libraries for images, reports and rigs need text.
-
-    Args:
-        path: of a file, which need not exist.
-
-    Raises:
-        InputError: for bytes that are not UTF-8.
-    """
+    """`InputError` for a path of bytes that are not UTF-8, which libraries for images and reports
+    need."""
     try:
         str(path).encode()
     except UnicodeEncodeError:
@@ -93,18 +62,7 @@ def check_utf8(path: str | Path) -> None:
 
 
 def unwritable(error: OSError) -> str:
-    """Return the system's reason why a file cannot be written, and a remedy.
-
-    Args:
-        error: from the operating system.
-
-    Returns:
-        End of a sentence, without its full stop.
-
-    Example:
-        >>> jv.errors.unwritable(OSError(28, "No space left on device"))
-        'No space left on device; make room or choose another path'
-    """
+    """Return the system's reason why a file cannot be written, and a remedy."""
     said = error.strerror or str(error)
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{said}; make room or choose another path"
@@ -112,17 +70,8 @@ def unwritable(error: OSError) -> str:
 
 
 def plain_text(file: Path) -> str:
-    """The content of a UTF-8 text file, with or without a byte order mark.
-
-    Args:
-        file: that exists.
-
-    Returns:
-        The text, with lines separated by newlines.
-
-    Raises:
-        InputError: for UTF-16 and UTF-32, and for a byte that is not UTF-8, as in Latin-1.
-    """
+    """The content of a text file, with newlines and without byte order mark; `InputError` unless it
+    is UTF-8."""
     try:
         text = file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:

@@ -47,9 +47,8 @@ _keeps_whole = False  # unless a command asks: a library's user may change what 
 
 
 def on_processor() -> bool:
-    """Whether programs are now traced for a processor and not for an accelerator, from
-    `jax.default_device` or else the devices that JAX found. The place of the arguments is not known
-    during tracing."""
+    """Whether programs are now traced for a processor: by `jax.default_device`, else by the devices
+    that JAX found."""
     import jax  # here: what else this module does comes before JAX's first use
 
     device = getattr(jax.config, "jax_default_device", None)
@@ -57,10 +56,8 @@ def on_processor() -> bool:
 
 
 def quick_options() -> Options:
-    """XLA's options for programs that run once and take most of their time to compile: no
-    optimisation, and the older emitters if this XLA still has them. Fits of 470,000 samples run a
-    fifth longer with them. They are empty for an untested version, and with an accelerator's
-    plugin."""
+    """XLA's options for programs that run once and take longer to compile: no optimisation, and the
+    older emitters; none for an untested version or an accelerator's plugin."""
     if not _is_tried():
         return {}
     older = version("jaxlib").startswith(_HAVE_OLDER_EMITTERS)
@@ -116,9 +113,8 @@ def thoroughly() -> Options | None:
 
 
 def keep_programs() -> None:
-    """Keep compiled programs for the next run in the user's cache folder, unless
-    JAX_COMPILATION_CACHE_DIR names another folder or is empty. If the folder is not writable,
-    nothing is kept."""
+    """Keep compiled programs in the user's cache folder, if it is writable and
+    JAX_COMPILATION_CACHE_DIR neither names another nor is empty."""
     global _keeps_whole
     _keeps_whole = True
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
@@ -182,9 +178,8 @@ def source_digest() -> str:
 
 
 def kept_whole(function: Any, about: str) -> Callable[..., Any]:
-    """`function`, a `jax.jit` of arrays and of this distribution's records, whose compiled program
-    the next run of a command reads without tracing; `about` says all else that the program depends
-    on. The result is made of tuples and arrays. Where nothing is kept it is the function itself."""
+    """`function`, a `jax.jit` of arrays and this distribution's records, whose compiled program the
+    next run reads without tracing; `about` is all else on which it depends."""
     import jax
 
     programs: dict[str, Callable[..., Any]] = {}

@@ -102,20 +102,9 @@ def _answers(client: "Client", wanted: Mapping[str, Any]) -> dict[str, Any]:
 
 @contextmanager
 def workers(count: int, *, scheduler: str = "") -> Iterator[None]:
-    """Context in which independent tasks run on processes of this machine or on a running cluster;
-    with neither, in sequence in this process.
-
-    Args:
-        count: number of processes, each of one thread; 0 for none.
-        scheduler: address such as "tcp://10.0.0.1:8786", or "".
-
-    Returns:
-        A context manager.
-
-    Raises:
-        InputError: if both are given, Dask is not installed, no scheduler answers, or the machine
-            has too little memory for the processes.
-    """
+    """Context in which tasks run on `count` processes of this machine or on the cluster at
+    `scheduler` ("tcp://10.0.0.1:8786"); in this process with neither. `InputError` for both,
+    without Dask, a scheduler or enough memory."""
     if count and scheduler:
         raise InputError("--workers and --scheduler exclude each other; give one.")
     if not (count or scheduler):
@@ -148,27 +137,9 @@ def in_order(
     *,
     memory: float = 0.0,
 ) -> Iterator[Result]:
-    """Results of independent tasks in order, computed on the workers of `cluster` or here.
-
-    Args:
-        function: of a module, from the shared data and one item to a result; its exceptions are
-            raised here.
-        shared: data for all tasks, which are sent to each worker once.
-        items: one for each task.
-        memory: approximate memory of a worker for the largest task, `PROGRAMS` plus that of the
-            task, bytes; 0 where it is unknown.
-
-    Returns:
-        The results, in order, each as soon as it and all before it are ready.
-
-    Raises:
-        InputError: before any work, for a worker of another version or with too little memory;
-            later, for a task during which too many workers were lost.
-
-    Example:
-        >>> list(jv.tasks.in_order(pow, 2, range(4)))
-        [1, 2, 4, 8]
-    """
+    """Yield `function(shared, item)` for each item, in order, on the workers of `cluster` or here.
+    `memory`: bytes of a worker for the largest task, or 0. `InputError` for a worker of another
+    version or with too little memory, and for a task that lost too many."""
     client = _client.get()
     if client is None:
         for item in items:
@@ -296,9 +267,8 @@ def _awaited(client: "Client", future: "Future") -> Any:
 
 
 class _Bundles:
-    """Items in bundles of about `BUNDLE` seconds, so that Dask's cost per task, some ms, is spread
-    over many. A size at most doubles from one measurement to the next. The last bundles are small,
-    so that no worker waits long for another."""
+    """Items in bundles of about `BUNDLE` seconds, over which Dask's cost per task is spread; a size
+    at most doubles, and the last bundles are small."""
 
     def __init__(self, items: Iterable[Any], threads: int) -> None:
         self._left, self._threads = deque(items), max(threads, 1)

@@ -74,10 +74,8 @@ def bilinear(table: Float[Array, "p t rows columns *rest"], at: Slices, position
 
 
 def _last_below(count: int, cdf: Callable[[Int[Array, ""]], Scalar], target: Scalar) -> Array:
-    """The largest i in [0, count - 2] with cdf(i) <= target, or 0, by bisection.
-
-    It is a loop that is not unrolled, because XLA would recompute each step inside every later one.
-    """
+    """The largest i in [0, count - 2] with cdf(i) <= target, or 0, by bisection; its loop is not
+    unrolled, for XLA would repeat each step in all later ones."""
 
     def halve(_: Int[Array, ""], bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket

@@ -133,8 +133,8 @@ def _through(material: Coated, w: Vec) -> Colour:
 
 def _returned(material: Coated) -> Colour:
     """R, (bands,) or (1,), no unit: the integral of 2 c exp(-2 tau / c) r(c) over the cosine c
-    inside. r is 1 beyond the critical angle, and the interface's reflectance elsewhere. There
-    c dc = c_o dc_o / eta^2 with the cosine c_o outside."""
+    inside, with r = 1 beyond the critical angle; elsewhere c dc = c_o dc_o / eta^2 with the cosine
+    c_o outside."""
     eta = material.interface.eta
     critical = safe_sqrt((eta - 1) * (eta + 1)) / eta
 

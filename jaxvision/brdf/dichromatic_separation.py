@@ -149,15 +149,10 @@ def separate(
 def body_colour(
     image: Pixels, illuminant: Colour, *, valid: Mask | None = None, quantile: float = 0.02
 ) -> Colour:
-    """The colour of a material, (bands,) of length 1, no unit, from a linear picture in which some
-    of it has no highlight; `quantile` lies in (0, 1).
-
-    Without its component along the illuminant, each pixel is m_b times one direction, which is the
-    main direction of the valid pixels. The body's own component along the illuminant is the
-    smallest ratio of the two components. It is taken at a quantile of the pixels, weighted by m_b,
-    so that it is robust to noise and outliers. Pixels along the illuminant (a neutral body) give
-    the illuminant.
-    """
+    """The colour of a material, (bands,) of length 1, no unit, from a linear picture partly without
+    highlight: the main direction of pixels less the illuminant's component, plus the smallest ratio
+    of both components, the `quantile` in (0, 1) weighted by the first. A neutral body gives the
+    illuminant."""
     c_i = _unit(illuminant)
     used = image if valid is None else jnp.where(valid[..., None], image, 0)
     image = image / magnitude(used, axis=None)
@@ -181,12 +176,9 @@ def body_colour(
 
 @takes_numbers
 def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, Colour]:
-    """The unit normal, (3,), of the dichromatic plane of one material in a linear picture, and the
-    root mean squares, (3,), of the pixels along their main axes, ascending, in the picture's unit.
-
-    For a plane the first is at the noise level and the second above it. If the second is at the
-    noise level too, the colours lie on a line and the normal is meaningless.
-    """
+    """The unit normal, (3,), of a material's dichromatic plane in a linear picture, and the root
+    mean squares along the main axes, (3,), ascending, in its unit; if the second is noise too, the
+    colours lie on a line."""
     check_shape("one pixel", image[(0,) * (image.ndim - 1)], (3,))
     pixels = image.reshape(-1, 3)
     weight = jnp.ones_like(pixels[:, 0]) if valid is None else valid.reshape(-1).astype(image.dtype)
@@ -197,12 +189,9 @@ def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, C
 
 @takes_numbers
 def illuminant_from_planes(normals: Float[Array, "planes 3"]) -> tuple[Colour, Scalar]:
-    """The colour that all planes share, (3,) of length 1 and sum > 0, relative, and a measure () in
-    [0, 1] of how well the planes determine it; 0 if they coincide.
-
-    `normals`: (planes, 3) unit, of at least two materials under one light. Source: Lee (1986), by
-    least squares: the direction that minimises the sum of (normal . c)^2.
-    """
+    """The colour that planes of `normals`, (planes, 3) unit, share, (3,) of length 1 and sum > 0,
+    relative, by least squares (Lee 1986), and a measure () in [0, 1] of how well they determine
+    it."""
     moments = normals.T @ normals
     sizes, axes = _eigh(moments)
     colour = axes[:, 0]

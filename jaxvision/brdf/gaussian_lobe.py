@@ -182,12 +182,9 @@ def _lobe_between(axis: Vector, w: Vector, concentration: Scalar) -> Scalar:
 
 
 def squared_angle_between(u: Vector, v: Vector) -> Scalar:
-    """Square of the angle between unit vectors, () in [0, pi^2] rad^2, within a few ULP.
-
-    Up to a right angle it is a series in the squared chord |u - v|^2, and beyond in |u + v|^2, the
-    chord of the supplementary angle. It takes no arccos or root of small angles, which would lose
-    precision and gradients.
-    """
+    """Square of the angle between unit vectors, () in [0, pi^2] rad^2, within a few ULP: a series
+    in the squared chord |u - v|^2, and beyond a right angle in |u + v|^2, without the roots that
+    lose digits."""
     apart, together = u - v, u + v
     chord, other = dot(apart, apart), dot(together, together)
     coefficients = _SQUARED_ANGLE_OVER_CHORD[8 if chord.dtype == jnp.float64 else 4][::-1]
@@ -196,9 +193,8 @@ def squared_angle_between(u: Vector, v: Vector) -> Scalar:
 
 
 def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar, Scalar]:
-    """Integrals of exp(-(c_s alpha)^2), c_s in rad^-1, without and with cos(theta_i), over the
-    directions above the horizon, () each in sr. Quadrature over 6 widths of the lobe is accurate to
-    1e-10."""
+    """Integrals of exp(-(c_s alpha)^2), c_s in rad^-1, without and with cos(theta_i), over
+    directions above the horizon, () each in sr, to 1e-10."""
     width = 6 / divisor(jnp.abs(concentration))
     return lobe_integrals(
         lambda alpha: gaussian_lobe(alpha, concentration), cos_axis, width=width, end=np.pi

@@ -213,12 +213,8 @@ Table = TypeVar("Table", bound=Material)
 def tabulate_sampler(
     material: Table, *, thetas: int = 16, phis: int = 1, rows: int = 33, columns: int = 91
 ) -> Table:
-    """A table with a sampler of its own lobes. The sampler is tabulated, in rad, at static numbers
-    of elevations and azimuths of `wo` and of half vectors (rows, columns).
-
-    `sample` then draws in proportion to the reflected light, averaged over the bands. Without the
-    sampler, draws follow the cosine.
-    """
+    """A table with a sampler of its lobes' mean over bands, tabulated at static numbers of angles,
+    rad, of `wo` and of half vectors (rows, columns); without it, `sample` follows the cosine."""
     dtype = jnp.result_type(*jax.tree.leaves(material))
     theta = jnp.linspace(0, 0.999 * jnp.pi / 2, thetas, dtype=dtype)
     phi = jnp.linspace(-jnp.pi, jnp.pi, phis, dtype=dtype) if phis > 1 else jnp.zeros(1, dtype)

@@ -136,11 +136,9 @@ def visibility(
 
 
 def sample_facet(wo: Direction, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
-    """The unit normal of a GGX facet that is visible from `wo`, from two uniform numbers in [0, 1).
-
-    It also serves Beckmann facets: with the same alpha, D_beckmann / D_ggx <= 4 / e. Source: Heitz,
-    "Sampling the GGX Distribution of Visible Normals", JCGT 7(4) (2018).
-    """
+    """The unit normal of a GGX facet visible from `wo` by two uniform numbers in [0, 1) (Heitz,
+    JCGT 7(4) (2018)); it serves Beckmann facets too, D_beckmann / D_ggx <= 4 / e for the same
+    alpha."""
     v, a = as_vec(wo), clamped_roughness(alpha)
     view = as_vec(normalize(Vec(v.x * a[0], v.y * a[1], v.z)))
     sine = safe_sqrt(view.x * view.x + view.y * view.y)

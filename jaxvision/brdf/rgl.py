@@ -106,11 +106,8 @@ def rgl_material(
     scaled: bool = True,
     symmetry: int = 1,
 ) -> RGL:
-    """Make the record from the tables of a file, with densities that are not normalised.
-
-    Arguments as in `RGL`, angles in rad; `vndf` and `luminance` are densities over the unit
-    square.
-    """
+    """Make the record from a file's tables, angles in rad, with `vndf` and `luminance` as densities
+    over the unit square that are not normalised."""
     return RGL(
         theta,
         phi,

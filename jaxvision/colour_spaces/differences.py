@@ -95,13 +95,10 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
 def _hue_difference(
     roots: tuple[Scalars, Scalars], towards: Vec, change: tuple[Scalars, Scalars], turn: Scalars
 ) -> Scalars:
-    """2 sqrt(c1 c2) sin(turn / 2) of two colours, in units of chroma. It is computed from the roots
-    of their chromas, the unit vector of the first's (a, b), the `change` of (a, b) to the second,
-    and the hue difference `turn`, rad, within half a circle.
-
-    With k = c1 c2 sin(turn) it is k / (sqrt(c1 c2) cos(turn / 2)), which is accurate at small
-    angles.
-    """
+    """2 sqrt(c1 c2) sin(turn / 2) of two colours, in units of chroma, from the roots of their
+    chromas and the hue difference `turn`, rad, within half a circle; at small angles k / (sqrt(c1
+    c2) cos(turn / 2)), with k = c1 c2 sin(turn) from the unit vector of the first's (a, b) and the
+    `change` of (a, b)."""
     (root1, root2), (d_a, d_b) = roots, change
     near = jnp.abs(turn) < 0.5
     small = root1 / root2 * (towards.x * d_b - towards.y * d_a)

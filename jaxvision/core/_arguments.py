@@ -88,7 +88,8 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
             value = values[name]
             if isinstance(value, jax.Array | np.ndarray):
                 _check(function, name, value, want)
-            elif not (_has_numbers(value) or (value is None and want.may_be_absent)):
+            numeric = isinstance(value, int | float | eqx.Module) or hasattr(value, "dtype")
+            if not numeric and (value is not None or not want.may_be_absent):
                 raise _no_numbers(function, name, value)
         for name, absent in _keys(function).items():
             if name in values:
@@ -140,11 +141,6 @@ def _is_plain(value: Any, want: _Wanted) -> bool:
     if isinstance(value, np.ndarray | np.generic):
         return value.dtype.kind != "u" or no_codes
     return isinstance(value, jax.Array) and value.dtype.kind in ("ibu" if no_codes else "ib")
-
-
-def _has_numbers(value: Any) -> bool:
-    """Whether the value is a number, a record, or array-like."""
-    return isinstance(value, int | float | eqx.Module) or hasattr(value, "dtype")
 
 
 @cache

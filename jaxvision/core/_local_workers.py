@@ -24,9 +24,8 @@ STARTS = 3  # of all workers, where one is lost before it is there
 
 @contextmanager
 def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
-    """A client of processes of this machine. Each has one thread, also inside XLA and BLAS, and
-    keeps its compiled programs where this process does. `memory`: bytes that each needs at
-    least."""
+    """A client of processes of this machine, of one thread each, that share this process's compiled
+    programs and need `memory` bytes each."""
     from dask import config
     from distributed import Client
     from distributed.system import MEMORY_LIMIT
@@ -45,8 +44,10 @@ def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
         "OPENBLAS_NUM_THREADS": "1",
         "MKL_NUM_THREADS": "1",
     }
+    # results, and the place of compiled programs
+    jax_variables = {k: v for k, v in os.environ.items() if k.startswith(("JAX_", "XLA_"))}
     options = {
-        "distributed.nanny.pre-spawn-environ": single | _jax_environment(),
+        "distributed.nanny.pre-spawn-environ": single | jax_variables,
         "distributed.scheduler.allowed-failures": LOSSES,
         "distributed.deploy.lost-worker-timeout": f"{LOOK} s",
         # Samples of a stack as deep as JAX's fill the memory of a worker for an hour.
@@ -76,11 +77,6 @@ def _started(count: int) -> "LocalCluster":
         except RuntimeError as error:
             lost = error
     raise InputError(f"{count} workers could not be started ({lost}).") from lost
-
-
-def _jax_environment() -> dict[str, str]:
-    """Environment variables that affect JAX's results and the place of its compiled programs."""
-    return {name: text for name, text in os.environ.items() if name.startswith(("JAX_", "XLA_"))}
 
 
 def replace_lost(client: "Client") -> None:

@@ -140,11 +140,8 @@ def exp2(x: Scalars) -> Scalars:
 
 @jax.custom_jvp
 def times_exp2(value: Scalars, x: Scalars) -> Scalars:
-    """value 2^x, with 2^x within one ULP and exact at whole x. The error of XLA's own function is
-    |x| / 2 ULP, and 2^x alone may overflow or underflow.
-
-    Infinite above the range of the dtype and 0 below it.
-    """
+    """value 2^x, with 2^x within one ULP, where XLA's own errs by |x| / 2 ULP; infinite above the
+    range of the dtype, 0 below it."""
     whole, bias, digits = _format(x)
     limited = jnp.clip(x, -3 * (bias - 1), 3 * (bias - 1))
     steps = jnp.round(limited)
@@ -184,9 +181,8 @@ class Decay(NamedTuple):
 
 
 def decay(x: Scalars, rest: Scalars) -> Decay:
-    """The parts of the exponential of -(x + rest), x >= 0 and rest far smaller, no units, to 1e-9
-    for float32 and 1e-17 for float64; `left` is 0 where exp(-x) is below the smallest number to the
-    power 3/2."""
+    """The parts of exp(-(x + rest)), x >= 0 and rest far smaller, no units, to 1e-9 in float32 and
+    1e-17 in float64; `left` is 0 below the smallest number to the power 3/2."""
     whole, bias, digits, terms, ln_2, ln_2_rest = _FORMAT[x.dtype.itemsize]
     half = bias // 2  # below the half of the range even the rests keep their digits
     most = half + bias - 1

@@ -33,11 +33,8 @@ def seed_of(key: Key) -> UInt32[Array, "2"]:
 
 
 def uniforms(stream: Stream, block: Word | int, dtype: DTypeLike) -> Float[Array, "4"]:
-    """Four independent numbers, (4,) uniform in [0, 1): those of dimensions 4 `block` to
-    4 `block` + 3.
-
-    They lie on a grid of 2^-24 in float32 and of 2^-32 in wider types.
-    """
+    """Four independent numbers of dimensions 4 `block` to 4 `block` + 3, (4,) uniform in [0, 1) on
+    a grid of 2^-24 in float32, else of 2^-32."""
     words = _words(stream, stream.sample, block)
     return jnp.stack([_unit(word, dtype) for word in words])
 

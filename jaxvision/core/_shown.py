@@ -23,9 +23,8 @@ SHORT = 12  # numbers of an array that are printed one by one
 
 
 class Shown(eqx.Module):
-    """A record that prints its numbers; an array of more than a few prints as its shape and range.
-    Fields that are None are not printed. `str` and `print` add the units that its docstring states.
-    An unknown field raises `TypeError` with the nearest one."""
+    """A record that prints its numbers, with units by `str`, long arrays as shape and range,
+    without fields that are None; an unknown field raises `TypeError` with the nearest one."""
 
     def __new__(cls, *args: Any, **given: Any):  # `Self`, which checkers of types infer
         for name in given:

@@ -34,9 +34,8 @@ class _OneOf(type):
 
 
 def print_by_name(aliases: dict[str, Any], *names: str) -> None:
-    """Make each alias of array types or records a class of that name, so that signatures, `help`
-    and type errors show `Scalar` instead of its definition. `aliases`: the `globals()` of its
-    module."""
+    """Make each alias of array types or records in `aliases`, a module's `globals()`, a class of
+    that name, which signatures and type errors then show."""
     module = aliases["__name__"].partition(".")[0]
     for name in names:
         alias = aliases[name]
@@ -178,11 +177,8 @@ def as_optional_float(x: Any) -> Array | None:
 
 
 def as_relative(x: Any) -> Array:
-    """An array of colours or coverage in its own floating dtype. Relative values are fractions,
-    which as codes would wrap around or round to 0.
-
-    `ValueError` for any other, codes and complex numbers alike.
-    """
+    """An array of colours or coverage in its own floating dtype; `ValueError` for codes and complex
+    numbers, which as fractions would wrap or round to 0."""
     array = _as_numbers(x)
     if not jnp.issubdtype(array.dtype, jnp.floating):
         codes = jnp.issubdtype(array.dtype, jnp.unsignedinteger)
@@ -246,11 +242,8 @@ def axes_of(alias: Any) -> tuple[int | str, ...]:
 
 
 def check_shape(name: str, x: Any, *expected: tuple[int | str, ...], advice: str = "") -> None:
-    """Raises `ValueError` unless `x` has one of the expected shapes; a word stands for any length.
-    A first `...` or `*word` stands for any axes. `advice` ends the sentence.
-
-    None, an absent effect, has no shape to check.
-    """
+    """`ValueError`, ending in `advice`, unless `x` is None or of an expected shape: a word is any
+    length, a first `...` or `*word` any axes."""
     if x is None:
         return
     shape = jnp.shape(x)
@@ -287,16 +280,14 @@ def check_given(name: str, value: Any, *kinds: type | UnionType) -> None:
     if isinstance(value, known):
         return
     wanted = " or ".join(kind.__name__ for kind in known)
-    is_class = isinstance(value, type)
-    kind = f"the class {value.__name__}" if is_class else _with_article(type(value).__name__)
+    noun = type(value).__name__
+    kind = f"{'an' if noun[0] in 'AEIOaeio' else 'a'} {noun}"
+    if isinstance(value, type):
+        kind = f"the class {value.__name__}"
     if isinstance(value, jax.Array | np.ndarray):
         kind = "an array"
     got = repr(value) if value is None or np.isscalar(value) else kind
     raise ValueError(f"{name} must be a record, {wanted}, got {got}.")
-
-
-def _with_article(noun: str) -> str:
-    return f"{'an' if noun[0] in 'AEIOaeio' else 'a'} {noun}"
 
 
 def check_key(name: str, value: Any, *, several: bool = True, absent: bool = True) -> None:
@@ -363,9 +354,8 @@ def as_tile(pattern: Any) -> Any:
 def check_tile(
     name: str, pattern: Any, *, bands: int | None = None, holder: str = "the picture"
 ) -> None:
-    """Check that `pattern` has rows of one length, which tile the plane, and contains each band
-    from 0 to its largest. `bands`: the number of bands of `holder`, which must be the same. Raises
-    `ValueError` otherwise."""
+    """`ValueError` unless the rows of `pattern` have one length and contain each band from 0 to the
+    largest, `bands` of them for `holder`."""
     if not isinstance(pattern, tuple) or not all(
         isinstance(row, tuple) and all(isinstance(cell, int | np.integer) for cell in row)
         for row in pattern
@@ -457,10 +447,8 @@ SHARE = Range(0, 1, nan=True)
 
 
 def check_fields(record: Any, **ranges: Range) -> None:
-    """Check that the fields of a record are as annotated: arrays of their shape, with one size for
-    an axis name throughout the record, and records of their kind. `ranges` gives the allowed
-    numbers of a field, by name. Nested records have their own check, and fields of other types,
-    such as static ones, are not checked. Raises `ValueError` otherwise."""
+    """`ValueError` unless the arrays of a record have their annotated shapes, with one size for an
+    axis name, lie in `ranges` (by field), and its records are of their kind."""
     sizes: dict[int | str, int] = {}
     kind = type(record).__name__
     for name, (shapes, kinds) in _annotated(type(record)).items():

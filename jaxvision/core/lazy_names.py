@@ -16,12 +16,8 @@ Attached = tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]
 
 
 def names_of(package: str, file: str) -> Attached:
-    """`__getattr__`, `__dir__` and `__all__` of a package, from its `__name__` and `__file__`, next
-    to which its stub lies. Each listed name is loaded at first use.
-
-    For an unlisted name, `__getattr__` raises an `AttributeError` that says where the name is
-    inside the package, or gives the nearest name.
-    """
+    """`__getattr__`, `__dir__` and `__all__` of a package by its stub: names load at first use, and
+    an unlisted one raises an `AttributeError` that says where it is, or the nearest."""
     load, listed, offered = lazy_loader.attach_stub(package, file)
 
     def attribute(name: str) -> Any:

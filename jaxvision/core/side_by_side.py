@@ -42,12 +42,8 @@ def _double() -> bool:
 def side_by_side(
     pieces: Sequence[Callable[[], T]], *, progress: Callable[[int, int], None] | None = None
 ) -> list[T]:
-    """The results of pieces of work, in order, with as many running at a time as there are cores.
-    No piece may wait for another, and `progress` is called with (finished pieces, all pieces).
-
-    The first exception of a piece is raised at once. Pieces that have not begun are not run, and
-    the results of running pieces are ignored.
-    """
+    """The results of independent pieces of work, in order, as many at a time as there are cores;
+    the first exception is raised at once, and `progress(finished, all)` is called."""
     threads = ThreadPoolExecutor(min(cores(), len(pieces)) or 1)
     waiting = [threads.submit(for_any_thread(piece)) for piece in pieces]
     try:

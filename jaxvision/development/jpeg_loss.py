@@ -250,9 +250,8 @@ def _doubled(plane: Plane, whole: bool) -> Other:
 
 
 def _coded(plane: Plane, table: Table, whole: bool) -> Plane:
-    """The codes of a plane from its rounded coefficients. It transforms rows, then columns, and
-    back in reverse, with libjpeg's intermediate whole numbers (jfdctint.c, jcdctmgr.c,
-    jidctint.c)."""
+    """The codes of a plane from its rounded coefficients, with libjpeg's intermediate whole numbers
+    (jfdctint.c, jcdctmgr.c, jidctint.c)."""
     height, width = plane.shape
     full = jnp.pad(plane - 128, ((0, -height % 8), (0, -width % 8)), mode="edge")
     along = materialise(lambda x: _pass(x.T, _COSINES, 11, whole), full)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ._plain_content import damaged
 
 NETPBM_FORMATS = (".pgm", ".ppm", ".pbm", ".pnm", ".pfm")
 _TOKEN = re.compile(rb"(?:\s|#[^\n\r]*[\n\r])*([^\s#]+)")
@@ -58,25 +59,23 @@ def netpbm_head(file: Path, data: bytes | None = None) -> NetpbmHead:
     while len(words) < (2 if magic in _BITMAPS else 3):
         token = _TOKEN.match(data, at)
         if token is None or len(token[1]) > _LONGEST_WORD:
-            raise _damaged(file, "its head is no list of numbers")
+            raise damaged(file, "its head is no list of numbers")
         words.append(token[1])
         at = token.end()
     try:
         columns, rows = int(words[0]), int(words[1])
         largest = 1 if magic in _BITMAPS else float(words[2])
     except ValueError:
-        raise _damaged(file, "its head is no list of numbers") from None
+        raise damaged(file, "its head is no list of numbers") from None
     whole = largest == int(largest) and 1 <= largest <= 65535 if np.isfinite(largest) else False
     if columns < 1 or rows < 1 or not (whole or (magic in _FLOATS and largest)):
-        raise _damaged(file, f"its head says {columns} x {rows} and a largest code {largest:g}")
+        raise damaged(file, f"its head says {columns} x {rows} and a largest code {largest:g}")
     return NetpbmHead(magic, columns, rows, largest, at + 1)  # one white space ends the head
 
 
 def read_netpbm(file: Path) -> np.ndarray:
-    """Read the samples of a Netpbm file, (h, w) or (h, w, 3). They are uint8 if the largest code is
-    below 256, else uint16. A bitmap has 1 for white and 0 for black. A PFM gives float32 with the
-    first row at the top. Raises `InputError` for a file that is damaged, truncated or not
-    Netpbm."""
+    """Read the codes, (h, w) or (h, w, 3), of a Netpbm file: uint8 or uint16, 1 for the white of a
+    bitmap, float32 for a PFM; `InputError` for a damaged or other file."""
     data = file.read_bytes()
     head = netpbm_head(file, data)
     channels = _CHANNELS[head.magic]
@@ -102,7 +101,7 @@ def read_netpbm(file: Path) -> np.ndarray:
     if head.magic in _BITMAPS:
         return 1 - pixels
     if (top := int(pixels.max())) > head.largest:
-        raise _damaged(file, f"it holds {top}, above its largest code {head.largest:g}")
+        raise damaged(file, f"it holds {top}, above its largest code {head.largest:g}")
     return pixels
 
 
@@ -116,11 +115,11 @@ def _text_samples(
     try:
         numbers = np.array([int(word) for word in words[:count]])
     except ValueError:
-        raise _damaged(file, "it holds words that are no numbers") from None
+        raise damaged(file, "it holds words that are no numbers") from None
     if len(numbers) < count:
-        raise _damaged(file, f"it holds {len(numbers)} of {count} numbers")
+        raise damaged(file, f"it holds {len(numbers)} of {count} numbers")
     if numbers.min() < 0 or numbers.max() > head.largest:
-        raise _damaged(file, f"a number lies outside 0 to {head.largest:g}")
+        raise damaged(file, f"a number lies outside 0 to {head.largest:g}")
     return numbers.astype(_code_type(head)), b"".join(words[count:])
 
 
@@ -140,7 +139,7 @@ def _byte_samples(
         size = count * kind.itemsize
     data = data[_rest_of_head(file, ending, data, size) :]
     if len(data) < size:
-        raise _damaged(file, f"it holds {len(data)} of {size} bytes")
+        raise damaged(file, f"it holds {len(data)} of {size} bytes")
     if head.magic == b"P4":
         packed = np.frombuffer(data[:size], np.uint8).reshape(head.rows, -1)
         return np.unpackbits(packed, axis=1)[:, : head.columns].ravel(), data[size:]
@@ -157,14 +156,8 @@ def _rest_of_head(file: Path, ending: re.Match[bytes] | None, data: bytes, size:
     length = len(ending[0]) - 1
     if more == length or data[length + size : length + size + 2] in _CHANNELS:
         return length
-    raise _damaged(file, f"its head ends in {ending[0]!r}, and its length fits no such head")
+    raise damaged(file, f"its head ends in {ending[0]!r}, and its length fits no such head")
 
 
 def _code_type(head: NetpbmHead) -> type:
     return np.uint8 if head.largest < 256 else np.uint16
-
-
-def _damaged(file: Path, reason: str) -> InputError:
-    return InputError(
-        f"{file}: the file is damaged or cut short ({reason}); copy it again from its source."
-    )

@@ -19,6 +19,13 @@ def check_size(file: Path) -> None:
         raise InputError(f"{file}: holds {size >> 20} MiB, more than {LARGEST >> 20}; divide it.")
 
 
+def damaged(file: Path, reason: str) -> InputError:
+    """The error for a file that is not whole."""
+    return InputError(
+        f"{file}: the file is damaged or cut short ({reason}); copy it again from its source."
+    )
+
+
 def check_content(place: str, content: Any) -> None:
     """`InputError` for deeply nested content and for very long numbers and names; `place` is the
     file."""

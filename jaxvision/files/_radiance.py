@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ._plain_content import damaged
 
 _SIZE = re.compile(rb"([+-])([XY]) (\d+) ([+-])([XY]) (\d+)$")
 _BIAS = 128 + 8  # of the exponent, for a mantissa below 256
@@ -38,10 +39,10 @@ def read_radiance(file: Path) -> np.ndarray:
     end = data.find(b"\n", at, at + 200)
     size = _SIZE.match(data[at:end].strip()) if end >= 0 else None
     if size is None or size[2] == size[5]:
-        raise _damaged(file, "its head gives no size")
+        raise damaged(file, "its head gives no size")
     first, second = int(size[3]), int(size[6])
     if not 0 < first * second <= _LARGEST:
-        raise _damaged(file, f"its head gives a size of {first} x {second}")
+        raise damaged(file, f"its head gives a size of {first} x {second}")
     stored = _scanlines(file, data[end + 1 :], first, second)
     exponent = stored[..., 3].astype(np.int32)
     step = np.where(exponent > 0, np.ldexp(np.float64(1), exponent - _BIAS), 0)
@@ -64,7 +65,7 @@ def _head(file: Path, data: bytes) -> tuple[list[bytes], int]:
         )
     blank = re.search(rb"\n\r?\n", data[:_LONGEST_HEAD])
     if blank is None:
-        raise _damaged(file, "its head does not end")
+        raise damaged(file, "its head does not end")
     return [line.strip() for line in data[: blank.start()].split(b"\n")], blank.end()
 
 
@@ -83,7 +84,7 @@ def _applied(file: Path, lines: list[bytes]) -> np.ndarray:
         wanted = {b"COLORCORR": 3, b"PRIMARIES": 8}.get(name, 1)
         positive = name == b"PRIMARIES" or (numbers > 0).all()
         if len(numbers) != wanted or not np.isfinite(numbers).all() or not positive:
-            raise _damaged(file, f"{name.decode()} in its head is not {wanted} numbers above 0")
+            raise damaged(file, f"{name.decode()} in its head is not {wanted} numbers above 0")
         if name == b"PIXASPECT":
             aspect *= numbers[0]
         elif name == b"PRIMARIES":
@@ -111,13 +112,13 @@ def _scanlines(file: Path, data: bytes, rows: int, width: int) -> np.ndarray:
     at = 0
     for row in range(rows):
         if data[at : at + 4] != mark:
-            raise _damaged(file, f"its row {row} does not begin as the others")
+            raise damaged(file, f"its row {row} does not begin as the others")
         at += 4
         for channel in range(4):
             line = bytearray()
             while len(line) < width:
                 if at + 1 >= len(data):
-                    raise _damaged(file, f"it ends in row {row} of {rows}")
+                    raise damaged(file, f"it ends in row {row} of {rows}")
                 count = data[at]
                 if count > 128:
                     line += data[at + 1 : at + 2] * (count - 128)
@@ -128,7 +129,7 @@ def _scanlines(file: Path, data: bytes, rows: int, width: int) -> np.ndarray:
                 if not count:
                     break
             if len(line) != width:
-                raise _damaged(file, f"its row {row} is not {width} pixels wide")
+                raise damaged(file, f"its row {row} is not {width} pixels wide")
             found[row, channel] = np.frombuffer(line, np.uint8)
     return found.swapaxes(1, 2)
 
@@ -149,7 +150,7 @@ def _pixel_sequence(file: Path, data: bytes, count: int) -> np.ndarray:
                 shift = 0
             times = int(pixels[i, 3]) << shift
             if not pieces or length + times > count:
-                raise _damaged(file, "it repeats pixels that are not there")
+                raise damaged(file, "it repeats pixels that are not there")
             if times:
                 pieces.append(np.repeat(pieces[-1][-1:], times, axis=0))
             length += times
@@ -160,11 +161,5 @@ def _pixel_sequence(file: Path, data: bytes, count: int) -> np.ndarray:
         pieces.append(pixels[start:])
         found = np.concatenate(pieces)
     if len(found) < count:
-        raise _damaged(file, f"it holds {len(found)} of {count} pixels")
+        raise damaged(file, f"it holds {len(found)} of {count} pixels")
     return found[:count]
-
-
-def _damaged(file: Path, reason: str) -> InputError:
-    return InputError(
-        f"{file}: the file is damaged or cut short ({reason}); copy it again from its source."
-    )

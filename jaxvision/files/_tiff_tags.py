@@ -70,9 +70,8 @@ class TiffPicture:
 
 
 def tiff_pictures(file: Path) -> list[TiffPicture]:
-    """The tags of all pictures in a file's main chain, in order, with those in their
-    subdirectories; none for a file that is not TIFF. A damaged chain ends at the damage, which the
-    decoder reports in detail."""
+    """The tags of the pictures in a file's main chain, with those of their subdirectories, up to
+    any damage; none for a file that is not TIFF."""
     with file.open("rb") as stream:
         head = stream.read(16)
         order = {b"II": "<", b"MM": ">"}.get(head[:2], "")

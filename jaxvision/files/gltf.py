@@ -118,12 +118,9 @@ def _chunks(file: Path, raw: bytes) -> tuple[bytes, bytes | None]:
 
 
 def primitive_of(file: Gltf, mesh: int, primitive: int, *, uv: bool = False) -> Primitive:
-    """The triangles of a primitive of a mesh, both by number from 0, in the order of the file, with
-    normals where it has them, and with `uv` its texture coordinates.
-
-    `InputError` if the primitive is missing, is not a set of triangles, or is changed by morph
-    targets, compressed or damaged.
-    """
+    """The triangles of a primitive of a mesh, both by number from 0, with `uv` its texture
+    coordinates; `InputError` for one that is no set of triangles, or has morph targets or
+    extensions."""
     label = f"{file.path}: meshes[{mesh}].primitives[{primitive}]"
     parts = file.item("meshes", mesh).get("primitives", [])
     if not isinstance(parts, list) or not 0 <= primitive < len(parts):

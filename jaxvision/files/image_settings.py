@@ -204,9 +204,8 @@ def _raw_settings(file: Path) -> ImageSettings:
 
 
 def _dng_blacks(file: Path) -> np.ndarray | None:
-    """Black levels of a DNG's mosaic, DN, over the rows and columns of their period; None for other
-    files, and if it states none. LibRaw truncates them to whole numbers and averages those along
-    rows and columns."""
+    """Black levels of a DNG's mosaic, DN, over the rows and columns of their period, which LibRaw
+    truncates and averages; None if none are stated."""
     for page in tiff_pictures(file):
         for picture in (page, *page.inner):
             along_columns, along_rows = (
@@ -260,12 +259,8 @@ def _fits_settings(file: Path, header: Mapping[str, Any]) -> ImageSettings:
 
 
 def _fits_pattern(file: Path, header: Mapping[str, Any]) -> str | None:
-    """Phase of the mosaic at the first pixel of the file.
-
-    BAYERPAT is the phase of the upright image, beginning at the pixel XBAYROFF, YBAYROFF. A file of
-    the order BOTTOM-UP begins with the lowest row, which has the other parity if the number of rows
-    is even.
-    """
+    """Phase of the mosaic at the first pixel of the file: BAYERPAT begins at XBAYROFF, YBAYROFF of
+    the upright image, and a file of the order BOTTOM-UP with its lowest row."""
     names = ("BAYERPAT", "COLORTYP")
     said = [str(header.get(name, "")).strip().strip("'").strip().upper() for name in names]
     known = [word for word in said if _is_bayer(word)]

@@ -31,6 +31,7 @@ from ..errors import InputError, check_utf8, nearest, unwritable
 from ._heads import PALETTE as PNG_PALETTE
 from ._heads import PngChunks, jpeg_extras, png_chunks, targa_bits
 from ._netpbm import NETPBM_FORMATS, read_netpbm
+from ._plain_content import damaged
 from ._radiance import END_OF_RANGE, is_radiance, read_radiance
 from ._tiff_tags import (
     ALPHA,
@@ -49,7 +50,7 @@ from ._tiff_tags import (
     TiffPicture,
     tiff_pictures,
 )
-from .raw import FITS_FORMATS, RAW_FORMATS, read_fits, read_raw
+from .raw import FITS_FORMATS, RAW_FORMATS, listed, read_fits, read_raw
 
 _LOG = logging.getLogger("jaxvision.io")
 INTEGER_FORMATS = (".png", ".tif", ".tiff")
@@ -69,11 +70,8 @@ _MOST_ADDED = 1 << 26  # pixels of a display window beyond those that an EXR hol
 
 @contextmanager
 def replaced_on_success(path: Path) -> Iterator[Path]:
-    """Context with a temporary path next to `path`, which replaces it only when the block ends
-    without error; missing folders are created. `InputError` if the folder cannot be written.
-
-    A partial file never has the final name.
-    """
+    """Context with a temporary path beside `path`, in a folder made if missing, that replaces it
+    only if the block ends without error; `InputError` if it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=".partial-", suffix=path.suffix)
@@ -103,9 +101,8 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def check_writable(path: Path, *, kind: type = np.float32) -> None:
-    """Check that an image file can be written, before the work for it. Raises `InputError` if the
-    format of the suffix does not support that type of samples, if a folder has that name, or if its
-    folder cannot be written. Missing folders are made later."""
+    """`InputError`, before the work for it, if an image file of that suffix cannot hold samples of
+    `kind` or cannot be written there."""
     _check_format(path, np.dtype(kind))
     if path.is_dir():
         raise InputError(f"{path}: is a folder; choose another name for the image.")
@@ -203,7 +200,7 @@ def read_channels(
         try:
             pixels, names = _read_by_openimageio(file, part)
         except UnicodeDecodeError:  # of a name in its head
-            raise _damaged(file, NOT_TEXT) from None
+            raise damaged(file, NOT_TEXT) from None
     _LOG.info("read %s: %s %s", file, "x".join(map(str, pixels.shape)), pixels.dtype)
     return pixels, names
 
@@ -213,7 +210,7 @@ def _read_by_openimageio(
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     chunks = png_chunks(file)
     if chunks and chunks.fault:
-        raise _damaged(file, chunks.fault)
+        raise damaged(file, chunks.fault)
     pages = tiff_pictures(file)
     with _opened(file) as source:
         number, layer = _place(file, source, pages, part)
@@ -227,7 +224,8 @@ def _read_by_openimageio(
         else:
             pixels = _pixels(file, source, number, chosen, sample)
             pixels = _undone(file, pixels, spec, chunks, page)
-            if source.format_name() == "gif" and _is_grey(pixels):
+            greys = (pixels[..., :3] == pixels[..., :1]).all() and (pixels[..., 3:] == 255).all()
+            if source.format_name() == "gif" and greys:
                 pixels, names = pixels[..., :1], ("grey",)
         _name_unused(file, source.format_name(), spec, chunks, page)
     pixels = _display_window(file, pixels, spec)
@@ -266,7 +264,7 @@ def _pixels(file: Path, source: Any, number: int, chosen: Sequence[int], sample:
     wanted = "float" if sample == "half" else sample
     pixels = source.read_image(number, 0, first, last, wanted)
     if pixels is None:
-        raise _damaged(file, _reason(source))
+        raise damaged(file, _reason(source))
     pixels = np.asarray(pixels, _DTYPES[sample]).reshape(spec.height, spec.width, last - first)
     order = [i - first for i in chosen]
     return pixels if order == [*range(last - first)] else np.ascontiguousarray(pixels[..., order])
@@ -296,7 +294,7 @@ def _place(
     if part is None and others:
         warnings.warn(
             f"{file}: holds {len(plain)} pictures; {titles[plain[0]]} is read, and "
-            f"{_listed(others)} {'is' if len(others) == 1 else 'are'} not used (the argument part "
+            f"{listed(others)} {'is' if len(others) == 1 else 'are'} not used (the argument part "
             "chooses one).",
             stacklevel=5,
         )
@@ -308,11 +306,6 @@ def _place(
             f"{file}: holds {promised[1]} pictures of ImageJ; only the first is read.", stacklevel=5
         )
     return plain[0], part
-
-
-def _listed(words: Sequence[str], most: int = 6) -> str:
-    shown = ", ".join(words[:most])
-    return shown if len(words) <= most else f"{shown} and {len(words) - most} more"
 
 
 def _refuse_unlike_pictures(file: Path, spec: Any, page: TiffPicture | None) -> None:
@@ -346,7 +339,7 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
         layer = "" if "" in layers else next(name for name in layers if name not in beside)
         if layer and len(layers) - len(beside) > 1:
             raise InputError(
-                f"{file}: holds the layers {_listed(sorted(layers))}, none of which is the "
+                f"{file}: holds the layers {listed(sorted(layers))}, none of which is the "
                 "picture; choose one by part."
             )
     if layer not in layers:
@@ -368,7 +361,7 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
     unused = [spec.channelnames[i] for i in range(spec.nchannels) if i not in chosen]
     if unused and not rendered:
         warnings.warn(
-            f"{file}: its channel{'s' if len(unused) > 1 else ''} {_listed(unused)} "
+            f"{file}: its channel{'s' if len(unused) > 1 else ''} {listed(unused)} "
             f"{'are' if len(unused) > 1 else 'is'} not used.",
             stacklevel=5,
         )
@@ -417,11 +410,6 @@ def _undone(
     return _significant(file, pixels, bits, chunks) if chunks else pixels
 
 
-def _is_grey(pixels: np.ndarray) -> bool:
-    """Whether 8-bit colours are greys without loss."""
-    return bool((pixels[..., 3:] == 255).all() and (pixels[..., :3] == pixels[..., :1]).all())
-
-
 def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -> np.ndarray:
     """The source's codes, if a PNG's writer has stretched them to the depth of the file, as sBIT
     states."""
@@ -452,14 +440,12 @@ def _repeated(codes: np.ndarray, source: int, bits: int) -> np.ndarray:
 
 
 def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
-    """(h, w, 3) colours of a TIFF's palette at full depth, of which the decoder keeps 8 bits.
-
-    The indices come from a copy of the file that is declared grey.
-    """
+    """(h, w, 3) colours of a TIFF's palette at full depth, by indices from a copy of the file
+    declared grey; the decoder keeps 8 bits."""
     bits = page.first(BITS, 1)
     colours = np.array(page.values.get(COLOUR_MAP, ()))
     if len(colours) != 3 << bits:
-        raise _damaged(file, f"its palette holds {len(colours)} numbers where {3 << bits} belong")
+        raise damaged(file, f"its palette holds {len(colours)} numbers where {3 << bits} belong")
     with tempfile.TemporaryDirectory() as folder:
         grey = Path(folder) / "grey.tif"
         shutil.copyfile(file, grey)
@@ -577,12 +563,6 @@ def _display_window(file: Path, pixels: np.ndarray, spec: Any) -> np.ndarray:
     return made
 
 
-def _damaged(file: Path, reason: str) -> InputError:
-    return InputError(
-        f"{file}: the file is damaged or cut short ({reason}); copy it again from its source."
-    )
-
-
 def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
     """A latitude-longitude picture of radiance from an EXR or HDR file, for `environment_map`.
 
@@ -681,12 +661,8 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
 
 
 def as_float32(path: str | os.PathLike[str], numbers: np.ndarray) -> np.ndarray:
-    """The numbers, in any unit, rounded to the precision of the file's format; NaN and infinity are
-    kept.
-
-    `InputError` for finite numbers above 3.4e38, for whole numbers that float32 cannot represent,
-    and if all numbers are so small, below 1e-31, that float32 would round them coarsely.
-    """
+    """The numbers, in any unit, as float32; `InputError` for finite numbers or whole numbers that
+    do not fit, or all below 1e-31."""
     if numbers.dtype == np.float32:
         return numbers
     with np.errstate(over="ignore", under="ignore"):

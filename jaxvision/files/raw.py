@@ -65,8 +65,8 @@ def read_raw(file: Path) -> np.ndarray:
 
 @contextmanager
 def opened_raw(file: Path) -> Iterator[Any]:
-    """Context with a raw file as a `rawpy.RawPy`. `InputError` for an unreadable file, also while
-    its pixels are read inside the context, and without the `raw` extra."""
+    """Context with a raw file as a `rawpy.RawPy`; `InputError` for a damage found in it, and
+    without the `raw` extra."""
     rawpy = extra("rawpy", "raw", file)
     try:
         with rawpy.imread(str(file)) as raw:
@@ -104,7 +104,11 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
             blank, zero = image.header.get("BLANK"), image.header.get("BZERO", 0)
             third = str(image.header.get("CTYPE3", "")).strip()
             pixels = np.asarray(image.data)
-            others = [] if part is not None else _other_units(units, image)
+            others = [
+                f"unit {i}{f' ({unit.name})' if unit.name else ''}"
+                for i, unit in enumerate(units)
+                if part is None and unit is not image and unit.header.get("NAXIS", 0)
+            ]
     for said in {" ".join(str(one.message).split()) for one in caught}:
         if "truncated" in said:
             raise InputError(f"{file}: the file is cut short; copy it again from its source.")
@@ -123,7 +127,7 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
     said = []
     if others:
         verb = "is" if len(others) == 1 else "are"
-        said.append(f"{_listed(others)} {verb} not used (the argument part chooses one)")
+        said.append(f"{listed(others)} {verb} not used (the argument part chooses one)")
     if pixels.ndim == 3:
         planes = len(pixels)
         if planes != 3 or third.upper() != "RGB":
@@ -137,9 +141,8 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
 
 @contextmanager
 def opened_fits(file: Path) -> Iterator[Any]:
-    """Context with a FITS file as an `astropy.io.fits.HDUList`. `InputError` for an unreadable
-    file, also while headers and pixels are read inside the context, and without the `fits`
-    extra."""
+    """Context with a FITS file as an `astropy.io.fits.HDUList`; `InputError` for a damage found in
+    it, and without the `fits` extra."""
     fits = extra("astropy.io.fits", "fits", file)
     try:
         with fits.open(file, memmap=False) as units:
@@ -179,16 +182,8 @@ def _holds_image(unit: Any) -> bool:
     return isinstance(axes, int) and axes >= 2 and bool(getattr(unit, "is_image", False))
 
 
-def _other_units(units: Any, image: Any) -> list[str]:
-    """The other units with data, in words."""
-    return [
-        f"unit {i}{f' ({unit.name})' if unit.name else ''}"
-        for i, unit in enumerate(units)
-        if unit is not image and unit.header.get("NAXIS", 0)
-    ]
-
-
-def _listed(words: Sequence[str], most: int = 6) -> str:
+def listed(words: Sequence[str], *, most: int = 6) -> str:
+    """The words, or the first of them and the number of the others."""
     shown = ", ".join(words[:most])
     return shown if len(words) <= most else f"{shown} and {len(words) - most} more"
 

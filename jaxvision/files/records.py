@@ -61,8 +61,8 @@ def write_record(
 
 
 def table_of(record: eqx.Module) -> dict[str, Any]:
-    """Return the table from which `record_of` makes the same record. It contains the values by the
-    names of the fields, and `kind`. Fields that are None are left out."""
+    """Return the table from which `record_of` makes the same record: `kind`, and the fields that
+    are not None."""
     table: dict[str, Any] = {"kind": type(record).__name__}
     for field in fields(record):
         value = getattr(record, field.name)
@@ -86,10 +86,8 @@ def draws_beside(file: Path) -> int:
 
 
 def with_draws(file: Path, record: Record, count: int) -> Record:
-    """Return a record with a leading axis of `count` draws, for `jax.vmap`, spread evenly over the
-    draws stored with its file. Raises `InputError` without draws, with fewer, and for draws of
-    another record.
-    """
+    """Return a record with a leading axis of `count` of the draws stored beside its file, evenly
+    spread; `InputError` for none, fewer, or another record's."""
     beside = _beside(file)
     if not beside.is_file():
         raise InputError(f"{beside}: no draws lie beside {file.name}; save a fit with its draws.")
@@ -167,9 +165,8 @@ class Reading(NamedTuple):
 
 @cache
 def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str, Key]:
-    """Return the keys, by name, of the table of a record. They are the fields of the record in its
-    order, or the keyword arguments of the function that makes it, followed by the fields of
-    `record` that it takes as `**fields`."""
+    """Return the keys of the table of a record, by name: its fields, or the keywords of the
+    function that makes it, after the fields of `record` for its `**fields`."""
     said = meanings(make)
     if isinstance(make, type):
         hints = get_type_hints(make, include_extras=True)
@@ -195,9 +192,8 @@ def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str
 def record_of(
     reading: Reading, where: str, make: Callable[..., Any], table: Mapping[str, Any]
 ) -> Any:
-    """A record, by its class or by the function that makes it, from the table of values at `where`;
-    nested tables become records too. `InputError` for an unknown or missing key, and for a value
-    out of range."""
+    """A record, by its class or the function that makes it, from the table of values at `where`;
+    `InputError` for a wrong key or value."""
     values = values_of(reading, where, keys_of(make), table)
     try:
         return make(**values)

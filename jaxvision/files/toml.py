@@ -72,7 +72,8 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     except InputError:
         raise
     except ValueError as error:  # not TOML, or a number of thousands of digits
-        line = _line_of(error, text)
+        stopped = re.search(r"at line (\d+)", str(error))
+        line = text.splitlines()[int(stopped[1]) - 1] if stopped else ""
         if with_unit := _WITH_UNIT.fullmatch(line):
             raise InputError(
                 f"{file}: {line.strip()[:60]!r} has a unit, {with_unit[1]}; give the number alone, "
@@ -81,12 +82,6 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
         raise InputError(f"{file}: not a TOML file ({error}); correct that line.") from error
     check_content(str(file), content)
     return content
-
-
-def _line_of(error: ValueError, text: str) -> str:
-    """The line at which the parser stopped; empty if unknown."""
-    found = re.search(r"at line (\d+)", str(error))
-    return text.splitlines()[int(found[1]) - 1] if found else ""
 
 
 def checked(
@@ -98,13 +93,9 @@ def checked(
     first: int = 1,
     called: Mapping[str, str] | None = None,
 ) -> Model:
-    """Return the content of a file as an instance of its schema. Raises `InputError` for the first
-    mistake.
-
-    Messages name the file, its expected `kind`, and the items of an array, counted from `first`.
-    `called` maps an array and a key to the name of a list that is written key by key in the tables
-    of that array: {"flat.exposure": "exposures"}.
-    """
+    """Return the content of a file as an instance of its schema; `InputError` for the first
+    mistake, with array items counted from `first`, and named by `called`, such as {"flat.exposure":
+    "exposures"}."""
     try:
         return schema.model_validate(content)
     except ValidationError as error:

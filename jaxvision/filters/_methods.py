@@ -66,12 +66,8 @@ def correlate_conv(image: Stack, kernel: Kernel, anchor: Anchor, border: str) ->
 
 
 def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
-    """The product of the transforms, planes last in memory.
-
-    A transform spreads the rounding errors of its largest values over the whole plane. The
-    transform of the whole picture is used if this error is small relative to every sum, or, for
-    numbers of either sign, to the values in each window. Otherwise tiles are transformed instead.
-    """
+    """The product of transforms, planes last: of the whole picture where their rounding is small
+    against every sum or the values in each window, else of tiles."""
     given, size = image.dtype, kernel.shape[:2]
     dtype = given if given.itemsize >= 4 else np.dtype(np.float32)
     image, k = image.astype(dtype), jnp.moveaxis(kernel, -1, 0)[None].astype(dtype)
@@ -125,9 +121,8 @@ def _places(border: str, n: int, taps: int, anchor: int) -> np.ndarray:
 
 
 def _range(image: Stack, k: Planes) -> tuple[Planes, Planes, Planes]:
-    """Return the largest magnitude, an upper bound on the sum in the darkest window, and a bound on
-    `_least`, whose mean square is taken over the largest values in groups of columns. Each is (n,
-    c, 1, 1)."""
+    """The largest magnitude, an upper bound on the sum in the darkest window, and on `_least` by
+    the largest values in groups of columns, (n, c, 1, 1) each."""
     n, h, w, c = image.shape
     kh, kw = (min(side, taps, _SEEN) for side, taps in zip((h, w), k.shape[2:], strict=True))
     rows = image.reshape(n, h, w * c)  # whole rows of numbers are fast
@@ -189,9 +184,8 @@ def _in_tiles(
 
 
 def _sum_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:
-    """The correlation of one plane, computed separately for ranges of magnitudes: pixels that a
-    range does not reach get none of its rounding errors, and NaN and infinity stay within their
-    windows."""
+    """The correlation of one plane, summed over ranges of magnitudes, so that pixels get no
+    rounding errors, NaN or infinity from beyond their windows."""
     with jax.enable_x64(True):
         wide = spectrum.real.dtype
         finite, weights = (jnp.where(jnp.isfinite(x), x, 0).astype(wide) for x in (f, k))

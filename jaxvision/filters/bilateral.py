@@ -152,13 +152,8 @@ def _square(dy: Int[Array, ""], dx: int) -> Int[Array, ""]:
     return dy**2 + dx**2
 
 
-def _euclidean_square(change: Planes) -> Plane:
-    return functools.reduce(jnp.add, (c**2 for c in change))
-
-
-def _sum_square(change: Planes) -> Plane:
-    return functools.reduce(jnp.add, (jnp.abs(c) for c in change)) ** 2
-
-
 WINDOWS = ("square", "disc")
-DIFFERENCES = {"euclidean": _euclidean_square, "sum": _sum_square}
+DIFFERENCES = {
+    "euclidean": lambda change: functools.reduce(jnp.add, (c**2 for c in change)),
+    "sum": lambda change: functools.reduce(jnp.add, (jnp.abs(c) for c in change)) ** 2,
+}

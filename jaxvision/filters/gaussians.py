@@ -200,9 +200,8 @@ def _density(x: Float[Array, "..."], sigma: Scalar, order: int) -> Float[Array, 
 
 
 def _integral(x: Float[Array, " taps"], sigma: Scalar, order: int) -> Float[Array, " taps"]:
-    """The density's integral over the pixel at each x. Where it is smooth within a pixel it uses
-    eight Gauss-Legendre nodes (17 digits), else the difference of its primitive, which is accurate
-    there."""
+    """The density's integral over the pixel at each x: by eight Gauss-Legendre nodes where it is
+    smooth, else by its primitive."""
     nodes, weights = leggauss(8)
     smooth = sigma > 1
     wide = jnp.where(smooth, sigma, 1)

@@ -88,8 +88,7 @@ def _resized(picture: AnyPicture, size: tuple[int, int], method: str, antialias:
 
 def _weights(side: int, count: int, method: str, antialias: bool) -> Float[Array, "count side"]:
     """The matrix from `side` to `count` samples, as in `jax.image.scale_and_translate`, but in
-    double precision and exactly 0 outside the kernel, so that a bright pixel does not affect pixels
-    outside its reach."""
+    double precision and exactly 0 outside the kernel."""
     with jax.enable_x64(True):
         scale = side / count
         middle = (jnp.arange(count, dtype=jnp.float64) + 0.5) * scale - 0.5

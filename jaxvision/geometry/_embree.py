@@ -137,10 +137,9 @@ def _threads() -> ThreadPoolExecutor:
 
 
 def _scene(vertices: np.ndarray, faces: np.ndarray) -> tuple[Any, np.float32]:
-    """The search tree of a mesh, and the power of two that scales it to a size of 1: rays slip
-    through the edges of very small triangles. A tree is built once and found again by the mesh's
-    numbers, because a pure function may be called with any mesh at any time. Comparing 80000
-    triangles costs less than tracing a thousand rays."""
+    """The search tree of a mesh scaled to size 1 (rays slip through very small triangles), and that
+    power of two; kept by the mesh's numbers, whose comparison costs less than tracing a thousand
+    rays."""
     from embreex.mesh_construction import TriangleMesh as EmbreeMesh
     from embreex.rtcore_scene import EmbreeScene
 

@@ -120,9 +120,8 @@ def intersect_box(ray: Ray, box: Box) -> Hit:
 
 
 def box_hit(ray: Ray, box: Box, compute: Callable[..., Any]) -> Hit:
-    """The hit, m, of a box. `compute`: `materialise`, or `inline` if the caller computes the whole
-    hit in one loop. If the face were computed again elsewhere with other rounding, face and
-    position could disagree."""
+    """The hit, m, of a box; `compute` is `materialise`, or `inline` where one loop computes the
+    whole hit, since face and position must agree in rounding."""
     face = compute(_first_face, *jax.lax.stop_gradient((ray, box)))
     distance, place = compute(_place, ray, box, face)
     hit, axis, side = face >= 0, face // 2, _side(face, distance)

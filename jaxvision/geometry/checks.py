@@ -67,9 +67,8 @@ def invalid(shape: Shape) -> list[str]:
 
 
 def coarse(shape: Shape) -> list[str]:
-    """A finding on a valid shape so far from the origin that the spacing of numbers of its dtype
-    there exceeds a thousandth of its size, or 4 % of the heights of a mesh's triangles. Rounding
-    moves their corners by a quarter of that on average."""
+    """A finding on a shape so far from the origin that its dtype's spacing there exceeds a
+    thousandth of its size, or 4 % of the heights of a mesh's triangles."""
     match shape:
         case Sphere() | Disc():
             place, size = np.asarray(shape.centre), float(shape.radius)

@@ -43,9 +43,8 @@ def _hit(
     size: Scalar,
     compute: Callable[..., Any],
 ) -> Hit:
-    """The hit of a plane through `point`, projected onto the plane, if it lies ahead. `compute`:
-    `materialise`, or `inline` if the caller computes the whole hit in one loop. A projection with a
-    differently rounded height would miss the plane by the difference."""
+    """The hit of a plane through `point`, projected onto the plane, if it lies ahead; `compute` as
+    for `box_hit`, since another rounding of the height would miss the plane."""
     distance = compute(_distance, ray, point, normal)
     hit = meets & (distance > 0)
     place = compute(_along, ray, jnp.where(hit, distance, 0))

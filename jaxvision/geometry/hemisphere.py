@@ -134,10 +134,8 @@ def direction_at(one_minus_cos: Scalars, phi: Scalars) -> Vec:
 
 @takes_numbers
 def cosine_direction(u: Float[Array, "2"]) -> Vec:
-    """A direction with density cos(theta) / pi from two uniform numbers in [0, 1); unit, local.
-
-    The radius sqrt(u_0) of a point uniform in the disk is the direction's sine (Malley).
-    """
+    """A unit local direction of density cos(theta) / pi sr^-1, by a point uniform in the disk from
+    two uniform numbers (Malley)."""
     return _spherical_direction(safe_sqrt(u[0]), safe_sqrt(1 - u[0]), u[1])
 
 
@@ -171,12 +169,9 @@ def _spherical_direction(sine: Scalars, cosine: Scalars, turns: Scalars) -> Vec:
 def product_nodes(
     polar: int, azimuths: int
 ) -> tuple[Float[np.ndarray, "nodes 3"], Float[np.ndarray, " nodes"]]:
-    """Unit directions, (nodes, 3), and weights, (nodes,) sr with sum 2 pi, of a quadrature over the
-    local hemisphere. They are NumPy float64, computed during tracing.
-
-    It is Gauss-Legendre in cos(theta) times the trapezium rule in phi, exact for polynomials in the
-    components of the direction up to degree min(2 polar - 1, azimuths - 1).
-    """
+    """Unit local directions, (nodes, 3), and weights, (nodes,) sr, float64 NumPy: Gauss-Legendre in
+    cos(theta) times the trapezium rule in phi, exact up to degree min(2 polar - 1, azimuths -
+    1)."""
     if polar < 1 or azimuths < 1:
         raise ValueError(f"polar and azimuths must be at least 1, got {polar} and {azimuths}.")
     mu, w_mu = gauss_legendre(polar)

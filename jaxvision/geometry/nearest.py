@@ -417,9 +417,8 @@ def _each(chunk: Any) -> list[Any]:
 
 
 def _first_of(ray: Ray, chunk: Any) -> Int[Array, ""]:
-    """The nearest shape of a chunk as one integer, found by one comparison per shape. It has the
-    bits of the distance, which increase with it, with the last three replaced by the shape's
-    position."""
+    """The nearest shape of a chunk as one integer: the bits of its distance, which increase with
+    it, the last three replaced by its position."""
     keys = []
     for place, shape in enumerate(_each(chunk)):
         distance = _distance(ray, shape)

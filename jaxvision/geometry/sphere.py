@@ -88,9 +88,8 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
 
 
 def _first_crossing(ray: Ray, sphere: Sphere) -> Scalar:
-    """The distance of the first crossing ahead, m, inf for a miss. The result must be materialised:
-    for a ray that starts on the sphere, rounding decides between the near and the far crossing, and
-    recomputing it may give another rounding."""
+    """The distance of the first crossing ahead, m, inf for a miss; to be materialised, since for a
+    ray from the sphere rounding decides between both crossings."""
     near, far, meets = _crossings(ray, sphere)
     return jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)
 

@@ -119,11 +119,8 @@ def bin_of_codes(levels: int, chosen: Binning) -> np.ndarray:
 
 
 def bin_of_values(x: Float[Array, "..."], chosen: Binning) -> Int[Array, "..."]:
-    """The bin of each value; `bins` for NaN and values outside the range.
-
-    The quotient may be one bin off next to an edge. A comparison with the edges themselves corrects
-    it, as in numpy.
-    """
+    """The bin of each value, corrected by a comparison with the edges as in numpy; `bins` for NaN
+    and values outside the range."""
     bins, low, high = chosen
     edges = jnp.asarray(chosen.edges, x.dtype)
     inside = (x >= low) & (x <= high)

@@ -92,7 +92,9 @@ def _equalised(
         curve_of = _equalising_codes if first_to_zero else _cumulative_codes
         return _equalise_codes(stack, levels, amount, curve_of)
     clamped = jnp.clip(stack, chosen.low, chosen.high)
-    full = _equalise_values(clamped, chosen)
+    to_curves = partial(equalising_curves, chosen=chosen, dtype=stack.dtype)
+    curves = materialise(to_curves, bin_counts(clamped, chosen))
+    full = interpolated(curves, plane_numbers(clamped), clamped, chosen)
     return clamped + jnp.asarray(amount, stack.dtype) * (full - clamped)
 
 
@@ -131,9 +133,3 @@ def _equalise_codes(
     codes = materialise(table, counts, jnp.asarray(amount))
     entry = plane_numbers(stack) * levels + stack.astype(jnp.int32)
     return codes.ravel().at[entry].get(mode="promise_in_bounds")
-
-
-def _equalise_values(stack: Stack, chosen: Binning) -> Stack:
-    to_curves = partial(equalising_curves, chosen=chosen, dtype=stack.dtype)
-    curves = materialise(to_curves, bin_counts(stack, chosen))
-    return interpolated(curves, plane_numbers(stack), stack, chosen)

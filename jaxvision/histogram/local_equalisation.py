@@ -169,9 +169,8 @@ def _clipped(counts: Float[Array, "groups bins"], limit: Scalars) -> Float[Array
 
 
 def _clipped_whole(counts: Int[Array, "groups bins"], limit: Scalars) -> Int[Array, "groups bins"]:
-    """`_clipped` for integer counts. The limit is rounded down to at least 1. The clipped counts
-    are distributed evenly, and the remainder r goes one by one to codes 0, s, 2 s ..., with s =
-    bins // r."""
+    """`_clipped` for whole counts: the limit is rounded down to at least 1, and the remainder r of
+    the clipped counts goes to codes 0, s, 2 s ..., s = bins // r."""
     bins = counts.shape[-1]
     most = jnp.clip(jnp.floor(limit), 1, MOST_PIXELS).astype(counts.dtype)
     kept = jnp.minimum(counts, most)

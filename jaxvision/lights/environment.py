@@ -67,11 +67,8 @@ class EnvironmentMap(Light):
 
 
 def environment_radiance(environment: EnvironmentMap, direction: Direction) -> Colour:
-    """Radiance from a unit direction, (bands,) W m^-2 sr^-1, bilinear between the pixels.
-
-    Its gradient with respect to the direction is finite everywhere. At a pole, where longitude is
-    undefined, the component along the circle of latitude is 0.
-    """
+    """Radiance from a unit direction, (bands,) W m^-2 sr^-1, bilinear between pixels; at a pole its
+    gradient along the latitude is 0."""
     row, column = _place(environment, _to_map(environment, direction))
     return _bilinear(environment.radiance, row, column)
 
@@ -79,9 +76,8 @@ def environment_radiance(environment: EnvironmentMap, direction: Direction) -> C
 def environment_sample(
     environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
-    """A unit direction drawn where the map is bright, and L / pdf, (bands,) W m^-2. `u`, (2,)
-    uniform in [0, 1), gives the row by u_0 and the column by u_1; within the pixel the direction is
-    uniform in solid angle."""
+    """A unit direction drawn where the map is bright, by (2,) uniform numbers in [0, 1) for row and
+    column, and L / pdf, (bands,) W m^-2."""
     row, row_place = _invert(environment.rows, u[0])
     column, column_place = _invert(environment.columns[row], u[1])
     h, w, _ = environment.radiance.shape

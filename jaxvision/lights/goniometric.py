@@ -243,15 +243,12 @@ def _weights(nodes: Float[Array, " n"], density) -> Float[Array, " n"]:
 # ---------------------------------------------------------------- a point
 
 
-def _to_lamp(light: GoniometricLight, away: Vec) -> Vec:
-    return Vec(*(dot(row, away) for row in map(as_vec, light.rotation)))
-
-
 def from_goniometric_light(light: GoniometricLight, point: Vector) -> Incident:
     """Light that arrives from a lamp, E = I / d^2 on a surface that faces it: the unit direction,
     the irradiance, (bands,) W m^-2, and the distance, m; all 0 at the light itself."""
     direction, distance, dilution = _toward(light.position, point)
-    share = relative_intensity(light, _to_lamp(light, -as_vec(direction)))
+    own = Vec(*(dot(row, -as_vec(direction)) for row in map(as_vec, light.rotation)))
+    share = relative_intensity(light, own)
     return Incident(direction, light.intensity * (share * dilution), distance)
 
 

@@ -97,9 +97,8 @@ def _check_windows(aperture: Window, focal: Window) -> None:
 
 
 def light_field_radiance(light_field: LightFieldLight, ray: Ray) -> Colour:
-    """Radiance against the direction of a ray, (bands,) W m^-2 sr^-1, quadrilinear between the
-    samples; 0 for a ray that misses either window or hits the aperture from behind. The ray starts
-    in front of the aperture, at any distance."""
+    """Radiance against a ray that starts in front of the aperture, (bands,) W m^-2 sr^-1,
+    quadrilinear between samples; 0 for one that misses a window."""
     return light_field_seen(light_field, ray).radiance
 
 
@@ -205,10 +204,8 @@ def _interpolate(grid: Float[Array, "s t u v bands"], places: Float[Array, "4"])
 
 
 def _emitted(light: LightFieldLight, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray. It starts at a point of the aperture, from u_0 and u_1, and lies on the line
-    through a point of the focal window, from u_2 and u_3. `u`: (4,) uniform in [0, 1). Its flux is
-    the radiance on that line times aperture area, cosine and solid angle, (bands,) W.
-    """
+    """Draw a ray from a point of the aperture through one of the focal window by `u`, (4,) uniform
+    in [0, 1), with its flux, (bands,) W."""
     start, target = as_vec(_point(light.aperture, u[:2])), as_vec(_point(light.focal, u[2:]))
     span = cross(light.aperture.edge_u, light.aperture.edge_v)
     normal, whole = as_vec(normalize(span)), norm(span)

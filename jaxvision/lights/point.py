@@ -42,12 +42,8 @@ class PointLight(Light):
 
 
 def from_point_light(light: PointLight, point: Vector) -> Incident:
-    """Light from a point, E = I / d^2 on a surface that faces it: the unit direction, the
-    irradiance, (bands,) W m^-2, and the distance, m.
-
-    At distances below `smallest_divisor` (3e-10 m in float32) direction, irradiance and gradients
-    are 0. At distances above 1e19 m in float32 the irradiance is 0.
-    """
+    """Light from a point: the unit direction, E = I / d^2 on a surface that faces it, (bands,) W
+    m^-2, and the distance d, m; 0 nearer than `smallest_divisor`."""
     direction, distance, dilution = _toward(light.position, point)
     return Incident(direction, map_bands(lambda band: band * dilution, light.intensity), distance)
 

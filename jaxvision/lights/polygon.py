@@ -333,7 +333,6 @@ def _node_places(corner: Vec, u: Vec, v: Vec, order: int) -> Iterator[tuple]:
 
 
 def nodes_integral(corner: Vec, u: Vec, v: Vec, normal: Vec, *, order: int) -> Scalars:
-    """The integral of `contour_integral` over a parallelogram, sr, by `order` Gauss-Legendre nodes
-    per side, with the error that `adaptive` states. Corner and edges are in m, relative to
-    receivers of any shape; 0 for those behind it."""
+    """`contour_integral` over a parallelogram, sr, by `order` Gauss-Legendre nodes a side, for
+    receivers of any shape, relative to which corner and edges are, m; 0 behind it."""
     return _nodes_integral(corner, u, v, normal, order)

@@ -50,12 +50,8 @@ class SmallLight(Light):
 
 
 def from_small_light(light: SmallLight, point: Vector) -> Incident:
-    """Light from a small light, E = I cos(theta) / d^2 on a surface that faces it: the unit
-    direction, the irradiance, (bands,) W m^-2, and the distance, m.
-
-    Behind the light and in its plane the irradiance is 0. At distances below `smallest_divisor`
-    (3e-10 m in float32) direction, irradiance and gradients are 0.
-    """
+    """Light from a small light: the unit direction, E = I cos(theta) / d^2 on a surface that faces
+    it, (bands,) W m^-2, and the distance, m; 0 behind it, and nearer than `smallest_divisor`."""
     direction, distance, dilution = _toward(light.position, point)
     cosine = jnp.maximum(-dot(direction, normalize(light.normal)), 0)
     factor = cosine * dilution

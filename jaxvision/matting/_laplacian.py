@@ -74,11 +74,7 @@ def _whitened_windows(
     image: Float[Array, "h w bands"], floor: Scalar | float
 ) -> list[list[Scalars]]:
     """[pixel of the window][band], each (h - 2, w - 2): C^-1 (colour - mean) with C C^T the
-    covariance plus `floor` on its diagonal.
-
-    It uses Cholesky factorisation and forward substitution band by band, without arrays of small
-    matrices. A pivot is at least `floor` in exact arithmetic, and is limited to that here.
-    """
+    covariance plus `floor` on its diagonal, by Cholesky factors band by band."""
     rows, columns, bands = image.shape
     colours = [
         [image[i : i + rows - 2, j : j + columns - 2, b] for b in range(bands)] for i, j in _WINDOW

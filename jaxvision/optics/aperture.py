@@ -224,11 +224,8 @@ def _arc(
 def _polygon_in_pixels(
     starts: Float[Array, " n"], x: Float[Array, " corners"], y: Float[Array, " corners"]
 ) -> Float[Array, "n n"]:
-    """Area of a polygon in each pixel, a unit square that starts at given x and y.
-
-    Green's theorem: a pixel's share is the integral of x dy around it. Each side of the polygon
-    contributes its run in y within the pixel's row times the mean of x in the pixel along that run.
-    """
+    """Area of a polygon in each unit pixel that starts at given x and y, the integral of x dy
+    around it (Green): each side's run in y within the row times its mean x within the pixel."""
 
     def share(x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar, top: Scalar, left: Scalar) -> Scalar:
         run = y1 - y0

@@ -102,9 +102,8 @@ def _overlap_with_polygon(
 
 @_overlap_with_polygon.defjvp
 def _overlap_with_polygon_jvp(primals, tangents):
-    """The derivative with respect to the radius is the length of the arcs. The derivative with
-    respect to a corner is the area that the chords sweep: each point of a chord moves with its two
-    corners, in proportion to the distances, relative to the disc."""
+    """By the radius, the length of the arcs; by a corner, the area that its chords sweep: their
+    points move in proportion to their distances from its ends."""
     radius, x, y = primals[2:]
     to_right, to_down, wider, x_by, y_by = tangents
     _, arcs, enters, leaves = _sides(*primals)
@@ -158,12 +157,7 @@ def _side(
     right: Scalar, down: Scalar, radius: Scalar, x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar
 ) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     """(area, angle of the arcs, positions in [0, 1] where it enters and leaves the disc) for one
-    side.
-
-    The part outside the disc is projected onto the rim. The area is that of the triangles formed by
-    the origin with the part inside and with the chords of the arcs, and of the segments beyond
-    these.
-    """
+    side, whose part outside the disc is projected onto the rim."""
     along_x, along_y = x1 - x0, y1 - y0
     square = along_x * along_x + along_y * along_y
     some = ~(square <= smallest_divisor(square.dtype) ** 2)

@@ -178,7 +178,10 @@ def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None
     if not shown:
         raise InputError("no trial has a finite error above 0, which a logarithm could show.")
     axes = new_axes(axes)
-    by_method = all(_names_method(t.setting) for t in shown)
+    by_method = all(
+        isinstance(t.setting, tuple) and len(t.setting) == 2 and isinstance(t.setting[0], str)
+        for t in shown
+    )
     named = []
     if by_method:
         for i, method in enumerate(dict.fromkeys(t.setting[0] for t in shown)):
@@ -203,10 +206,6 @@ def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None
     few_ticks(axes)
     tidy(axes)
     return axes
-
-
-def _names_method(setting: Any) -> bool:
-    return isinstance(setting, tuple) and len(setting) == 2 and isinstance(setting[0], str)
 
 
 def corner(

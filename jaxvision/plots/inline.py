@@ -31,9 +31,8 @@ DOTS_PER_INCH = 130  # of pictures and clouds of points, which stay pixels
 def inline_svg(
     draw: "Callable[[Axes], None]", *, size: tuple[float, float] = (4.8, 3.6), font: float = 11
 ) -> str:
-    """One axes as an `<svg>` element for HTML that fills its container's width. Its text stays
-    text, in the given points, and lines drawn in `INK` have the page's text colour. The size is in
-    inches."""
+    """One axes as an `<svg>` for HTML, as wide as its container, of a size in inches; text stays
+    text, in the given points, and lines in `INK` take the page's colour."""
 
     def drawn() -> "Figure":
         from matplotlib.figure import Figure
@@ -46,11 +45,8 @@ def inline_svg(
 
 
 def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:
-    """A figure as an `<svg>` element for HTML that fills its container's width. Its text stays
-    text, in the given points, and rasterised artists stay pixels.
-
-    Black and white follow the page's text and background; the figure's own background is not drawn.
-    """
+    """A figure as an `<svg>` for HTML, as wide as its container; text stays text, in the given
+    points, and black and white follow the page."""
     (whole,) = figure_strips(draw, widest=math.inf, font=font)
     return whole
 
@@ -58,9 +54,8 @@ def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:
 def figure_strips(
     draw: "Callable[[], Figure]", *, widest: float, font: float = 10
 ) -> tuple[str, ...]:
-    """The result of `figure_svg`, cut between its columns of panels into as few elements as
-    `widest`, points, allows. Side by side the strips form the figure, and a narrow page stacks
-    them."""
+    """The result of `figure_svg`, cut between columns of panels into as few elements of at most
+    `widest` points as possible, which a narrow page stacks."""
     import matplotlib
     from matplotlib.transforms import Bbox
 

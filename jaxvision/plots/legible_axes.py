@@ -29,9 +29,8 @@ def name_points(
     color: str | None = None,
     size: float | None = None,
 ) -> None:
-    """Write the names of points, (name, s, error) each, next to them on logarithmic axes, in free
-    places. Points that are close together share one label with all their names. The axes grow to
-    make room above the highest point."""
+    """Write the names of points, (name, s, error) each, in free places beside them on logarithmic
+    axes; points close together share a label."""
     from matplotlib import rcParams
 
     if not points:

@@ -103,9 +103,8 @@ def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
 
 
 def _above_offset(root: Scalars, rest: Scalars) -> Scalars:
-    """Return 1.055 root - 0.055 + rest = root + (0.055 root - 0.055) + rest. Only the root and the
-    last sum are rounded. The rounding errors of the other operations are added back (Knuth, The Art
-    of Computer Programming 2, section 4.2.2)."""
+    """Return 1.055 root - 0.055 + rest, rounding only the root and the last sum (Knuth, The Art of
+    Computer Programming 2, section 4.2.2)."""
     offset, offset_rest = exact(Fraction(55, 1000), root.dtype)
     share = offset * root
     more = share - offset

@@ -84,20 +84,16 @@ def counting_dtype(dtype: DTypeLike) -> jnp.dtype:
 
 
 def along_columns(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """A standard Gaussian draw for each column and band of an image, no unit.
-
-    The result is (1, w, bands) with as many axes as the image, so frames of a batch share it.
-    """
+    """A standard Gaussian draw for each column and band, (1, w, bands), no unit; frames of a batch
+    share it."""
     check_image(f"Noise by {use.name.lower()}", shape)
     ones = (1,) * (len(shape) - 2)
     return gaussian(key, use, shape[-2:], dtype).reshape(*ones, *shape[-2:])
 
 
 def along_rows(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """A standard Gaussian draw for each row and band of an image, no unit.
-
-    The result is (h, 1, bands) with as many axes as the image, so frames of a batch share it.
-    """
+    """A standard Gaussian draw for each row and band, (h, 1, bands), no unit; frames of a batch
+    share it."""
     check_image(f"Noise by {use.name.lower()}", shape)
     *batch, height, _, bands = shape
     ones = (1,) * len(batch)
@@ -142,11 +138,8 @@ _TAIL = (
 
 
 def upper_quantile(bits: Words, dtype: DTypeLike) -> Scalars:
-    """The z that a standard Gaussian exceeds with probability `tail_probability(bits)`.
-
-    Accurate to 5e-7 up to |z| = 5.3 and to 4e-4 at its end, 6.3, in every dtype, so that float32
-    and float64 draw the same numbers.
-    """
+    """The z that a standard Gaussian exceeds with probability `tail_probability(bits)`, to 5e-7 up
+    to |z| = 5.3 and 4e-4 up to 6.3, in every dtype."""
     centred, probability = from_middle(bits, dtype)
     w = -jnp.log(4 * probability * (1 - probability))
     centre = polynomial(_CENTRE, w - 2.5)

@@ -164,30 +164,15 @@ def flat_covariances(area_change: Quadrant, electrons: Scalars) -> Float[Array, 
 
 @takes_numbers
 def flat_variance(effect: BrighterFatter, electrons: Scalars) -> Scalars:
-    """Variance of the charges of pixels in even light, for Poisson charges.
-
-    Args:
-        effect: the kernel.
-        electrons: (...) expected electrons per pixel, >= 0.
-
-    Returns:
-        (...) electrons^2.
-    """
+    """Variance, electrons^2, of Poisson charges of pixels in even light of `electrons` >= 0."""
     size, terms = _series(area_changes(effect.kernel), _count_series)
     return electrons * polynomial([term[0, 0] for term in terms], _held(size, electrons))
 
 
 @takes_numbers
 def smoothed_pattern(effect: BrighterFatter, electrons: Scalars) -> Scalars:
-    """The factor by which the variance of a pattern of sensitivities is reduced in even light.
-
-    Args:
-        effect: the kernel.
-        electrons: (...) expected electrons per pixel, >= 0.
-
-    Returns:
-        (...) no unit, for a pattern that is independent from pixel to pixel.
-    """
+    """The factor, no unit, by which even light of `electrons` >= 0 reduces the variance of
+    sensitivities that are independent from pixel to pixel."""
     size, terms = _series(area_changes(effect.kernel), _pattern_series)
     return polynomial([term[0, 0] for term in terms], _held(size, electrons))
 

@@ -116,13 +116,9 @@ def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
 
 @takes_numbers
 def transfer_noise(key: Key | None, electrons: Counts, transfer: ChargeTransfer) -> Counts:
-    """The random part of charge transfer, which is added to `transferred` of whole electrons.
-
-    Each electron is left behind at random and independently. The result is a Gaussian draw of
-    variance sum n p (1 - p) over the packets n and their shares p. As with Gaussian shot noise, a
-    row with few expected electrons can become negative. The gradient of its mean square is
-    unbiased, except where no packet holds an electron. There it is 0.
-    """
+    """The random part of charge transfer, electrons, for `transferred` packets n of shares p:
+    Gaussian, of variance sum n p (1 - p), with an unbiased gradient of its mean square where
+    packets hold electrons."""
     draw = gaussian(key, Frame.TRANSFER, electrons.shape, electrons.dtype)
     return safe_sqrt(_random_variance(electrons, transfer)) * draw
 
@@ -152,13 +148,8 @@ def _random(share: Shares, rest: Shares) -> Shares:
 
 @takes_numbers
 def counted_variance(mean: Counts, variance: Counts, transfer: ChargeTransfer) -> Counts:
-    """Variance of transferred electrons that move independently.
-
-        sum n p (1 - p) + var p^2
-
-    over the packets of mean n and their shares p. For Poisson packets it equals the mean that is
-    read.
-    """
+    """Variance, electrons^2, of independently transferred electrons: sum n p (1 - p) + var p^2 over
+    packets of mean n and their shares p."""
     return _random_variance(mean, transfer) + transferred_variance(variance, transfer)
 
 
@@ -192,11 +183,9 @@ def _trailing(
 def _shares(
     inefficiency: Scalar, size: int, trail: int, like: Counts
 ) -> list[tuple[Shares, Shares]]:
-    """For each lag of k rows, the share of the packet of row i that is read there, and the
-    remainder of the packet. It uses the recursion C(i + k, k) / C(i + k - 1, k - 1) = (i + k) / k.
-    The last lag takes the remainder, but at least its own share, because the difference from 1
-    loses all digits there.
-    """
+    """For each lag k, the share of the packet of row i that is read there, by C(i + k, k) / C(i + k
+    - 1, k - 1) = (i + k) / k; the last lag takes the remainder, but at least its own share, because
+    1 minus the others has no digits there."""
     row = jnp.arange(size, dtype=like.dtype)
     kept = (row + 1) * log1p(-inefficiency)
     shares = [jnp.exp(kept)]

@@ -50,10 +50,8 @@ def check_pattern(pattern: Pattern, *, bands: int | None = None, name: str = "pa
 
 
 def sites(pattern: Pattern | str, height: int, width: int) -> tuple[Bool[Array, "h w"], ...]:
-    """For each band of the pattern, the mask of the pixels that measure it.
-
-    It is composed of rows and columns, so that a compiled program stores no mask of every pixel.
-    """
+    """For each band of the pattern, the mask of its pixels, composed of rows and columns so that a
+    program stores no mask of every pixel."""
     pattern = as_pattern(pattern)
     check_pattern(pattern)
     tile = np.asarray(pattern)

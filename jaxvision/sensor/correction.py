@@ -164,18 +164,9 @@ class Calibrated(Shown):
         return jnp.stack(found) if found else jnp.zeros((0, *self.image.shape))
 
     def mean(self, where: Bool[Array, "h w"] | None = None) -> Moments:
-        """The mean of a patch and its variance, with the errors that its pixels share.
-
-        Args:
-            where: (h, w) true for the pixels to use, or None for all; NaN is never used.
-
-        Returns:
-            Mean and variance (..., bands), in the unit of the image and its square.
-
-        Warns:
-            UserWarning: for saturated pixels in the patch, unless traced: the others are those
-                whose light or noise is low.
-        """
+        """Mean and variance, (..., bands) in the unit of the image and its square, of the pixels
+        `where` true (NaN never), with the errors that they share; warns of saturated ones unless
+        traced."""
         kept = jnp.isfinite(self.image)
         if where is not None:
             kept = kept & _beside(jnp.asarray(where)[..., None], kept)

@@ -260,15 +260,8 @@ def smeared(electrons: Counts, smear: Scalars) -> Counts:
 
 @takes_numbers
 def mean_dark(sensor: Sensor, like: Spectrum) -> Scalars:
-    """Expected dark electrons of a pixel in one exposure: mu_d.
-
-    Args:
-        sensor: of which `dark_current` and `exposure_time` are used.
-        like: an array of the dtype of the result.
-
-    Returns:
-        () electrons; 0 without a dark current.
-    """
+    """Expected dark electrons of a pixel in one exposure, mu_d, () in the dtype of `like`; 0
+    without a dark current."""
     if sensor.dark_current is None:
         return jnp.zeros((), like.dtype)
     return over_exposure(sensor, dark_rate(sensor.dark_current))
@@ -276,15 +269,8 @@ def mean_dark(sensor: Sensor, like: Spectrum) -> Scalars:
 
 @takes_numbers
 def over_exposure(sensor: Sensor, rate: Scalars) -> Scalars:
-    """Electrons that a rate yields in one exposure.
-
-    Args:
-        sensor: without an `exposure_time` the rate is already a count per exposure.
-        rate: (...) e- s^-1.
-
-    Returns:
-        (...) electrons.
-    """
+    """Electrons that a rate, e- s^-1, yields in one exposure; the rate itself without an
+    `exposure_time`."""
     return rate if sensor.exposure_time is None else rate * sensor.exposure_time
 
 

@@ -342,7 +342,8 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
         >>> round(float(half.mean), 6)  # 1 / sqrt(2 pi)
         0.398942
     """
-    if low is not None and high is not None and _are_crossed(low, high):
+    known = low is not None and high is not None and is_known(low) and is_known(high)
+    if known and np.any(np.asarray(low) > np.asarray(high)):
         raise ValueError(f"censored: low must not be above high, got {low} and {high}.")
     mean, variance = moments
     noisy = ~(variance <= 0)
@@ -358,10 +359,6 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
     else:
         moved, spread = _both_ends_moments(mean, sigma, clipped, low, high)
     return Moments(jnp.where(noisy, moved, clipped), jnp.where(noisy, spread, 0))
-
-
-def _are_crossed(low: Scalar, high: Scalar) -> bool:
-    return is_known(low) and is_known(high) and bool(np.any(np.asarray(low) > np.asarray(high)))
 
 
 def _one_end_moments(
@@ -382,13 +379,9 @@ def _one_end_moments(
 def _both_ends_moments(
     mean: Scalars, sigma: Scalars, clipped: Scalars, low: Scalar, high: Scalar
 ) -> tuple[Scalars, Scalars]:
-    """Mean and variance of a Gaussian variable clipped to [low, high].
-
-    The clipped variable is low + sigma (A - B) with A = max(Z + p, 0) and B = max(Z - q, 0). Here p
-    and q are the distances of the mean from the ends in standard deviations, and A is B + p + q
-    where B > 0. The nearer end is taken as the low one. Noise much wider than the window has its
-    own series, because these terms would cancel.
-    """
+    """Mean and variance of a Gaussian clipped to [low, high]: low + sigma (A - B), A = max(Z + p,
+    0), B = max(Z - q, 0), with the distances p, q of the mean from the nearer and the farther end
+    over sigma; noise much wider than the window has its own series."""
     p, q = _inside(mean, sigma, low, 1), _inside(mean, sigma, high, -1)
     moved = clipped + sigma * (tail_mean(_outside(p)) - tail_mean(_outside(q)))
     near, far = jnp.minimum(p, q), jnp.maximum(p, q)

@@ -164,9 +164,8 @@ def _smooth_inverse(curve: ResponseSpline, signal: Scalars) -> Scalars:
 
 
 def _slopes_of_spline(ends: Ends[ResponseSpline]) -> tuple[float, float]:
-    """Smallest and largest slope of a cubic segment. The slope is a parabola, extreme at an end or
-    at its vertex. Where a parameter is free, a monotone cubic rises at most three times as fast as
-    its chord."""
+    """Smallest and largest slope of the cubic segments, at an end or the vertex of a parabola;
+    three times the chord's for a free parameter."""
     low = ends.low
     free = any(not np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, ends), strict=True))
     if free:

@@ -126,10 +126,8 @@ def _exact_poisson(key: Key, bits: Words, mean: Scalars) -> Scalars:
 
 @one_program
 def _rejection_draws(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scalars:
-    """Poisson draws for means of at least 10; the whole part of the mean where `done` is true.
-
-    A count is drawn as its distance from the whole part of the mean, and tested in float32.
-    """
+    """Poisson draws for means of at least 10, as distances from the mean's whole part, tested in
+    float32; the whole part where `done`."""
     seed = seed_of(key)
     place = jax.lax.iota(jnp.uint32, mean.size).reshape(mean.shape)
     whole = jnp.floor(mean)
@@ -186,16 +184,8 @@ _ARCTANH = {4: [1 / k for k in (9, 7, 5, 3)], 8: [1 / k for k in range(17, 1, -2
 
 @takes_numbers
 def poisson_deviance(n: Scalars, excess: Scalars, mean: Scalars) -> Scalars:
-    """n ln(n / mean) - excess without cancellation: Loader's D_0.
-
-    Args:
-        n: (...) counts, at least 1.
-        excess: (...) n - mean, which the caller knows more accurately than the difference.
-        mean: (...) electrons, > 0.
-
-    Returns:
-        (...) no unit, >= 0.
-    """
+    """Loader's D_0 = n ln(n / mean) - excess, no unit, without cancellation, for counts n >= 1 and
+    `excess` = n - mean, electrons, known more accurately than the difference."""
     v = excess / (n + mean)
     square = v * v
     near = v * square * polynomial(_ARCTANH[8 if v.dtype == jnp.float64 else 4], square)

@@ -34,12 +34,8 @@ def plus(a: Bands, b: Bands) -> Bands:
 
 
 def map_bands(function: Callable[..., Scalar], *spectra: Float[Array, " _"]) -> Colour:
-    """`function` of spectra, including neutral ones, elementwise, (bands,) in the unit that it
-    gives.
-
-    Intermediate values without bands stay one number per ray. If they met an array of bands, XLA
-    would materialise it first.
-    """
+    """`function` of spectra, (bands,) in the unit that it gives, elementwise; intermediate values
+    without bands stay one number per ray."""
     bands = max(spectrum.shape[0] for spectrum in spectra)
     if bands > FEW:
         return function(*spectra)

@@ -18,13 +18,9 @@ Tree = TypeVar("Tree")
 def group_by_structure(
     records: Sequence[Record], *, largest: int | None = None
 ) -> list[tuple[tuple[int, ...], Record]]:
-    """Records of equal kind and leaf shapes, stacked along a new leading axis.
-
-    Each group is (indices into `records`, stacked record); groups and members keep their order.
-    `jit` compiles once for each structure, so one group is one piece of compiled code. A record
-    with an array of more than `largest` numbers forms its own group: `take` by a pixel's index
-    would copy its tables for every pixel.
-    """
+    """Return (indices into `records`, stacked record) for each kind and shape of leaves, in order;
+    a record with an array of more than `largest` numbers stays alone, because `take` would copy it
+    for every pixel."""
     members: dict[Any, list[int]] = {}
     for i, record in enumerate(records):
         leaves, structure = jax.tree.flatten(record)

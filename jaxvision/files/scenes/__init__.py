@@ -160,7 +160,10 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         scene = Scene(surfaces, lights, ambient, occluders=occluders)
     for problem in scene_problems(scene, view, names, light_names):
         raise InputError(f"{file}: {problem}")
-    kept, kept_view = _converted_records(file, (scene, view), entry.render.dtype)
+    dtype = entry.render.dtype
+    if dtype == "float64" and not jax.config.read("jax_enable_x64"):
+        raise InputError(f"{file}: render.dtype = 'float64' needs JAX's jax_enable_x64; set it.")
+    kept, kept_view = as_dtype((scene, view), dtype)
     _check_rounded(file, names, light_names, (scene, view), (kept, kept_view))
     for idle in without_effect(content, entry):
         warnings.warn(f"{file}: {idle}.", stacklevel=2)
@@ -204,12 +207,6 @@ def _names(kind: str, entries) -> tuple[str, ...]:
         f'{kind} "{entry["name"]}"' if isinstance(entry.get("name"), str) else f"{kind}[{i}]"
         for i, entry in enumerate(entries, 1)
     )
-
-
-def _converted_records(file: Path, records: tuple[Scene, View], dtype: str) -> tuple[Scene, View]:
-    if dtype == "float64" and not jax.config.read("jax_enable_x64"):
-        raise InputError(f"{file}: render.dtype = 'float64' needs JAX's jax_enable_x64; set it.")
-    return as_dtype(records, dtype)
 
 
 def _check_rounded(

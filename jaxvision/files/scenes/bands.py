@@ -131,9 +131,8 @@ def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) ->
 
 
 def in_bands(spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quantity) -> np.ndarray:
-    """Return a spectrum of a scene file, (bands,) of reflectance or light in its unit, in the bands
-    of the scene. Raises `InputError` if the numbers of values and bands differ, and for an unknown
-    table."""
+    """Return a spectrum of a scene file, reflectance or light in its unit, in the scene's bands,
+    (bands,); `InputError` for another number of values, and an unknown table."""
     if isinstance(spectrum, Tabulated):
         return _tabulated(spectrum, bands, folder, quantity)
     values = np.atleast_1d(np.asarray(spectrum, float))

@@ -38,21 +38,9 @@ def made_map(
     uv: Float[np.ndarray, "2 affine"] | None = None,
     wrap: Literal["repeat", "clamp"] = "repeat",
 ) -> Map:
-    """A map from its table, in the unit of its key; `InputError` for a picture whose channels do
-    not fit.
-
-    Args:
-        stands_for: what each texel is.
-        bands: of the scene.
-        folder: of the scene file.
-        map: name of a picture.
-        texels: (rows, columns) or (rows, columns, bands), in place of a picture.
-        encoding: of whole numbers of a picture.
-        channel: the one to take, from 0; by default all, and for a number the luminance.
-        scale: factor, no unit.
-        uv: as `Map.uv`.
-        wrap: as `Map.wrap`.
-    """
+    """A map from its keys in a scene file, in the unit of its key: of a picture, `encoding` and
+    `channel` (from 0; by default all, or the luminance for a number); `InputError` for channels
+    that do not fit."""
     if (map is None) == (texels is None):
         raise InputError("give either map, the name of a picture, or texels.")
     if map is not None:

@@ -53,14 +53,9 @@ _NO_LENGTH = {"hz", "thz", "ev", "frequency", "energy"}
 
 
 def read_table(file: Path, column: str | None, quantity: str) -> tuple[np.ndarray, np.ndarray]:
-    """Wavelengths, (n,) m, ascending, and values, (n,) in the unit of the file, from one column of
-    a CSV below a header line. Earlier lines may begin with #. A reflectance in % is given without
-    it.
-
-    By default it is the only column that is not a wavelength, an index or an uncertainty, or else
-    the only one whose header names the quantity. `InputError` for headers that leave the column or
-    the unit ambiguous, and for rows that are not a spectrum.
-    """
+    """Wavelengths, (n,) m, ascending, and values, (n,) in the file's unit, of a column of a CSV (by
+    default the only one that is a spectrum or named after the quantity); `InputError` where column
+    or unit are ambiguous."""
     lines = plain_text(file).splitlines()
     first = next((n for n, line in enumerate(lines) if line.strip()[:1] not in ("", "#")), None)
     heads = [] if first is None else _cells(lines[first])

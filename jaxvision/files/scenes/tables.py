@@ -324,10 +324,9 @@ def surface_of(
     *,
     mapped: Callable[[Any], bool],
 ) -> tuple[Shape, dict[str, Any]]:
-    """Return the shape of the table `[[surface]]` at `where`, with meshes in the dtype of the
-    rendering, and with texture coordinates where the named material or the normals are `mapped`.
-    Also return the name of the material, the emission, and whether it is two-sided.
-    Raises `InputError` for a table that is not a valid surface."""
+    """Return the shape of the table `[[surface]]` at `where`, with texture coordinates for a
+    material or normals that are `mapped`, and the keys beside it; `InputError` for an invalid
+    one."""
     word, rest = _word(reading, where, "shape", entry, SHAPES)
     make, beside = SHAPES[word], keys_of(beside_shape)
     values = _values(reading, where, beside | keys_of(make), rest)

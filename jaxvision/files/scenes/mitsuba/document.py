@@ -131,10 +131,8 @@ class Node:
 
 
 def root_of(file: Path) -> Node:
-    """Return the node of `<scene>` of a file of Mitsuba 0.5 or later, with names of versions before
-    2 changed to the current ones. Raises `InputError` for another file, or for a reference to
-    something missing.
-    """
+    """Return `<scene>` of a file of Mitsuba 0.5 or later, with the names of version 2 on;
+    `InputError` for another file, or a missing reference."""
     root = _parsed(file)
     if root.tag != "scene":
         raise InputError(f"begins with <{root.tag}>; a scene of Mitsuba begins with <scene>.")

@@ -48,9 +48,8 @@ _INDICES = {
 
 
 def material_of(node: Node | None) -> tuple[dict[str, Any], bool]:
-    """`family` and the other keys of a `<bsdf>` (without one, of Mitsuba's default, diffuse with
-    albedo 0.5), with `normals` for its normal map, and whether both sides are fronts; `InputError`
-    for a BSDF without a counterpart."""
+    """`family` and the other keys of a `<bsdf>` (None: diffuse, albedo 0.5), with `normals` for its
+    normal map, and whether both sides are fronts; `InputError` for one without a counterpart."""
     if node is None:
         return {"family": "lambert", "albedo": 0.5}, False
     if (kind := node.must_be(*BSDFS)) in ("twosided", "normalmap"):

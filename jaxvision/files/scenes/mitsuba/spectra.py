@@ -48,9 +48,9 @@ def reflectance_of(node: Node, name: str, otherwise: float) -> Any:
 
 
 def light_of(node: Node, name: str, otherwise: float) -> Any:
-    """Return a radiance, an intensity or an irradiance by its name. A flat spectrum has equal
-    energy, which is not the white of sRGB. If nothing is given, Mitsuba uses the white of sRGB. Its
-    RGB variants refuse black bodies; here they are those of its spectral variants, per nm."""
+    """Return a radiance, intensity or irradiance by its name, the white of sRGB without one; a flat
+    spectrum has equal energy, and a black body the values of Mitsuba's spectral variants, per
+    nm."""
     match node.take(name, (*SPECTRUM, Blackbody), otherwise):
         case Blackbody(kelvin):
             return {"blackbody": kelvin, "scale": 1e-9}
