@@ -54,6 +54,7 @@ ALONE = 0.02  # logarithm of a factor that sets an image apart from those that a
 SHARED, SMALL = 0.5, 0.02  # of the residuals' squares; of the albedo: a contradiction that is told
 SHOWN_BY = 32  # lights whose residuals show what a rough surface does to normals
 NEGLIGIBLE = 1e-6  # of the albedo: a departure from Lambert's law that is rounding
+DARK = 3.0  # standard errors from 0: the mean of images without light
 HEADS = ("", "median", "90 % of pixels in", "unit")
 
 
@@ -73,8 +74,8 @@ class Stereo:
         misfit: (h, w) standard deviation of departures from Lambert's law that neighbouring lights
             share, relative to the albedo; 0 where none is found. The standard deviations of normal
             and albedo include it.
-        findings: sentences on images that do not match the others and on a surface that is not
-            Lambertian.
+        findings: sentences on images that do not match the others, on a surface that is not
+            Lambertian, and on images without light.
     """
 
     normals: Float[np.ndarray, "h w 3"]
@@ -194,6 +195,8 @@ def photometric_stereo(
         highest, clipped = top, (_clipped_finding(readings, top),)
     between = (readings > lowest) & (readings < highest)
     limits = (lowest, highest)
+    unlit = _unlit_finding(readings, between, limits)
+    between &= not unlit
     counts = _counted(rows, readings, between, limits, robust=robust)
     apart, findings = _contradicted_images(rows, readings, counts, limits)
     if robust and apart.any():
@@ -229,7 +232,7 @@ def photometric_stereo(
     if found.significant and np.nanmedian(misfit) > NEGLIGIBLE:
         findings += (_misfit_finding(misfit, normal_sd / by_noise, counts.sum(axis=0)),)
     if not findings:
-        findings = _contradiction_finding(rows, stack, between, limits)
+        findings = unlit or _contradiction_finding(rows, stack, between, limits)
     shape = stack.shape[1:]
     return Stereo(
         normals.reshape(*shape, 3),
@@ -248,6 +251,30 @@ def _clipped_finding(readings: Readings, top: float) -> str:
         f"{at} readings ({format_percent(at / lit)} of those above 0) are equal to the largest, "
         f"{top:.6g}, as in clipped images, and were left out; give highest to choose another "
         "limit."
+    )
+
+
+def _unlit_finding(
+    readings: Readings, between: Counted, limits: tuple[float, float]
+) -> tuple[str, ...]:
+    """Return a sentence on why no pixel has a normal: too few readings lie between the limits, or
+    they scatter about 0 as noise does."""
+    known = readings[~np.isnan(readings)]
+    if (between.sum(axis=0) >= 3).any():
+        mean, error = known.mean(), known.std() / np.sqrt(known.size)
+        low, middle, high = np.quantile(known, [0.001, 0.5, 0.999])
+        if mean > DARK * error or high - middle > 2 * (middle - low):
+            return ()
+        told = f"the readings scatter evenly about {format_with_error(mean, error)}, as noise does"
+    else:
+        dark, bright = (known <= limits[0]).sum(), (known >= limits[1]).sum()
+        told = (
+            f"{dark} of {readings.size} readings are at or below lowest = {limits[0]:g}, {bright} "
+            f"are at or above highest = {limits[1]:g}, and {readings.size - known.size} are missing"
+        )
+    return (
+        f"No pixel has a normal, because {told}; check the files, the black level, and lowest and "
+        "highest.",
     )
 
 

@@ -23,10 +23,12 @@ The residuals of six lights hardly distinguish noise from departures. Neighbouri
 noise is independent, and their departures are similar. If residuals of neighbours correlate, the
 noise is at most twice the part that they do not share.
 
-Cameras count photons, so the variance of a reading grows with it, by a share that maximises the
-restricted likelihood. Under lights of unequal intensities, a constant variance would be mistaken
-for departures under the stronger lights. Only pixels whose mean reading is clear of the noise
-count: in a dark background the readings above 0 are chosen by their noise, and are not Gaussian.
+Cameras count photons, so the variance of a reading grows with it. Where lamps flicker it grows with
+the square of the reading, and where readings were multiplied by the intensity of the light, with
+the square of that. The share that grows maximises the restricted likelihood. Under lights of
+unequal intensities, a constant variance would be mistaken for departures under the stronger lights.
+Only pixels whose mean reading is clear of the noise count: in a dark background the readings above
+0 are chosen by their noise, and are not Gaussian.
 """
 
 from dataclasses import dataclass
@@ -53,16 +55,8 @@ QUIETEST = 1e-9  # of the largest variance: noise that is no more than rounding
 LOUDEST = 2.0  # times what neighbours do not share
 INSIDE, NEWTON = 0.95, 8  # probability of a cone; rounds of the search for its radius
 MOST, AT_ONCE = 2_000, 1_000  # pixels that estimate it; pixels that are computed together
-OF_PHOTONS = (
-    0.0,
-    0.5,
-    0.8,
-    0.93,
-    0.98,
-    0.995,
-    0.999,
-    0.9999,
-)  # shares of a typical reading's variance that grow with it
+OF_PHOTONS = (0.0, 0.5, 0.8, 0.93, 0.98, 0.995, 0.999, 0.9999)  # of a typical reading's variance
+OF_LAMPS = (0.5, 0.8, 0.95, 0.99)  # the same, of what grows with a square
 
 
 @dataclass(frozen=True)
@@ -125,8 +119,14 @@ def departures(
     voting = counts & voters.reshape(counts.shape[1:])
     some, fits = np.flatnonzero(voters), []
     some = some[:: -(-len(some) // MOST)]
-    for share in OF_PHOTONS:
-        weights = counted / (1 - share + share * expected / typical)
+    strength = (rows**2).sum(axis=1)[:, None]
+    squares = [(expected / typical) ** 2] + [strength / np.median(strength)] * bool(
+        np.ptp(strength)
+    )
+    growths = [(share, expected / typical) for share in OF_PHOTONS]
+    growths += [(share, square) for square in squares for share in OF_LAMPS]
+    for share, growth in growths:
+        weights = counted / (1 - share + share * growth)
         g, inverse = solved(rows, flat, weights)
         of = _Fit(rows, features, np.where(counted, flat - rows @ g.T, 0), weights, inverse)
         scaled = of.residuals * np.sqrt(weights)

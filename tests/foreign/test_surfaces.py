@@ -366,12 +366,21 @@ def test_images_of_another_brightness_are_named_as_such(monkeypatch, factors, to
         assert found["share"].startswith("12")
 
 
-@pytest.mark.parametrize("level", [0.0, 100.0, 4095.0])
-def test_equal_images_have_no_normals(level):
+@pytest.mark.parametrize(
+    ("level", "noise", "said"),
+    [
+        (0.0, 0.0, "5400 of 5400 readings are at or below lowest = 0"),
+        (0.0, 2.0, "scatter evenly about"),
+        (100.0, 0.0, None),
+    ],
+)
+def test_equal_images_have_no_normals(level, noise, said):
     turns = np.radians(np.arange(6) * 60)
     lights = direction(np.full(6, np.radians(30)), turns)
-    found = reflectance.photometric_stereo(np.full((6, 30, 30), level), lights)
-    assert found is not None
+    images = level + np.random.default_rng(0).normal(0, noise, (6, 30, 30))
+    found = reflectance.photometric_stereo(images, lights)
+    assert any("No pixel has a normal" in sentence for sentence in found.findings) == bool(said)
+    assert said is None or (said in str(found) and np.isnan(found.albedo).all())
 
 
 @pytest.mark.parametrize("width", [2.0, 2.9, 8.0])
