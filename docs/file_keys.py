@@ -15,7 +15,7 @@ from jaxvision.core._types import members_of
 from jaxvision.files.records import Key, keys_of
 from jaxvision.files.scenes import tables as scene_tables
 from jaxvision.files.scenes.bands import Tabulated
-from jaxvision.files.scenes.maps import made_map
+from jaxvision.files.scenes.maps import make_map
 from jaxvision.files.scenes.schema import Grid, RenderEntry, SceneEntry
 from jaxvision.scene import AmbientLight
 
@@ -48,7 +48,7 @@ SCENE = {  # the tables of a scene file, in the order of the page
     "[ambient]": [("", AmbientLight, keys_of(AmbientLight))],
     "[render]": RenderEntry,
     "Spectra": [("", Tabulated, keys_of(Tabulated))],
-    "Maps": [("", made_map, keys_of(made_map))],
+    "Maps": [("", make_map, keys_of(make_map))],
     "Wavelengths": Grid,
 }
 RIG = {

@@ -391,9 +391,9 @@ def _values_of_sensor(file: Path, stated: dict[str, Any]) -> dict[str, dict[str,
     import numpy as np
 
     from jaxvision.files.cameras import read_sensor
-    from jaxvision.files.records import draws_beside
+    from jaxvision.files.records import count_draws
 
-    best, count = read_sensor(file), draws_beside(file)
+    best, count = read_sensor(file), count_draws(file)
     draws = read_sensor(file, draws=count) if count else None
     taps, tile = best.taps, [0]
     if taps is not None:

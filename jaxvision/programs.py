@@ -222,19 +222,19 @@ def _name_of_program(args: tuple[Any, ...], about: str) -> str:
         repr(sorted(flags.items())),
         repr(sorted(settings.items())),
         about,
-        *(_described(x) for x in args),
+        *(_describe(x) for x in args),
     )
     return f"whole-{hashlib.sha256(chr(0).join(known).encode()).hexdigest()}"
 
 
-def _described(x: Any, *, static: bool = False) -> str:
+def _describe(x: Any, *, static: bool = False) -> str:
     """What a program depends on in an argument: of arrays their kind, of all else the value.
     `TypeError` for what this distribution does not define."""
     if type(x) in (tuple, list):
-        return f"({','.join(_described(part, static=static) for part in x)})"
+        return f"({','.join(_describe(part, static=static) for part in x)})"
     if dataclasses.is_dataclass(x) and type(x).__module__.partition(".")[0] in _OWN:
         parts = (
-            _described(getattr(x, field.name), static=static or field.metadata.get("static", False))
+            _describe(getattr(x, field.name), static=static or field.metadata.get("static", False))
             for field in dataclasses.fields(x)
         )
         return f"{type(x).__module__}.{type(x).__qualname__}({','.join(parts)})"

@@ -179,7 +179,7 @@ def capture(
         motion = None if pruned.moments is None else motion
         certificate = pruned.certificate
     elif not keep_all and integrator is None and motion is None:
-        pruned = _nothing_lost(scene, camera, rule, samples)
+        pruned = _prune_losslessly(scene, camera, rule, samples)
         if pruned is not None:
             assert isinstance(pruned.camera, Camera)
             scene, camera, samples = pruned.scene, pruned.camera, pruned.samples
@@ -194,7 +194,7 @@ def capture(
     return Capture(radiance, irradiance, raw, picture, certificate, error)
 
 
-def _nothing_lost(
+def _prune_losslessly(
     scene: Scene, camera: Camera, rule: Rule, samples: PixelSamples | None
 ) -> Pruned | None:
     """What is left without what is proved to change nothing; None for all of it, where looking

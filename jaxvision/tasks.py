@@ -147,10 +147,10 @@ def in_order(
         return
     if memory:
         _check_room(client, memory)
-    yield from _on(client, function, shared, items)
+    yield from _run_on(client, function, shared, items)
 
 
-def _on(
+def _run_on(
     client: "Client",
     function: Callable[[Shared, Item], Result],
     shared: Shared,
@@ -158,7 +158,7 @@ def _on(
 ) -> Iterator[Result]:
     from distributed.scheduler import KilledWorker
 
-    packed = _packed(shared)
+    packed = _pack(shared)
     # The bytes go through the scheduler, which can hand them out again when a worker is lost.
     held = client.submit(bytes, packed, pure=False)
     task = _Task(function, _environment(), hashlib.sha256(packed).hexdigest())
@@ -167,21 +167,21 @@ def _on(
     bundles = _Bundles(items, threads)
     waiting: deque[tuple[tuple[Item, ...], Future]] = deque()
 
-    def sent(bundle: tuple[Item, ...], *, priority: int = 0) -> "tuple[tuple[Item, ...], Future]":
+    def send(bundle: tuple[Item, ...], *, priority: int = 0) -> "tuple[tuple[Item, ...], Future]":
         return bundle, client.submit(task, held, bundle, pure=False, priority=priority)
 
     def hand_out(count: int) -> None:
         for _ in range(count):
             bundle = bundles.next()
             if bundle:
-                waiting.append(sent(bundle))
+                waiting.append(send(bundle))
 
     hand_out(AHEAD * max(threads, 1))
     try:
         while waiting:
             bundle, future = waiting[0]
             try:
-                results, seconds = _awaited(client, future)
+                results, seconds = _await(client, future)
             except KilledWorker as error:
                 raise InputError(
                     f"{error.allowed_failures + 1} workers were lost with one task, perhaps for "
@@ -191,7 +191,7 @@ def _on(
             bundles.measured(len(results), seconds)
             rest = bundle[len(results) :]
             if rest:
-                waiting.appendleft(sent(rest, priority=1))
+                waiting.appendleft(send(rest, priority=1))
             else:
                 hand_out(1)
             yield from results
@@ -215,7 +215,7 @@ def _room(dask_worker: Any) -> float:
     return (dask_worker.memory_manager.memory_limit or math.inf) / dask_worker.state.nthreads
 
 
-def _packed(shared: Any) -> bytes:
+def _pack(shared: Any) -> bytes:
     """The shared data of tasks as bytes. Equinox 0.13 permanently retains records that pickle
     creates, as unfinished ones. Here they are created differently."""
     import cloudpickle
@@ -240,7 +240,7 @@ def _record(kind: type, fields: Mapping[str, Any]) -> Any:
     return made
 
 
-def _awaited(client: "Client", future: "Future") -> Any:
+def _await(client: "Client", future: "Future") -> Any:
     """Return the result, unless all workers are lost or have too little memory for it."""
     missed, before = time.monotonic(), None
     while True:

@@ -109,7 +109,7 @@ def choose(
     if seconds is None:
         enough = [trial for trial in found if trial.error_high <= limit]
         if not enough:
-            raise InputError(_not_reached(curve, found, floor, limit))
+            raise InputError(_refuse_unreached(curve, found, floor, limit))
         fastest = min(enough, key=lambda trial: trial.seconds)
         as_fast = [t for t in enough if t.measured and t.seconds <= fastest.seconds_high]
         return min(as_fast or [fastest], key=lambda trial: (trial.error_high, trial.seconds))
@@ -125,7 +125,7 @@ def choose(
     return min(quick, key=lambda trial: trial.error_high)
 
 
-def _not_reached(
+def _refuse_unreached(
     curve: Curve | Sequence[Trial], found: Sequence[Trial], floor: float, tolerance: float
 ) -> str:
     known = [trial for trial in found if np.isfinite(trial.error_high)]

@@ -35,7 +35,7 @@ def _line(knob: Knob, solid: Sequence[Trial], law: Law) -> tuple[Order, float]:
 
     x = np.array([variable(one.setting, law) for one in solid])
     y = np.log([one.error for one in solid])
-    known = np.array([_spread(knob, one) for one in solid])
+    known = np.array([_interval_of_order(knob, one) for one in solid])
     weights = 1 / known**2
     centre = np.average(x, weights=weights)
     spread = float(np.sum(weights * (x - centre) ** 2))
@@ -51,7 +51,7 @@ def _line(knob: Knob, solid: Sequence[Trial], law: Law) -> tuple[Order, float]:
     return Order(slope, slope - half, slope + half, law, len(solid)), squares
 
 
-def _spread(knob: Knob, trial: Trial) -> float:
+def _interval_of_order(knob: Knob, trial: Trial) -> float:
     """Standard error of the logarithm of an error."""
     if not np.isfinite(trial.error_high) or trial.error_high <= trial.error:
         return LEAST_SPREAD

@@ -72,7 +72,7 @@ def plot(
     none = "no error was found" if exact else _UNKNOWN
     if shown and exact:
         axes.update_datalim([(t.seconds, 100 * shown[0].error) for t in exact])
-    _scaled(axes, [t.error for t in shown], curve.error_axis, none)
+    _scale_axis(axes, [t.error for t in shown], curve.error_axis, none)
     if shown:
         low, high = axes.get_ylim()
         axes.set_ylim(low * (low / high) ** (ROOM if exact else 0), high)
@@ -122,7 +122,7 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
             places = [t.seconds for t in best], [100 * t.error for t in best]
             drawn += places[1]
             axes.plot(*places, "o-", ms=4, lw=1, label=curve.knob.name)
-    _scaled(axes, drawn, curves[0].error_axis if curves else "error")
+    _scale_axis(axes, drawn, curves[0].error_axis if curves else "error")
     if drawn:
         few_ticks(axes)
     axes.set_title("Pareto fronts of all knobs", fontsize=10)
@@ -133,7 +133,7 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
     return axes
 
 
-def _scaled(axes: "Axes", errors: Sequence[float], of: str, none: str = _UNKNOWN) -> None:
+def _scale_axis(axes: "Axes", errors: Sequence[float], of: str, none: str = _UNKNOWN) -> None:
     """Logarithmic axes with their labels, and a message if there is nothing to draw."""
     axes.set(xlabel="time [s]", ylabel=of)
     if errors:

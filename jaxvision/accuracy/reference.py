@@ -47,7 +47,7 @@ def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
     run = tuple(session.points)
     setting = _finest(session, calls=DRAWS)
     try:
-        draws = _drawn(session, setting)
+        draws = _draw_results(session, setting)
     except Exception as failure:
         late = isinstance(failure, OutOfTime)
         if setting not in run:
@@ -59,12 +59,12 @@ def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
         if not coarser:
             raise
         setting = coarser[-1]
-        draws = _drawn(session, setting)
+        draws = _draw_results(session, setting)
     mean, error = mean_of(draws, session.problem.compared)
     return Reference(setting, error, "other seeds"), mean
 
 
-def _drawn(session: Session, setting: Any) -> list[np.ndarray]:
+def _draw_results(session: Session, setting: Any) -> list[np.ndarray]:
     """Return independent draws of a setting, as many as are worth their time, without seeds that
     fail after others."""
     draws: list[np.ndarray] = []

@@ -50,15 +50,15 @@ class Digits:
     @property
     def fewest(self) -> float:
         """The fewest digits of any finite output; NaN if none is finite."""
-        known = self._known()
+        known = self._check_known()
         finite = known[np.isfinite(known)]
         return float(finite.min()) if finite.size else (WHOLE if not known.size else np.nan)
 
-    def _known(self) -> np.ndarray:
+    def _check_known(self) -> np.ndarray:
         return np.concatenate([np.zeros(0), *(np.ravel(x) for x in jax.tree.leaves(self.digits))])
 
     def __str__(self) -> str:
-        unknown, count = int(np.isnan(self._known()).sum()), self._known().size
+        unknown, count = int(np.isnan(self._check_known()).sum()), self._check_known().size
         if count and unknown == count:
             return "No result is finite at these arguments."
         left = f"{self.fewest:.1f} of {WHOLE:.1f} digits are left"
@@ -100,7 +100,7 @@ def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: 
     closed, shapes = jax.make_jaxpr(function, return_shape=True)(*single)
     names: list[str] = []
     with jax.enable_x64(True):
-        once = jax.jit(partial(_evaluated, closed.jaxpr, names=names))
+        once = jax.jit(partial(_evaluate, closed.jaxpr, names=names))
         keys = jax.random.split(jax.random.key(seed), runs)
         flat = jax.tree.leaves(single)
         found = [once(key, list(closed.consts), flat) for key in keys]
@@ -140,7 +140,7 @@ def _fewest(values: list[np.ndarray]) -> float:
     return min((float(own.min()) for own in found if own.size), default=WHOLE)
 
 
-def _evaluated(
+def _evaluate(
     jaxpr: Any, key: Any, consts: list[Any], arguments: list[Any], *, names: list[str]
 ) -> tuple[list[Any], list[Any]]:
     """The results of a jaxpr with random rounding and, of each rounded operation, its operands and
@@ -161,25 +161,25 @@ def _evaluated(
         own, inputs = jax.random.fold_in(key, number), [value(x) for x in eqn.invars]
         inner = next((eqn.params[word] for word in _INSIDE if word in eqn.params), None)
         if eqn.primitive.name in _AS_ONE:
-            results = _as_one(eqn, own, inputs)
+            results = _run_as_one(eqn, own, inputs)
         elif inner is not None:
             open_ = getattr(inner, "jaxpr", inner)
-            results, more = _evaluated(
+            results, more = _evaluate(
                 open_, own, list(getattr(inner, "consts", ())), inputs, names=names
             )
             traces += more
         else:
-            results = _rounded(eqn, own, inputs)
+            results = _round(eqn, own, inputs)
         if inner is None or eqn.primitive.name in _AS_ONE:
             floating = [x for x in inputs if jnp.issubdtype(x.dtype, jnp.floating)]
             if results and jnp.issubdtype(results[0].dtype, jnp.floating) and floating:
-                names.append(_named(eqn))
+                names.append(_name_operation(eqn))
                 traces.append((floating, results[0]))
         known |= dict(zip(eqn.outvars, results, strict=True))
     return [value(x) for x in jaxpr.outvars], traces
 
 
-def _rounded(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
+def _round(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
     """The results of one operation, the inexact ones rounded at random."""
 
     def bound(inputs: list[Any], params: dict[str, Any]) -> list[Any]:
@@ -195,17 +195,17 @@ def _rounded(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
     wide = [x.astype(_WIDE.get(x.dtype, x.dtype)) for x in inputs]
     params = {n: None if n == "preferred_element_type" else v for n, v in params.items()}
     return [
-        _randomly_rounded(x, own, jax.random.fold_in(key, i)) if x.dtype in _WIDE.values() else own
+        _round_at_random(x, own, jax.random.fold_in(key, i)) if x.dtype in _WIDE.values() else own
         for i, (x, own) in enumerate(zip(bound(wide, params), native, strict=True))
     ]
 
 
-def _as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
+def _run_as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
     """The results of a loop, a branch or a solution, each of whose operations is rounded."""
     params = eqn.params
 
     def run(inner: Any, key: Any, arguments: list[Any]) -> list[Any]:
-        return _evaluated(inner.jaxpr, key, list(inner.consts), arguments, names=[])[0]
+        return _evaluate(inner.jaxpr, key, list(inner.consts), arguments, names=[])[0]
 
     match eqn.primitive.name:
         case "scan":
@@ -241,13 +241,13 @@ def _as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
     return run(inner.solve, key, [*consts, *right])
 
 
-def _randomly_rounded(exact: Any, native: Any, key: Any) -> Any:
+def _round_at_random(exact: Any, native: Any, key: Any) -> Any:
     """A float64 rounded to a neighbouring float32, so that its expectation is the number itself;
     `native` is the float32 of the operation itself, whose own error is taken with either sign."""
     if jnp.iscomplexobj(exact):
         parts = zip((exact.real, exact.imag), (native.real, native.imag), (2, 3), strict=True)
         return jax.lax.complex(
-            *(_randomly_rounded(x, y, jax.random.fold_in(key, i)) for x, y, i in parts)
+            *(_round_at_random(x, y, jax.random.fold_in(key, i)) for x, y, i in parts)
         )
     near, off = exact.astype(jnp.float32), native.astype(jnp.float64) - exact
     unit = jnp.abs(jnp.nextafter(near, jnp.float32(jnp.inf)) - near).astype(jnp.float64)
@@ -261,7 +261,7 @@ def _randomly_rounded(exact: Any, native: Any, key: Any) -> Any:
     return jnp.where(jax.random.uniform(key, exact.shape) < chance, other, near)
 
 
-def _named(eqn: Any) -> str:
+def _name_operation(eqn: Any) -> str:
     """The primitive and the line of the caller's own source."""
     traceback = eqn.source_info.traceback
     frames = traceback.frames if traceback is not None else ()

@@ -105,7 +105,7 @@ def measured(
     own = problem
 
     def measure(name: str, share: float) -> Curve:
-        turned = _with_base(KNOBS[name], own.settings.get(name))
+        turned = _add_base(KNOBS[name], own.settings.get(name))
         return curve(own, turned, seconds=share, metrics=metrics, clock=clock)
 
     worth = WORTH if own.compiled is None else KEPT
@@ -153,7 +153,7 @@ def measured_together(
     return problem, curves, all_together(problem, curves, seconds=left, clock=clock)
 
 
-def _with_base(knob: Knob, base: Any) -> Knob:
+def _add_base(knob: Knob, base: Any) -> Knob:
     """Return the knob with its own base setting added to its settings."""
     if base is None or isinstance(base, str) or base in knob.settings:
         return knob
@@ -200,7 +200,7 @@ def settings(
     file = _remembered(scene_file, tolerance, render_seconds)
     known = _read(file, seconds) if cache else None
     if known is not None:
-        return _chosen(scene_file, known, _pruned(scene_file, tolerance, known["level"]))
+        return _chosen(scene_file, known, _prune(scene_file, tolerance, known["level"]))
     now = clock or time.perf_counter
     until, own = now() + seconds, scene_file.render
     problem, level = None, None
@@ -211,7 +211,7 @@ def settings(
         level = float(np.sqrt(np.mean(picture**2)))
     pruned, prunable = None, until - (1 - PRUNING) * seconds
     with suppress(OutOfTime):
-        pruned = run_within(lambda: _pruned(scene_file, tolerance, level), lambda: prunable - now())
+        pruned = run_within(lambda: _prune(scene_file, tolerance, level), lambda: prunable - now())
     if pruned is not None and pruned.certificate.dropped:
         problem = None
     left, _ = pruned_scene(scene_file, own, pruned)
@@ -295,7 +295,7 @@ def _chosen(scene_file: SceneFile, known: Mapping[str, Any], pruned: Pruned | No
     )
 
 
-def _pruned(source: SceneFile, tolerance: float | None, level: float | None) -> Pruned | None:
+def _prune(source: SceneFile, tolerance: float | None, level: float | None) -> Pruned | None:
     """Drop the negligible effects for paths of the largest depth of any setting."""
     own, deepest = source.render, KNOBS["depth"].reference[-1]
     deep = own.model_copy(update={"depth": max(own.depth, deepest)})

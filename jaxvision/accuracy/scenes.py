@@ -129,7 +129,7 @@ def scene_problem(
     names = knobs_of(source, own)
     base = base_of(own, names)
     height, width = source.view.resolution
-    rows, columns = (_spread(size, min(probe, size)) for size in (height, width))
+    rows, columns = (_spread_rays(size, min(probe, size)) for size in (height, width))
     places = tuple(axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
 
     compiled: dict[str, Callable[..., Callable[..., np.ndarray]]] = {}
@@ -184,7 +184,7 @@ def scene_problem(
         f"{source.path.stem}, {own.integrator}, {height} × {width}",
         prepare,
         settings=base,
-        developed=lambda radiance, exposed: _developed(radiance, exposed, to_rgb),
+        developed=lambda radiance, exposed: _develop(radiance, exposed, to_rgb),
         compiled=None if own.integrator == "light" else known,
         compiling=compiling,
         once=lambda: once,
@@ -212,7 +212,7 @@ def _samples_a_call(entry: RenderEntry) -> int:
     return 2 if entry.samples % 2 == 0 else entry.samples
 
 
-def _spread(size: int, count: int) -> np.ndarray:
+def _spread_rays(size: int, count: int) -> np.ndarray:
     """Evenly spread indices of pixels."""
     return ((np.arange(count) + 0.5) * size / count).astype(int)
 
@@ -253,7 +253,7 @@ def _brightest(picture: np.ndarray) -> float:
     return _HEADROOM * quantile if quantile > 0 else np.inf
 
 
-def _developed(radiance: np.ndarray, exposed: np.ndarray, to_rgb: np.ndarray) -> np.ndarray:
+def _develop(radiance: np.ndarray, exposed: np.ndarray, to_rgb: np.ndarray) -> np.ndarray:
     """Lab of a picture, with an exposure that puts 95 % of the reference below 0.8 of white."""
     bright = exposed @ to_rgb @ np.array([0.2126, 0.7152, 0.0722])
     white = float(np.quantile(bright, _QUANTILE)) / _SHOWN if bright.size else 1.0

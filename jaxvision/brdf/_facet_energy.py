@@ -42,20 +42,20 @@ def _chebyshev(place: Array, count: int) -> Array:
 
 
 def _roughness_basis(alpha: Scalar, count: int) -> Float[Array, " count"]:
-    def stretched(a):
+    def stretch(a):
         return jnp.arcsinh(jnp.sqrt(a / 0.3))
 
     low, high = (float(np.arcsinh(np.sqrt(end / 0.3))) for end in (SMOOTHEST, ROUGHEST))
-    return _chebyshev((stretched(_fitted(alpha)) - low) / (high - low), count)
+    return _chebyshev((stretch(_polynomial(alpha)) - low) / (high - low), count)
 
 
-def _fitted(alpha: Scalar) -> Scalar:
+def _polynomial(alpha: Scalar) -> Scalar:
     return jnp.clip(alpha, SMOOTHEST, ROUGHEST)
 
 
 def _cosine_basis(cosine: Array, alpha: Scalar, count: int) -> Array:
     """T_k at the places of cosines; smoother facets look alike at the same cosine over alpha."""
-    a = _fitted(alpha)
+    a = _polynomial(alpha)
     scaled = cosine * (a / jnp.clip(alpha, LEAST_ROUGHNESS, ROUGHEST))
     ratio = jnp.arcsinh(jnp.clip(scaled, 1e-6, 1) / (2 * a)) / jnp.arcsinh(0.5 / a)
     return _chebyshev(ratio**0.6, count)
@@ -84,6 +84,6 @@ def reflected(cosine: Scalar, alpha: Scalar, eta: Colour, distribution: Distribu
     added = _cosine_basis(cosine, alpha, table.shape[0]) @ line
     # of smoother facets than fitted the loss stays at the same cosine over alpha; what the tilt of
     # the facets changes of Fresnel's reflectance falls with alpha
-    loss, smoother = lost(cosine, alpha, distribution), alpha / _fitted(alpha)
+    loss, smoother = lost(cosine, alpha, distribution), alpha / _polynomial(alpha)
     added = (added + loss) * smoother - loss
     return jnp.clip(fresnel_dielectric(jnp.clip(cosine, 0, 1), eta) + added, 0, 1)

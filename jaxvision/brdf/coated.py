@@ -131,14 +131,16 @@ def _through(material: Coated, w: Vec) -> Colour:
     return passed * jnp.exp(-material.optical_depth / _within(material, w).z)
 
 
-def _returned(material: Coated) -> Colour:
+def _internal_reflectance(material: Coated) -> Colour:
     """R, (bands,) or (1,), no unit: the integral of 2 c exp(-2 tau / c) r(c) over the cosine c
     inside, with r = 1 beyond the critical angle; elsewhere c dc = c_o dc_o / eta^2 with the cosine
     c_o outside."""
     eta = material.interface.eta
     critical = safe_sqrt((eta - 1) * (eta + 1)) / eta
 
-    def crossed(cosine: Float[Array, " _"]) -> Float[Array, " _"]:  # twice; (1,) or (bands,)
+    def traverse(
+        cosine: Float[Array, " _"],
+    ) -> Float[Array, " _"]:  # twice; (1,) or (bands,)
         if material.optical_depth is None:
             return jnp.ones_like(cosine)
         return jnp.exp(-2 * material.optical_depth / cosine)
@@ -146,8 +148,8 @@ def _returned(material: Coated) -> Colour:
     def at(t: Scalar) -> Colour:
         outside = reflected(t, material.roughness, eta, material.distribution)
         inside = safe_sqrt((eta - 1) * (eta + 1) + t * t) / eta
-        beyond = outside * crossed(inside) / (eta * eta)
-        return 2 * t * (critical * critical * crossed(critical * t) + beyond)
+        beyond = outside * traverse(inside) / (eta * eta)
+        return 2 * t * (critical * critical * traverse(critical * t) + beyond)
 
     t, dt = (jnp.asarray(x, eta.dtype) for x in gauss_legendre(24))
     return dt @ jax.vmap(at)(t)
@@ -170,7 +172,7 @@ def _from_body(material: Coated, wi: Direction, wo: Direction) -> Colour:
     """The second term, (bands,) in sr^-1."""
     light, viewer = as_vec(wi), as_vec(wo)
     i, o = _within(material, light), _within(material, viewer)
-    again = _returned(material)
+    again = _internal_reflectance(material)
     first = family(material.body).evaluate(material.body, i, o)
     further = _albedo_of_body(material, i) * _albedo_of_body(material, o) * again
     further = further / (jnp.pi * (1 - _mean_albedo(material) * again))

@@ -49,7 +49,7 @@ class HalfDifference(Shown):
     phi_d: Scalar
 
 
-def _turned(w: Vec, theta: Scalar, phi: Scalar) -> Vec:
+def _rotate(w: Vec, theta: Scalar, phi: Scalar) -> Vec:
     """`w` rotated by theta about y, then by phi about z: +z becomes spherical(theta, phi)."""
     c, s = jnp.cos(theta), jnp.sin(theta)
     x, z = c * w.x + s * w.z, c * w.z - s * w.x
@@ -80,8 +80,8 @@ def from_half_difference(angles: HalfDifference) -> tuple[Vec, Vec]:
     d = spherical(angles.theta_d, angles.phi_d)
     opposite = Vec(-d.x, -d.y, d.z)
     return (
-        _turned(d, angles.theta_h, angles.phi_h),
-        _turned(opposite, angles.theta_h, angles.phi_h),
+        _rotate(d, angles.theta_h, angles.phi_h),
+        _rotate(opposite, angles.theta_h, angles.phi_h),
     )
 
 

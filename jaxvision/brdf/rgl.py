@@ -122,15 +122,15 @@ def rgl_material(
     )
 
 
-def _unfolded(material: RGL, wi: Vec, wo: Vec) -> tuple[Vec, Vec]:
+def _unfold(material: RGL, wi: Vec, wo: Vec) -> tuple[Vec, Vec]:
     """Rotate or mirror both directions together so that `wo` falls in the tabulated sector."""
 
-    def flipped(w: Vec) -> Vec:
+    def flip(w: Vec) -> Vec:
         y = jnp.where(wo.y > 0, -w.y, w.y)
         along = wo.x if material.symmetry == 4 else wo.y
         return Vec(jnp.where(along > 0, -w.x, w.x), y, w.z)
 
-    return (wi, wo) if material.symmetry == 1 else (flipped(wi), flipped(wo))
+    return (wi, wo) if material.symmetry == 1 else (flip(wi), flip(wo))
 
 
 def _seen_from(material: RGL, wo: Vec) -> tuple[Slices, Scalar, Square]:
@@ -167,7 +167,7 @@ def shading(material: RGL, wi: Direction, wo: Direction) -> Colour:
     """
     wi, wo = as_vec(wi), as_vec(wo)
     height = jnp.minimum(wi.z, wo.z)
-    wi, wo = _unfolded(material, wi, wo)
+    wi, wo = _unfold(material, wi, wo)
     at, origin, wo_place = _seen_from(material, wo)
     h_place = half_to_square(as_vec(normalize(wi + wo)), origin)
     s, _ = unwarp(material.vndf, at, h_place)
@@ -187,19 +187,19 @@ def sample(material: RGL, wo: Direction, u: Float[Array, "3"]) -> Vec:
     `u`, (3,) uniform in [0, 1). A direction below the surface (at the edge of the tables) reflects
     nothing."""
     wo = as_vec(wo)
-    _, turned = _unfolded(material, wo, wo)
+    _, turned = _unfold(material, wo, wo)
     at, origin, _ = _seen_from(material, turned)
     s, _ = warp(material.luminance, at, (u[1], u[0]))
     place, _ = warp(material.vndf, at, s)
     wi = reflected(turned, square_to_half(place, origin))
-    return _unfolded(material, wi, wo)[0]  # the flips that `wo` calls for undo themselves
+    return _unfold(material, wi, wo)[0]  # the flips that `wo` calls for undo themselves
 
 
 def pdf(material: RGL, wi: Direction, wo: Direction) -> Scalar:
     """Return the density of `sample`, sr^-1, over the whole sphere. It is 0 for `wo` below the
     surface.
     """
-    wi, wo = _unfolded(material, as_vec(wi), as_vec(wo))
+    wi, wo = _unfold(material, as_vec(wi), as_vec(wo))
     at, origin, _ = _seen_from(material, wo)
     h = as_vec(normalize(wi + wo))
     place = half_to_square(h, origin)
@@ -217,7 +217,7 @@ def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
     on the square s, where `vndf` has flattened the lobe.
     """
     wo = as_vec(wo)
-    _, turned = _unfolded(material, wo, wo)
+    _, turned = _unfold(material, wo, wo)
     at, origin, wo_place = _seen_from(material, turned)
     nodes = (jnp.arange(order, dtype=wo.z.dtype) + 0.5) / order
 

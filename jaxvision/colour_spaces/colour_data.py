@@ -138,7 +138,7 @@ def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, "
 
     table = _entry(colour.SDS_ILLUMINANTS, name, "illuminant")
     name = table.name  # in upper case, whatever was asked for
-    wanted, power = _nanometres(wavelengths), _sampled(table, wavelengths)
+    wanted, power = _nanometres(wavelengths), _sample_table(table, wavelengths)
     beyond = (wanted < table.shape.start) | (wanted > table.shape.end)
     if name == "E" or not beyond.any():
         return power
@@ -183,7 +183,7 @@ def observer(
     """
     import colour
 
-    return _sampled(_entry(colour.MSDS_CMFS, name, "observer"), wavelengths, ends=True)
+    return _sample_table(_entry(colour.MSDS_CMFS, name, "observer"), wavelengths, ends=True)
 
 
 def camera_sensitivities(
@@ -210,7 +210,7 @@ def camera_sensitivities(
     import colour
 
     cameras = colour.MSDS_CAMERA_SENSITIVITIES
-    return _sampled(_entry(cameras, name, "camera"), wavelengths, ends=True)
+    return _sample_table(_entry(cameras, name, "camera"), wavelengths, ends=True)
 
 
 def chart_reflectances(
@@ -232,7 +232,7 @@ def chart_reflectances(
     import colour
 
     patches = _entry(colour.SDS_COLOURCHECKERS, name, "chart")
-    return as_float(np.stack([_sampled(patch, wavelengths) for patch in patches.values()]))
+    return as_float(np.stack([_sample_table(patch, wavelengths) for patch in patches.values()]))
 
 
 def daylight_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3"]:
@@ -393,7 +393,7 @@ def _nanometres(wavelengths: Float[Array, " bands"]) -> Float[np.ndarray, " band
     return np.round(metres * 1e9, 3)
 
 
-def _sampled(
+def _sample_table(
     distribution: Any, wavelengths: Float[Array, " bands"], *, ends: bool = False
 ) -> Float[Array, "..."]:
     """A table of colour-science at these wavelengths; beyond it 0 if `ends`, else the end value."""

@@ -65,12 +65,12 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
     """
 
     @wraps(function)
-    def of_numbers(*args: P.args, **kwargs: P.kwargs) -> R:
-        wanted = _wanted(function)
-        if len(args) > (placed := _placed(function)):
-            raise _unnamed(function, placed, args)
+    def converting(*args: P.args, **kwargs: P.kwargs) -> R:
+        wanted = _expected_content(function)
+        if len(args) > (placed := _count_positional(function)):
+            raise _unnamed_error(function, placed, args)
         if not kwargs.keys() <= wanted.keys():
-            raise _unknown(function, kwargs, wanted)
+            raise _unknown_error(function, kwargs, wanted)
         values = dict(zip(wanted, args, strict=False)) | kwargs
         arrays = {n: w for n, w in wanted.items() if w is not None and n in values}
         given = values
@@ -78,7 +78,7 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
         values |= {n: within_integers(values[n]) for n in arrays}
         plain = [n for n, want in arrays.items() if _is_plain(values[n], want)]
         if plain:
-            dtype = _dtype_beside(values)
+            dtype = _common_dtype(values)
             for name in plain:
                 values[name] = _as_array(function, name, values[name], arrays[name], dtype)
         if any(values[name] is not given[name] for name in values):
@@ -102,7 +102,7 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
                 warn_of_range(_place(function, name), given[name])
             return function(*args, **kwargs)
 
-    return of_numbers
+    return converting
 
 
 def warn_of_idle_fill(fill: Any, border: str) -> None:
@@ -119,13 +119,13 @@ def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
         names = list(signature(function).parameters)
 
         @wraps(function)
-        def of_known(*args: P.args, **kwargs: P.kwargs) -> R:
+        def checking(*args: P.args, **kwargs: P.kwargs) -> R:
             values = dict(zip(names, args, strict=False)) | kwargs
             for name, allowed in ranges.items():
                 check_range(_place(function, name), values.get(name), **allowed._asdict())
             return function(*args, **kwargs)
 
-        return of_known
+        return checking
 
     return of
 
@@ -144,7 +144,7 @@ def _is_plain(value: Any, want: _Wanted) -> bool:
 
 
 @cache
-def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
+def _expected_content(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
     """The expected content of each parameter, in order; None unless it is an array of numbers, or
     either an array or a record."""
     hints = get_type_hints(function)
@@ -177,7 +177,7 @@ def _parts(hint: Any) -> tuple[Any, ...]:
 
 
 @cache
-def _placed(function: Callable[..., Any]) -> int:
+def _count_positional(function: Callable[..., Any]) -> int:
     """The number of positional arguments."""
     kinds = [parameter.kind for parameter in signature(function).parameters.values()]
     if Parameter.VAR_POSITIONAL in kinds:
@@ -223,7 +223,7 @@ def _is_record(part: Any) -> bool:
     return isinstance(part, type) and issubclass(part, eqx.Module)
 
 
-def _dtype_beside(values: dict[str, Any]) -> Any:
+def _common_dtype(values: dict[str, Any]) -> Any:
     """The dtype of the floating arrays among the arguments, including those in records; else JAX's
     default."""
     leaves = [x for x in jax.tree.leaves(list(values.values())) if isinstance(x, jax.Array)]
@@ -277,7 +277,7 @@ def _no_numbers(function: Callable[..., Any], name: str, value: Any) -> ValueErr
     return ValueError(f"{_place(function, name)} must be numbers, got {in_short(value)}.")
 
 
-def _unnamed(function: Callable[..., Any], placed: int, args: tuple[Any, ...]) -> TypeError:
+def _unnamed_error(function: Callable[..., Any], placed: int, args: tuple[Any, ...]) -> TypeError:
     """The error message for too many positional arguments."""
     by_name = list(signature(function).parameters)[placed:]
     extra = zip(by_name, args[placed:], strict=False)
@@ -287,7 +287,7 @@ def _unnamed(function: Callable[..., Any], placed: int, args: tuple[Any, ...]) -
     return TypeError(f"{who} takes {placed} of its arguments by their place; {advice}.")
 
 
-def _unknown(
+def _unknown_error(
     function: Callable[..., Any], given: Iterable[str], known: Collection[str]
 ) -> TypeError:
     """The error message for an unknown argument name."""

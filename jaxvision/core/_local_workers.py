@@ -60,11 +60,11 @@ def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
     }
     # Python's resource tracker outlives an interrupted command and warns of what ended with it.
     sys.warnoptions.append("ignore:resource_tracker")
-    with config.set(options), _started(count) as made, Client(made) as client:
+    with config.set(options), _start(count) as made, Client(made) as client:
         yield client
 
 
-def _started(count: int) -> "LocalCluster":
+def _start(count: int) -> "LocalCluster":
     """Start the processes of this machine. If one dies during its start, the others end with it."""
     from distributed import LocalCluster
 

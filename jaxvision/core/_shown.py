@@ -99,10 +99,10 @@ def _shown(value: Any, indent: str = "", *, units: bool = False) -> str:
             for name, one in kept
             if one is not None
         ]
-        return _listed(f"{type(value).__name__}(", given, ")", indent, units=units)
+        return _list_items(f"{type(value).__name__}(", given, ")", indent, units=units)
     if isinstance(value, tuple | list) and any(isinstance(one, eqx.Module) for one in value):
         given = [("", one, "") for one in value]
-        return _listed("(", given, ",)" if len(value) == 1 else ")", indent, units=units)
+        return _list_items("(", given, ",)" if len(value) == 1 else ")", indent, units=units)
     if not isinstance(value, jax.Array | np.ndarray):
         return eqx.tree_pformat(value)
     if isinstance(value, Tracer) or jnp.issubdtype(value.dtype, jax.dtypes.extended):
@@ -119,7 +119,7 @@ def _written(numbers: np.ndarray) -> str:
     return f"[{', '.join(map(_written, numbers))}]"
 
 
-def _listed(
+def _list_items(
     head: str, given: list[tuple[str, Any, str]], tail: str, indent: str, *, units: bool
 ) -> str:
     """(name, value, unit) of each on one line if it fits, else one entry per line."""

@@ -451,7 +451,7 @@ def check_fields(record: Any, **ranges: Range) -> None:
     axis name, lie in `ranges` (by field), and its records are of their kind."""
     sizes: dict[int | str, int] = {}
     kind = type(record).__name__
-    for name, (shapes, kinds) in _annotated(type(record)).items():
+    for name, (shapes, kinds) in _field_shapes(type(record)).items():
         place, value = f"{kind}.{name}", getattr(record, name)
         if kinds and (isinstance(value, eqx.Module) or not shapes):
             check_kind(place, value, *kinds)
@@ -473,7 +473,7 @@ def check_fields(record: Any, **ranges: Range) -> None:
 
 
 @cache
-def _annotated(
+def _field_shapes(
     record: type,
 ) -> dict[str, tuple[tuple[tuple[int | str, ...], ...], tuple[type, ...]]]:
     """The allowed shapes and record kinds of each field."""

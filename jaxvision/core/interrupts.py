@@ -103,7 +103,7 @@ def ending_on_interrupt(command: str, work: Callable[[], object]) -> None:
     os.set_blocking(writer, False)
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(command, reader), daemon=True).start()
-    signal.signal(signal.SIGINT, _raise_where_wanted)
+    signal.signal(signal.SIGINT, _handle_interrupt)
     status: object = 0
     try:
         work()
@@ -129,7 +129,7 @@ def _open_closed_streams() -> None:
             setattr(sys, name, Path(os.devnull).open(mode))  # noqa: SIM115
 
 
-def _raise_where_wanted(number: int, frame: FrameType | None) -> None:
+def _handle_interrupt(number: int, frame: FrameType | None) -> None:
     del number, frame
     _ending.seen.set()  # which the thread may do later
     if _ending.raised.is_set():

@@ -102,10 +102,10 @@ def within_integers(x: Any) -> Any:
         parts = [within_integers(part) for part in x]
         return x if all(new is old for new, old in zip(parts, x, strict=True)) else parts
     if type(x) is int:
-        held = _held(np.int64)
+        held = _hold_numbers(np.int64)
         return x if held.min <= x <= held.max else float(x)
     if isinstance(x, np.ndarray | np.generic) and x.dtype.kind in "iu" and x.dtype.itemsize == 8:
-        held = _held(x.dtype)
+        held = _hold_numbers(x.dtype)
         if x.size and not (held.min <= x.min() and x.max() <= held.max):
             return x.astype(np.float64)
     return x
@@ -143,7 +143,7 @@ def warn_of_range(name: str, x: Any) -> None:
     )
 
 
-def _held(dtype: Any) -> np.iinfo:
+def _hold_numbers(dtype: Any) -> np.iinfo:
     """The range of the JAX integers that replace NumPy's."""
     import jax
 

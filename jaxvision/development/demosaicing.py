@@ -103,13 +103,13 @@ def demosaic_bilinear(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_
     pattern = as_pattern(pattern)
     layout = _layout(pattern)
 
-    def of_image(plane: Plane) -> Float[Array, "h w 3"]:
-        at = _Shifted(materialise(lambda f: _continued(f, 1, border), plane), 1)
+    def demosaic_plane(plane: Plane) -> Float[Array, "h w 3"]:
+        at = _Shifted(materialise(lambda f: _extend_in_phase(f, 1, border), plane), 1)
         beside, above = at(0, -1) + at(0, 1), at(-1, 0) + at(1, 0)
         diagonal = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
         return _chosen(layout, at(0, 0), (beside + above) / 4, beside / 2, above / 2, diagonal / 4)
 
-    return _per_image(of_image, raw, pattern)
+    return _per_image(demosaic_plane, raw, pattern)
 
 
 @takes_numbers
@@ -141,8 +141,8 @@ def demosaic_malvar(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_ph
     pattern = as_pattern(pattern)
     layout = _layout(pattern)
 
-    def of_image(plane: Plane) -> Float[Array, "h w 3"]:
-        at = _Shifted(materialise(lambda f: _continued(f, 2, border), plane), 2)
+    def demosaic_plane(plane: Plane) -> Float[Array, "h w 3"]:
+        at = _Shifted(materialise(lambda f: _extend_in_phase(f, 2, border), plane), 2)
         own = at(0, 0)
         beside, above = at(0, -1) + at(0, 1), at(-1, 0) + at(1, 0)
         diagonal = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
@@ -156,7 +156,7 @@ def demosaic_malvar(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_ph
             opposite=(6 * own + 2 * diagonal - 1.5 * (far_beside + far_above)) / 8,
         )
 
-    return _per_image(of_image, raw, pattern)
+    return _per_image(demosaic_plane, raw, pattern)
 
 
 @takes_numbers
@@ -190,13 +190,13 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
     pattern = as_pattern(pattern)
     layout = _layout(pattern)
 
-    def of_image(plane: Plane) -> Float[Array, "h w 3"]:
+    def demosaic_plane(plane: Plane) -> Float[Array, "h w 3"]:
         is_green, first_rows = layout.masks(*plane.shape)
         is_first = first_rows & ~is_green
         green, lead = materialise(lambda f: _directed_green(f, is_green), plane)
 
         def along(difference: Plane, near: Callable[[Plane, int], Plane]) -> Plane:
-            return _directed(lead, near(difference, 1), near(difference, 0))
+            return _choose_direction(lead, near(difference, 1), near(difference, 0))
 
         def at_green(from_green: Plane) -> tuple[Plane, Plane]:
             """Either band minus green, at the green pixels, from their neighbours."""
@@ -211,7 +211,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
                 jnp.where(is_green, green + second, jnp.where(is_first, raw - apart, raw)),
             )
 
-        def refined(
+        def refine_bands(
             raw: Plane, green: Plane, first: Plane, second: Plane
         ) -> tuple[Plane, Plane, Plane]:
             seen = (along(first - green, _mean_of_three), along(second - green, _mean_of_three))
@@ -228,10 +228,10 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
 
         first, second = materialise(others, plane, green)
         if refine:
-            green, first, second = materialise(refined, plane, green, first, second)
-        return _joined(layout, green, first, second)
+            green, first, second = materialise(refine_bands, plane, green, first, second)
+        return _join(layout, green, first, second)
 
-    return _per_image(of_image, raw, pattern)
+    return _per_image(demosaic_plane, raw, pattern)
 
 
 @takes_numbers
@@ -264,7 +264,7 @@ def demosaic_normalised(raw: Mosaic, pattern: Pattern | str) -> Picture:
     rows, columns = len(pattern), len(pattern[0])
     tents = (_tent(rows), _tent(columns))
 
-    def of_image(plane: Plane) -> Float[Array, "h w bands"]:
+    def demosaic_plane(plane: Plane) -> Float[Array, "h w bands"]:
         seen = jnp.stack(sites(pattern, *plane.shape), axis=-1)
         weights = seen.astype(plane.dtype)
         values = jnp.where(seen, plane[..., None], 0)
@@ -273,7 +273,7 @@ def demosaic_normalised(raw: Mosaic, pattern: Pattern | str) -> Picture:
             seen, plane[..., None], light / correlate_separable(weights, *tents, border="zero")
         )
 
-    return _per_image(of_image, raw, pattern)
+    return _per_image(demosaic_plane, raw, pattern)
 
 
 METHODS: dict[str, Callable[..., Picture]] = {
@@ -327,7 +327,7 @@ def _chosen(
     is_green, first_rows = layout.masks(*own.shape)
     in_rows = jnp.where(is_green, along, own)
     in_others = jnp.where(is_green, across, opposite)
-    return _joined(
+    return _join(
         layout,
         jnp.where(is_green, own, green),
         jnp.where(first_rows, in_rows, in_others),
@@ -335,7 +335,7 @@ def _chosen(
     )
 
 
-def _joined(layout: _Layout, green: Plane, first: Plane, second: Plane) -> Float[Array, "h w 3"]:
+def _join(layout: _Layout, green: Plane, first: Plane, second: Plane) -> Float[Array, "h w 3"]:
     """The planes in the order of the bands, selected number by number, which vectorises; stacking
     three planes last would copy each number."""
     planes = dict(zip(layout[:3], (green, first, second), strict=True))
@@ -349,7 +349,7 @@ def _joined(layout: _Layout, green: Plane, first: Plane, second: Plane) -> Float
 
 
 def _per_image(
-    of_image: Callable[[Plane], Float[Array, "h w bands"]], raw: Mosaic, pattern: Pattern
+    demosaic_plane: Callable[[Plane], Float[Array, "h w bands"]], raw: Mosaic, pattern: Pattern
 ) -> Picture:
     check_pattern(pattern)
     planes, tile = as_float(raw), (len(pattern), len(pattern[0]))
@@ -360,11 +360,11 @@ def _per_image(
             f"{planes.shape}."
         )
     for _ in range(planes.ndim - 2):
-        of_image = jax.vmap(of_image)
-    return of_image(planes)
+        demosaic_plane = jax.vmap(demosaic_plane)
+    return demosaic_plane(planes)
 
 
-def _continued(plane: Plane, reach: int, border: str) -> Float[Array, "_ _"]:
+def _extend_in_phase(plane: Plane, reach: int, border: str) -> Float[Array, "_ _"]:
     as_is = "reflect_101" if border == "in_phase" else border
     return pad(plane, ((reach, reach), (reach, reach)), border=as_is)
 
@@ -414,10 +414,10 @@ def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Plane]:
         greens.append(green)
         roughness.append(_near(change, axis))
     lead = jax.lax.stop_gradient(roughness[1] - roughness[0])
-    return jnp.where(is_green, raw, _directed(lead, *greens)), lead
+    return jnp.where(is_green, raw, _choose_direction(lead, *greens)), lead
 
 
-def _directed(lead: Plane, by_rows: Plane, by_columns: Plane) -> Plane:
+def _choose_direction(lead: Plane, by_rows: Plane, by_columns: Plane) -> Plane:
     """The better of two directions, NaN where NaN makes that undecidable."""
     return jnp.where(lead >= 0, by_rows, jnp.where(lead < 0, by_columns, lead))
 

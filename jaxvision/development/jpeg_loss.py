@@ -147,20 +147,20 @@ def jpeg(
     luma_table, chroma_table = (
         table.astype(picture.dtype) for table in quantisation_tables(quality, rounding=rounding)
     )
-    coded_chroma = _coded if subsampling == "4:4:4" else _coded_at_half_size
+    coded_chroma = _code if subsampling == "4:4:4" else _code_at_half_size
 
-    def of_image(image: Float[Array, "h w bands"]) -> Float[Array, "h w bands"]:
+    def code_image(image: Float[Array, "h w bands"]) -> Float[Array, "h w bands"]:
         codes = _part(255 * jnp.clip(image, 0, 1), 0.5, 1, whole)
         if image.shape[-1] == 1:
-            return _coded(codes[..., 0], luma_table, whole)[..., None] / 255
+            return _code(codes[..., 0], luma_table, whole)[..., None] / 255
         luma, chroma = _to_ycbcr(codes, whole)
-        luma = _coded(luma, luma_table, whole)
+        luma = _code(luma, luma_table, whole)
         chroma = jax.vmap(lambda plane: coded_chroma(plane, chroma_table, whole))(chroma)
         return _to_rgb(luma, chroma, whole) / 255
 
     for _ in range(picture.ndim - 3):
-        of_image = jax.vmap(of_image)
-    return of_image(picture).astype(dtype)
+        code_image = jax.vmap(code_image)
+    return code_image(picture).astype(dtype)
 
 
 # ---------------------------------------------------------------- whole numbers
@@ -216,14 +216,14 @@ def _to_rgb(luma: Plane, chroma: Float[Array, "2 h w"], whole: bool) -> Float[Ar
 # ---------------------------------------------------------------- chroma at half size
 
 
-def _coded_at_half_size(plane: Plane, table: Table, whole: bool) -> Plane:
+def _code_at_half_size(plane: Plane, table: Table, whole: bool) -> Plane:
     height, width = plane.shape
-    small = _coded(_halved(plane, whole), table, whole)
+    small = _code(_halve(plane, whole), table, whole)
     seen = small[: (height + 1) // 2, : (width + 1) // 2]
-    return _doubled(seen, whole)[:height, :width]
+    return _double(seen, whole)[:height, :width]
 
 
-def _halved(plane: Plane, whole: bool) -> Other:
+def _halve(plane: Plane, whole: bool) -> Other:
     """Means of 2 x 2 codes, with halves rounded down and up alternately (jcsample.c)."""
     height, width = plane.shape
     # codes are repeated to the right at full size until the blocks are full, downwards at half size
@@ -233,7 +233,7 @@ def _halved(plane: Plane, whole: bool) -> Other:
     return _part(total, bias, 4, whole)
 
 
-def _doubled(plane: Plane, whole: bool) -> Other:
+def _double(plane: Plane, whole: bool) -> Other:
     """Each code as nine, three, three and one sixteenth of its nearest four (jdsample.c)."""
     wide = jnp.pad(plane, 1, mode="edge")
     height, width = plane.shape
@@ -249,7 +249,7 @@ def _doubled(plane: Plane, whole: bool) -> Other:
 # ---------------------------------------------------------------- blocks
 
 
-def _coded(plane: Plane, table: Table, whole: bool) -> Plane:
+def _code(plane: Plane, table: Table, whole: bool) -> Plane:
     """The codes of a plane from its rounded coefficients, with libjpeg's intermediate whole numbers
     (jfdctint.c, jcdctmgr.c, jidctint.c)."""
     height, width = plane.shape

@@ -47,7 +47,7 @@ def develop(raw: Scalars, development: Development) -> Scalars:
         >>> jv.develop(jnp.array([64.0, 576.0, 1088.0]), how).tolist()
         [0.0, 0.5, 1.0]
     """
-    picture = _scaled(raw, development)
+    picture = _scale_to_white(raw, development)
     if development.demosaicing is not None:
         how = development.demosaicing
         mosaic = picture[..., 0] if picture.shape[-1] == 1 else picture
@@ -56,7 +56,7 @@ def develop(raw: Scalars, development: Development) -> Scalars:
         gains = _gains(picture, development.white_balance, development.saturation)
         picture = white_balance(picture, gains, saturation=development.saturation)
     if development.denoising is not None:
-        picture = _denoised(picture, development.denoising)
+        picture = _denoise(picture, development.denoising)
     if development.colour_matrix is not None:
         picture = apply_matrix(picture, development.colour_matrix)
     if development.tone_map is not None:
@@ -99,7 +99,7 @@ def to_integers(picture: Scalars, *, bits: int = 8) -> UInt[Array, "..."]:
     return jnp.round(clipped * (2**bits - 1)).astype(dtypes[bits])
 
 
-def _scaled(raw: Scalars, development: Development) -> Scalars:
+def _scale_to_white(raw: Scalars, development: Development) -> Scalars:
     picture, span = raw, development.white_level
     if development.black_level is not None:
         picture = picture - development.black_level
@@ -123,7 +123,7 @@ def _gains(picture: Image, balance: WhiteBalancing, saturation: Scalars | None) 
             return neutral_gains(picture[..., top:bottom, left:right, :])
 
 
-def _denoised(picture: Image, denoising: Denoising) -> Image:
+def _denoise(picture: Image, denoising: Denoising) -> Image:
     match denoising:
         case Bilateral(sigma_space=space, sigma_range=over_values, radius=radius):
             return bilateral_filter(picture, space, over_values, radius=radius)

@@ -58,7 +58,7 @@ def png_chunks(file: Path, *, head: bool = False) -> PngChunks | None:
         while len(start := stream.read(8)) == 8:
             size, kind = struct.unpack(">I4s", start)
             if head and kind == b"IDAT":
-                return _said(kept)
+                return _read_chunks(kept)
             content, check = stream.read(size), stream.read(4)
             if len(check) < 4:
                 break
@@ -69,11 +69,11 @@ def png_chunks(file: Path, *, head: bool = False) -> PngChunks | None:
             if kind in _KEPT:
                 kept.setdefault(kind, content)
             if kind == b"IEND":
-                return _said(kept)
+                return _read_chunks(kept)
     return PngChunks("its last chunk is missing")
 
 
-def _said(kept: dict[bytes, bytes]) -> PngChunks:
+def _read_chunks(kept: dict[bytes, bytes]) -> PngChunks:
     header, animation = kept.get(b"IHDR", b""), kept.get(b"acTL", b"")
     if len(header) != 13:
         return PngChunks("it does not begin with its size")

@@ -46,7 +46,7 @@ def read_radiance(file: Path) -> np.ndarray:
     stored = _scanlines(file, data[end + 1 :], first, second)
     exponent = stored[..., 3].astype(np.int32)
     step = np.where(exponent > 0, np.ldexp(np.float64(1), exponent - _BIAS), 0)
-    pixels = (stored[..., :3] + 0.5) * step[..., None] / _applied(file, lines)
+    pixels = (stored[..., :3] + 0.5) * step[..., None] / _exposure_factors(file, lines)
     if size[1] == (b"+" if size[2] == b"Y" else b"-"):
         pixels = pixels[::-1]
     if size[4] == (b"+" if size[5] == b"Y" else b"-"):
@@ -69,7 +69,7 @@ def _head(file: Path, data: bytes) -> tuple[list[bytes], int]:
     return [line.strip() for line in data[: blank.start()].split(b"\n")], blank.end()
 
 
-def _applied(file: Path, lines: list[bytes]) -> np.ndarray:
+def _exposure_factors(file: Path, lines: list[bytes]) -> np.ndarray:
     """(3,) the factors that were applied to the radiance."""
     whole = np.ones(3)
     aspect = 1.0

@@ -31,7 +31,7 @@ from ..colour_spaces.colour_data import camera_sensitivities, wavelength_grid
 from ..core._types import require_metres
 from ..errors import InputError
 from ..scene import Camera, Sensor
-from .records import Reading, check_keys, record_of, table_of, with_draws, write_record
+from .records import Reading, attach_draws, check_keys, record_of, table_of, write_record
 from .shipped import existing_file, shipped_files
 
 _TABLES = ("view", "sensor", "development")
@@ -98,9 +98,9 @@ def read_camera(
         )
     tables = {name: content[name] for name in _TABLES if name in content}
     tables["view"] = {"position": [0, 0, 0], "rotation": np.eye(3)} | dict(content["view"])
-    tables["sensor"] = _with_sensitivities(place, content["sensor"], wavelengths)
+    tables["sensor"] = _fill_sensitivities(place, content["sensor"], wavelengths)
     camera = record_of(reading, "", Camera, tables)
-    return camera if draws is None else with_draws(file, camera, draws)
+    return camera if draws is None else attach_draws(file, camera, draws)
 
 
 def write_camera(
@@ -163,7 +163,7 @@ def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> 
         raise InputError(f"{file}: the table [sensor] is missing; add it.")
     table = {name: value for name, value in content["sensor"].items() if name != "kind"}
     sensor = record_of(reading, "sensor", Sensor, table)
-    return sensor if draws is None else with_draws(file, sensor, draws)
+    return sensor if draws is None else attach_draws(file, sensor, draws)
 
 
 def write_sensor(
@@ -206,7 +206,7 @@ def _wavelengths(reading: Reading, table: Any) -> Float[Array, " bands"]:
         raise InputError(f"{reading.place}: bands: {error}") from error
 
 
-def _with_sensitivities(
+def _fill_sensitivities(
     place: str, sensor: Mapping[str, Any], wavelengths: Float[Array, " bands"] | None
 ) -> dict[str, Any]:
     """The sensor's table, with numbers in place of the name of measured sensitivities."""

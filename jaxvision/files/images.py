@@ -61,7 +61,7 @@ READ_ONLY_FORMATS = (*NETPBM_FORMATS, ".tga")
 LONGEST_REASON = 300  # characters of another library's complaint: OpenEXR lists each, path and all
 NOT_TEXT = "it holds bytes that are not text where its format has text"
 _DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float32, "float": np.float32}
-# Of OpenImageIO's, those whose codes come back as they are stored, by `_undone`.
+# Of OpenImageIO's, those whose codes come back as they are stored, by `_stored_codes`.
 _DECODED = ("png", "tiff", "jpeg", "openexr", "targa", "bmp", "gif")
 _NAMES = {"r": "red", "g": "green", "b": "blue", "a": "alpha", "y": "grey"}  # as plots call them
 REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # x, y of R, G, B and white
@@ -212,7 +212,7 @@ def _read_by_openimageio(
     if chunks and chunks.fault:
         raise damaged(file, chunks.fault)
     pages = tiff_pictures(file)
-    with _opened(file) as source:
+    with _open(file) as source:
         number, layer = _place(file, source, pages, part)
         page = pages[number] if number < len(pages) else None
         spec = source.spec(number, 0)
@@ -223,17 +223,17 @@ def _read_by_openimageio(
             pixels = _palette_colours(file, number, page)
         else:
             pixels = _pixels(file, source, number, chosen, sample)
-            pixels = _undone(file, pixels, spec, chunks, page)
+            pixels = _stored_codes(file, pixels, spec, chunks, page)
             greys = (pixels[..., :3] == pixels[..., :1]).all() and (pixels[..., 3:] == 255).all()
             if source.format_name() == "gif" and greys:
                 pixels, names = pixels[..., :1], ("grey",)
-        _name_unused(file, source.format_name(), spec, chunks, page)
+        _warn_of_unused(file, source.format_name(), spec, chunks, page)
     pixels = _display_window(file, pixels, spec)
     return pixels[..., 0] if pixels.shape[2] == 1 else pixels, names
 
 
 @contextmanager
-def _opened(file: Path) -> Iterator[Any]:
+def _open(file: Path) -> Iterator[Any]:
     """A file opened by OpenImageIO, without multiplying colours by alpha."""
     import OpenImageIO as oiio
 
@@ -387,7 +387,7 @@ def _sample(file: Path, spec: Any, chosen: Sequence[int]) -> str:
     return str(spec.format) if str(spec.format) in _DTYPES else "float"
 
 
-def _undone(
+def _stored_codes(
     file: Path, pixels: np.ndarray, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
 ) -> np.ndarray:
     """The codes of the file, which its decoder has stretched to 8 or 16 bits."""
@@ -417,7 +417,7 @@ def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -
         return pixels
     source = chunks.bits
     codes, added = pixels >> (bits - source), bits - source
-    stretched = [codes << added, _repeated(codes, source, bits)]
+    stretched = [codes << added, _repeat_bits(codes, source, bits)]
     stretched.append(np.round(codes * ((2**bits - 1) / (2**source - 1))).astype(pixels.dtype))
     if source < bits and any(np.array_equal(pixels, way) for way in stretched):
         return codes
@@ -430,7 +430,7 @@ def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -
     return pixels
 
 
-def _repeated(codes: np.ndarray, source: int, bits: int) -> np.ndarray:
+def _repeat_bits(codes: np.ndarray, source: int, bits: int) -> np.ndarray:
     """Codes whose bits are repeated until they fill a larger depth."""
     whole, left = np.zeros_like(codes), bits
     while left > 0:
@@ -453,9 +453,9 @@ def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
             order = "little" if stream.read(2) == b"II" else "big"
             stream.seek(page.places[PHOTOMETRIC])
             stream.write((1).to_bytes(2, order))
-        with _opened(grey) as source:
+        with _open(grey) as source:
             indices = _pixels(file, source, number, [0], str(source.spec(number, 0).format))
-            indices = _undone(file, indices, source.spec(number, 0), None, page)[..., 0]
+            indices = _stored_codes(file, indices, source.spec(number, 0), None, page)[..., 0]
     colours = colours.reshape(3, -1).T.astype(np.uint16)[indices]
     for step in (257, 256):  # 8 bits, as they are written in one of two ways
         if not (colours % step).any():
@@ -463,7 +463,7 @@ def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
     return colours
 
 
-def _name_unused(
+def _warn_of_unused(
     file: Path, kind: str, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
 ) -> None:
     """Warn about metadata that the array does not contain."""
@@ -656,7 +656,7 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
     shape = array.shape if array.ndim == 3 else (*array.shape, 1)
     with replaced_on_success(file) as partial:
         _write(partial, [array.reshape(shape)], shape, array.dtype, attributes)
-        if suffix in INTEGER_FORMATS and not _reads_back(partial, array):
+        if suffix in INTEGER_FORMATS and not _is_written(partial, array):
             raise InputError(f"{file}: what was written does not read back; is the disk full?")
 
 
@@ -777,7 +777,7 @@ def _write(
         raise InputError(f"{file}: cannot be written ({message}).")
 
 
-def _reads_back(file: Path, written: np.ndarray) -> bool:
+def _is_written(file: Path, written: np.ndarray) -> bool:
     try:
         read, _ = _read_by_openimageio(file)
     except InputError:

@@ -178,15 +178,15 @@ def _ies(path: Path, lines: list[str]) -> Luminaire:
         horizontal, table = _whole_turn(numbers, horizontal, table)
     else:
         if columns > 1 and horizontal[0] == 0:
-            horizontal, table = _mirrored(horizontal, table)
+            horizontal, table = _mirror(horizontal, table)
         if system == "B" and vertical[0] == 0:
-            vertical, across = _mirrored(vertical, table.T)
+            vertical, across = _mirror(vertical, table.T)
             table = across.T
     round_one = _SQUARE if width < 0 and length < 0 else 1.0
     opening = np.array([abs(length) * round_one, abs(width) * round_one, abs(height)])
     name = _keyword(lines[:at], "LUMINAIRE") or _keyword(lines[:at], "LUMCAT")
     total = math.nan if lumens < 0 else lamps * lumens
-    return _made(numbers, table, vertical, horizontal, opening, total, watts, system, name)
+    return _lamp(numbers, table, vertical, horizontal, opening, total, watts, system, name)
 
 
 def _keyword(lines: Sequence[str], word: str) -> str:
@@ -213,11 +213,11 @@ def _whole_turn(
     ends = float(angles[0]), float(angles[-1])
     match ends:
         case (0.0, 90.0):
-            return _filled(angles, table, (0, 180))
+            return _fill_turn(angles, table, (0, 180))
         case (0.0, 180.0):
-            return _filled(angles, table, (0,))
+            return _fill_turn(angles, table, (0,))
         case (90.0, 270.0):
-            return _filled(angles, table, (180,))
+            return _fill_turn(angles, table, (180,))
     step = float(np.diff(angles).max())
     gap = 360 - (ends[1] - ends[0])
     if abs(gap) > 1e-6 and not 0 < gap <= 1.001 * step:
@@ -225,10 +225,10 @@ def _whole_turn(
             f"horizontal angles run from {ends[0]:g} to {ends[1]:g} degrees, where a lamp of type "
             "C has 0 to 90, 180 or 360, or 90 to 270; add the angles that are missing."
         )
-    return _filled(angles, table, ())
+    return _fill_turn(angles, table, ())
 
 
-def _filled(
+def _fill_turn(
     angles: np.ndarray, table: np.ndarray, mirrors: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Planes with those mirrored at each axis m / 2, h -> m - h, around a whole turn."""
@@ -240,13 +240,13 @@ def _filled(
     return np.append(turned, turned[0] + 360), np.concatenate([table, table[:, :1]], axis=1)
 
 
-def _mirrored(angles: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _mirror(angles: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Columns at angles from 0 on, and the same at their negatives."""
     whole = np.concatenate([table[:, :0:-1], table], axis=1)
     return np.concatenate([-angles[:0:-1], angles]), whole
 
 
-def _made(
+def _lamp(
     numbers: _Numbers,
     table: np.ndarray,
     vertical: np.ndarray,
@@ -334,13 +334,13 @@ def _eulumdat(path: Path, lines: list[str]) -> Luminaire:
     else:
         own = turns[(first + np.arange(kept)) % planes]
         mirrors = {0: (), 2: (0,), 3: (180,), 4: (0, 180)}[symmetry]
-        horizontal, table = _filled(own, table, mirrors)
+        horizontal, table = _fill_turn(own, table, mirrors)
     length, width, height = size
     if width == 0:  # round
         length = width = length * _SQUARE
     opening = np.array([width, length, height])
     name = lines[8].strip()
-    return _made(numbers, table, vertical, horizontal, opening, lumens, watts, "C", name, ratio)
+    return _lamp(numbers, table, vertical, horizontal, opening, lumens, watts, "C", name, ratio)
 
 
 def _first_lamp_set(path: Path, lines: Sequence[str], sets: int) -> tuple[int, int]:

@@ -15,7 +15,7 @@ import numpy as np
 from ..brdf import families
 from ..errors import InputError, nearest
 from ..scene import Material
-from .records import Reading, record_of, table_of, with_draws, write_record
+from .records import Reading, attach_draws, record_of, table_of, write_record
 
 
 def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> Material:
@@ -52,7 +52,7 @@ def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> 
         if not np.isfinite(number).all():
             where = jax.tree_util.keystr(place, simple=True, separator=".")
             raise InputError(f"{path}: {where} must hold finite numbers; correct it.")
-    return material if draws is None else with_draws(path, material, draws)
+    return material if draws is None else attach_draws(path, material, draws)
 
 
 def write_material(

@@ -90,7 +90,7 @@ def read_mesh(
             "times scale.",
             stacklevel=2,
         )
-    loaded.apply_transform(_to_world(file, scale, rotation, position, matrix))
+    loaded.apply_transform(_world_matrix(file, scale, rotation, position, matrix))
     exact = np.asarray(loaded.vertices, float)
     with np.errstate(over="ignore"):  # `geometry.problems` names what is not finite
         vertices = exact.astype(jnp.result_type(float) if dtype is None else dtype)
@@ -121,7 +121,7 @@ def _coordinates(file: Path, mesh, primitive: tuple[int, int] | None) -> np.ndar
     return np.asarray(known) if primitive is not None else np.asarray(known) * [1, -1] + [0, 1]
 
 
-def _to_world(
+def _world_matrix(
     file: Path,
     scale: float | int,
     rotation: Axes | None,

@@ -77,18 +77,18 @@ def table_of(record: eqx.Module) -> dict[str, Any]:
     return table
 
 
-def draws_beside(file: Path) -> int:
+def count_draws(file: Path) -> int:
     """The number of draws stored with the file of a record; 0 for none."""
-    beside = _beside(file)
+    beside = _draws_file(file)
     if not beside.is_file():
         return 0
     return min((len(values) for values in read_arrays(beside).values() if values.ndim), default=0)
 
 
-def with_draws(file: Path, record: Record, count: int) -> Record:
+def attach_draws(file: Path, record: Record, count: int) -> Record:
     """Return a record with a leading axis of `count` of the draws stored beside its file, evenly
     spread; `InputError` for none, fewer, or another record's."""
-    beside = _beside(file)
+    beside = _draws_file(file)
     if not beside.is_file():
         raise InputError(f"{beside}: no draws lie beside {file.name}; save a fit with its draws.")
     try:
@@ -100,7 +100,7 @@ def with_draws(file: Path, record: Record, count: int) -> Record:
         raise InputError(f"{beside}: {count} draws were asked for, {there} are there.")
     rows = np.linspace(0, there - 1, count).astype(int)
 
-    def drawn(path: Any, leaf: Any) -> Any:
+    def draw_leaf(path: Any, leaf: Any) -> Any:
         values = stored.pop(jax.tree_util.keystr(path), None)
         if values is None:
             return jnp.broadcast_to(leaf, (count, *np.shape(leaf)))
@@ -108,7 +108,7 @@ def with_draws(file: Path, record: Record, count: int) -> Record:
             raise InputError(f"{beside}: its draws do not fit {file.name}: save the fit again.")
         return jnp.asarray(values[rows], jnp.asarray(leaf).dtype)
 
-    found = jax.tree.map_with_path(drawn, record)
+    found = jax.tree.map_with_path(draw_leaf, record)
     if stored:
         raise InputError(f"{beside}: {file.name} has no {next(iter(stored))}: save the fit again.")
     return found
@@ -129,11 +129,11 @@ def _write_draws(file: Path, record: eqx.Module, draws: eqx.Module) -> None:
             differing[jax.tree_util.keystr(path)] = values
     if not differing:
         raise InputError(f"{file}: no number differs between the draws.")
-    with replaced_on_success(_beside(file)) as partial, partial.open("wb") as stream:
+    with replaced_on_success(_draws_file(file)) as partial, partial.open("wb") as stream:
         np.savez(stream, **differing)  # type: ignore[arg-type]
 
 
-def _beside(file: Path) -> Path:
+def _draws_file(file: Path) -> Path:
     return file.with_suffix(".npz")
 
 
@@ -248,10 +248,10 @@ def value_of(reading: Reading, where: str, hint: Any, value: Any) -> Any:
             if type(value) is not plain:
                 raise _wrong(reading, where, value, f"must be {noun}")
             if plain is int:
-                _in_range(reading, where, value, kinds)
+                _check_range_of(reading, where, value, kinds)
             return value
     if any(get_origin(kind) is tuple for kind in kinds):
-        return _listed(reading, where, kinds, value)
+        return _tuple(reading, where, kinds, value)
     return _number(reading, where, kinds, value)
 
 
@@ -301,7 +301,7 @@ def is_record(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, eqx.Module)
 
 
-def _listed(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) -> Any:
+def _tuple(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) -> Any:
     """A list as a tuple; "RGGB" as its pattern."""
     if where.endswith(".pattern") and isinstance(value, str):
         try:
@@ -351,7 +351,7 @@ def _number(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) ->
         _check_ranges(where, values, hints)
     except ValueError:
         for i, x in enumerate(values.ravel()):
-            _in_range(reading, place(i), x, hints)
+            _check_range_of(reading, place(i), x, hints)
     plain = [getattr(hint, "__origin__", hint) for hint in hints]
     shapes = [axes_of(hint) for hint in plain if hasattr(hint, "dim_str")]
     shapes += [()] * (float in plain)
@@ -370,7 +370,7 @@ def _check_ranges(where: str, numbers: Any, hints: tuple[Any, ...]) -> None:
         check_range(where, numbers, **allowed._asdict())
 
 
-def _in_range(reading: Reading, where: str, number: Any, hints: tuple[Any, ...]) -> None:
+def _check_range_of(reading: Reading, where: str, number: Any, hints: tuple[Any, ...]) -> None:
     try:
         _check_ranges(where, number, hints)
     except ValueError as error:

@@ -118,7 +118,7 @@ def _first_mistake(
     context = mistake.get("ctx", {})
     missing = mistake["type"] == "missing"
     place = _place(mistake["loc"], content, missing, first)
-    where = _as_called(place, called) or "the file"
+    where = _call_lists(place, called) or "the file"
     reason = mistake["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     match mistake["type"]:
         case "missing":
@@ -167,7 +167,7 @@ def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) 
     return place.lstrip(".")
 
 
-def _as_called(place: str, called: Mapping[str, str]) -> str:
+def _call_lists(place: str, called: Mapping[str, str]) -> str:
     """`exposures[0]` in place of `flat[0].exposure`, if the list has that name."""
     within = re.match(r"(\w+)(\[\d+\])\.(\w+)", place)
     name = called.get(f"{within[1]}.{within[3]}") if within else None

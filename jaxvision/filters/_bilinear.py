@@ -67,7 +67,7 @@ def _kernel_transpose(
     return products if bands > 1 else products.sum(-1, keepdims=True)
 
 
-def _batched(
+def _batch(
     arguments: tuple[Array, Array], axes: tuple[Any, Any], **options: Any
 ) -> tuple[Array, int]:
     """A batch of images becomes one longer stack, and a batch of kernels further bands."""
@@ -105,6 +105,6 @@ correlate_stack: Callable[..., Result] = bilinear(
     _implementation,
     shape=_shape,
     transposes=(_image_transpose, _kernel_transpose),
-    batched=_batched,
+    batched=_batch,
     opaque=lambda method, **_: method == "fft",
 )

@@ -81,7 +81,7 @@ def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> 
 
     def whole(precision: DTypeLike) -> Planes:
         f = jnp.moveaxis(padded(image, size, anchor, border), -1, 1)
-        return _transformed(f, _spectrum(k, f.shape, precision))
+        return _transform(f, _spectrum(k, f.shape, precision))
 
     def finished(sums: Planes) -> Result:
         return jnp.moveaxis(sums[:, :, :rows, :columns], 1, -1).astype(given)
@@ -111,7 +111,7 @@ def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> 
     # XLA's minima may pass by NaN, which a transform spreads over the whole plane
     known = jnp.isfinite(sums[:, :, 0, 0]).all()
     right = known & lax.cond(right, lambda: right, else_right)
-    return finished(_in_tiles(image, k, around, sums, right))
+    return finished(_correlate_tiles(image, k, around, sums, right))
 
 
 def _places(border: str, n: int, taps: int, anchor: int) -> np.ndarray:
@@ -142,7 +142,7 @@ def _least(rms: Planes, largest: Planes, k: Planes) -> Planes:
     return _rounding(rms, largest, k) / _RIGHT[k.dtype.itemsize]
 
 
-def _in_tiles(
+def _correlate_tiles(
     image: Stack,
     k: Planes,
     around: tuple[np.ndarray, ...],
@@ -198,7 +198,7 @@ def _sum_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:
             size = jnp.abs(rest)
             rounding = _rounding(jnp.sqrt(jnp.square(size).mean()), size.max(), weights)
             large = size * _sum(weights) >= above * rounding
-            result = _transformed(jnp.where(large, rest, 0), spectrum)[:, :, :h, :w]
+            result = _transform(jnp.where(large, rest, 0), spectrum)[:, :, :h, :w]
             total = total + jnp.where(jnp.abs(result) >= rounding, result, 0)
             return jnp.where(large, 0, rest), total, ranges + 1
 
@@ -210,15 +210,15 @@ def _sum_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:
         _, total, _ = lax.while_loop(is_left, step, start)
         total = (total * scale).astype(f.dtype)
         known = jnp.isfinite(f).all() & jnp.isfinite(k).all()
-        return lax.cond(known, lambda: total, lambda: _with_unknown(total, f, k))
+        return lax.cond(known, lambda: total, lambda: _propagate_nan(total, f, k))
 
 
-def _with_unknown(total: Planes, f: Planes, k: Planes) -> Planes:
+def _propagate_nan(total: Planes, f: Planes, k: Planes) -> Planes:
     """The sums of the finite values, with NaN and infinity where they are in the window."""
     single = jnp.float32
 
     def count(values: Planes, weights: Planes) -> Planes:
-        whole = _transformed(values, _spectrum(weights, f.shape, single))
+        whole = _transform(values, _spectrum(weights, f.shape, single))
         return whole[:, :, : total.shape[2], : total.shape[3]]
 
     positive, negative = jnp.isposinf(f), jnp.isneginf(f)
@@ -236,7 +236,7 @@ def _spectrum(k: Planes, size: tuple[int, ...], dtype: DTypeLike) -> Array:
         return jnp.conj(jnp.fft.rfft2(k.astype(dtype), lengths))
 
 
-def _transformed(f: Planes, spectrum: Array) -> Planes:
+def _transform(f: Planes, spectrum: Array) -> Planes:
     """Return the sums by Fourier transforms in the spectrum's precision, with the length of the
     transforms. The sums of complete windows come first, and the rest is meaningless."""
     with jax.enable_x64(True):

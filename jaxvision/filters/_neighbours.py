@@ -69,9 +69,9 @@ def weighted_mean(
     """
     zero = jnp.zeros_like(values[0])
     height, width = zero.shape[1:]
-    present = (_padded(zero + 1, radius, border),) if border == "normalised_zero" else ()
-    values = tuple(_padded(plane, radius, border) for plane in values)
-    guide = tuple(_padded(plane, radius + margin, border) for plane in guide)
+    present = (_pad_guide(zero + 1, radius, border),) if border == "normalised_zero" else ()
+    values = tuple(_pad_guide(plane, radius, border) for plane in values)
+    guide = tuple(_pad_guide(plane, radius + margin, border) for plane in guide)
     inner = slice(radius, radius + height + 2 * margin), slice(radius, radius + width + 2 * margin)
     here = tuple(g[:, *inner] for g in guide)
 
@@ -106,6 +106,6 @@ def weighted_mean(
     return tuple(s / total for s in sums)
 
 
-def _padded(plane: Plane, by: int, border: str) -> Plane:
+def _pad_guide(plane: Plane, by: int, border: str) -> Plane:
     """The plane with `by` more pixels on every side."""
     return pad(plane[..., None], ((by, by), (by, by)), border=border)[..., 0]

@@ -134,7 +134,7 @@ def joint_bilateral_filter(
         unlike = square(tuple(in_range.astype(c.dtype) * c for c in change)).astype(dtype)
         return jnp.exp(-jnp.minimum((away + unlike) / 2, -log_of_zero(dtype)))
 
-    def in_disc(dy: Int[Array, ""], dx: int) -> Bool[Array, ""]:
+    def is_inside_disc(dy: Int[Array, ""], dx: int) -> Bool[Array, ""]:
         return _square(dy, dx) <= radius**2
 
     mean = weighted_mean(
@@ -143,7 +143,7 @@ def joint_bilateral_filter(
         weight_of,
         radius=radius,
         border=border,
-        taken=in_disc if window == "disc" else None,
+        taken=is_inside_disc if window == "disc" else None,
     )
     return restore(mean)
 

@@ -63,7 +63,7 @@ def integral_image(image: Picture) -> IntegralImage:
         pixels = pixels.astype(jnp.float32)
     rows = _row_axis(pixels.ndim, "an image")
     margin = [(int(axis in (rows, rows + 1)), 0) for axis in range(pixels.ndim)]
-    return IntegralImage(*(jnp.pad(part, margin) for part in _summed(pixels, rows)))
+    return IntegralImage(*(jnp.pad(part, margin) for part in _sum_along(pixels, rows)))
 
 
 def box_sum(
@@ -177,12 +177,12 @@ def _running(pair: Pair, axis: int) -> Pair:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
-def _summed(pixels: Array, rows: int) -> Pair:
+def _sum_along(pixels: Array, rows: int) -> Pair:
     return _running(_running((pixels, jnp.zeros_like(pixels)), rows), rows + 1)
 
 
-@_summed.defjvp
+@_sum_along.defjvp
 def _(rows: int, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Pair, Pair]:
     """The sum is linear: its derivative is the sum of the changes, which needs no second part."""
     change = jnp.cumsum(jnp.cumsum(tangents[0], axis=rows), axis=rows + 1)
-    return _summed(primals[0], rows), (change, jnp.zeros_like(change))
+    return _sum_along(primals[0], rows), (change, jnp.zeros_like(change))

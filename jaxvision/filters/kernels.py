@@ -38,7 +38,7 @@ def box_kernel(size: int) -> np.ndarray:
         >>> print(jv.filters.box_kernel(4))
         [0.25 0.25 0.25 0.25]
     """
-    return np.full(_checked(size), 1 / size)
+    return np.full(_check_kernel(size), 1 / size)
 
 
 def binomial_kernel(size: int) -> np.ndarray:
@@ -58,7 +58,7 @@ def binomial_kernel(size: int) -> np.ndarray:
         >>> print(jv.filters.binomial_kernel(5) * 16)
         [1. 4. 6. 4. 1.]
     """
-    n = _checked(size) - 1
+    n = _check_kernel(size) - 1
     # divided as whole numbers: the largest exceed a float, their quotients do not
     return np.array([math.comb(n, k) / 2**n for k in range(size)])
 
@@ -159,7 +159,7 @@ def blur_sigmas(low: float, high: float, *, members: int) -> tuple[float, ...]:
     return tuple(float(s) for s in np.maximum(np.exp(steps) - 0.5, low))
 
 
-def _checked(size: int) -> int:
+def _check_kernel(size: int) -> int:
     if not isinstance(size, Integral) or size < 1:
         raise ValueError(
             f"a kernel must have at least one entry, a whole number of them, got size {size}."

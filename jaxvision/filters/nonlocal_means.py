@@ -77,7 +77,7 @@ def nonlocal_means_filter(
 
     def weight_of(change: Planes, dy: Int[Array, ""], dx: int) -> Plane:
         square = functools.reduce(jnp.add, ((scale * c) ** 2 for c in change))
-        distance = _averaged(_averaged(square, taps, 1), taps, 2) / len(change)
+        distance = _average(_average(square, taps, 1), taps, 2) / len(change)
         exponent = jnp.maximum(distance - noise_share, 0)
         weight = jnp.exp(-jnp.minimum(exponent, -log_of_zero(dtype)))
         return weight if cutoff is None else jnp.where(exponent > cutoff, 0, weight)
@@ -102,7 +102,7 @@ def _taps(patch: int, profile: str) -> np.ndarray:
     return bell / bell.sum()
 
 
-def _averaged(plane: Plane, taps: np.ndarray, axis: int) -> Plane:
+def _average(plane: Plane, taps: np.ndarray, axis: int) -> Plane:
     """Weighted neighbours along an axis, where all of them exist. They are shifted and added,
     because a running sum would lose the digits of small distances."""
     count = plane.shape[axis] - len(taps) + 1

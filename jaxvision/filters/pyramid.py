@@ -52,7 +52,7 @@ def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
     image, restore = as_planes(picture)
     check_border(border, refused=("constant",))
     for axis in ROWS, COLUMNS:
-        image = materialise(partial(_normalised, _reduced, axis=axis, border=border), image)
+        image = materialise(partial(_normalise, _reduce, axis=axis, border=border), image)
     return restore(image)
 
 
@@ -83,7 +83,7 @@ def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats
             f"{coarse} pixels expand to twice as many a side or one less, got size {size}."
         )
     for axis, n in zip((ROWS, COLUMNS), size, strict=True):
-        image = lax.slice_in_dim(_normalised(_expanded, image, axis, border), 0, n, axis=axis)
+        image = lax.slice_in_dim(_normalise(_expand, image, axis, border), 0, n, axis=axis)
     return restore(image)
 
 
@@ -219,7 +219,7 @@ def _size(picture: Floats) -> Size:
     return rows, columns
 
 
-def _normalised(
+def _normalise(
     filtered: Callable[[Stack, int, str], Stack], image: Stack, axis: int, border: str
 ) -> Stack:
     """The border "normalised_zero" divides the filtered image by a filtered image of ones."""
@@ -228,7 +228,7 @@ def _normalised(
     return filtered(image, axis, "zero") / filtered(jnp.ones_like(image), axis, "zero")
 
 
-def _reduced(image: Stack, axis: int, border: str) -> Stack:
+def _reduce(image: Stack, axis: int, border: str) -> Stack:
     """The binomial at the even samples of one axis only."""
     last = 2 * (-(-image.shape[axis] // 2)) - 1
     around = _around(image, axis, 2, border)
@@ -236,7 +236,7 @@ def _reduced(image: Stack, axis: int, border: str) -> Stack:
     return (a + e + 4 * (b + d) + 6 * c) / 16
 
 
-def _expanded(image: Stack, axis: int, border: str) -> Stack:
+def _expand(image: Stack, axis: int, border: str) -> Stack:
     """Twice the binomial of the samples interleaved with zeros: its even and its odd taps."""
     count = image.shape[axis]
     around = _around(image, axis, 1, border)

@@ -58,11 +58,11 @@ def resize(
         raise ValueError(f"size must be rows and columns, such as (480, 640), got {size!r}.")
     for count in size:
         check_count("size", count, 1)
-    return _resized(picture, tuple(size), method, antialias)
+    return _resize(picture, tuple(size), method, antialias)
 
 
 @partial(jax.jit, static_argnames=("size", "method", "antialias"))
-def _resized(picture: AnyPicture, size: tuple[int, int], method: str, antialias: bool) -> Floats:
+def _resize(picture: AnyPicture, size: tuple[int, int], method: str, antialias: bool) -> Floats:
     image, restore = as_planes(picture)
     n, h, w, c = image.shape
     if method == "nearest":
@@ -80,10 +80,10 @@ def _resized(picture: AnyPicture, size: tuple[int, int], method: str, antialias:
         precision=jax.lax.Precision.HIGHEST,
     )
 
-    def with_unknown() -> Floats:
-        return _with_unknown(total, image, rows, columns)
+    def propagate_nan() -> Floats:
+        return _propagate_nan(total, image, rows, columns)
 
-    return restore(jax.lax.cond(known.all(), lambda: total, with_unknown))
+    return restore(jax.lax.cond(known.all(), lambda: total, propagate_nan))
 
 
 def _weights(side: int, count: int, method: str, antialias: bool) -> Float[Array, "count side"]:
@@ -107,7 +107,7 @@ def _weights(side: int, count: int, method: str, antialias: bool) -> Float[Array
         return weights / weights.sum(1, keepdims=True)
 
 
-def _with_unknown(total: Floats, image: Floats, rows: Floats, columns: Floats) -> Floats:
+def _propagate_nan(total: Floats, image: Floats, rows: Floats, columns: Floats) -> Floats:
     """The sums of the finite values, with NaN and infinity where they have a weight."""
 
     def count(chosen: Bool[Array, "..."], sign: int) -> Floats:
@@ -171,11 +171,11 @@ def warp(
     check_count("samples", samples, 1)
     check_shape("columns", columns, rows.shape)
     warn_of_idle_fill(fill, border)
-    return _warped(picture, rows, columns, fill, samples, border)
+    return _warp(picture, rows, columns, fill, samples, border)
 
 
 @partial(jax.jit, static_argnames=("samples", "border"))
-def _warped(
+def _warp(
     picture: AnyPicture,
     rows: Float[Array, "h w"],
     columns: Float[Array, "h w"],

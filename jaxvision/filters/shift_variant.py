@@ -191,7 +191,7 @@ def correlate_bank(
         raise ValueError(f"bank must be (members, kh, kw), got shape {bank.shape}.")
     kernels = bank if isinstance(bank, Tracer) else np.asarray(bank)
     members = [correlate(picture, k, border=border, fill=fill, method=method) for k in kernels]
-    return _blended(members, position)
+    return _blend(members, position)
 
 
 @takes_numbers
@@ -362,11 +362,11 @@ def _gaussian_bank(
     members = [member(s) for s in sigmas]
     variance = jnp.asarray(np.square(sigmas), sigma.dtype)
     position = jnp.interp(sigma * sigma, variance, jnp.arange(len(sigmas), dtype=sigma.dtype))
-    return _blended(members, position)
+    return _blend(members, position)
 
 
 @jax.jit
-def _blended(members: list[Filtered], position: ScaleMap) -> Filtered:
+def _blend(members: list[Filtered], position: ScaleMap) -> Filtered:
     """The kernels of a bank, weighted with hat functions of `position`."""
     bands = 1 if members[0].ndim == 2 else members[0].shape[-1]
     batch = (1,) * max(members[0].ndim - 3, 0)

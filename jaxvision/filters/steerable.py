@@ -89,7 +89,7 @@ def directional_derivative(
         )
 
     right, up = along((0, 1)), -along((1, 0))
-    return _mapped(jnp.cos(angle), right) * right + _mapped(jnp.sin(angle), up) * up
+    return _map_kernels(jnp.cos(angle), right) * right + _map_kernels(jnp.sin(angle), up) * up
 
 
 @takes_numbers
@@ -152,7 +152,7 @@ def steer(basis: QuadratureBasis, angle: Angle | float) -> tuple[Filtered, Filte
     c, s = jnp.cos(jnp.asarray(angle)), jnp.sin(jnp.asarray(angle))
     even = (c * c, 2 * c * s, s * s)
     odd = (c * c * c, 3 * c * c * s, 3 * c * s * s, s * s * s)
-    return _weighted(even, basis.even), _weighted(odd, basis.odd)
+    return _weight(even, basis.even), _weight(odd, basis.odd)
 
 
 def oriented_energy(basis: QuadratureBasis, angle: Angle | float) -> Filtered:
@@ -199,14 +199,14 @@ def dominant_orientation(basis: QuadratureBasis) -> tuple[Filtered, Filtered]:
     return angle, safe_sqrt(square)
 
 
-def _weighted(weights: tuple[Angle, ...], basis: Basis) -> Filtered:
-    total = _mapped(weights[0], basis[0]) * basis[0]
+def _weight(weights: tuple[Angle, ...], basis: Basis) -> Filtered:
+    total = _map_kernels(weights[0], basis[0]) * basis[0]
     for weight, response in zip(weights[1:], basis[1:], strict=True):
-        total = total + _mapped(weight, response) * response
+        total = total + _map_kernels(weight, response) * response
     return total
 
 
-def _mapped(weight: Angle, picture: Filtered) -> Float[Array, "..."]:
+def _map_kernels(weight: Angle, picture: Filtered) -> Float[Array, "..."]:
     """A number, or a map of numbers, in the axes of a picture."""
     if weight.ndim == 0 or picture.ndim == 2:
         return weight.astype(picture.dtype)

@@ -68,7 +68,7 @@ def _answer(query: Query, dtype: DTypeLike, ray: Ray, mesh: TriangleMesh, *dista
 def _found(scene: Any, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
     found = scene.run(origin, direction)
     lost = found < 0
-    found[lost] = scene.run(origin[lost], _beside(direction[lost]))
+    found[lost] = scene.run(origin[lost], _broadcast(direction[lost]))
     return found
 
 
@@ -78,13 +78,13 @@ def _found_before(
     found = scene.run(origin, direction, dists=distance, query="OCCLUDED") >= 0
     lost = ~found
     found[lost] = (
-        scene.run(origin[lost], _beside(direction[lost]), dists=distance[lost], query="OCCLUDED")
+        scene.run(origin[lost], _broadcast(direction[lost]), dists=distance[lost], query="OCCLUDED")
         >= 0
     )
     return found
 
 
-def _beside(direction: np.ndarray) -> np.ndarray:
+def _broadcast(direction: np.ndarray) -> np.ndarray:
     """Rays displaced by a few roundings. A ray without a hit is traced again, because one in 100000
     of those aimed at a vertex slips through."""
     return direction + 4 * np.finfo(np.float32).eps * direction[:, [1, 2, 0]]

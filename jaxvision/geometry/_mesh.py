@@ -21,7 +21,7 @@ _TRIED_ELSEWHERE = 4096  # the same on an accelerator, whose rays go to the proc
 
 def mesh_nearest(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:
     """(distance in m, index) of the first triangle hit, (inf, -1) for none."""
-    if not _searched(mesh):
+    if not _search(mesh):
         return nearest_triangle(ray, mesh)
     primitive = _embree.embree_nearest(ray, mesh)
     return triangle_hit(ray, mesh, primitive).distance, primitive
@@ -29,7 +29,7 @@ def mesh_nearest(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:
 
 def mesh_blocks(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, ""]:
     """Whether the ray hits the mesh before `distance`, m."""
-    if not _searched(mesh):
+    if not _search(mesh):
         return any_triangle(ray, mesh, distance)
     return _embree.embree_blocks(ray, mesh, distance)
 
@@ -49,7 +49,7 @@ def intersect_mesh(ray: Ray, mesh: TriangleMesh) -> Hit:
     return triangle_hit(ray, mesh, primitive)
 
 
-def _searched(mesh: TriangleMesh) -> bool:
+def _search(mesh: TriangleMesh) -> bool:
     tried = _TRIED if on_processor() else _TRIED_ELSEWHERE
     if len(mesh.faces) <= tried:
         return False

@@ -53,7 +53,7 @@ def _reach(v: Vec) -> Scalar:
 def triangle_distance(ray: Ray, frame: Frame, a: Vec, b: Vec, c: Vec) -> Scalar:
     """Distance to one triangle, m, inf for a miss. `frame`: about the ray's direction. `a`, `b`,
     `c`: its vertices, m."""
-    a, b, c = (_seen(ray, frame, v) for v in (a, b, c))
+    a, b, c = (_view(ray, frame, v) for v in (a, b, c))
     (u, du), (v, dv), (w, dw) = _edge(c, b), _edge(a, c), _edge(b, a)
     front = (u >= -du) & (v >= -dv) & (w >= -dw)
     back = (u <= du) & (v <= dv) & (w <= dw)
@@ -65,7 +65,7 @@ def triangle_distance(ray: Ray, frame: Frame, a: Vec, b: Vec, c: Vec) -> Scalar:
     return jnp.where((front | back) & ~flat & (distance > 0), distance, jnp.inf)
 
 
-def _seen(ray: Ray, frame: Frame, v: Vec) -> Vec:
+def _view(ray: Ray, frame: Frame, v: Vec) -> Vec:
     toward = v - ray.origin
     return Vec(dot(toward, frame.tangent), dot(toward, frame.bitangent), dot(toward, frame.normal))
 
@@ -85,7 +85,7 @@ def nearest_triangle(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, "
         return jnp.where(closer, distance, nearest), jnp.where(closer, number, index)
 
     nothing = jnp.full_like(ray.origin.x, jnp.inf), jnp.full((), -1, jnp.int32)
-    return in_chunks(try_one, nothing, triangles, count)
+    return scan_chunks(try_one, nothing, triangles, count)
 
 
 def any_triangle(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, ""]:
@@ -98,10 +98,10 @@ def any_triangle(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, 
         del number
         return blocked | (triangle_distance(ray, frame, *(as_vec(v) for v in triangle)) < distance)
 
-    return in_chunks(try_one, jnp.asarray(False), triangles, len(triangles))
+    return scan_chunks(try_one, jnp.asarray(False), triangles, len(triangles))
 
 
-def in_chunks(step, carry, items, count: int):
+def scan_chunks(step, carry, items, count: int):
     """`carry = step(carry, i, items[i])` for each item, unrolled a chunk at a time. `items`: a tree
     with a leading axis of `count`. Some items may be visited twice."""
     if count <= 2 * _CHUNK:

@@ -166,12 +166,12 @@ def _nearest(ray: Ray, ready: Sorted) -> Encounter:
             first_of: Callable[..., Any] = first_of,
         ) -> tuple[Scalar, Int[Array, ""]]:
             nearest, found = carry
-            distance, place = _unpacked(first_of(ray, chunk))
+            distance, place = _unpack(first_of(ray, chunk))
             before = distance < nearest
             return jnp.where(before, distance, nearest), jnp.where(before, start + place, found)
 
         before = nearest
-        nearest, place = _over_chunks(closer, (nearest, nothing), group, len(members))
+        nearest, place = _search_chunks(closer, (nearest, nothing), group, len(members))
         number = jnp.asarray(members, jnp.int32).at[place].get(mode="clip")
         if members == tuple(range(members[0], members[0] + len(members))):
             number = members[0] + place
@@ -337,7 +337,7 @@ def blocked(
             del start
             return before | any_of(ray, chunk, length)
 
-        anything = _over_chunks(blocks, anything, group, len(members))
+        anything = _search_chunks(blocks, anything, group, len(members))
     return reduce(
         lambda before, mesh: before | mesh_blocks(ray, mesh, length), ready.meshes, anything
     )
@@ -390,7 +390,7 @@ def _each_stored(of_chunk: Callable[..., Any], count: int) -> Callable[..., Any]
     return partial(materialise, of_chunk) if count > 2 * _CHUNK else of_chunk
 
 
-def _over_chunks(
+def _search_chunks(
     step: Callable[[Carry, Int[Array, ""], Any], Carry], carry: Carry, group: Any, count: int
 ) -> Carry:
     """`carry = step(carry, start, group[start : start + size])` over a stacked group; the last
@@ -427,7 +427,7 @@ def _first_of(ray: Ray, chunk: Any) -> Int[Array, ""]:
     return reduce(jnp.minimum, keys)
 
 
-def _unpacked(key: Int[Array, ""]) -> tuple[Scalar, Int[Array, ""]]:
+def _unpack(key: Int[Array, ""]) -> tuple[Scalar, Int[Array, ""]]:
     """(distance in m, position in its chunk) from `_first_of`."""
     floats = jnp.float64 if key.dtype.itemsize == 8 else jnp.float32
     place = (key & (_CHUNK - 1)).astype(jnp.int32)

@@ -80,13 +80,11 @@ def equalise(
     chosen = binning(stack, bins, value_range)
     if not first_to_zero and levels_of(stack) is None:
         warn_caller("equalise: first_to_zero has no effect on an image that is not of integers.")
-    return _equalised(stack, amount, chosen, first_to_zero).reshape(image.shape)
+    return _equalise(stack, amount, chosen, first_to_zero).reshape(image.shape)
 
 
 @partial(jax.jit, static_argnames=("chosen", "first_to_zero"))
-def _equalised(
-    stack: Stack, amount: float | Scalars, chosen: Binning, first_to_zero: bool
-) -> Stack:
+def _equalise(stack: Stack, amount: float | Scalars, chosen: Binning, first_to_zero: bool) -> Stack:
     levels = levels_of(stack)
     if levels is not None:
         curve_of = _equalising_codes if first_to_zero else _cumulative_codes

@@ -87,17 +87,17 @@ def equalise_locally(
         )
     check_codes_whole(stack, bins, value_range)
     chosen, parts = binning(stack, bins, value_range), (int(tiles[0]), int(tiles[1]))
-    return _equalised(stack, clip_limit, chosen=chosen, tiles=parts).reshape(image.shape)
+    return _equalise(stack, clip_limit, chosen=chosen, tiles=parts).reshape(image.shape)
 
 
 @partial(jax.jit, static_argnames=("chosen", "tiles"))
-def _equalised(
+def _equalise(
     stack: Stack, clip_limit: float | Scalars | None, *, chosen: Binning, tiles: Tiles
 ) -> Stack:
     levels = levels_of(stack)
     if levels is None:
         stack = jnp.clip(stack, chosen.low, chosen.high)
-    extended = _extended(stack, tiles)
+    extended = _extend(stack, tiles)
     tile = extended.shape[1] // tiles[0], extended.shape[2] // tiles[1]
     counts = _tile_counts(extended, chosen, tiles, tile)
     area, dtype = tile[0] * tile[1], jnp.result_type(float) if levels else stack.dtype
@@ -109,13 +109,13 @@ def _equalised(
         def to_curves(
             counts: Int[Array, "groups bins"], limit: Scalars
         ) -> Float[Array, "groups edges"]:
-            return equalising_curves(_clipped(counts.astype(dtype), limit), chosen, dtype)
+            return equalising_curves(_clip(counts.astype(dtype), limit), chosen, dtype)
 
         curves = materialise(to_curves, counts, limit)
-        return _blended(partial(interpolated, curves, x=stack, chosen=chosen), stack, tiles, tile)
+        return _blend(partial(interpolated, curves, x=stack, chosen=chosen), stack, tiles, tile)
 
     def to_table(counts: Int[Array, "groups levels"], limit: Scalars) -> Float[Array, " entries"]:
-        below = jnp.cumsum(_clipped_whole(counts, limit), axis=-1).astype(jnp.float32)
+        below = jnp.cumsum(_clip_counts(counts, limit), axis=-1).astype(jnp.float32)
         return jnp.clip(jnp.round(below * ((levels - 1) / area)), 0, levels - 1).ravel()
 
     table, codes = materialise(to_table, counts, limit), stack.astype(jnp.int32)
@@ -123,11 +123,11 @@ def _equalised(
     def look_up(group: Int[Array, "..."]) -> Float[Array, "..."]:
         return table.at[group * levels + codes].get(mode="promise_in_bounds")
 
-    blended = jnp.round(_blended(look_up, stack, tiles, tile))
+    blended = jnp.round(_blend(look_up, stack, tiles, tile))
     return jnp.clip(blended, 0, levels - 1).astype(stack.dtype)
 
 
-def _extended(stack: Stack, tiles: Tiles) -> Stack:
+def _extend(stack: Stack, tiles: Tiles) -> Stack:
     """Mirrored at the bottom and right until the tiles divide the size."""
     over = [-size % parts for size, parts in zip(stack.shape[1:3], tiles, strict=True)]
     if not any(over):
@@ -162,14 +162,14 @@ def _group(
     return (plane * tiles[0] + row) * tiles[1] + column
 
 
-def _clipped(counts: Float[Array, "groups bins"], limit: Scalars) -> Float[Array, "groups bins"]:
+def _clip(counts: Float[Array, "groups bins"], limit: Scalars) -> Float[Array, "groups bins"]:
     """Counts up to the limit, with the excess distributed evenly."""
     kept = jnp.minimum(counts, limit)
     return kept + (counts - kept).mean(axis=-1, keepdims=True)
 
 
-def _clipped_whole(counts: Int[Array, "groups bins"], limit: Scalars) -> Int[Array, "groups bins"]:
-    """`_clipped` for whole counts: the limit is rounded down to at least 1, and the remainder r of
+def _clip_counts(counts: Int[Array, "groups bins"], limit: Scalars) -> Int[Array, "groups bins"]:
+    """`_clip` for whole counts: the limit is rounded down to at least 1, and the remainder r of
     the clipped counts goes to codes 0, s, 2 s ..., s = bins // r."""
     bins = counts.shape[-1]
     most = jnp.clip(jnp.floor(limit), 1, MOST_PIXELS).astype(counts.dtype)
@@ -181,7 +181,7 @@ def _clipped_whole(counts: Int[Array, "groups bins"], limit: Scalars) -> Int[Arr
     return kept + each + ((off == 0) & (turn < rest)).astype(jnp.int32)
 
 
-def _blended(
+def _blend(
     curve: Callable[[Int[Array, "..."]], Float[Array, "..."]],
     stack: Stack,
     tiles: Tiles,

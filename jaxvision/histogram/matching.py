@@ -89,11 +89,11 @@ def _match_ranks(source: Stack, target: Stack) -> Stack:
     def as_planes(stack: Stack) -> Float[Array, "planes pixels"]:
         return jnp.moveaxis(stack, -1, 1).reshape(n * bands, -1)
 
-    moved = jax.vmap(_matched)(as_planes(source), as_planes(target))
+    moved = jax.vmap(_match_plane)(as_planes(source), as_planes(target))
     return jnp.moveaxis(moved.reshape(n, bands, h, w), 1, -1)
 
 
-def _matched(
+def _match_plane(
     values: Float[Array, " pixels"], offered: Float[Array, " others"]
 ) -> Float[Array, " pixels"]:
     """One plane by ranks. NaN is sorted last, beyond every fraction."""

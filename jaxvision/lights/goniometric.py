@@ -178,14 +178,14 @@ def _angles(w: Vec, system: System) -> tuple[Scalar, Scalar]:
     x, y, z = w
     match system:
         case "C":
-            return _from_axis(x, y, -z), _azimuth(y, x)
+            return _angle_to_axis(x, y, -z), _azimuth(y, x)
         case "B":
-            return jnp.pi / 2 - _from_axis(y, z, x), _azimuth(-y, -z)
+            return jnp.pi / 2 - _angle_to_axis(y, z, x), _azimuth(-y, -z)
         case "A":
-            return jnp.pi / 2 - _from_axis(x, y, z), _azimuth(-y, x)
+            return jnp.pi / 2 - _angle_to_axis(x, y, z), _azimuth(-y, x)
 
 
-def _from_axis(a: Scalar, b: Scalar, along: Scalar) -> Scalar:
+def _angle_to_axis(a: Scalar, b: Scalar, along: Scalar) -> Scalar:
     """The angle to an axis; 0 of the zero vector."""
     aside = safe_sqrt(a * a + b * b)
     defined = (aside > 0) | (along != 0)

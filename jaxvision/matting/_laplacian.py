@@ -92,11 +92,11 @@ def _whitened_windows(
             )
         factor.append(row)
 
-    def whitened(pixel: list[Scalars]) -> list[Scalars]:
+    def whiten(pixel: list[Scalars]) -> list[Scalars]:
         solved: list[Scalars] = []
         for b in range(bands):
             known = sum(p * q for p, q in zip(factor[b], solved, strict=False))
             solved.append((pixel[b] - known) / factor[b][b])
         return solved
 
-    return [whitened(pixel) for pixel in centred]
+    return [whiten(pixel) for pixel in centred]

@@ -30,7 +30,7 @@ class Grids(NamedTuple):
     coarsest: Float[Array, "n n"]
 
 
-def coarsened(stencil: Stencil) -> Grids:
+def coarsen(stencil: Stencil) -> Grids:
     """All grids of a stencil (5, 5, h, w), down to at most 8 x 8 pixels; no unit."""
     stencils = [stencil]
     while max(stencils[-1].shape[2:]) > _COARSEST:
@@ -51,7 +51,7 @@ def v_cycle(grids: Grids, residual: Plane) -> Plane:
     stencil = grids.stencils[0]
     smoothing = _DAMPING / stencil[2, 2]
     x = smoothing * residual
-    coarse = restricted(residual - apply_stencil(stencil, x))
+    coarse = restrict(residual - apply_stencil(stencil, x))
     correction = v_cycle(Grids(grids.stencils[1:], grids.coarsest), coarse)
     x = x + interpolated(correction, residual.shape)
     return x + smoothing * (residual - apply_stencil(stencil, x))
@@ -61,16 +61,16 @@ def interpolated(coarse: Grid, shape: tuple[int, ...]) -> Grid:
     """P: pixel (2 i, 2 j) gets coarse (i, j), and the others the mean of their neighbours; (h,
     w)."""
     rows, columns = shape
-    return _doubled(_doubled(coarse, rows, 0), columns, 1)
+    return _double(_double(coarse, rows, 0), columns, 1)
 
 
-def restricted(fine: Grid) -> Grid:
+def restrict(fine: Grid) -> Grid:
     """P^T, the transpose of `interpolated`."""
     coarse = jnp.zeros(_coarse_shape(fine.shape), fine.dtype)
     return jax.linear_transpose(lambda x: interpolated(x, fine.shape), coarse)(fine)[0]
 
 
-def _doubled(x: Grid, size: int, axis: int) -> Grid:
+def _double(x: Grid, size: int, axis: int) -> Grid:
     last = jax.lax.slice_in_dim(x, x.shape[axis] - 1, None, axis=axis)
     following = jnp.concatenate([jax.lax.slice_in_dim(x, 1, None, axis=axis), last], axis)
     pairs = jnp.stack([x, (x + following) / 2], axis + 1)
@@ -92,7 +92,7 @@ def _galerkin(stencil: Stencil) -> Float[Array, "5 5 _ _"]:
     def seen(tooth: Int[Array, "2"]) -> Grid:
         comb = (jnp.asarray(y % 5) == tooth[0]) & (jnp.asarray(x % 5) == tooth[1])
         fine = interpolated(comb.astype(stencil.dtype), shape)
-        return restricted(apply_stencil(stencil, fine))
+        return restrict(apply_stencil(stencil, fine))
 
     teeth = jnp.asarray(list(product(range(5), repeat=2)))
     answers = jax.lax.map(seen, teeth)  # (25, rows, columns)

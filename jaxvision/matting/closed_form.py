@@ -21,7 +21,7 @@ from ..core._shown import Shown
 from ..core._types import Scalar, as_relative, is_known
 from ..errors import InputError
 from ._laplacian import apply_stencil, matting_laplacian, restricted_to
-from ._multigrid import coarsened, v_cycle
+from ._multigrid import coarsen, v_cycle
 
 BACKGROUND, FOREGROUND = 0.1, 0.9
 STEPS = 500  # of the solver, at most
@@ -96,7 +96,7 @@ def closed_form_matte(
     _check_numbers(image, trimap)
     if tolerance is None:
         tolerance = _least_residual(image)
-    return _solved(image, trimap, epsilon, confidence, tolerance, max_steps)
+    return _solve(image, trimap, epsilon, confidence, tolerance, max_steps)
 
 
 def _least_residual(image: Array) -> float:
@@ -105,7 +105,7 @@ def _least_residual(image: Array) -> float:
 
 
 @partial(jax.jit, static_argnames="max_steps")
-def _solved(
+def _solve(
     image: Float[Array, "h w bands"],
     trimap: Float[Array, "h w"],
     epsilon: Scalar,
@@ -125,7 +125,7 @@ def _solved(
     else:
         system = laplacian.at[2, 2].add(confidence * known)
         wanted = confidence * alpha_known
-    grids = coarsened(jax.lax.stop_gradient(system))
+    grids = coarsen(jax.lax.stop_gradient(system))
     solution, _ = jax.scipy.sparse.linalg.cg(
         lambda x: apply_stencil(system, x),
         wanted,

@@ -25,7 +25,7 @@ from ..core._arguments import takes_numbers
 from ..core._shown import Shown
 from ..core._types import as_relative, check_count
 from ..filters import gaussian
-from .closed_form import BACKGROUND, FOREGROUND, STEPS, _least_residual, _solved, closed_form_matte
+from .closed_form import BACKGROUND, FOREGROUND, STEPS, _least_residual, _solve, closed_form_matte
 
 _SMOOTH = 32.0  # pixels over which the colour of a side varies
 _FAR = 1e-6  # weight of a side's mean where none of its pixels is near
@@ -93,13 +93,13 @@ def matte_errors(
     check_count("draws", draws, 2)
     image, trimap = as_relative(image), as_relative(trimap)
     alpha = closed_form_matte(image, trimap, epsilon=epsilon, confidence=confidence).alpha
-    off = _drawn(jax.random.split(key, draws), image, trimap, alpha, epsilon, confidence)
+    off = _draw_picture(jax.random.split(key, draws), image, trimap, alpha, epsilon, confidence)
     sd = jnp.sqrt(jnp.mean(off * off, axis=0))
     return MatteErrors(alpha, sd, jnp.clip(alpha[None] - off, 0, 1))
 
 
 @jax.jit
-def _drawn(
+def _draw_picture(
     keys: Array,
     image: Float[Array, "h w bands"],
     trimap: Float[Array, "h w"],
@@ -113,11 +113,11 @@ def _drawn(
 
     def one(key: Array) -> Float[Array, "h w 1"]:
         front, behind = (
-            jnp.maximum(smooth + _textured(own, texture), 0)
+            jnp.maximum(smooth + _texture(own, texture), 0)
             for own, (smooth, texture) in zip(jax.random.split(key), sides, strict=True)
         )
         drawn = alpha * front + (1 - alpha) * behind
-        return _solved(drawn, trimap, epsilon, confidence, tolerance, STEPS).alpha - alpha
+        return _solve(drawn, trimap, epsilon, confidence, tolerance, STEPS).alpha - alpha
 
     return jax.lax.map(one, keys)
 
@@ -135,7 +135,7 @@ def _side(
     return smooth, (image - smooth) * share / jnp.sqrt(count)
 
 
-def _textured(key: Array, texture: Float[Array, "h w bands"]) -> Float[Array, "h w bands"]:
+def _texture(key: Array, texture: Float[Array, "h w bands"]) -> Float[Array, "h w bands"]:
     """White noise, one for all bands, convolved with a texture around the torus."""
     noise = jax.random.normal(key, texture.shape[:2], texture.dtype)
     found = jnp.fft.rfft2(texture, axes=(0, 1)) * jnp.fft.rfft2(noise)[..., None]

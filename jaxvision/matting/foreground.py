@@ -94,7 +94,7 @@ def _solve_levels(
             shape = (rows, columns)
         foreground, background = (_nearest(x, shape) for x in (foreground, background))
         steps = coarse_steps if max(shape) <= 32 else fine_steps
-        foreground, background = _relaxed(
+        foreground, background = _relax(
             foreground,
             background,
             _nearest(image, shape),
@@ -105,7 +105,7 @@ def _solve_levels(
     return jnp.maximum(foreground, 0), jnp.maximum(background, 0)
 
 
-def _relaxed(
+def _relax(
     foreground: Picture,
     background: Picture,
     image: Picture,

@@ -187,7 +187,7 @@ def least_squares_matte(
     size = magnitude(about_k, axis=(0, -1))
     together = jnp.sum(about_c / size * (about_k / size), axis=(0, -1))[..., None]
     spread = jnp.sum((about_k / size) ** 2, axis=(0, -1))[..., None]
-    return _lifted(image, _unit(1 - divide(together, spread, differs)), background)
+    return _lift(image, _unit(1 - divide(together, spread, differs)), background)
 
 
 @takes_numbers
@@ -248,10 +248,10 @@ def lift(image: Picture, alpha: Alpha, background: Picture) -> Layer:
         >>> print(np.asarray(layer).round(3), jv.matting.over(layer, [0.4, 0.4, 1.0])[:2])
         [0.2  0.1  0.25] [0.5 0.4]
     """
-    return _lifted(as_relative(image), checked_alpha(alpha), as_relative(background))
+    return _lift(as_relative(image), checked_alpha(alpha), as_relative(background))
 
 
-def _lifted(image: Picture, alpha: Alpha, background: Picture) -> Layer:
+def _lift(image: Picture, alpha: Alpha, background: Picture) -> Layer:
     behind = jnp.broadcast_to(background, image.shape)
     return jnp.concatenate([image - (1 - alpha) * behind, alpha], axis=-1)
 

@@ -158,7 +158,7 @@ def draw_numbers(
     names: Sequence[str],
 ) -> None:
     """Each pixel as a cell with its values printed one below the other."""
-    cells = [[_printed(pixels[i, j]) for j in columns] for i in rows]
+    cells = [[_print_values(pixels[i, j]) for j in columns] for i in rows]
     longest = max(len(number) for line in cells for cell in line for number in cell)
     stacked = max(len(cell) for line in cells for cell in line)
     size = min(10.0, 46.0 / longest, 30.0 / stacked)
@@ -185,7 +185,7 @@ def draw_numbers(
     axis.set(xlabel="column", ylabel="row", title=f"values{order}")
 
 
-def _printed(pixel: np.ndarray) -> list[str]:
+def _print_values(pixel: np.ndarray) -> list[str]:
     """The values of one pixel, at most four."""
     shown: Sequence[Any] = pixel[:4].tolist()
     return [f"{v:.3g}" if isinstance(v, float) else str(v) for v in shown]
@@ -199,13 +199,13 @@ def draw_surface(axis: "Axes3D", pixels: np.ndarray) -> None:
     step = max(1, -(-max(height, width) // SURFACE_SIDE))
     y, x = np.arange(0, height, step), np.arange(0, width, step)
 
-    def of_blocks(values: np.ndarray) -> np.ndarray:
+    def block_sums(values: np.ndarray) -> np.ndarray:
         return np.add.reduceat(np.add.reduceat(values.sum(axis=-1), y, axis=0), x, axis=1)
 
     finite = np.isfinite(colours)
-    known = of_blocks(finite.astype(float))
+    known = block_sums(finite.astype(float))
     overall = colours[finite].mean() if finite.any() else 0.0
-    sums = of_blocks(np.where(finite, colours, 0))
+    sums = block_sums(np.where(finite, colours, 0))
     heights = np.where(known > 0, sums / np.maximum(known, 1), overall)
     if min(len(x), len(y)) > 1:
         columns, rows = np.meshgrid(x, y)

@@ -97,15 +97,15 @@ def _columns(figure: "Figure") -> "list[_Strip]":
 
 def _strips(columns: "list[_Strip]", widest: float) -> "list[_Strip]":
     """Neighbouring columns combined into as few strips as the width allows, of similar widths."""
-    packed = _packed(columns, widest)
+    packed = _pack(columns, widest)
     for limit in sorted(b[1] - a[0] for a in columns for b in columns if a[0] < b[1]):
-        alike = _packed(columns, limit)
+        alike = _pack(columns, limit)
         if limit <= widest and len(alike) == len(packed):
             return alike
     return packed
 
 
-def _packed(columns: "list[_Strip]", widest: float) -> "list[_Strip]":
+def _pack(columns: "list[_Strip]", widest: float) -> "list[_Strip]":
     found = columns[:1]
     for left, right, own in columns[1:]:
         start, _, others = found[-1]

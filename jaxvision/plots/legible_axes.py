@@ -50,7 +50,7 @@ def name_points(
             known.append(name)
     whole = _size(axes)
     taken = [_box_of(text, whole, first, last) for text in axes.texts if hasattr(text, "xyann")]
-    drawn = _drawn(axes, whole, first, last)
+    drawn = _drawing(axes, whole, first, last)
     for place, known in together:
         if not any(known):
             continue
@@ -165,7 +165,7 @@ def _box_of(text, whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.
     return np.array([start, start + extent])
 
 
-def _drawn(axes: "Axes", whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+def _drawing(axes: "Axes", whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
     """Return (n, 3) points on marks, lines and bars, about `APART` from each other: their position
     in pt from the lower left corner, and the cost of covering them."""
     paths = [

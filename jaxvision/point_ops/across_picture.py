@@ -40,7 +40,7 @@ def graded_filter(
     Raises:
         ValueError: for fewer than two axes, and a width below 0.
     """
-    image, rows, columns = _sized(image)
+    image, rows, columns = _check_size(image)
     right, up = _centred_places(rows, columns, image.dtype, unit=rows)
     along = jnp.cos(angle) * right + jnp.sin(angle) * up
     t = jnp.clip((along - centre) / jnp.maximum(width, smallest_divisor(image.dtype)) + 0.5, 0, 1)
@@ -66,7 +66,7 @@ def vignette(image: Picture, coefficients: Float[Array, " terms"]) -> Picture:
 
     Source: the "pa" model of lens tables.
     """
-    image, rows, columns = _sized(image)
+    image, rows, columns = _check_size(image)
     return image * _per_pixel(_falloff(rows, columns, image.dtype, coefficients), image)
 
 
@@ -84,7 +84,7 @@ def correct_vignetting(image: Picture, coefficients: Float[Array, " terms"]) -> 
     Raises:
         ValueError: for fewer than two axes.
     """
-    image, rows, columns = _sized(image)
+    image, rows, columns = _check_size(image)
     falloff = _falloff(rows, columns, image.dtype, coefficients)
     inverse = divide(1, falloff, ~(falloff <= smallest_divisor(image.dtype)))
     return image * _per_pixel(inverse, image)
@@ -102,7 +102,7 @@ def _falloff(
     return jnp.maximum(1 + total, 0)
 
 
-def _sized(image: Picture) -> tuple[Picture, int, int]:
+def _check_size(image: Picture) -> tuple[Picture, int, int]:
     """The picture with its numbers of rows and columns."""
     image = as_relative(image)
     if image.ndim < 2:

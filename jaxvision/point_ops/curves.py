@@ -42,7 +42,7 @@ def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "powe
         0.7297
     """
     refuse_codes(linear := as_relative(linear))
-    return _raised(linear, exact_inverse(gamma, linear.dtype), method)
+    return _raise_to_power(linear, exact_inverse(gamma, linear.dtype), method)
 
 
 @takes_numbers
@@ -68,7 +68,7 @@ def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "pow
         0.2176
     """
     refuse_codes(encoded := as_relative(encoded))
-    return _raised(encoded, exact(gamma, encoded.dtype), method)
+    return _raise_to_power(encoded, exact(gamma, encoded.dtype), method)
 
 
 @takes_numbers
@@ -98,7 +98,7 @@ def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
         root, rest = power_in_parts(base, exponent)
         encoded = _above_offset(root, 1.055 * rest)
     else:
-        encoded = 1.055 * _raised(base, exponent, method) - 0.055
+        encoded = 1.055 * _raise_to_power(base, exponent, method) - 0.055
     return jnp.where(curved, encoded, 12.92 * linear)
 
 
@@ -144,14 +144,14 @@ def srgb_decode(encoded: Scalars, *, method: str = "power") -> Scalars:
         linear = power_of_sum(base, Fraction(55, 1000), _SRGB_SCALE, Fraction(24, 10))
     else:
         exponent = exact(Fraction(24, 10), encoded.dtype)
-        linear = _raised((base + 0.055) / 1.055, exponent, method)
+        linear = _raise_to_power((base + 0.055) / 1.055, exponent, method)
     return jnp.where(curved, linear, encoded / 12.92)
 
 
 _SRGB_SCALE = Fraction("0.8794154614021299193")  # 1.055^-2.4
 
 
-def _raised(base: Scalars, exponent: Exponent, method: str) -> Scalars:
+def _raise_to_power(base: Scalars, exponent: Exponent, method: str) -> Scalars:
     check_choice("method", method, ("power", "exp2"))
     if method == "power":
         return exact_power(base, exponent)

@@ -52,7 +52,7 @@ class Clock:
 
 
 @contextmanager
-def timed() -> Iterator[Clock]:
+def time_block() -> Iterator[Clock]:
     """A clock in s that listens to the compiler."""
     clock = Clock()
     jax.monitoring.register_event_duration_secs_listener(clock.add)

@@ -79,7 +79,7 @@ def _seeded_traces_of(source: SceneFile, settings: RenderEntry) -> Callable[...,
     _check_light(source, settings)
     _check_lens(source, settings)
     if settings.integrator == "radiosity":
-        solved, along = _solved(source, settings)
+        solved, along = _solve_radiosity(source, settings)
         tile = _tile_of(along, settings)
     else:
         solved, tile = _nothing, _kept_tile(_compiled_in(settings), _structure(source))  # pyright: ignore[reportArgumentType]
@@ -247,11 +247,11 @@ def _along(settings: RenderEntry) -> RaysOf:
                 return lambda scene, *_: path_along(scene, method)
             return lambda scene, key, _, depth: path_along(scene, method, depth=depth)
         case _:
-            rule = _fixed(settings)
+            rule = _fixed_rule(settings)
             return lambda scene, *_: ray_tree_along(scene, rays=settings.depth, rule=rule)
 
 
-def _solved(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
+def _solve_radiosity(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
     """The scene divided into patches. Their exchange of light, a function of a key, precedes the
     first pixel; then the radiance along rays follows."""
     with _refusals_in_words(source):
@@ -293,7 +293,7 @@ def _check_balance(scene: Scene, plan: Plan, table: Array) -> None:
         )
 
 
-def _fixed(settings: RenderEntry) -> Quadrature:
+def _fixed_rule(settings: RenderEntry) -> Quadrature:
     """The deterministic sampling rule."""
     if settings.rule != "quadrature":
         raise InputError(

@@ -36,7 +36,7 @@ from ..files.scenes.schema import RenderEntry
 from ..point_ops import srgb_encode
 from ..scene import View
 from ..tasks import PROGRAMS, in_order
-from .cost import Clock, Cost, relative_error, timed
+from .cost import Clock, Cost, relative_error, time_block
 from .integrators import BY_PIXEL, light_findings, passes_of, pixels_of
 from .pruning import pruned_scene
 from .tiles import PartialImage, PartialSum
@@ -90,7 +90,7 @@ def render_to_file(
 
     try:
         with (
-            timed() as clock,
+            time_block() as clock,
             whole(source, settings, pruned, unfinished, fresh, count, clock) as (
                 rows,
                 seconds,
@@ -246,13 +246,13 @@ def _tile(work: _Work, index: int) -> Part:
     height, width = work.source.view.resolution
     tile = min(work.settings.tile, height * width)
     pixels = np.minimum(index * tile + np.arange(tile), height * width - 1)
-    with timed() as clock:
+    with time_block() as clock:
         radiance = work.radiance(pixels // width, pixels % width)
         return radiance, clock.read(), _PROCESS
 
 
 def _pass(work: _Work, number: int) -> Part:
-    with timed() as clock:
+    with time_block() as clock:
         return work.passes[1](number), clock.read(), _PROCESS
 
 

@@ -27,7 +27,7 @@ _ENDLESS = 400  # pieces of paths that radiosity follows to their end
 Box = dict[str, tuple[Any, Any]]
 
 
-def _asked(settings: RenderEntry) -> dict[str, Any]:
+def _parse_request(settings: RenderEntry) -> dict[str, Any]:
     """The samples and the path depth of an integrator."""
     samples, depth = None, None
     if settings.samples > 1 or settings.integrator == "path":
@@ -75,7 +75,7 @@ def inspect_scene(
     if time and settings.integrator not in ("direct", "path"):
         raise InputError(f"--time measures direct light and paths; this is {settings.integrator}.")
     seen = _seen_by(source, camera)
-    asked = _asked(settings) | {"free": free, "estimates": estimates}
+    asked = _parse_request(settings) | {"free": free, "estimates": estimates}
     asked |= {"time": time, "advance": advance}
     return effects.inspect(source.scene, seen, **asked)
 
@@ -93,7 +93,7 @@ def prune_scene(
     """The scene without the effects within a tolerance, with its certificate; arguments as in
     `effects.prune`. `level`: W m^-2 sr^-1, None for the brightest pixel of a small picture."""
     seen = _seen_by(source, camera)
-    asked = _asked(settings)
+    asked = _parse_request(settings)
     asked |= {"free": free, "level": level, "estimates": estimates}
     try:
         return effects.prune(source.scene, seen, tolerance, **asked)

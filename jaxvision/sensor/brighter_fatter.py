@@ -76,14 +76,14 @@ def gathered(
     """
     check_image("Sensor.brighter_fatter", electrons.shape)
     parts = effect.steps
-    kernel = _unfolded(effect.kernel) * (parts / (parts - 1))
+    kernel = _unfold(effect.kernel) * (parts / (parts - 1))
     # outside the loop, where the kernel's numbers may be known
     terms, settings = summed(kernel, electrons, border="mirror")
-    return _in_parts(key, electrons, terms, settings, parts, shot_noise, full_well)
+    return _gather_in_parts(key, electrons, terms, settings, parts, shot_noise, full_well)
 
 
 @one_program
-def _in_parts(
+def _gather_in_parts(
     key: Key | None,
     electrons: Counts,
     terms: Terms,
@@ -159,14 +159,14 @@ def flat_covariances(area_change: Quadrant, electrons: Scalars) -> Float[Array, 
     ones = (1,) * electrons.ndim
     mu = electrons[..., None, None]
     terms = [term.reshape(*ones, *area_change.shape) for term in terms]
-    return mu * polynomial(terms, _held(size, mu) * jnp.ones_like(terms[0]))
+    return mu * polynomial(terms, _hold(size, mu) * jnp.ones_like(terms[0]))
 
 
 @takes_numbers
 def flat_variance(effect: BrighterFatter, electrons: Scalars) -> Scalars:
     """Variance, electrons^2, of Poisson charges of pixels in even light of `electrons` >= 0."""
     size, terms = _series(area_changes(effect.kernel), _count_series)
-    return electrons * polynomial([term[0, 0] for term in terms], _held(size, electrons))
+    return electrons * polynomial([term[0, 0] for term in terms], _hold(size, electrons))
 
 
 @takes_numbers
@@ -174,7 +174,7 @@ def smoothed_pattern(effect: BrighterFatter, electrons: Scalars) -> Scalars:
     """The factor, no unit, by which even light of `electrons` >= 0 reduces the variance of
     sensitivities that are independent from pixel to pixel."""
     size, terms = _series(area_changes(effect.kernel), _pattern_series)
-    return polynomial([term[0, 0] for term in terms], _held(size, electrons))
+    return polynomial([term[0, 0] for term in terms], _hold(size, electrons))
 
 
 def _count_series(m: int) -> float:
@@ -187,7 +187,7 @@ def _pattern_series(m: int) -> float:
     return (2 ** (m + 2) - 2) / factorial(m + 2)
 
 
-def _held(size: Scalar, electrons: Scalars) -> Scalars:
+def _hold(size: Scalar, electrons: Scalars) -> Scalars:
     return jnp.minimum(size * electrons, FURTHEST)
 
 
@@ -202,7 +202,7 @@ def _drift(arriving: Counts, potential: Counts) -> Counts:
     return gained
 
 
-def _unfolded(kernel: Quadrant) -> Float[Array, "_ _"]:
+def _unfold(kernel: Quadrant) -> Float[Array, "_ _"]:
     """The kernel at offsets of either sign."""
     rows, columns = (np.abs(np.arange(1 - n, n)) for n in kernel.shape)
     return kernel[rows][:, columns]

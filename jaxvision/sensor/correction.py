@@ -160,7 +160,7 @@ class Calibrated(Shown):
     def shared(self) -> Float[Array, "factors ..."]:
         """The shift of all pixels by one standard deviation along each principal axis of the
         camera's parameters, (factors, ..., h, w, bands)."""
-        found = [_spread(part.amplitude, part.kernel) for part in self.parts if part.along == "all"]
+        found = [_blur(part.amplitude, part.kernel) for part in self.parts if part.along == "all"]
         return jnp.stack(found) if found else jnp.zeros((0, *self.image.shape))
 
     def mean(self, where: Bool[Array, "h w"] | None = None) -> Moments:
@@ -169,10 +169,10 @@ class Calibrated(Shown):
         traced."""
         kept = jnp.isfinite(self.image)
         if where is not None:
-            kept = kept & _beside(jnp.asarray(where)[..., None], kept)
+            kept = kept & _broadcast(jnp.asarray(where)[..., None], kept)
         if self.saturated is not None and is_known(self.saturated):
             patch = jnp.ones(1, bool) if where is None else jnp.asarray(where)[..., None]
-            share = float(jnp.mean(self.saturated, where=_beside(patch, self.saturated)))
+            share = float(jnp.mean(self.saturated, where=_broadcast(patch, self.saturated)))
             if share > 0:
                 warnings.warn(
                     f"{share:.2g} of the patch's pixels are saturated and left out. The others are "
@@ -195,7 +195,7 @@ class Calibrated(Shown):
             The filtered frame.
         """
         kernel = as_float(kernel)
-        parts = (replace(part, kernel=_both(part.kernel, kernel)) for part in self.parts)
+        parts = (replace(part, kernel=_combine_kernels(part.kernel, kernel)) for part in self.parts)
         return Calibrated(convolve(self.image, kernel), tuple(parts), self.saturated)
 
     def __sub__(self, other: "Calibrated") -> "Calibrated":
@@ -216,16 +216,16 @@ class Calibrated(Shown):
         return jnp.zeros_like(self.image) + sum(found)
 
 
-def _beside(picture: Array, frames: Counts) -> Array:
+def _broadcast(picture: Array, frames: Counts) -> Array:
     """A picture with as many axes as frames."""
     return picture.reshape(*(1,) * (frames.ndim - picture.ndim), *picture.shape)
 
 
-def _spread(picture: Counts, kernel: Kernel | None) -> Counts:
+def _blur(picture: Counts, kernel: Kernel | None) -> Counts:
     return picture if kernel is None else convolve(picture, kernel)
 
 
-def _both(first: Kernel | None, second: Kernel | None) -> Kernel | None:
+def _combine_kernels(first: Kernel | None, second: Kernel | None) -> Kernel | None:
     """The kernel of two convolutions in sequence."""
     if first is None or second is None:
         return second if first is None else first
@@ -236,7 +236,7 @@ def _variance(part: Part) -> Counts:
     """Variance of each pixel; amplitudes are taken as constant over the reach of the kernel."""
     kernel = part.kernel
     if part.along in ("frame", "all") or kernel is None:
-        return _spread(part.amplitude, kernel) ** 2
+        return _blur(part.amplitude, kernel) ** 2
     if part.along == "rows":
         kernel = kernel.sum(1, keepdims=True)
     elif part.along == "columns":
@@ -317,7 +317,7 @@ def correct(
     check_shape("correct: masters.defects", masters.defects, raw.shape[-3:-1], advice=advice)
     measured = raw = as_float(raw)  # codes are unsigned, and would wrap
     if masters.defects is not None:  # neighbours are unmixed from the mean of those around
-        raw, masters = _filled(raw, masters.defects), _without_defects(masters, masters.defects)
+        raw, masters = _fill(raw, masters.defects), _fill_masters(masters, masters.defects)
     if sensor.own is not None:
         names = ", ".join(type(effect).__name__ for effect in sensor.own)
         raise ValueError(f"correct knows no inverse of {names}.")
@@ -327,25 +327,26 @@ def correct(
         return _times(image, _scale(one, unit, raw, masters))
 
     image = image_by(sensor)
-    of_light = _both_of(_scale(sensor, unit, raw, masters), _shutter(sensor))
+    of_light = _multiply(_scale(sensor, unit, raw, masters), _shutter(sensor))
     parts = [
         replace(part, amplitude=_times(part.amplitude, of_light))
         for part in _parts(sensor, raw, masters, expected)
     ]
     if draws is not None:
-        parts += _drawn(sensor, draws.sensor if isinstance(draws, Camera) else draws, image_by)
-    saturated = _saturated(sensor, measured)
+        own = draws.sensor if isinstance(draws, Camera) else draws
+        parts += _camera_parts(sensor, own, image_by)
+    saturated = _find_saturated(sensor, measured)
     bad = jnp.zeros(raw.shape, bool) if saturated is None else saturated
     if masters.defects is not None:
-        bad = bad | _beside(masters.defects[..., None], raw)
+        bad = bad | _broadcast(masters.defects[..., None], raw)
     if masters.flat is not None:
-        bad = bad | _beside(_ended(sensor, masters.flat), raw)
+        bad = bad | _broadcast(_find_ended(sensor, masters.flat), raw)
     if masters.dark is not None:
         _warn_of_dark(sensor, masters.dark)
     return Calibrated(jnp.where(bad, jnp.nan, image), tuple(parts), saturated)
 
 
-def _saturated(sensor: Sensor, raw: Counts) -> Bool[Array, "..."] | None:
+def _find_saturated(sensor: Sensor, raw: Counts) -> Bool[Array, "..."] | None:
     """Pixels at the end of the converter's range or within the noise of a full well."""
     bad = None
     if sensor.bits is not None:
@@ -357,7 +358,7 @@ def _saturated(sensor: Sensor, raw: Counts) -> Bool[Array, "..."] | None:
     return bad
 
 
-def _ended(sensor: Sensor, flat: Master) -> Bool[Array, "..."]:
+def _find_ended(sensor: Sensor, flat: Master) -> Bool[Array, "..."]:
     """Pixels of a flat some of whose frames may have been saturated: within the noise of an end."""
     if sensor.bits is None:
         return jnp.zeros(flat.mean.shape, bool)
@@ -376,7 +377,7 @@ def _ended(sensor: Sensor, flat: Master) -> Bool[Array, "..."]:
 def _warn_of_dark(sensor: Sensor, dark: Master) -> None:
     """Of a dark master that differs from what the camera states by more than twice its noise."""
     held = mean_dark(sensor, dark.mean) + jnp.zeros_like(dark.mean)
-    beside = _unasked(sensor, dark.mean)  # which a covered lens may keep out
+    beside = _light_offset(sensor, dark.mean)  # which a covered lens may keep out
     found, expected = jnp.median(dark.mean), jnp.median(amplified(sensor, held))
     most = expected if beside is None else jnp.median(amplified(sensor, held + beside))
     noise = jnp.sqrt(jnp.median(signal_variance(sensor, jnp.zeros_like(dark.mean))))
@@ -395,7 +396,7 @@ def _times(x: Scalars, factor: Scalars | None) -> Scalars:
     return x if factor is None else x * factor
 
 
-def _both_of(one: Scalars | None, other: Scalars | None) -> Scalars | None:
+def _multiply(one: Scalars | None, other: Scalars | None) -> Scalars | None:
     return other if one is None else one if other is None else one * other
 
 
@@ -409,7 +410,7 @@ def _image(sensor: Sensor, raw: Counts, masters: Masters, flat: Counts | None) -
         column = light.sum(axis=-3, keepdims=True)
         whole = column / (1 + sensor.smear * (light.shape[-3] - 1))
         light = (light - sensor.smear * whole) / (1 - sensor.smear)
-    beside = _unasked(sensor, light)
+    beside = _light_offset(sensor, light)
     return _times(light if beside is None else light - beside, _shutter(sensor))
 
 
@@ -417,7 +418,7 @@ def _without_dark(sensor: Sensor, charge: Counts) -> Counts:
     return charge if sensor.dark_current is None else charge - mean_dark(sensor, charge)
 
 
-def _unasked(sensor: Sensor, like: Counts) -> Scalars | None:
+def _light_offset(sensor: Sensor, like: Counts) -> Scalars | None:
     """Photoelectrons of a light offset that is stated in photons; None without one."""
     if sensor.light_offset is None or isinstance(sensor.light_offset, ShutterOffset):
         return None
@@ -455,7 +456,7 @@ def _signal(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
     """Electrons that a linear sensor would have read."""
     gain = total_gain(sensor, shape=raw.shape, dtype=raw.dtype)
     if dark is not None:
-        above = raw - _beside(dark.mean.astype(raw.dtype), raw)
+        above = raw - _broadcast(dark.mean.astype(raw.dtype), raw)
         above = above if gain is None else above / gain
         if sensor.dark_current is None:
             return above
@@ -477,22 +478,22 @@ def _flat(sensor: Sensor, masters: Masters, raw: Counts) -> Counts | None:
     """Photoelectrons in the flat, or None without a flat."""
     if masters.flat is None:
         return None
-    flat = _beside(masters.flat.mean.astype(raw.dtype), raw)
+    flat = _broadcast(masters.flat.mean.astype(raw.dtype), raw)
     return _without_dark(sensor, _charge(sensor, flat, masters.dark))
 
 
-def _without_defects(masters: Masters, defects: Bool[Array, "h w"]) -> Masters:
+def _fill_masters(masters: Masters, defects: Bool[Array, "h w"]) -> Masters:
     """Masters with defects filled."""
 
     def filled(master: Master | None) -> Master | None:
-        return master and replace(master, mean=_filled(master.mean, defects))
+        return master and replace(master, mean=_fill(master.mean, defects))
 
     return replace(masters, dark=filled(masters.dark), flat=filled(masters.flat))
 
 
-def _filled(raw: Counts, defects: Bool[Array, "h w"]) -> Counts:
+def _fill(raw: Counts, defects: Bool[Array, "h w"]) -> Counts:
     """Fill defects with the mean of the usable pixels around them, within 5 x 5."""
-    good = jnp.broadcast_to(~_beside(defects[..., None], raw), raw.shape)
+    good = jnp.broadcast_to(~_broadcast(defects[..., None], raw), raw.shape)
     around = jnp.ones((5, 5), raw.dtype)
     mean = convolve(jnp.where(good, raw, 0), around) / jnp.maximum(
         convolve(good.astype(raw.dtype), around), 1
@@ -509,7 +510,7 @@ def _parts(sensor: Sensor, raw: Counts, masters: Masters, expected: Counts | Non
         charge = jnp.maximum(_charge(sensor, raw, masters.dark), 0)
     else:
         light = jnp.broadcast_to(expected, raw.shape).astype(raw.dtype)
-        stated, beside = _shutter(sensor), _unasked(sensor, raw)
+        stated, beside = _shutter(sensor), _light_offset(sensor, raw)
         light = light if stated is None else light / stated
         light = light if beside is None else light + beside
         light = light if sensor.smear is None else smeared(light, sensor.smear)
@@ -519,7 +520,7 @@ def _parts(sensor: Sensor, raw: Counts, masters: Masters, expected: Counts | Non
     light = _without_dark(sensor, charge)  # of the pixel, not of the mean one
     apart = None if sensor.crosstalk is None else _inverse(_cross(sensor.crosstalk))
     unmixed = None if sensor.mixing is None else _inverse(sensor.mixing.kernel.astype(raw.dtype))
-    behind = _both(unmixed, apart)  # of what is added behind the mixing
+    behind = _combine_kernels(unmixed, apart)  # of what is added behind the mixing
     slope = None if sensor.nonlinearity is None else 1 / _slope(sensor, charge)
     gain = total_gain(sensor, **of)
     parts: list[Part] = []
@@ -588,7 +589,7 @@ def _slope(sensor: Sensor, charge: Counts) -> Counts:
     return jax.jvp(lambda x: signal_of_charge(curve, x), (charge,), (one,))[1]
 
 
-def _drawn(sensor: Sensor, draws: Sensor, image: Callable[[Sensor], Counts]) -> list[Part]:
+def _camera_parts(sensor: Sensor, draws: Sensor, image: Callable[[Sensor], Counts]) -> list[Part]:
     """The derivatives of an image along the principal axes of the draws of its camera."""
     leaves, tree = jax.tree.flatten(sensor)
     drawn = [np.asarray(x, float) for x in jax.tree.leaves(draws)]

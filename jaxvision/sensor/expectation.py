@@ -102,7 +102,7 @@ def expected_of_count(
     else:
         lit = ~(mean <= smallest_divisor(mean.dtype))
         slope = _score(values, jax.vmap(lambda n: divide(n - mean, mean, lit))(numbers))
-    return _with_slopes(values.mean(0), (slope, mean))
+    return _attach_slopes(values.mean(0), (slope, mean))
 
 
 @takes_numbers
@@ -165,7 +165,7 @@ def expected_of_reading(
     else:
         by_mean = divide(_score(values, z), held_rms, spread)
         by_rms = divide(_score(values, z * z - 1), held_rms, spread)
-    return _with_slopes(values.mean(0), (by_mean, mean), (by_rms, rms))
+    return _attach_slopes(values.mean(0), (by_mean, mean), (by_rms, rms))
 
 
 def _one_sided(key: Key, mean: Scalars) -> tuple[Scalars, Scalars]:
@@ -234,7 +234,7 @@ def expected_of_defect(
         varies = ~(variance <= smallest_divisor(held.dtype))
         weights = jax.vmap(lambda one: divide(one - held, variance, varies))(defects)
         slope = _score(values, weights)
-    return _with_slopes(values.mean(0), (slope, chance))
+    return _attach_slopes(values.mean(0), (slope, chance))
 
 
 def _keys(key: Key, estimator: str, draws: int) -> Key:
@@ -264,7 +264,7 @@ def _score(
     return jax.vmap(jnp.multiply)(values - others, scores).mean(0)
 
 
-def _with_slopes(average: Scalars, *slopes: tuple[Scalars, Scalars]) -> Scalars:
+def _attach_slopes(average: Scalars, *slopes: tuple[Scalars, Scalars]) -> Scalars:
     """An average whose derivative with respect to each parameter is the given slope. Slopes of the
     pixels of a picture add up."""
     along = average

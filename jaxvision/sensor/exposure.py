@@ -122,15 +122,15 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
     if isinstance(offset, ShutterOffset):
         assert sensor.exposure_time is not None  # asked for where the record is made
         longer = replace(sensor, exposure_time=jnp.maximum(sensor.exposure_time + offset.time, 0))
-        return over_exposure(longer, _freed(sensor, electrons))
-    freed = over_exposure(sensor, _freed(sensor, electrons))
+        return over_exposure(longer, _free_dark(sensor, electrons))
+    freed = over_exposure(sensor, _free_dark(sensor, electrons))
     if offset is None:
         return freed
     beside = _band_values("Sensor.light_offset", offset, electrons)
-    return freed + _freed(sensor, jnp.broadcast_to(beside, electrons.shape))
+    return freed + _free_dark(sensor, jnp.broadcast_to(beside, electrons.shape))
 
 
-def _freed(sensor: Sensor, photons: Spectrum) -> Counts:
+def _free_dark(sensor: Sensor, photons: Spectrum) -> Counts:
     """Photoelectrons behind all filters."""
     electrons = photons
     if sensor.infrared_cut is not None:

@@ -160,7 +160,7 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
     mean = _read(sensor, charge).mean
     if on_charge(sensor):  # they act on a pattern as on noise
         pattern = Moments(_passed_on(sensor, charge).mean, variance)
-        variance = _acted(sensor, pattern).variance
+        variance = _act(sensor, pattern).variance
     if sensor.conversion_prnu is not None:
         variance = variance + sensor.conversion_prnu**2 * (variance + mean**2)
     for rms in (sensor.dsnu, sensor.column_dsnu, sensor.row_dsnu):
@@ -302,7 +302,7 @@ def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
     mean = charge.mean
     if sensor.full_well is not None:
         charge = censored(charge, high=sensor.full_well)
-    gaussian = _converted(sensor, _read(sensor, charge))
+    gaussian = _convert(sensor, _read(sensor, charge))
     counted = isinstance(sensor.shot_noise, PoissonShotNoise | FastPoissonShotNoise)
     clips = sensor.full_well is not None or sensor.bits is not None
     spread = (sensor.charge_transfer, sensor.mixing, sensor.conversion_prnu, sensor.column_prnu)
@@ -435,7 +435,7 @@ def _charge(sensor: Sensor, irradiance: Light) -> Moments:
 
 def _read(sensor: Sensor, charge: Moments) -> Moments:
     """Moments of the electrons that are read out."""
-    mean, variance = _acted(sensor, _passed_on(sensor, charge))
+    mean, variance = _act(sensor, _passed_on(sensor, charge))
     if None not in (sensor.mixing, sensor.brighter_fatter, sensor.shot_noise):
         variance = variance * _repelled_share(sensor, charge.mean)
     if sensor.conversion_prnu is not None:
@@ -450,9 +450,9 @@ def _repelled_share(sensor: Sensor, mean: Scalars) -> Scalars:
     assert sensor.mixing is not None
     assert sensor.brighter_fatter is not None
     lit, kernel = mean > 0, sensor.mixing.kernel.astype(mean.dtype)
-    found = _repelled(sensor.brighter_fatter, jnp.where(lit, mean, 1), _farthest(sensor))
+    found = _repel(sensor.brighter_fatter, jnp.where(lit, mean, 1), _farthest(sensor))
     alone = found[..., 0, 0] * jnp.sum(kernel**2)
-    return jnp.where(lit, _mixed(kernel, found, 0)[..., 0, 0] / alone, 1)
+    return jnp.where(lit, _mix(kernel, found, 0)[..., 0, 0] / alone, 1)
 
 
 def _charge_moments(sensor: Sensor, irradiance: Light, reach: int) -> tuple[Scalars, Covariances]:
@@ -461,13 +461,13 @@ def _charge_moments(sensor: Sensor, irradiance: Light, reach: int) -> tuple[Scal
     mean, variance = _passed_on(sensor, charge)
     size = reach + _farthest(sensor)
     if sensor.brighter_fatter is not None and sensor.shot_noise is not None:
-        found = _repelled(sensor.brighter_fatter, jnp.maximum(charge.mean, 0), size)
+        found = _repel(sensor.brighter_fatter, jnp.maximum(charge.mean, 0), size)
     else:
         found = jnp.where(_offsets(size, mean)[0], variance[..., None, None], 0)
     if sensor.mixing is None:
         return mean, found
     kernel = sensor.mixing.kernel.astype(mean.dtype)
-    return mixed(mean, sensor.mixing), _mixed(kernel, found, reach)
+    return mixed(mean, sensor.mixing), _mix(kernel, found, reach)
 
 
 def _offsets(reach: int, like: Scalars) -> tuple[Array, Array, Array]:
@@ -482,7 +482,7 @@ def _farthest(sensor: Sensor) -> int:
     return 0 if sensor.mixing is None else max(sensor.mixing.kernel.shape) - 1
 
 
-def _repelled(effect: BrighterFatter, electrons: Scalars, reach: int) -> Covariances:
+def _repel(effect: BrighterFatter, electrons: Scalars, reach: int) -> Covariances:
     """`flat_covariances` at offsets of up to `reach` rows and columns, electrons^2."""
     area = area_changes(effect.kernel)
     size = max(reach + 1, *area.shape)
@@ -490,7 +490,7 @@ def _repelled(effect: BrighterFatter, electrons: Scalars, reach: int) -> Covaria
     return flat_covariances(area, electrons)[..., : reach + 1, : reach + 1]
 
 
-def _mixed(
+def _mix(
     kernel: Float[Array, "rows columns"], found: Covariances, reach: int
 ) -> Float[Array, "... kept kept"]:
     """Covariances after mixing, from those before it, which extend further."""
@@ -512,7 +512,7 @@ def _passed_on(sensor: Sensor, charge: Moments) -> Moments:
     return Moments(transferred(mean, sensor.charge_transfer), variance)
 
 
-def _acted(sensor: Sensor, charge: Moments) -> Moments:
+def _act(sensor: Sensor, charge: Moments) -> Moments:
     """Moments of the electrons after all effects on charge."""
     return moments_after(on_charge(sensor), charge)
 
@@ -520,7 +520,7 @@ def _acted(sensor: Sensor, charge: Moments) -> Moments:
 def _count_sum_moments(sensor: Sensor, mean: Scalars) -> Moments:
     """Moments of the raw numbers for Poisson counts of a mean below FAINT, summed over counts near
     the mean."""
-    about = _converted(sensor, _read(sensor, Moments(mean, jnp.zeros_like(mean)))).mean
+    about = _convert(sensor, _read(sensor, Moments(mean, jnp.zeros_like(mean)))).mean
     about = jax.lax.stop_gradient(about)
 
     def count(
@@ -529,7 +529,7 @@ def _count_sum_moments(sensor: Sensor, mean: Scalars) -> Moments:
         chance, first, second = sums
         held = electrons if sensor.full_well is None else jnp.minimum(electrons, sensor.full_well)
         charge = Moments(jnp.full_like(mean, held), jnp.zeros_like(mean))
-        found = _converted(sensor, _read(sensor, charge), of_one_count=True)
+        found = _convert(sensor, _read(sensor, charge), of_one_count=True)
         off = found.mean - about
         first = first + chance * off
         second = second + chance * (found.variance + off**2)
@@ -541,7 +541,7 @@ def _count_sum_moments(sensor: Sensor, mean: Scalars) -> Moments:
     return Moments(about + first, jnp.maximum(second - first**2, 0))
 
 
-def _converted(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> Moments:
+def _convert(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> Moments:
     """Moments of the numbers of the ADC, DN. Without noise, rounding counts as 1/12 DN^2, except
     for electrons of one count, whose code is known."""
     if sensor.bits is None:
@@ -553,10 +553,10 @@ def _converted(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> 
     )
     fine = analogue.variance < 1  # DN^2
     fine = fine if of_one_count else fine & (analogue.variance > 0)
-    return jax.tree.map(partial(jnp.where, fine), _rounded(analogue, fine, high), wide)
+    return jax.tree.map(partial(jnp.where, fine), _round(analogue, fine, high), wide)
 
 
-def _rounded(analogue: Moments, fine: Bool[Array, "..."], high: Scalar) -> Moments:
+def _round(analogue: Moments, fine: Bool[Array, "..."], high: Scalar) -> Moments:
     """Moments of Gaussian noise of less than 1 DN rms, rounded to whole numbers from 0 to `high`.
     With P_c = P(x > c + 1/2), the mean is sum P_c and the mean square sum (2 c + 1) P_c."""
     noisy = fine & (analogue.variance > 0)

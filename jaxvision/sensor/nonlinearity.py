@@ -80,7 +80,7 @@ def charge_of_signal(nonlinearity: Nonlinearity, signal: Scalars) -> Scalars:
 # ------------------------------------------------ compression
 
 
-def _compressed(effect: Compression, electrons: Scalars) -> Scalars:
+def _compress(effect: Compression, electrons: Scalars) -> Scalars:
     second = 0.0 if effect.second is None else effect.second
     within = jnp.clip(electrons, 0, effect.electrons)
     u = within / effect.electrons
@@ -88,11 +88,11 @@ def _compressed(effect: Compression, electrons: Scalars) -> Scalars:
     return within * (1 - u * (effect.first + second * u)) + (electrons - within) * slope
 
 
-def _expanded(effect: Compression, signal: Scalars) -> Scalars:
+def _expand(effect: Compression, signal: Scalars) -> Scalars:
     end = jnp.broadcast_to(effect.electrons, signal.shape).astype(signal.dtype)
-    top = _compressed(effect, end)
+    top = _compress(effect, end)
     if effect.second is not None:
-        return _found(_compressed, effect, signal, 0 * end, end)
+        return _found(_compress, effect, signal, 0 * end, end)
     within = jnp.clip(signal, 0, top)
     root = jnp.sqrt(1 - 4 * effect.first * within / effect.electrons)
     last = 1 - 2 * effect.first
@@ -111,13 +111,13 @@ def _slopes_of_compression(ends: Ends[Compression]) -> tuple[float, float]:
     return min(found), max(found)
 
 
-register_curve(Compression, curve=_compressed, slopes=_slopes_of_compression, inverse=_expanded)
+register_curve(Compression, curve=_compress, slopes=_slopes_of_compression, inverse=_expand)
 
 
 # ------------------------------------------------ a table
 
 
-def _interpolated(x: Scalars, inputs: Scalars, outputs: Scalars) -> Scalars:
+def _interpolate(x: Scalars, inputs: Scalars, outputs: Scalars) -> Scalars:
     """Linear interpolation between the entries, and linear extrapolation beyond them."""
     k = jnp.clip(jnp.searchsorted(inputs, x, side="right") - 1, 0, inputs.shape[0] - 2)
     slopes = jnp.diff(outputs) / jnp.diff(inputs)
@@ -138,9 +138,9 @@ def _chords(ends: Ends[Any]) -> tuple[float, float]:
 
 register_curve(
     ResponseTable,
-    curve=lambda table, x: _interpolated(x, table.electrons, table.signal),
+    curve=lambda table, x: _interpolate(x, table.electrons, table.signal),
     slopes=_chords,
-    inverse=lambda table, s: _interpolated(s, table.signal, table.electrons),
+    inverse=lambda table, s: _interpolate(s, table.signal, table.electrons),
 )
 
 

@@ -137,12 +137,12 @@ def _rejection_draws(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scala
     inverse_alpha = 1.006 * (1.1239 + 1.1328 / (b - 3.4))  # his hat is up to 0.5 % too low
     shape = [x.astype(jnp.float32) for x in (part, mean, a, b, inverse_alpha)]
 
-    def proposed(state: tuple[UInt32[Array, ""], Scalars]) -> tuple[UInt32[Array, ""], Scalars]:
+    def propose(state: tuple[UInt32[Array, ""], Scalars]) -> tuple[UInt32[Array, ""], Scalars]:
         attempt, drawn = state
         first, second = threefry(seed, place, attempt)
         u, edge = from_middle(first, mean.dtype)
         steps = jnp.floor((2 * a / edge + b) * u + (part + 0.43))
-        accepted = _accepted(second, steps.astype(jnp.float32), edge.astype(jnp.float32), *shape)
+        accepted = _accept(second, steps.astype(jnp.float32), edge.astype(jnp.float32), *shape)
         accepted &= (steps >= -whole) & jnp.isnan(drawn)
         return attempt + 1, jnp.where(accepted, steps, drawn)
 
@@ -152,11 +152,11 @@ def _rejection_draws(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scala
     def is_left(state: tuple[UInt32[Array, ""], Scalars]) -> Bool[Array, ""]:
         return jnp.isnan(state[1]).any() & (state[0] < MOST_PROPOSALS)
 
-    _, steps = jax.lax.while_loop(is_left, proposed, start)
+    _, steps = jax.lax.while_loop(is_left, propose, start)
     return whole + steps
 
 
-def _accepted(
+def _accept(
     bits: Words,
     steps: Scalars,
     edge: Scalars,

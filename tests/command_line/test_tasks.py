@@ -93,7 +93,7 @@ def out_of_time(shared, item):
 
 
 def test_a_look_that_times_out_is_no_failure_of_the_task(client):
-    assert tasks._awaited(client, JustInTime()) == 7  # pyright: ignore[reportArgumentType]
+    assert tasks._await(client, JustInTime()) == 7  # pyright: ignore[reportArgumentType]
     with jv.cluster(client), pytest.raises(TimeoutError, match="the camera of 0"):
         list(tasks.in_order(out_of_time, None, range(3)))
 
@@ -268,12 +268,12 @@ def test_workers_lost_while_they_start_are_tried_again(monkeypatch):
         return made
 
     monkeypatch.setattr(distributed, "LocalCluster", start)
-    assert _local_workers._started(2) is made
+    assert _local_workers._start(2) is made
     assert tried == [2] * _local_workers.STARTS
     tried.clear()
     monkeypatch.setattr(_local_workers, "STARTS", 0)
     with pytest.raises(InputError, match="2 workers could not be started"):
-        _local_workers._started(2)
+        _local_workers._start(2)
 
 
 def test_wrong_options_are_sentences(tmp_path, monkeypatch):
@@ -305,7 +305,7 @@ def test_a_picture_has_the_same_bytes(client, tmp_path):
 def test_records_that_tasks_share_are_not_kept_when_they_are_done():
     """Equinox keeps for ever what plain pickle makes of its modules, a scene for each render."""
     light = jv.PointLight([1.0, 2.0, 3.0], [4.0])
-    made = pickle.loads(tasks._packed({"light": light, "add": lambda x: x + 1}))
+    made = pickle.loads(tasks._pack({"light": light, "add": lambda x: x + 1}))
     np.testing.assert_array_equal(made["light"].position, light.position)
     assert made["add"](1) == 2
     known = weakref.ref(made.pop("light"))

@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from jaxvision.colour_spaces.colour_data import illuminant
 from jaxvision.errors import InputError
-from jaxvision.files.scenes.bands import Bands, Tabulated, bands_of, in_bands
+from jaxvision.files.scenes.bands import Bands, Tabulated, band_values, bands_of
 from jaxvision.files.scenes.folder import Folder
 from jaxvision.files.scenes.spectrum_tables import read_table
 from jaxvision.spectra import (
@@ -54,7 +54,7 @@ def written(folder, heads, *columns, start=""):
 
 def seen(folder, bands, quantity, **source):
     table = Tabulated(**(source or {"file": "s.csv"}))
-    return in_bands(table, bands, Folder(Path(folder) / "scene.toml"), quantity=quantity)
+    return band_values(table, bands, Folder(Path(folder) / "scene.toml"), quantity=quantity)
 
 
 def test_lines_of_a_lamp_are_integrated_in_rgb(tmp_path):

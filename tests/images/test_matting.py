@@ -12,7 +12,7 @@ from scipy.sparse.linalg import spsolve
 from jaxvision import matting
 from jaxvision.errors import InputError
 from jaxvision.matting._laplacian import apply_stencil, matting_laplacian
-from jaxvision.matting._multigrid import coarsened, interpolated, restricted, v_cycle
+from jaxvision.matting._multigrid import coarsen, interpolated, restrict, v_cycle
 from jaxvision.matting.compositing import over
 
 RNG = np.random.default_rng(13)
@@ -200,7 +200,7 @@ def test_coarse_grids_are_galerkin_s():
     rows, columns = 9, 12
     image = jnp.asarray(picture(rows, columns))
     stencil = jax.jit(lambda x: matting_laplacian(x).at[2, 2].add(0.5))(image)
-    grids = jax.jit(coarsened)(stencil)
+    grids = jax.jit(coarsen)(stencil)
     assert len(grids.stencils) == 1
     units = jnp.eye(30).reshape(30, 5, 6)
     p = np.asarray(jax.jit(jax.vmap(lambda x: interpolated(x, (rows, columns))))(units))
@@ -211,7 +211,7 @@ def test_coarse_grids_are_galerkin_s():
     np.testing.assert_allclose(factor @ factor.T, coarse, atol=1e-12)
     r, s = RNG.normal(size=(2, rows, columns))
     np.testing.assert_allclose(
-        np.ravel(jax.jit(restricted)(jnp.asarray(r))), p.T @ r.ravel(), atol=1e-13
+        np.ravel(jax.jit(restrict)(jnp.asarray(r))), p.T @ r.ravel(), atol=1e-13
     )
     cycle = jax.jit(lambda x: v_cycle(grids, x))
     of_r, of_s = (np.asarray(cycle(jnp.asarray(x))) for x in (r, s))

@@ -14,7 +14,7 @@ from jaxtyping import Bool
 from jaxvision import PhotonConversion, Sensor, as_dtype
 from jaxvision.errors import InputError
 from jaxvision.files.cameras import read_camera, read_sensor, write_sensor
-from jaxvision.files.records import draws_beside
+from jaxvision.files.records import count_draws
 from jaxvision.files.toml import read_toml
 
 from ...inference.given import require_kind
@@ -276,7 +276,7 @@ def read_with_draws(file: Path) -> tuple[Sensor, Sensor | None]:
     if not file.suffix and not file.exists():
         return read_camera(str(file)).sensor, None
     whole = "view" in read_toml(file, "camera")
-    count = min(DRAWS, draws_beside(file))
+    count = min(DRAWS, count_draws(file))
     if whole:
         draws = read_camera(file, draws=count).sensor if count else None
         return read_camera(file).sensor, draws

@@ -100,13 +100,13 @@ def _view() -> Pinhole:
 def _moments() -> Problem:
     scene, camera = _balls(), Camera(_view(), Sensor(exposure_time=0.02))
 
-    def panned(scene: Scene, view: View, time: Any) -> tuple[Scene, View]:
+    def pan(scene: Scene, view: View, time: Any) -> tuple[Scene, View]:
         return scene, replace(view, position=view.position + jnp.asarray([2.0, 0, 0]) * time)
 
     def prepare(settings: Mapping[str, Any]) -> Compute:
         moments = settings["motion moments"]
         run = jax.jit(
-            lambda scene: capture(None, scene, camera, motion=panned, moments=moments).irradiance
+            lambda scene: capture(None, scene, camera, motion=pan, moments=moments).irradiance
         )
         return lambda seed: run(scene)
 
@@ -177,11 +177,11 @@ def _shot_noise() -> Problem:
         noise = _NOISES[settings["shot noise"]]()
 
         @jax.jit
-        def counted(key: Any) -> jax.Array:
+        def draw_counts(key: Any) -> jax.Array:
             return count(key, jnp.broadcast_to(jnp.asarray(means)[:, None], (5, draws)), noise)
 
         def distribution(seed: int) -> np.ndarray:
-            whole = np.round(np.asarray(counted(jax.random.key(seed)))).astype(int)
+            whole = np.round(np.asarray(draw_counts(jax.random.key(seed)))).astype(int)
             counts = [np.bincount(np.clip(row, 0, most), minlength=most)[:most] for row in whole]
             return np.cumsum(counts, axis=1) / draws
 

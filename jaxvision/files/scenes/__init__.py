@@ -120,7 +120,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     content = _content(file)
     entry = checked(file, content, SceneEntry, "scene")
     folder = Folder(file)
-    with _named(file, ""):
+    with _naming(file, ""):
         bands = bands_of(entry.bands, entry.wavelengths)
     lit, painted = (
         reading_of(str(file), bands, folder, quantity) for quantity in ("light", "reflectance")
@@ -128,12 +128,12 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     black = {"family": "lambert", "albedo": 0.0}
     materials: dict[str | None, Material] = {None: material_of(painted, "", black)}
     for name, made_of in entry.material.items():
-        with _named(file, f"material.{name}"):
+        with _naming(file, f"material.{name}"):
             materials[name] = material_of(painted, f"material.{name}", made_of)
     names = _names("surface", entry.surface)
     surfaces = []
     for name, surface in zip(names, entry.surface, strict=True):
-        with _named(file, name):
+        with _naming(file, name):
             shape, more = surface_of(
                 lit,
                 name,
@@ -148,14 +148,14 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
             surfaces.append(Surface(shape, materials[made_of], **more))
     lights, light_names = [], _names("light", entry.light)
     for name, light in zip(light_names, entry.light, strict=True):
-        with _named(file, name):
+        with _naming(file, name):
             lights.append(light_of(lit, name, light))
-    with _named(file, "camera"):
+    with _naming(file, "camera"):
         view = view_of(lit, "camera", entry.camera)
     ambient = None
     if entry.ambient is not None:
         ambient = record_of(lit, "ambient", AmbientLight, entry.ambient)
-    with _named(file, ""):
+    with _naming(file, ""):
         occluders = None if entry.render.shadows else ()
         scene = Scene(surfaces, lights, ambient, occluders=occluders)
     for problem in scene_problems(scene, view, names, light_names):
@@ -164,7 +164,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     if dtype == "float64" and not jax.config.read("jax_enable_x64"):
         raise InputError(f"{file}: render.dtype = 'float64' needs JAX's jax_enable_x64; set it.")
     kept, kept_view = as_dtype((scene, view), dtype)
-    _check_rounded(file, names, light_names, (scene, view), (kept, kept_view))
+    _check_rounding(file, names, light_names, (scene, view), (kept, kept_view))
     for idle in without_effect(content, entry):
         warnings.warn(f"{file}: {idle}.", stacklevel=2)
     read = SceneFile(
@@ -189,7 +189,7 @@ def _content(file: Path) -> dict[str, Any]:
         return read_toml(file, "scene")
     from . import gltf, mitsuba
 
-    with _named(file, ""):
+    with _naming(file, ""):
         return (mitsuba if suffix == ".xml" else gltf).scene_of(file)
 
 
@@ -209,7 +209,7 @@ def _names(kind: str, entries) -> tuple[str, ...]:
     )
 
 
-def _check_rounded(
+def _check_rounding(
     file: Path,
     surfaces: tuple[str, ...],
     lights: tuple[str, ...],
@@ -237,7 +237,7 @@ def _check_rounded(
 
 
 @contextmanager
-def _named(file: Path, name: str) -> Iterator[None]:
+def _naming(file: Path, name: str) -> Iterator[None]:
     """Add the file and the object to the message of an error or a warning."""
     where = f"{file}: {name}: " if name else f"{file}: "
     try:

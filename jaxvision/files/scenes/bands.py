@@ -130,11 +130,13 @@ def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) ->
     return Bands(len(values), values * 1e-9)
 
 
-def in_bands(spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quantity) -> np.ndarray:
+def band_values(
+    spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quantity
+) -> np.ndarray:
     """Return a spectrum of a scene file, reflectance or light in its unit, in the scene's bands,
     (bands,); `InputError` for another number of values, and an unknown table."""
     if isinstance(spectrum, Tabulated):
-        return _tabulated(spectrum, bands, folder, quantity)
+        return _reduce(spectrum, bands, folder, quantity)
     values = np.atleast_1d(np.asarray(spectrum, float))
     if values.shape not in ((1,), (bands.count,)):
         raise InputError(
@@ -198,7 +200,7 @@ def _shares(known: np.ndarray, points: np.ndarray, weights: np.ndarray) -> np.nd
     return matrix
 
 
-def _tabulated(spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quantity) -> np.ndarray:
+def _reduce(spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quantity) -> np.ndarray:
     table = _table_of(spectrum, bands, folder, quantity)
     if table is not None:
         known, values = table
@@ -216,7 +218,7 @@ def _tabulated(spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quan
             )
         return np.minimum(reduced, 1) if is_reflectance else reduced
     wanted = _samples(bands)
-    values = _from_library(spectrum, wanted)
+    values = _library_spectrum(spectrum, wanted)
     reduced = values if bands.wavelengths is not None else values @ colours_of(wanted, quantity)
     return spectrum.scale * np.maximum(reduced, 0)
 
@@ -239,7 +241,7 @@ def _table_of(
     if table is None or table.name in colour_data.BY_FORMULA:
         return None
     if bands.wavelengths is not None:
-        _from_library(spectrum, bands.wavelengths)  # which refuses those beyond the table
+        _library_spectrum(spectrum, bands.wavelengths)  # which refuses those beyond the table
     elif table.shape.start > 380 or table.shape.end < 780:
         raise InputError(
             f"illuminant {table.name!r} is known from {table.shape.start:g} to "
@@ -275,7 +277,7 @@ def colours_of(wavelengths: np.ndarray, quantity: Quantity) -> np.ndarray:
     return np.asarray(xyz_to_rgb(xyz))
 
 
-def _from_library(spectrum: Tabulated, wavelengths: np.ndarray) -> np.ndarray:
+def _library_spectrum(spectrum: Tabulated, wavelengths: np.ndarray) -> np.ndarray:
     """The spectrum for a name or a temperature at these wavelengths in m."""
     grid = jnp.asarray(wavelengths)
     if spectrum.illuminant is not None:

@@ -25,7 +25,7 @@ from .folder import Folder
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
 
 
-def made_map(
+def make_map(
     stands_for: Literal["spectrum", "number", "normal"],
     bands: Bands,
     folder: Folder,

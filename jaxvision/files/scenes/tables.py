@@ -43,9 +43,9 @@ from ..luminaires import read_luminaire
 from ..measured import read_measured, table_of_samples
 from ..meshes import read_mesh
 from ..records import Key, Reading, chosen, keys_of, value_of, values_of
-from .bands import Bands, Quantity, in_bands, reduction, spectrum_of
+from .bands import Bands, Quantity, band_values, reduction, spectrum_of
 from .folder import Folder
-from .maps import made_map
+from .maps import make_map
 
 Point = Float[np.ndarray, "3"]
 Axes = Float[np.ndarray, "3 3"]
@@ -258,7 +258,7 @@ def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> R
             return _map_of(reading, bands, folder, hint, where, value)
         if hint == Colour:
             spectrum = spectrum_of(reading, where, value)
-            return in_bands(spectrum, bands, folder, quantity=quantity)
+            return band_values(spectrum, bands, folder, quantity=quantity)
         if hint == Photometry:
             return read_luminaire(folder.file(value_of(reading, where, str, value)))
         if hint in (Picture, Measured):
@@ -277,8 +277,8 @@ def _map_of(
     stands_for = "spectrum" if hint == Colour else "normal" if hint is Map else "number"
     texels = {name: own for name, own in value.items() if name == "texels"}
     rest = {name: own for name, own in value.items() if name != "texels"}
-    values = values_of(reading, where, keys_of(made_map), rest)
-    return made_map(stands_for, bands, folder, **texels, **values)
+    values = values_of(reading, where, keys_of(make_map), rest)
+    return make_map(stands_for, bands, folder, **texels, **values)
 
 
 def light_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Light:

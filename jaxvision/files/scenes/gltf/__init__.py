@@ -25,7 +25,7 @@ from ....spectra import LUMINOUS_EFFICACY
 from ...gltf import Gltf, read_gltf
 from .contents import Camera, Content, Light, Material, content_of
 from .materials import emission_of, material_of, normals_of
-from .nodes import placed
+from .nodes import placed_nodes
 
 ROWS = 480  # of the picture: a file says its shape, not its pixels
 _EXTENSIONS = {
@@ -49,7 +49,7 @@ def scene_of(file: Path) -> dict[str, Any]:
         if name not in _EXTENSIONS:
             raise InputError(f"needs {name}, which is not read; export the scene without it.")
     lights, cameras, surfaces, materials = [], [], [], {}
-    for label, node, to_world in placed(file, content):
+    for label, node, to_world in placed_nodes(file, content):
         here = node.extensions.KHR_lights_punctual
         if here is not None:
             known = content.extensions.KHR_lights_punctual.lights

@@ -18,7 +18,7 @@ import numpy as np
 from ....errors import InputError
 from ...gltf import Gltf
 from .contents import Content, Material
-from .textures import texels_of, together
+from .textures import match_sizes, texels_of
 
 LEAST_ALPHA = 1e-6  # of a polished metal, as `TorranceSparrow` takes it
 
@@ -36,7 +36,7 @@ def material_of(file: Gltf, content: Content, material: Material, label: str) ->
             f"{label}: occlusionTexture is not used, since shadows are computed.", stacklevel=2
         )
     if of_colour is not None and of_rest is not None:
-        first, second = together(of_colour, of_rest, label)
+        first, second = match_sizes(of_colour, of_rest, label)
         of_colour, of_rest = (first, of_colour[1]), (second, of_rest[1])
     keys = (of_colour or of_rest or (None, {}))[1]
     if of_colour is not None:

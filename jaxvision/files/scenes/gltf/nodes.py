@@ -9,7 +9,7 @@ from ....errors import InputError
 from .contents import Content, Node
 
 
-def placed(path: Path, content: Content) -> Iterator[tuple[str, Node, np.ndarray]]:
+def placed_nodes(path: Path, content: Content) -> Iterator[tuple[str, Node, np.ndarray]]:
     """The nodes of the file's scene, parents first: name, node, and its (4, 4) map of column points
     to the world. `InputError` for a missing node, or one that is reached twice."""
     if not content.scenes:

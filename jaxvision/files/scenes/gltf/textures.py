@@ -58,7 +58,7 @@ def texels_of(
     return values, keys
 
 
-def together(
+def match_sizes(
     one: tuple[np.ndarray, dict[str, Any]], other: tuple[np.ndarray, dict[str, Any]], label: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """The texels of two textures that are used together, in one size; no unit."""

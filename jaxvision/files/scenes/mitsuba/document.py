@@ -133,23 +133,23 @@ class Node:
 def root_of(file: Path) -> Node:
     """Return `<scene>` of a file of Mitsuba 0.5 or later, with the names of version 2 on;
     `InputError` for another file, or a missing reference."""
-    root = _parsed(file)
+    root = _parse(file)
     if root.tag != "scene":
         raise InputError(f"begins with <{root.tag}>; a scene of Mitsuba begins with <scene>.")
     return _Reader(file, _is_old(root)).node(root, "scene")
 
 
-def _parsed(file: Path) -> xml.Element:
+def _parse(file: Path) -> xml.Element:
     check_size(file)
     try:
-        return _shallow(xml.parse(file).getroot())
+        return _check_depth(xml.parse(file).getroot())
     except InputError:
         raise
     except (xml.ParseError, UnicodeError, ValueError, LookupError) as error:
         raise InputError(f"{file.name}: not an XML file ({error}); correct that line.") from error
 
 
-def _shallow(root: xml.Element) -> xml.Element:
+def _check_depth(root: xml.Element) -> xml.Element:
     """The root of a tree, checked for its depth."""
     level, depth = [root], 0
     while level:
@@ -179,15 +179,15 @@ class _Reader:
     def node(self, element: xml.Element, label: str) -> Node:
         kind = self._attributes(element).get("type", "")
         made = Node(element.tag, kind, label, old=self._old)
-        for child in self._flattened(element):
+        for child in self._flatten(element):
             given = self._attributes(child)
             match child.tag:
                 case "default":
                     self._defaults.setdefault(given.get("name", ""), given.get("value", ""))
                 case "alias":
-                    self._name(given.get("as", ""), self._known(given.get("id", "")))
+                    self._name(given.get("as", ""), self._find(given.get("id", "")))
                 case "ref":
-                    made.parts.append((given.get("name", ""), self._known(given.get("id", ""))))
+                    made.parts.append((given.get("name", ""), self._find(given.get("id", ""))))
                 case "transform":
                     steps = [(step.tag, self._attributes(step)) for step in child]
                     with_name = f"{label}: {given.get('name', 'transform')}"
@@ -204,7 +204,7 @@ class _Reader:
                         self._name(given["id"], part)
         return made
 
-    def _flattened(self, element: xml.Element) -> Iterator[xml.Element]:
+    def _flatten(self, element: xml.Element) -> Iterator[xml.Element]:
         """The children, with those of included files in their place."""
         for child in element:
             if child.tag != "include":
@@ -219,19 +219,19 @@ class _Reader:
             file = self._file.parent / name
             if not file.is_file():
                 raise InputError(f"{name}: no such file to include, from the folder of the scene.")
-            root = _parsed(file)
-            yield from self._flattened(root) if root.tag == "scene" else (root,)
+            root = _parse(file)
+            yield from self._flatten(root) if root.tag == "scene" else (root,)
 
     def _attributes(self, element: xml.Element) -> dict[str, str]:
         """Attributes with the values of `$names`, in current spelling."""
-        given = {key: self._filled(value) for key, value in element.attrib.items()}
+        given = {key: self._fill_defaults(value) for key, value in element.attrib.items()}
         if self._old and "name" in given:
             given["name"] = re.sub(
                 r"(?<=[a-z])([A-Z]+)", lambda m: "_" + m[1].lower(), given["name"]
             )
         return given
 
-    def _filled(self, value: str) -> str:
+    def _fill_defaults(self, value: str) -> str:
         def of(found: re.Match[str]) -> str:
             if found[1] not in self._defaults:
                 raise InputError(f"${found[1]} has no <default>; add one before its first use.")
@@ -244,7 +244,7 @@ class _Reader:
             raise InputError(f"two objects have the id {identifier!r}; give each its own.")
         self._named[identifier] = node
 
-    def _known(self, identifier: str) -> Node:
+    def _find(self, identifier: str) -> Node:
         if identifier not in self._named:
             hint = nearest(identifier, self._named) if self._named else "define it before"
             raise InputError(f"no object has the id {identifier!r}; {hint}.")
