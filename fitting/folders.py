@@ -466,41 +466,51 @@ def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
     from .reflectance.from_images.read import read_reflectance_observation
     from .reflectance.from_images.section import section
 
-    def of_colour(colour: str, of: str) -> "Section":
+    words = "brdf", "Reflectance", "compiling and fitting models of reflectance"
+    tools = read_reflectance_observation, calibrate, section
+    return _photographs(rig, step, draws, settings, words, tools), {}
+
+
+def _photographs(
+    rig: "Rig",
+    step: Step,
+    draws: Draws,
+    settings: dict[str, Any],
+    words: tuple[str, str, str],
+    tools: tuple[Callable[..., Any], ...],
+) -> "list[Section]":
+    """One section, or one for each colour of a mosaic, by functions that read, calibrate and
+    report; `words` are its kind, its title and what is being done."""
+    from .report.inputs import with_inputs
+    from .rig import COLOURS
+
+    (kind, title, doing), (read, calibrate, section) = words, tools
+
+    def of_colour(colour: str) -> "Section":
+        of = f" of {colour}" if colour else ""
         with step(f"reading images{of}"):
-            observation = read_reflectance_observation(rig, channel=colour)
-        with step(f"compiling and fitting models of reflectance{of}") as progress:
-            drawn = draws("_".join(filter(None, ("brdf", colour))), progress)
+            observation = read(rig, channel=colour)
+        with step(f"{doing}{of}") as progress:
+            drawn = draws(f"{kind}_{colour}" if colour else kind, progress)
             by_fit = progress if drawn["sampling"] is None else None  # a chain shows its own
             return _attempted(
-                "brdf",
-                "Reflectance",
+                kind,
+                title,
                 lambda: section(calibrate(observation, **settings, **drawn, progress=by_fit)),
                 known=observation.findings,
             )
 
-    return _of_each_colour(rig, of_colour, settings), {}
-
-
-def _of_each_colour(
-    rig: "Rig", of_colour: "Callable[[str, str], Section]", settings: dict[str, Any]
-) -> "list[Section]":
-    """One section, or one for each colour of a mosaic: of the colour, and of its words."""
-    from .report.inputs import with_inputs
-    from .rig import COLOURS
-
-    mosaic = rig.camera.pattern is not None
-    found = [of_colour(one, f" of {one}") for one in COLOURS] if mosaic else [of_colour("", "")]
+    colours = COLOURS if rig.camera.pattern is not None else ("",)
+    first, *others = map(of_colour, colours)
     free = settings.get("fit_gamma", False)
-    found[0] = with_inputs(found[0], rig, "a reflectance calibration", fit_gamma=free)
-    if mosaic:
-        found = [
-            replace(
-                one, kind=f"{one.kind}_{colour}" if i else one.kind, title=f"{one.title}: {colour}"
-            )
-            for i, (one, colour) in enumerate(zip(found, COLOURS, strict=True))
-        ]
-    return found
+    first = with_inputs(first, rig, "a reflectance calibration", fit_gamma=free)
+    if not others:
+        return [first]
+    rest = zip(others, colours[1:], strict=True)
+    return [
+        replace(first, title=f"{first.title}: {colours[0]}"),
+        *(replace(one, kind=f"{one.kind}_{c}", title=f"{one.title}: {c}") for one, c in rest),
+    ]
 
 
 def lights(
@@ -575,17 +585,7 @@ def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
     from .joint.read import read_joint_measurement
     from .joint.section import section
 
-    def of_colour(colour: str, of: str) -> "Section":
-        with step(f"reading images{of}"):
-            measurement = read_joint_measurement(rig, channel=colour)
-        with step(f"fitting surface, response and sensor{of}") as progress:
-            drawn = draws("_".join(filter(None, ("joint", colour))), progress)
-            by_channel = progress if drawn["sampling"] is None else None  # a chain shows its own
-            return _attempted(
-                "joint",
-                "Surface, response and sensor",
-                lambda: section(calibrate(measurement, **settings, **drawn, progress=by_channel)),
-                known=measurement.findings,
-            )
-
-    return _of_each_colour(rig, of_colour, settings), {}
+    title = "Surface, response and sensor"
+    words = "joint", title, "fitting surface, response and sensor"
+    tools = read_joint_measurement, calibrate, section
+    return _photographs(rig, step, draws, settings, words, tools), {}

@@ -122,7 +122,9 @@ def rig_of(folder: Path) -> FoundRig:
     files = [
         path
         for path in (*folder.iterdir(), *folder.glob("*/*"))
-        if path.suffix.lower() in SUFFIXES and path.is_file() and not _is_hidden(path, folder)
+        if path.suffix.lower() in SUFFIXES
+        and path.is_file()  # hidden: macOS writes `._a.tif` next to `a.tif` on USB drives
+        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
     ]
     if not files:
         raise InputError(f"{folder}: holds no images; known are {', '.join(SUFFIXES)}.")
@@ -150,7 +152,10 @@ def rig_of(folder: Path) -> FoundRig:
     isos = {image.settings.iso for image in flat + dark if image.settings.iso}
     for kind, levels in (("flat", flat), ("dark", dark)):
         lines += _levels(kind, levels, found, warmth, several_gains=len(isos) > 1)
-    _refuse_gains(stack + light, found)
+    sensitivities = sorted({one.settings.iso for one in stack + light if one.settings.iso})
+    if len(sensitivities) > 1:
+        listed = ", ".join(f"{iso:g}" for iso in sensitivities)
+        found.missing.append(f"The images differ in ISO ({listed}); keep those of one gain.")
     _refuse_apertures(stack + light, flat, found)
     lines += _exposures(stack, found) + _lights(light, found)
     if light or shape:
@@ -169,12 +174,6 @@ def rig_of(folder: Path) -> FoundRig:
         found.missing.append("No name or header says dark: photon transfer needs darks.")
     found.text = "\n".join(lines) + "\n"
     return found
-
-
-def _is_hidden(path: Path, folder: Path) -> bool:
-    """Whether a part of the path begins with a dot, as for hidden files (macOS writes `._a.tif`
-    next to `a.tif` on USB drives)."""
-    return any(part.startswith(".") for part in path.relative_to(folder).parts)
 
 
 def _natural(name: str) -> list[tuple[int, float | str]]:
@@ -274,14 +273,6 @@ def _levels_of_sites(said: Sequence[ImageSettings], *, one_pattern: bool) -> lis
         several = len(set(numbers)) > 1
         lines.append(f"{name} = [{', '.join(numbers)}]" if several else f"{name} = {numbers[0]}")
     return lines
-
-
-def _refuse_gains(images: Sequence[_Image], found: FoundRig) -> None:
-    """Refuse several gains except for flats and darks."""
-    sensitivities = sorted({one.settings.iso for one in images if one.settings.iso})
-    if len(sensitivities) > 1:
-        listed = ", ".join(f"{iso:g}" for iso in sensitivities)
-        found.missing.append(f"The images differ in ISO ({listed}); keep those of one gain.")
 
 
 def _refuse_apertures(
@@ -387,7 +378,8 @@ def _levels(
 
 
 def _exposures(images: Sequence[_Image], found: FoundRig) -> list[str]:
-    bands = {image.name: _band(image.name) for image in images}
+    said = {image.name: _WAVELENGTH.search(Path(image.name).stem) for image in images}
+    bands = {name: f"{band[1]}nm" if band else "" for name, band in said.items()}
     if len(set(bands.values())) < 2:
         bands = dict.fromkeys(bands, "")
     lines = []
@@ -404,12 +396,6 @@ def _exposures(images: Sequence[_Image], found: FoundRig) -> list[str]:
                 f"{alone[0]} is the only exposure{of}; a response needs two or more."
             )
     return lines
-
-
-def _band(name: str) -> str:
-    """The wavelength in a name, such as 450nm, or ""."""
-    said = _WAVELENGTH.search(Path(name).stem)
-    return f"{said[1]}nm" if said else ""
 
 
 def _seconds(image: _Image) -> str:

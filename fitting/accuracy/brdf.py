@@ -13,11 +13,10 @@ from jaxvision.accuracy.records import Compute
 from jaxvision.errors import InputError
 
 from ..observation import Load
-from ..reflectance.from_images.fit import ChannelFit, adjusted_log_density, composite, fit_channel
+from ..reflectance.from_images.fit import adjusted_log_density, composite, fit_channel
 from ..reflectance.from_images.optimum import TOLERANCE, minimise_samples
 from ..reflectance.from_images.read import read_reflectance_observation
 from ..reflectance.from_images.samples import (
-    Grouping,
     Samples,
     View,
     average,
@@ -84,7 +83,9 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         "cells": cells,
         "solver tolerance": lambda tolerance: lambda seed: searched(fit.samples, tolerance),
     }
-    return {**turns, **chain_knobs(_density(fit, usual))}
+    data, covariance = composite(fit, usual), fit.robustness.gaussian_covariance
+    density = Density(adjusted_log_density, fit.space, data.mode, covariance, data)
+    return {**turns, **chain_knobs(density)}
 
 
 def _part(samples: Samples, chosen: np.ndarray) -> Samples:
@@ -102,10 +103,3 @@ def _part(samples: Samples, chosen: np.ndarray) -> Samples:
         },
         offset=jax.tree.map(of, samples.offset),
     )
-
-
-def _density(fit: ChannelFit, grouping: Grouping) -> Density:
-    assert fit.robustness is not None
-    data = composite(fit, grouping)
-    covariance = fit.robustness.gaussian_covariance
-    return Density(adjusted_log_density, fit.space, data.mode, covariance, data)

@@ -24,15 +24,11 @@ def sine() -> Fitted:
     noise = 0.5 * np.random.default_rng(0).standard_normal(200)
     return Fitted(
         {"cycles": Parameter(lower=0.1, upper=20), "phase": Parameter(lower=-2, upper=2)},
-        predict=_predicted,
+        predict=lambda cycles, phase, inputs: jnp.sin(2 * jnp.pi * cycles * inputs + phase),
         likelihood=Gaussian(sd=0.5),
         data=np.sin(2 * np.pi * CYCLES * time + 0.4) + noise,
         inputs=time,
     )
-
-
-def _predicted(cycles: Any, phase: Any, inputs: Any) -> Any:
-    return jnp.sin(2 * jnp.pi * cycles * inputs + phase)
 
 
 def _starts() -> Problem:

@@ -90,11 +90,13 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
 
         return compute
 
+    posterior, drawn = calibration.posterior, posterior_problem(calibration.chosen)
+    mode = jnp.asarray(posterior.unconstrained_mode)
     return {
         "pixels": pixels,
         "likelihood": likelihood,
         "solver tolerance": _tolerance(calibration),
-        **_posterior_turns(calibration),
+        **chain_knobs(Density(log_density, posterior.space, mode, posterior.covariance, drawn)),
     }
 
 
@@ -124,9 +126,3 @@ def _tolerance(calibration: NoiseCalibration) -> Turn:
         return compute
 
     return turned
-
-
-def _posterior_turns(calibration: NoiseCalibration) -> Mapping[str, Turn]:
-    posterior, problem = calibration.posterior, posterior_problem(calibration.chosen)
-    mode = jnp.asarray(posterior.unconstrained_mode)
-    return chain_knobs(Density(log_density, posterior.space, mode, posterior.covariance, problem))

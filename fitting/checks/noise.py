@@ -84,16 +84,8 @@ def places(camera: Camera, seed: int) -> np.ndarray:
 
 
 def measured(camera: Camera, seed: int) -> PhotonTransfer:
-    """Flats and darks of one camera: Poisson electrons; noise of pixels, rows, columns and frames;
-    rounding and clipping.
-
-    Args:
-        camera: to simulate.
-        seed: of every draw.
-
-    Returns:
-        The statistics of the simulated levels.
-    """
+    """Statistics of the flats and darks of one camera: Poisson electrons; noise of pixels, rows,
+    columns and frames; rounding and clipping."""
     rng = np.random.default_rng(seed)
     photons = np.linspace(0.01, 1, camera.levels) * camera.brightest
     exposures = np.linspace(0.001, 0.02, camera.levels)

@@ -58,15 +58,11 @@ class Sphere:
         return self.shaded(directions(self.lights))
 
     def shaded(self, wi: np.ndarray) -> np.ndarray:
-        """The signal under some lights.
-
-        Args:
-            wi: (lights, 3) unit vectors toward them.
-
-        Returns:
-            (lights, h, w) DN above black.
-        """
-        normals = _normals()
+        """(lights, h, w) DN above black under lights in these unit directions."""
+        row, column = np.mgrid[:SIZE, :SIZE] - (SIZE - 1) / 2
+        x, y = column / RADIUS, -row / RADIUS
+        z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+        normals = np.where((z > 0)[..., None], np.stack([x, y, z], axis=-1), 0)
         diffuse, specular, exponent = self.truth
         cosine = np.einsum("hwc,lc->lhw", normals, wi)
         mirrored = 2 * cosine * normals[..., 2] - wi[:, None, None, 2]
@@ -168,14 +164,6 @@ def places(sphere: Sphere, seed: int) -> np.ndarray:
     posterior = channel_posterior(found, cells, sampling=None, seed=seed)
     truth: dict[str, float] = dict(zip(NAMES, sphere.truth, strict=True))
     return np.array([places_in(posterior, truth)[name] for name in NAMES])
-
-
-def _normals() -> np.ndarray:
-    """(h, w, 3), zeros outside the sphere."""
-    row, column = np.mgrid[:SIZE, :SIZE] - (SIZE - 1) / 2
-    x, y = column / RADIUS, -row / RADIUS
-    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
-    return np.where((z > 0)[..., None], np.stack([x, y, z], axis=-1), 0)
 
 
 def _turned(wi: np.ndarray, sd: float, rng: np.random.Generator) -> np.ndarray:

@@ -56,18 +56,17 @@ class Stack:
     hand: float = 0.0
 
 
-def _srgb_encode(x: np.ndarray) -> np.ndarray:
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
-
-
-def _srgb_decode(v: np.ndarray) -> np.ndarray:
-    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
-
-
+SRGB = Stack(
+    encode=lambda x: np.where(
+        x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055
+    ),
+    decode=lambda v: np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4),
+    gamma=None,
+)
 CASES = {
     "clean": Stack(),
     "three exposures": Stack(times=THREE),
-    "sRGB": Stack(encode=_srgb_encode, decode=_srgb_decode, gamma=None),
+    "sRGB": SRGB,
     "shutters off by 1 %": Stack(shutter_sd=0.01),
     "three exposures off by 1 %": Stack(times=THREE, shutter_sd=0.01),
     "shutters off by 1 %, as stated": Stack(shutter_sd=0.01, stated=True),
@@ -96,8 +95,7 @@ def places(stack: Stack, seed: int) -> np.ndarray:
 
 def photographs(stack: Stack, seed: int) -> np.ndarray:
     """Simulate photographs with motion (if hand-held), Poisson electrons, read noise, clipping, the
-    response, rounding and JPEG compression (if any).
-    """
+    response, rounding and JPEG compression (if any)."""
     rng = np.random.default_rng(seed)
     scene, frames, black = _scene(rng), [], _black(stack, seed)
     corners = rng.integers(RIM, np.array(SHAPE) + RIM - LEAF, (LEAVES, 2))

@@ -24,7 +24,7 @@ from ..report.section import Section
 from ..response.calibration import calibrate as calibrate_response
 from ..response.read import read_exposure_stack
 from ..response.section import section as response_section
-from ..rig import Rig, load_rig
+from ..rig import load_rig
 from .lab import Truth, rgb
 
 Key = tuple[str, str, str]  # section kind, estimate name, group
@@ -58,15 +58,13 @@ class Comparison:
 
     @property
     def inside_68(self) -> bool:
-        return _inside(self.truth, self.estimate.interval_68)
+        low, high = self.estimate.interval_68 or (math.nan, math.nan)
+        return low <= self.truth <= high
 
     @property
     def inside_95(self) -> bool:
-        return _inside(self.truth, self.estimate.interval_95)
-
-
-def _inside(value: float, interval: tuple[float, float] | None) -> bool:
-    return interval is not None and interval[0] <= value <= interval[1]
+        low, high = self.estimate.interval_95 or (math.nan, math.nan)
+        return low <= self.truth <= high
 
 
 def calibrate_lab(
@@ -94,7 +92,12 @@ def calibrate_lab(
 
     first = side_by_side([noise, response])
     with step("reflectance") as progress:
-        rig = _with_measured_noise(load_rig(folder / "brdf"), first[0])
+        rig = load_rig(folder / "brdf")
+        measured = {
+            field: find(first[0].estimates, name, method=LIKELIHOOD).value
+            for field, name in (("gain", "system_gain"), ("read_noise", "read_noise"))
+        }
+        rig = rig.model_copy(update={"camera": rig.camera.model_copy(update=measured)})
         observation = read_reflectance_observation(rig)
         drawn = draws("brdf", progress)
         by_fit = progress if drawn["sampling"] is None else None  # a chain shows its own
@@ -103,14 +106,6 @@ def calibrate_lab(
         )
         reflectance = with_inputs(found, rig, "a reflectance calibration")
     return [*first, reflectance]
-
-
-def _with_measured_noise(rig: Rig, noise: Section) -> Rig:
-    measured = {
-        field: find(noise.estimates, name, method=LIKELIHOOD).value
-        for field, name in (("gain", "system_gain"), ("read_noise", "read_noise"))
-    }
-    return rig.model_copy(update={"camera": rig.camera.model_copy(update=measured)})
 
 
 def truths(truth: Truth) -> dict[Key, float]:

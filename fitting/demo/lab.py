@@ -193,7 +193,8 @@ def _photon_transfer(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> 
     """Pairs of flats up to and past saturation, pairs of darks, and one deep stack of each at half
     saturation for the spatial statistics."""
     photons_per_second = 1.08 * truth.full_well / truth.quantum_efficiency / FLAT_EXPOSURES[-1]
-    half = int(np.argmin(np.abs(FLAT_EXPOSURES * photons_per_second - photons_at_half(truth))))
+    half_full = truth.full_well / truth.quantum_efficiency / 2  # photons per pixel
+    half = int(np.argmin(np.abs(FLAT_EXPOSURES * photons_per_second - half_full)))
     flats, darks = [], []
     for i, exposure in enumerate(FLAT_EXPOSURES):
         frames = SPATIAL_FRAMES if i == half else 2
@@ -210,11 +211,6 @@ def _photon_transfer(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> 
             entries.append({"files": names, "exposure": float(exposure)})
         flats[-1]["photons"] = float(photons_per_second * exposure)
     _write_rig(folder, {"camera": {"bits": truth.bits}, "flat": flats, "dark": darks})
-
-
-def photons_at_half(truth: Truth) -> float:
-    """Photons per pixel that fill half of the well."""
-    return truth.full_well / truth.quantum_efficiency / 2
 
 
 def _exposure_stack(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> None:

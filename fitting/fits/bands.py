@@ -67,9 +67,7 @@ class Bands:
 
 
 def thinned_draws(posterior: Posterior, draws: int) -> np.ndarray:
-    """Draws spread over all chains.
-
-    Returns (draws, P) in the parameters' units."""
+    """Draws (draws, P) spread over all chains, in the parameters' units."""
     require_whole("draws", draws)
     every = posterior.samples
     return every[np.linspace(0, len(every) - 1, min(draws, len(every))).astype(int)]
@@ -77,9 +75,7 @@ def thinned_draws(posterior: Posterior, draws: int) -> np.ndarray:
 
 @eqx.filter_jit
 def pushed(problem: Problem, function: Callable[..., Any], natural: Array) -> Array:
-    """Evaluate a function for all draws.
-
-    Returns (draws, ...) in the unit of the function."""
+    """Evaluate a function for all draws."""
 
     def one(natural: Array) -> Array:
         found = give(problem, function, values_from(problem, natural), problem.inputs)
@@ -96,9 +92,7 @@ def pushed(problem: Problem, function: Callable[..., Any], natural: Array) -> Ar
 
 @eqx.filter_jit
 def simulated(problem: Problem, keys: Array, natural: Array, inputs: Any, noise: Array) -> Array:
-    """Simulated data, one set for each draw.
-
-    Returns (draws, ...) in the unit of the data."""
+    """Simulated data, one set for each draw."""
 
     def one(key_and_natural: tuple[Array, Array]) -> Array:
         key, natural = key_and_natural
@@ -112,9 +106,7 @@ def simulated(problem: Problem, keys: Array, natural: Array, inputs: Any, noise:
 
 
 def bands(draws: np.ndarray) -> Bands:
-    """Mean and intervals over draws.
-
-    Returns values in the unit of the draws."""
+    """Mean and intervals over draws."""
     low68, high68, low95, high95 = np.quantile(draws, LEVELS, axis=0)
     return Bands(
         np.asarray(draws.mean(0)),

@@ -128,13 +128,7 @@ def budget(
     noise: Noise | None = None,
     nuisances: Mapping[str, Sequence[str]] | None = None,
 ) -> Budget:
-    """Divide the variance of a quantity by its sources.
-
-    `noise`: variance of a datum by source, in the square of the data's unit: a number, an array of
-    the data's shape, or a function of the prediction. The remaining variance of the likelihood is
-    "other noise". None takes the sources of the sensor in `SensorNoise` (photons, read noise,
-    rounding), or one source for all.
-    """
+    """Divide the variance of a quantity by its sources, as `Fit.budget` says."""
     vector = optimum.vector
     value, slope = slope_of(problem, target, vector)
     named = _shares_of_data(problem, vector, noise)

@@ -102,7 +102,11 @@ def called_for(
     )
     left = problem.records | {seen: pruned.scene, camera: pruned.camera}
     smaller = problem.with_records(left, left_out=pruned.certificate)
-    _refuse_another_law(problem, smaller, _limit(tolerance))
+    if not abs(float(_log_ratio(problem, smaller))) <= _limit(tolerance):
+        raise InputError(
+            "called_for: without what was left out, simulated data would be quite another; predict "
+            "must show the scene through the camera as the records hold them."
+        )
     if target is None:
         return smaller
     left_over = (1 - _PROVED) * tolerance
@@ -178,20 +182,10 @@ def _numbered_before(name: str, gone: set[str]) -> str:
     return f"{kind}[{next(islice(left, int(number), None))}]{field}"
 
 
-def _refuse_another_law(whole: Problem, left: Problem, limit: float) -> None:
-    """`InputError` if the log ratio of the two likelihoods on simulated data exceeds the limit. If
-    only small effects were dropped, the ratio is about the tolerance."""
-    if not abs(float(_log_ratio(whole, left))) <= limit:
-        raise InputError(
-            "called_for: without what was left out, simulated data would be quite another; predict "
-            "must show the scene through the camera as the records hold them."
-        )
-
-
 @eqx.filter_jit
 def _log_ratio(whole: Problem, left: Problem) -> Array:
     """ln of the likelihood ratio for data drawn from the first likelihood, at the middle of the
-    priors."""
+    priors: about the tolerance if only small effects were dropped."""
     values = values_at(whole, jnp.zeros(len(whole.space)))
     seen = [prediction(problem, values) for problem in (whole, left)]
     known = [likelihood_at(problem, values) for problem in (whole, left)]

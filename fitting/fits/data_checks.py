@@ -70,10 +70,8 @@ def data_check_of_map(
     faulty: bool,
     seed: int,
 ) -> tuple[str, ...]:
-    """Findings about the data of all pixels of a map, checked together at the pixels' best fits.
-
-    `data`: (..., pixels); `natural`: (parameters, pixels); `inputs`: leaves with the pixel axis
-    first, None for those of the problem; `faulty`: whether many pixels are misfits."""
+    """Findings about the data (..., pixels) of a map, checked together at the pixels' best fits
+    (parameters, pixels); `faulty` says whether many pixels are misfits."""
     good = np.flatnonzero(np.isfinite(natural).all(axis=0))
     good = good[np.unique(np.linspace(0, len(good) - 1, min(len(good), PIXELS)).astype(int))]
     data = np.moveaxis(np.asarray(data[..., good], np.float64), -1, 0)

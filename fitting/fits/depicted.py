@@ -103,24 +103,21 @@ def _field(records: dict[str, Any], path: str) -> tuple[str, Any]:
 
 def _ends(parameter: Parameter) -> tuple[np.ndarray, np.ndarray]:
     """The smallest and largest value that bounds and priors allow."""
-    shape = parameter.shape or ()
-    each = np.array([_ends_of(number) for number in scalars(parameter, shape)])
+    shape, each = parameter.shape or (), []
+    for number in scalars(parameter, shape):
+        low = max(float(np.asarray(number.lower)), 0.0 if number.transform == "log" else -np.inf)
+        high = float(np.asarray(number.upper))
+        if number.prior is not None:
+            least, most = number.prior.quantile(np.array([BEYOND, 1 - BEYOND]))
+            low, high = max(low, float(least)), min(high, float(most))
+        each.append((low, high))
     if not np.isfinite(each).all():
         raise InputError(
             f"called_for: {parameter.name} has no end; give it bounds or a prior, so that what is "
             "left out stays small wherever the fit may go."
         )
-    low, high = each.T
+    low, high = np.transpose(each)
     return low.reshape(shape), high.reshape(shape)
-
-
-def _ends_of(number: Parameter) -> tuple[float, float]:
-    low = max(float(np.asarray(number.lower)), 0.0 if number.transform == "log" else -np.inf)
-    high = float(np.asarray(number.upper))
-    if number.prior is None:
-        return low, high
-    least, most = number.prior.quantile(np.array([BEYOND, 1 - BEYOND]))
-    return max(low, float(least)), min(high, float(most))
 
 
 def _lights_before(scene: Scene, box: Box) -> Box:

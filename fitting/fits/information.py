@@ -85,13 +85,11 @@ def with_inputs(problem: Problem, inputs: Any) -> Problem:
             "inside."
         )
     arrays = jax.tree.map(jnp.asarray, as_arrays(inputs))
-
-    def at_origin(problem: Problem) -> Array:
-        values = values_at(problem, jnp.zeros(len(problem.space)))
-        return jnp.asarray(prediction(problem, values, inputs=arrays))
-
+    origin = jnp.zeros(len(problem.space))
     try:
-        shape = eqx.filter_eval_shape(at_origin, problem).shape
+        shape = eqx.filter_eval_shape(
+            lambda p: jnp.asarray(prediction(p, values_at(p, origin), inputs=arrays)), problem
+        ).shape
     except InputError:
         raise
     except (TypeError, ValueError, KeyError, AttributeError) as error:
@@ -104,10 +102,7 @@ def with_inputs(problem: Problem, inputs: Any) -> Problem:
 def slope_of(
     problem: Problem, target: Target, vector: Float[np.ndarray, " parameters"]
 ) -> tuple[float, Float[np.ndarray, " parameters"]]:
-    """A quantity and its gradient.
-
-    Returns its value in its unit, and (P,) its derivatives with respect to the unconstrained
-    values."""
+    """A quantity in its unit, and (P,) its derivatives by the unconstrained values."""
     at = jnp.asarray(vector, problem.data.dtype)
     if isinstance(target, str):
         place = _place(problem, target)

@@ -169,12 +169,11 @@ def fit_map(
             run(places, MANY_STEPS)
     given = np.isfinite(flat).sum(axis=tuple(range(len(own_shape))))
     few = int(np.sum((given < numbers) & (state <= STATES.index("misfit"))))
-    told = (f"{few} of {pixels} pixels have fewer data than unknowns: bounds and priors decide.",)
     many = np.mean(state == STATES.index("misfit")) > MANY
-    told = (
-        *told[: few > 0],
-        *data_check_of_map(problem, flat, table["estimate"], leaves, faulty=many, seed=seed),
-    )
+    told = data_check_of_map(problem, flat, table["estimate"], leaves, faulty=many, seed=seed)
+    if few:
+        why = f"{few} of {pixels} pixels have fewer data than unknowns: bounds and priors decide."
+        told = (why, *told)
     return _mapped(problem, table, chi_square, dof, state, shape, told=told)
 
 

@@ -463,9 +463,7 @@ def section(fit: Fit, title: str) -> Section:
 
 
 def left_out_table(certificate: Certificate) -> Table:
-    """The effects that `called_for` dropped, with their bounds.
-
-    Returns a row for each effect, bounds in the certificate's unit."""
+    """The effects that `called_for` dropped, with bounds in the certificate's unit."""
     rows = tuple((e.name, e.bound, e.place, e.rank, e.why) for e in certificate.dropped)
     heads = ("effect", f"bound [{certificate.unit}]", "moves by [pixels]", "rank", "why")
     return Table("Left out", heads, rows, summary(certificate))

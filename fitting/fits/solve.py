@@ -4,7 +4,7 @@ import time
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import jax
@@ -176,7 +176,12 @@ def fit(
     title = "compiling, then searching from several starts" if held else "reading data"
     with progress_bar(title, transient=held) as advance:
         if after is not None:
-            optimum, choices = _searched_before(after, method), after.choices
+            if isinstance(method, Laplace) or not after.posterior.blocks:
+                raise InputError(
+                    "after: only chains go on; give a fit by posterior=Emcee() or Nuts(), and the "
+                    "same one."
+                )
+            optimum, choices = after.optimum, after.choices
             for choice in choices:
                 problem = problem if choice.kept else problem.without(choice.name)
         elif problem.candidates:
@@ -208,7 +213,7 @@ def fit(
         "posterior": type(method).__name__.lower(),
         "misfit": misfit,
         "likelihood": type(problem.likelihood).__name__,
-        **_numbers(method),
+        **{k: x for k, x in vars(method).items() if isinstance(x, int | float)},
     }
     return Fit(
         *(problem, optimum, drawn, checks, residuals, tuple(failures), findings),
@@ -343,23 +348,18 @@ def _tested(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> 
     vector = jnp.asarray(optimum.vector, jnp.result_type(float))
     residuals = residuals_at(problem, vector, seed=how.seed)
     if problem.stream is None:
-        totals = sums(_ordered_residuals(problem, residuals))
+        inputs, ordered = problem.inputs, residuals
+        one_series = isinstance(inputs, jax.Array | np.ndarray) and residuals.ndim == 1
+        if one_series and inputs.shape == residuals.shape:
+            # Neighbours in the order of the inputs show a misfit for any order of the data.
+            ordered = residuals[np.argsort(on_host(inputs), kind="stable")]
+        totals = sums(ordered)
     else:
         totals = residual_sums(problem, vector, advance, seed=how.seed)
     covariance = _inverse(optimum.curvature)
     checks = judge_sums(totals, float(np.trace(optimum.data_information @ covariance)))
     stated = (problem, optimum, covariance, residuals, checks)
     return _End(optimum, residuals, checks, widening(*stated, inflate=how.inflate, seed=how.seed))
-
-
-def _ordered_residuals(problem: Problem, residuals: np.ndarray) -> np.ndarray:
-    """Return the residuals of one series in the order of its inputs, if each datum has one input
-    number. Neighbouring residuals then show a misfit for any order of the data."""
-    inputs = problem.inputs
-    if not isinstance(inputs, jax.Array | np.ndarray):
-        return residuals
-    single = residuals.ndim == 1 and inputs.shape == residuals.shape
-    return residuals[np.argsort(on_host(inputs), kind="stable")] if single else residuals
 
 
 def _fits_width(problem: Problem) -> bool:
@@ -383,24 +383,6 @@ def _searched(problem: Problem, starts: int, seed: int, solver: Any, advance: Ad
         found = search(problem, others, **how)
         optimum = seen_by_differences(problem, joined(optimum, found))
     return optimum
-
-
-def _numbers(method: Method) -> dict[str, Any]:
-    """The sampler options that a report lists."""
-    return {
-        field.name: getattr(method, field.name)
-        for field in fields(method)
-        if isinstance(getattr(method, field.name), int | float)
-    }
-
-
-def _searched_before(after: Fit, method: Method) -> Optimum:
-    """The optimum of a fit whose chain is continued."""
-    if isinstance(method, Laplace) or not after.posterior.blocks:
-        raise InputError(
-            "after: only chains go on; give a fit by posterior=Emcee() or Nuts(), and the same one."
-        )
-    return after.optimum
 
 
 def _determined(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum:

@@ -69,13 +69,11 @@ def widening(
     inflate: bool,
     seed: int,
 ) -> Widening:
-    """Return the covariance that includes the misfit of the model.
+    """The covariance that includes the misfit of the model.
 
     Groups explain a misfit if they share errors and the residuals within a group, after an offset
     and a gain are removed, are noise as stated. With `inflate` the remaining residuals may have any
-    size.
-
-    `residuals`: standardised, NaN where a datum is missing."""
+    size."""
     if isinstance(problem.likelihood, Clustered):
         labels = problem.likelihood.labels
         every = labels if isinstance(labels, dict) else {"": labels}
@@ -169,9 +167,8 @@ def without_shared(
     labels: np.ndarray,
     shapes: tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]],
 ) -> Float[np.ndarray, "..."]:
-    """Residuals after subtracting the best multiples of two shapes in each group, by least squares.
-
-    `residuals`: NaN where a datum is missing."""
+    """Residuals after subtracting the best multiples of two shapes in each group, by least
+    squares."""
     there = np.isfinite(residuals).ravel()
     r = np.where(there, residuals.ravel(), 0)
     first, second = (np.where(there, shape.ravel(), 0) for shape in shapes)
@@ -211,11 +208,7 @@ def predicted_at(vector: Vector, problem: Problem) -> tuple[Array, Any]:
 def residuals_at(
     problem: Problem, vector: Array, *, seed: int, shift: float = 0.0
 ) -> Float[np.ndarray, "..."]:
-    """Standardised residuals.
-
-    `shift`: added to the prediction, in its unit. Returns of the data's shape, NaN where a datum is
-    missing.
-    """
+    """Standardised residuals about the prediction plus a shift, NaN where a datum is missing."""
     chance = np.random.default_rng(seed).uniform(size=problem.data.shape)
     return _residuals(problem, vector, chance, shift)
 
@@ -245,11 +238,7 @@ def _residuals(
 
 def _slopes(problem: Problem, vector: Array, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """The derivative of each residual with respect to its prediction, by a finite difference, and
-    the prediction.
-
-    The step scales with the data: if they are larger than the predictions, a smaller step would be
-    lost in rounding.
-    """
+    the prediction. The step scales with the data: a smaller one would be lost in rounding."""
     predicted = on_host(predicted_at(vector, problem)[0], dtype=np.float64)
     data = on_host(problem.data, dtype=np.float64)
     there = data[np.isfinite(data)]

@@ -7,7 +7,6 @@ from ..inference.diagnostics import identifiability, listed
 from ..inference.joint_prior import Marginal
 from ..inference.misfit import Misfit
 from ..inference.parameters import (
-    Parameter,
     ParameterSpace,
     ends,
     natural_numbers,
@@ -149,7 +148,8 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
         skew = [
             parameter.name
             for parameter, sd in zip(problem.space, spread, strict=True)
-            if sd > SKEWED and not _own_scale(parameter)
+            if sd > SKEWED  # a Gaussian in a number on its own scale has no skewness
+            and (parameter.transform != "identity" or np.isfinite(ends(parameter)).any())
         ]
         if skew:
             found.append(
@@ -167,9 +167,8 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
 
 
 def prior_share(space: ParameterSpace, posterior: Posterior) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations before the data, in each parameter's unit, and posterior over prior.
-
-    Returns (P,) infinite without a prior, and (P,) 0 there."""
+    """Standard deviations before the data (infinite without a prior), in each parameter's unit, and
+    posterior over prior (0 there)."""
     known = [prior_values(parameter) for parameter in space]
     before = np.array([np.inf if x is None else np.std(x) for x in known])
     return before, np.std(posterior.samples, axis=0) / before
@@ -183,11 +182,6 @@ def _prior_alone(space: ParameterSpace, posterior: Posterior) -> list[str]:
         for parameter, width, part in zip(space, before, share, strict=True)
         if part > (HARDLY if isinstance(parameter.prior, Marginal) else NEARLY_PRIOR)
     ]
-
-
-def _own_scale(parameter: Parameter) -> bool:
-    """Whether a number is searched on its own scale, so that a Gaussian in it has no skewness."""
-    return parameter.transform == "identity" and not np.isfinite(ends(parameter)).any()
 
 
 def _bound_findings(space: ParameterSpace, posterior: Posterior) -> list[str]:

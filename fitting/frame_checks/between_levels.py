@@ -166,11 +166,9 @@ def _from_the_others(
 
 
 def distribution_of_levels(levels: ComparedLevels) -> None:
-    """Levels with a spatial light distribution unlike all others, as from a shadow.
-
-    The share of a pixel block in the frame's signal is constant. It grows toward black if black is
-    uneven, and changes toward saturation if the response is nonlinear.
-    """
+    """Levels with a spatial light distribution unlike all others, as from a shadow. The share of a
+    pixel block in the frame's signal is constant, but for a smooth change toward black (if that is
+    uneven) and toward saturation (if the response is nonlinear)."""
     assert levels.black is not None
     while True:
         there = _unsaturated(levels)

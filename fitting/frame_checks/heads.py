@@ -38,7 +38,10 @@ def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[OddFram
     """Frames of one gain and temperature whose metadata contradict the rig or the majority."""
     said = {one.name: _settings(one.path) for one in frames}
     odd: dict[str, str] = {}
-    for group in (frames, *(list(own) for own in _grouped(frames))):
+    groups: dict[int, list[Stated]] = {}
+    for one in frames:
+        groups.setdefault(one.group, []).append(one)
+    for group in (frames, *groups.values()):
         for key, in_words in _UNIFORM if group is frames else _OF_A_GROUP:
             values = {one.name: getattr(said[one.name], key) for one in group}
             odd |= _minority(where, {k: v for k, v in values.items() if v is not None}, in_words)
@@ -61,13 +64,6 @@ def _settings(path: Path) -> ImageSettings:
         return read_settings(path) if path.is_file() else ImageSettings()
     except InputError:
         return ImageSettings()
-
-
-def _grouped(frames: Sequence[Stated]) -> list[list[Stated]]:
-    groups: dict[int, list[Stated]] = {}
-    for one in frames:
-        groups.setdefault(one.group, []).append(one)
-    return list(groups.values())
 
 
 _UNIFORM: list[tuple[str, Callable[[Any], str]]] = [

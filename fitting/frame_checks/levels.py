@@ -42,9 +42,8 @@ def odd_frames(
     light: ArrayLike,
     black: Float[np.ndarray, " levels"] | None = None,
 ) -> list[OddFrames]:
-    """Return the frames that differ from the others of their level, and the levels that differ from
-    their neighbours.
-    """
+    """The frames that differ from the others of their level, and the levels that differ from their
+    neighbours."""
     compared = ComparedLevels([list(level) for level in levels], np.asarray(light, float), black)
     for test in (_copies, _means, _unevenness, moved_frames, _noise):
         test(compared)
@@ -188,6 +187,7 @@ def _unevenness(levels: ComparedLevels) -> None:
     far = [[rms(own[i] - own[j]) for i, j in _pairs(len(own))] for level, own in enumerate(fields)]
     scatter = _scatter([x for distances in far for x in distances])
     known = [np.median(own, axis=0) for own in fields if len(own) > 1]
+    uneven = "its distribution of light over the frame differs from that of its level"
     for level, own in enumerate(fields):
         if len(own) < 2:
             continue
@@ -204,11 +204,7 @@ def _unevenness(levels: ComparedLevels) -> None:
             told = np.median(known, axis=0)
             return np.array([rms(field - told) for field in own])
 
-        _take(levels, level, _parted(distances, limit, from_expected), _unevenness_in_words)
-
-
-def _unevenness_in_words(odd: list[FrameSample], rest: list[FrameSample]) -> str:
-    return "its distribution of light over the frame differs from that of its level"
+        _take(levels, level, _parted(distances, limit, from_expected), lambda odd, rest: uneven)
 
 
 def _noise(levels: ComparedLevels) -> None:
@@ -225,20 +221,11 @@ def _noise(levels: ComparedLevels) -> None:
         chance = np.sqrt(2 / frames[0].sample.size)
         limit = max(SURE * max(scatter, chance), np.log(OTHER_NOISE))
         far = _parted(np.abs(logs - np.median(logs)), limit, lambda: None)
+        ratios = variances / np.median(variances)
+        told = {
+            frame.name: "the variance of its difference from the median of its level is "
+            f"{ratio:.2g} times that of the others, as with an averaged, smoothed or moved frame"
+            for frame, ratio in zip(frames, ratios, strict=True)
+        }
         if far is not None:
-            _take(levels, level, far, _noise_in_words(variances, np.median(variances), frames))
-
-
-def _noise_in_words(
-    variances: np.ndarray, usual: float, frames: list[FrameSample]
-) -> Callable[[list[FrameSample], list[FrameSample]], str]:
-    by_name = {frame.name: v / usual for frame, v in zip(frames, variances, strict=True)}
-
-    def in_words(odd: list[FrameSample], rest: list[FrameSample]) -> str:
-        ratio = by_name[odd[0].name]
-        return (
-            f"the variance of its difference from the median of its level is {ratio:.2g} times "
-            "that of the others, as with an averaged, smoothed or moved frame"
-        )
-
-    return in_words
+            _take(levels, level, far, lambda odd, rest, told=told: told[odd[0].name])

@@ -122,12 +122,9 @@ def write_chains(
     arrays: Mapping[str, tuple[int, ...]] | None = None,
     data: Mapping[str, Columns] | None = None,
 ) -> None:
-    """Draws of every posterior in one NetCDF file of ArviZ' layout.
-
-    The groups are `posterior` and `sample_stats` with the dimensions chain and draw, and channel if
-    there are several posteriors. All channels have the length of the shortest, with the last draws
-    of each. A parameter that a channel lacks is NaN there.
-    """
+    """Draws of every posterior in one NetCDF file of ArviZ' layout, with a dimension of channels if
+    there are several posteriors. All have the length of the shortest, with the last draws of each;
+    a parameter that a channel lacks is NaN there."""
     import xarray
 
     first = next(iter(posteriors.values()))
@@ -144,7 +141,12 @@ def write_chains(
     variables: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {
         label: (
             dimensions,
-            beside([_draws_of(p, label, absent) for p in posteriors.values()]),
+            beside(
+                [
+                    p.by_name[label][:chains, -kept:] if label in p.by_name else absent
+                    for p in posteriors.values()
+                ]
+            ),
             {"units": parameter.unit},
         )
         for label, parameter in parameters.items()
@@ -172,15 +174,6 @@ def write_chains(
         for group, columns in (data or {}).items():
             rows = {name: ("row", values) for name, values in columns.items()}
             xarray.Dataset(rows).to_netcdf(unfinished, mode="a", group=group, engine="h5netcdf")
-
-
-def _draws_of(posterior: Posterior, label: str, absent: np.ndarray) -> np.ndarray:
-    """Return (chains, draws) of one parameter, truncated to the shape of the placeholder of an
-    absent one."""
-    chains, kept = absent.shape
-    if label not in names(posterior.space):
-        return absent
-    return posterior.draws[:chains, -kept:, names(posterior.space).index(label)]
 
 
 def chain_pictures(section: Section) -> tuple[Picture, ...]:

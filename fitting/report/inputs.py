@@ -29,17 +29,11 @@ def with_inputs(
     """A section with the images of its rig and the keys of it that had no effect."""
     idle = unused_keys(rig, section.kind, fit_gamma=fit_gamma)
     inputs = inputs_of(rig, purpose)
-    found = (*section.findings, *idle, *_whole_region(rig, inputs[0].files[0]))
-    return replace(section, findings=found, inputs=inputs)
-
-
-def _whole_region(rig: Rig, name: str) -> tuple[str, ...]:
-    """A remark if the region covers the whole frame."""
-    if rig.camera.region is None or rig.camera.region[:2] != (0, 0):
-        return ()
-    if read_image(rig.path(name)).shape[:2] != rig.camera.region[2:]:
-        return ()
-    return ("Not used of the rig: camera.region; it is the whole image.",)
+    region = rig.camera.region
+    first = rig.path(inputs[0].files[0])
+    if region and region[:2] == (0, 0) and read_image(first).shape[:2] == region[2:]:
+        idle = (*idle, "Not used of the rig: camera.region; it is the whole image.")
+    return replace(section, findings=(*section.findings, *idle), inputs=inputs)
 
 
 def inputs_of(rig: Rig, purpose: Purpose) -> tuple[Input, ...]:

@@ -99,19 +99,12 @@ def write_report(
 
 @dataclass(frozen=True)
 class _Drawn:
-    """A picture as HTML for the page.
-
-    Attributes:
-        title, caption: of it.
-        strips: (element, width) side by side, or one below the other on a narrow page; px at which
-            letters have the size in which they were drawn.
-        aspect: total width over height.
-    """
+    """A picture as HTML for the page."""
 
     title: str
     caption: str
-    strips: tuple[tuple[str, int], ...]
-    aspect: float
+    strips: tuple[tuple[str, int], ...]  # elements, and their widths in px as they were drawn
+    aspect: float  # total width over height
 
     @property
     def is_wide(self) -> bool:

@@ -20,7 +20,13 @@ def unused_keys(rig: Rig, kind: str, *, fit_gamma: bool = False) -> tuple[str, .
         found.append((_camera(GAMMA), "the encoding exponent was fitted"))
     sentences = []
     for keys, why in found:
-        given = [key for key in keys if _is_given(rig, key)]
+        given = []
+        for key in keys:  # such as `camera.gain`, `[[dark]]`, or `flat.photons` of any flat
+            section, _, name = key.strip("[]").partition(".")
+            entries = getattr(rig, section)
+            entries = entries if isinstance(entries, tuple) else (entries,)
+            if any(not name or getattr(entry, name) is not None for entry in entries):
+                given.append(key)
         if given:
             listed = " and ".join(filter(None, (", ".join(given[:-1]), given[-1])))
             sentences.append(f"Not used of the rig: {listed}; {why}.")
@@ -40,14 +46,6 @@ def _sites(rig: Rig, kind: str) -> Unused:
 
 def _camera(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"camera.{name}" for name in names)
-
-
-def _is_given(rig: Rig, key: str) -> bool:
-    """Whether a key such as `camera.gain`, `[[dark]]`, or `flat.photons` of any flat is present."""
-    section, _, name = key.strip("[]").partition(".")
-    entries = getattr(rig, section)
-    entries = entries if isinstance(entries, tuple) else (entries,)
-    return any(not name or getattr(entry, name) is not None for entry in entries)
 
 
 def _noise(rig: Rig) -> Unused:

@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -197,8 +196,9 @@ def calibrated(settings: Settings, folder: Folder) -> Outcome:
     )
     calibrate = getattr(folders, settings.kind)
     more = {"model": "phong", "index": 1.5} if settings.kind in ("brdf", "joint") else {}
+    laplace = {"sampling": None, "seed": settings.seed}
     try:
-        sections, images = calibrate(folder.path, _silent, partial(_laplace, settings), **more)
+        sections, images = calibrate(folder.path, _silent, lambda *_: laplace, **more)
         if sections and all(section.failure for section in sections):
             raise InputError(sections[0].failure)
         folder.out.mkdir(parents=True, exist_ok=True)
@@ -234,10 +234,6 @@ def _report(settings: Settings, folder: Folder, sections: list[Section]) -> None
 def _silent(description: str) -> Iterator[Progress]:
     """A step without output. For many folders only the finished ones are reported."""
     yield lambda done, total: None
-
-
-def _laplace(settings: Settings, kind: str, progress: Progress) -> dict[str, Any]:
-    return {"sampling": None, "seed": settings.seed}
 
 
 def _remember(settings: Settings, folder: Folder, found: Outcome) -> None:
