@@ -7,7 +7,6 @@ import time
 from dataclasses import replace
 from functools import partial
 
-import bench_area_light
 import bench_direct_light
 import jax
 import jax.numpy as jnp
@@ -162,6 +161,15 @@ def shipped(name):
     return source.scene, source.view
 
 
+def lamp_over_a_floor():
+    rotation = jv.look_at(jnp.array([0.0, 3.0, 5.0]), jnp.zeros(3), jnp.array([0.0, 1, 0]))
+    pitch = 2 * np.tan(np.radians(40.0) / 2) / 512
+    view = jv.Pinhole([0, 3.0, 5.0], rotation, 1.0, pitch, resolution=(512, 512))
+    lamp = jv.RectangleLight([-0.6, 1.5, -0.4], [1.2, 0, 0], [0, 0, 0.8], [10.0])
+    floor = jv.Surface(jv.Plane([0, 0, 0], [0, 1, 0]), jv.Lambert([0.5 / np.pi]))
+    return jv.as_dtype((jv.Scene([floor], [lamp]), view), jnp.float32)
+
+
 SCENES = {
     **{name: partial(shipped, name) for name in jv.files.scenes.shipped_scenes()},
     "cornell box whose lamp emits": lambda: (
@@ -169,7 +177,7 @@ SCENES = {
         shipped("cornell_box")[1],
     ),
     "balls on a plane": bench_direct_light.ours,
-    "lamp over a floor": lambda: bench_area_light.scene_and_view(jnp.float32),
+    "lamp over a floor": lamp_over_a_floor,
     **{f"random {seed}": partial(random_scene, seed) for seed in (1, 8, 20, 27)},
 }
 
