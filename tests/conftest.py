@@ -16,6 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of workers, whose threads 
 
 import jax
 import jaxlib.version
+import jaxtyping
 import pytest
 
 from jaxvision.programs import quick_flags
@@ -134,3 +135,11 @@ def lab(tmp_path_factory, worker_id):
         part.write_bytes(pickle.dumps(simulate_lab(folder / "files", seed=11)))
         part.rename(truth)
     return folder / "files", pickle.loads(truth.read_bytes())
+
+
+@pytest.fixture
+def as_for_users():
+    """Without the suite's type checks, which would refuse first."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)

@@ -4,7 +4,6 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-import jaxtyping
 import numpy as np
 import pytest
 from oracles import measured as oracle
@@ -437,15 +436,7 @@ def test_wavelengths_travel_with_the_samples():
     np.testing.assert_array_equal(samples.wavelengths, [5e-7, 6e-7])
 
 
-@pytest.fixture
-def unchecked_types():
-    """As users run: without jaxtyping, which would name a wrong option first."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
-
-
-def test_wrong_shapes_and_options_are_named(unchecked_types):
+def test_wrong_shapes_and_options_are_named(as_for_users):
     with pytest.raises(ValueError, match=r"IsotropicTable.values must have shape \(2, 2, 1, bands"):
         IsotropicTable([0.0, 1.0], [0.0, 1.0], [0.0], jnp.ones((2, 3, 1, 2)))
     with pytest.raises(ValueError, match=r"azimuths must be one of mirrored, full, got 'half'"):

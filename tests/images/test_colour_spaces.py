@@ -7,7 +7,6 @@ import functools
 import colour
 import jax
 import jax.numpy as jnp
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -326,14 +325,6 @@ def test_hexagons_there_and_back():
     lost = {cs.rgb_to_hsv: [-0.5, -0.2, 0.0], cs.rgb_to_hsl: [-0.1, 0.0, 0.1]}
     for to, pixel in lost.items():
         assert to(jnp.asarray(pixel))[1] == 0
-
-
-@pytest.fixture
-def as_for_users():
-    """Without the suite's type checks, which would refuse first."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def test_what_is_not_three_floating_bands_is_named(as_for_users):

@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import jaxtyping
 import numpy as np
 import pytest
 from oracles import loops
@@ -142,14 +141,6 @@ def test_rounding_is_no_wrong_alpha(dtype):
 def test_numbers_for_fractions():
     np.testing.assert_array_equal(c.dissolve(A, 0.3), c.dissolve(A, jnp.asarray(0.3)))
     np.testing.assert_array_equal(c.darken(A, 0.3), c.darken(A, jnp.asarray(0.3)))
-
-
-@pytest.fixture
-def as_for_users():
-    """Without the suite's type checks, which would refuse first."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def test_codes_and_shapes_that_do_not_fit_are_named(as_for_users):

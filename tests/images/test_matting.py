@@ -3,7 +3,6 @@ SciPy's direct solver, and the whole against pymatting."""
 
 import jax
 import jax.numpy as jnp
-import jaxtyping
 import numpy as np
 import pytest
 from scipy import sparse
@@ -407,14 +406,6 @@ def test_numbers_that_solve_nothing_are_named():
     step = jax.jit(matting.difference_matte)
     for pixel, covered in ((at, 0), (beyond, 1)):
         assert step(pixel, at, *arrays(0.0, 0.0)) == covered
-
-
-@pytest.fixture
-def as_for_users():
-    """Without the suite's type checks, which would refuse first."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def test_codes_and_ranks_that_do_not_fit_are_named(as_for_users):

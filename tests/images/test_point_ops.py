@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import jaxtyping
 import numpy as np
 import pytest
 from oracles import loops
@@ -391,14 +390,6 @@ def test_numbers_for_parameters_are_as_good_as_arrays():
         with_numbers = operator(x, *parameters)
         assert with_numbers.dtype == jnp.float32
         np.testing.assert_allclose(with_numbers, with_arrays, rtol=1e-6)
-
-
-@pytest.fixture
-def as_for_users():
-    """Without the suite's type checks, which would refuse first."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def test_codes_are_no_colours(as_for_users):

@@ -150,3 +150,10 @@ def law(f, light, *, trapped=False, hot=False, dead=False):
 def distance(one, other):
     """Of two laws: sqrt((difference of means)^2 + (difference of rms)^2), the largest."""
     return float(np.hypot(one[0] - other[0], one[1] - other[1]).max())
+
+
+def check_moments(sample, mean, variance, fourth):
+    """`fourth`: fourth central moment; standard error of a variance is sqrt((m4 - v^2) / n)."""
+    sample = np.asarray(sample, float).ravel()
+    assert abs(sample.mean() - mean) < 5 * np.sqrt(variance / sample.size) + 1e-12
+    assert abs(sample.var() - variance) < 5 * np.sqrt((fourth - variance**2) / sample.size) + 1e-12

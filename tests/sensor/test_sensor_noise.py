@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles.sensor_moments import check_moments
 from scipy import stats
 
 from jaxvision import scene as s
@@ -32,13 +33,6 @@ shoot = jax.jit(raw_image)
 
 def flat(level, shape=SHAPE):
     return jnp.full(shape, level)
-
-
-def check_moments(sample, mean, variance, fourth):
-    """`fourth`: fourth central moment; standard error of a variance is sqrt((m4 - v^2) / n)."""
-    sample = np.asarray(sample, float).ravel()
-    assert abs(sample.mean() - mean) < 5 * np.sqrt(variance / sample.size) + 1e-12
-    assert abs(sample.var() - variance) < 5 * np.sqrt((fourth - variance**2) / sample.size) + 1e-12
 
 
 # ------------------------------------------------ random numbers

@@ -12,7 +12,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import exact
-from precisions import both_precisions
+from precisions import both_precisions, eps
 
 from jaxvision import scene as s
 from jaxvision.development import (
@@ -29,10 +29,6 @@ from jaxvision.development import (
 from jaxvision.sensor.colour_filters import bayer
 
 RNG = np.random.default_rng(23)
-
-
-def eps(dtype):
-    return float(jnp.finfo(dtype).eps)
 
 
 def finite_gradients(f, *cases):

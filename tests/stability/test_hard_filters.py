@@ -10,17 +10,12 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import exact
-from precisions import both_precisions
+from precisions import assert_finite, both_precisions
 
 from jaxvision import filters
 from jaxvision.filters.padding import BORDERS, pad
 
 RNG = np.random.default_rng(5)
-
-
-def assert_finite(tree):
-    for leaf in jax.tree.leaves(tree):
-        assert jnp.isfinite(leaf).all(), tree
 
 
 @pytest.mark.sweep

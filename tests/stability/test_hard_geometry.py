@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from oracles import exact
 from oracles.exact import dot, length
-from precisions import both_precisions
+from precisions import both_precisions, eps
 
 from jaxvision import Ray
 from jaxvision.core._numerics import normalize
@@ -19,11 +19,6 @@ from jaxvision.core._vector import as_array, as_vec
 from jaxvision.geometry import intersect, occluded, offset_origin
 from jaxvision.geometry.hemisphere import local_frame, to_world
 from jaxvision.scene import Box, Disc, Plane, Quad, Sphere, TriangleMesh
-
-
-def eps(dtype):
-    return float(jnp.finfo(dtype).eps)
-
 
 # ------------------------------------------------ shapes, and rays that are aimed at them
 

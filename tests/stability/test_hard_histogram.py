@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
-from precisions import both_precisions
+from precisions import both_precisions, eps
 
 from jaxvision.filters.bilateral import bilateral_filter
 from jaxvision.filters.integral import integral_image
@@ -27,10 +27,6 @@ from jaxvision.histogram import (
 
 RNG = np.random.default_rng(13)
 mp.mp.dps = 50
-
-
-def eps(dtype):
-    return float(jnp.finfo(dtype).eps)
 
 
 @both_precisions

@@ -9,7 +9,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import contour, exact
-from precisions import both_precisions
+from precisions import assert_finite, both_precisions, eps
 
 from jaxvision import (
     Lambert,
@@ -35,16 +35,6 @@ from jaxvision.rendering.shading import outgoing_radiance
 single_first = pytest.mark.parametrize(
     "dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)]
 )
-
-
-def eps(dtype):
-    return float(jnp.finfo(dtype).eps)
-
-
-def assert_finite(tree):
-    for leaf in jax.tree.leaves(tree):
-        if jnp.issubdtype(leaf.dtype, jnp.floating):
-            assert jnp.isfinite(leaf).all(), tree
 
 
 # ------------------------------------------------ Lambert's contour

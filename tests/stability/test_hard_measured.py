@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from oracles import exact
 from oracles import measured as oracle
-from precisions import both_precisions
+from precisions import both_precisions, eps
 
 from jaxvision import Vec, as_dtype, brdf
 from jaxvision.brdf.half_difference import (
@@ -20,10 +20,6 @@ from jaxvision.brdf.measured import AnisotropicTable, IsotropicTable, tabulate_s
 from jaxvision.brdf.rgl import rgl_material
 
 RNG = np.random.default_rng(5)
-
-
-def eps(dtype):
-    return float(jnp.finfo(dtype).eps)
 
 
 def at(theta, phi):

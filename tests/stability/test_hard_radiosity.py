@@ -19,63 +19,6 @@ from jaxvision.transport.radiosity import (
     point_to_polygon,
 )
 
-SIDES = (1e-6, 1e-3, 1e-2, 0.1, 0.5, 1.0, 2.0, 10.0, 1e2, 1e4, 1e6)
-
-
-def opposed(x, y):
-    """Howell, C-11, as it is printed."""
-    terms = [
-        mp.log((1 + x * x) * (1 + y * y) / (1 + x * x + y * y)) / 2,
-        x * mp.sqrt(1 + y * y) * mp.atan(x / mp.sqrt(1 + y * y)),
-        y * mp.sqrt(1 + x * x) * mp.atan(y / mp.sqrt(1 + x * x)),
-        -x * mp.atan(x),
-        -y * mp.atan(y),
-    ]
-    return 2 / (mp.pi * x * y) * mp.fsum(terms)
-
-
-def hinged(w, h):
-    """Howell, C-14, as it is printed."""
-    a, b, both = 1 + w * w, 1 + h * h, w * w + h * h
-    s = mp.sqrt(both)
-    logs = [
-        mp.log(a * b / (1 + both)),
-        w * w * mp.log(w * w * (1 + both) / (a * both)),
-        h * h * mp.log(h * h * (1 + both) / (b * both)),
-    ]
-    angles = w * mp.atan(1 / w) + h * mp.atan(1 / h) - s * mp.atan(1 / s)
-    return (angles + mp.fsum(logs) / 4) / (mp.pi * w)
-
-
-FORMS = {
-    "parallel": (lambda x, y: parallel_rectangles(x, y, jnp.ones_like(x)), opposed),
-    "perpendicular": (lambda x, y: perpendicular_rectangles(jnp.ones_like(x), x, y), hinged),
-}
-
-
-@pytest.mark.sweep
-@both_precisions
-@pytest.mark.parametrize("form", FORMS)
-def test_closed_forms_keep_their_digits(form, dtype):
-    """121 pairs of sides from 1e-6 to 1e6 distances, within 6 units of the last place."""
-    function, formula = FORMS[form]
-    x, y = (jnp.asarray(side.ravel(), dtype) for side in np.meshgrid(SIDES, SIDES))
-    got, pulled = jax.jit(jax.vmap(jax.value_and_grad(function, argnums=(0, 1))))(x, y)
-    assert got.dtype == dtype
-    assert all(jnp.isfinite(gradient).all() for gradient in pulled)
-    with mp.workdps(80):
-        worst = max(
-            exact.ulps(value, formula(exact.number(a), exact.number(b)))
-            for value, a, b in zip(got, x, y, strict=True)
-        )
-    assert worst <= 6
-
-
-def test_what_the_printed_form_returns_as_zero():
-    """X = Y = 0.01: 3.18e-5, of which float32 keeps no digit in the printed order of terms."""
-    tiny = parallel_rectangles(*(jnp.asarray(x, jnp.float32) for x in (0.01, 0.01, 1.0)))
-    np.testing.assert_allclose(float(tiny), 1e-4 / np.pi, rtol=1e-4)
-
 
 @pytest.mark.sweep
 @both_precisions

@@ -13,17 +13,15 @@ import numpy as np
 import pytest
 from oracles import exact
 from oracles.sensors import OF_PHOTONS
-from precisions import both_precisions
+from precisions import assert_finite, both_precisions, eps
 
 from jaxvision import as_dtype
 from jaxvision import scene as s
 from jaxvision.sensor import (
     Moments,
-    aperture_mtf,
     bloomed,
     censored,
     clipped_moments,
-    dark_rate,
     exposure_slots,
     raw_image,
     transferred,
@@ -55,15 +53,6 @@ IDLE = replace(  # every effect, most of them of no size
     offset=None,
     bits=12,
 )
-
-
-def eps(dtype):
-    return float(jnp.finfo(dtype).eps)
-
-
-def assert_finite(tree):
-    for leaf in jax.tree.leaves(tree):
-        assert jnp.isfinite(leaf).all(), tree
 
 
 @pytest.mark.slow
@@ -111,26 +100,6 @@ def of_clipped(mean, sigma, low=None, high=None):
     return first, second - first**2
 
 
-@both_precisions
-@pytest.mark.parametrize("ends", [(0.0, None), (None, 0.0), (0.0, 40.0)])
-def test_clipped_moments_keep_their_digits(dtype, ends):
-    """From 11 deviations outside the window to as many inside, relative to what is left of them;
-    the distance in deviations is rounded to eps, which moves the tail by its square times that."""
-    sigma, (low, high) = 3.0, ends
-    mean = jnp.asarray([-33, -16.2, -9, -3, -1e-3, 0, 0.1, 1, 20, 23, 39.9, 42, 60], dtype)
-    variance = jnp.full_like(mean, sigma**2)
-    low, high = (None if end is None else jnp.asarray(end, dtype) for end in ends)
-    got = jax.jit(lambda m, v: censored(Moments(m, v), low=low, high=high))(mean, variance)
-    for m, *found in zip(mean, *got, strict=True):
-        with mp.workdps(120):
-            true = of_clipped(exact.number(m), mp.mpf(sigma), *ends)
-        nearest = min((abs(exact.number(m) - end) for end in ends if end is not None), default=0)
-        for value, truth in zip(found, true, strict=True):
-            if abs(truth) > 1e-30:
-                bound = 8 + 2 * (nearest / sigma) ** 2
-                assert abs(exact.number(value) - truth) <= bound * eps(dtype) * abs(truth), m
-
-
 @pytest.mark.slow
 @both_precisions
 def test_clipped_moments_of_noise_wider_than_the_window(dtype):
@@ -151,41 +120,6 @@ def test_clipped_moments_of_noise_wider_than_the_window(dtype):
             assert abs(exact.number(value) - truth) <= 16 * eps(dtype) * truth, (m, v)
     slopes = jax.jit(jax.vmap(jax.jacrev(clipped, (0, 1))))(mean, variance.at[0].set(0))
     assert_finite(slopes)
-
-
-@both_precisions
-def test_the_pixels_contrast_beside_its_zeros(dtype):
-    """Whole frequencies are zeros, beside which sin(pi f) is of the size of their distance; at 0
-    the slope is that of 1 - (pi f)^2 / 6."""
-    f = np.concatenate(
-        [[1e-20, 1e-4, 0.3, 0.49, 0.51], 1 + np.geomspace(1e-6, 0.4, 9), [2 - 1e-5, 3.3]]
-    )
-    f = jnp.asarray(f, dtype)
-    full = s.PixelAperture(jnp.ones((), dtype))
-    both = jax.jit(jax.vmap(jax.value_and_grad(lambda f: aperture_mtf(full, f))))
-    for x, value, slope in zip(f, *both(f), strict=True):
-        q = mp.pi * exact.number(x)
-        assert exact.ulps(value, mp.sin(q) / q) <= 4
-        truth = mp.pi * (mp.cos(q) - mp.sin(q) / q) / q
-        assert abs(exact.number(slope) - truth) <= 8 * eps(dtype) * max(abs(truth), abs(q) ** -2)
-    assert jnp.isnan(aperture_mtf(full, jnp.asarray(jnp.nan, dtype)))
-
-
-@both_precisions
-@pytest.mark.parametrize("temperature", [150.0, 292.999, 293.0, 400.0])
-def test_dark_current_laws_in_ulps(dtype, temperature):
-    """Conditioned by the exponent: a relative rounding of E / k T moves the rate by as much times
-    E / k T."""
-    law = as_dtype(s.ArrheniusDarkCurrent(7.0, temperature, 293.0, 1.12), dtype)
-    energy = (
-        exact.number(law.activation_energy) * mp.mpf("1.602176634e-19") / mp.mpf("1.380649e-23")
-    )
-    t = exact.number(law.temperature)
-    exponent = energy * (1 / mp.mpf(293) - 1 / t)
-    truth = 7 * mp.exp(exponent)
-    relative = abs(exact.number(dark_rate(law)) / truth - 1)
-    assert relative <= eps(dtype) * (4 + 4 * abs(exponent))
-    assert_finite(jax.grad(lambda law: dark_rate(law))(law))
 
 
 @pytest.mark.slow
