@@ -74,7 +74,7 @@ def thinned_draws(posterior: Posterior, draws: int) -> np.ndarray:
 
 
 @eqx.filter_jit
-def pushed(problem: Problem, function: Callable[..., Any], natural: Array) -> Array:
+def evaluate_draws(problem: Problem, function: Callable[..., Any], natural: Array) -> Array:
     """Evaluate a function for all draws."""
 
     def one(natural: Array) -> Array:
@@ -91,7 +91,9 @@ def pushed(problem: Problem, function: Callable[..., Any], natural: Array) -> Ar
 
 
 @eqx.filter_jit
-def simulated(problem: Problem, keys: Array, natural: Array, inputs: Any, noise: Array) -> Array:
+def simulate_data(
+    problem: Problem, keys: Array, natural: Array, inputs: Any, noise: Array
+) -> Array:
     """Simulated data, one set for each draw."""
 
     def one(key_and_natural: tuple[Array, Array]) -> Array:

@@ -32,7 +32,7 @@ from ..inference.on_host import on_host
 from ..inference.posterior import Posterior
 from ..inference.problem import Problem
 from ..inference.search import Optimum
-from .information import Target, expected_information, in_words, slope_of
+from .information import Target, expected_information, slope_of, target_name
 from .widening import predicted_at
 
 REST = "other noise"
@@ -152,7 +152,7 @@ def budget(
     total = sum(terms.values())
     found = [Share(name, x / total, float(np.sqrt(max(x, 0)))) for name, x in terms.items()]
     ranked = tuple(sorted(found, key=lambda share: -share.share))
-    return Budget(in_words(target), value, float(np.sqrt(total)), ranked)
+    return Budget(target_name(target), value, float(np.sqrt(total)), ranked)
 
 
 def _shares_of_data(

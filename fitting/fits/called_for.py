@@ -24,8 +24,8 @@ from jaxvision.rendering import PixelSamples
 from ..inference.given import require_kind
 from ..inference.problem import Problem, likelihood_at, prediction, values_at
 from .depicted import box_of, named_record, records_of, without_effects
-from .influence import measured
-from .information import Target, in_words
+from .influence import measure_effects
+from .information import Target, target_name
 from .solve import fit
 
 _PROVED = 0.1  # of the tolerance, which goes to bounds before a fit
@@ -129,7 +129,7 @@ def _unseen_by(
     """The problem without the effects that together move a fitted number by at most the tolerance,
     in standard errors. `each`: change of every datum, in standard deviations, for one standard
     error."""
-    _, _, measure = measured(fit(problem), target)
+    _, _, measure = measure_effects(fit(problem), target)
     effects, left = without_effects(problem, samples=samples, depth=depth)
 
     def moved(names: Collection[str]) -> float:
@@ -158,7 +158,7 @@ def _unseen_by(
         if name is None:
             kept.append(effect)
             continue
-        why = f"moves {in_words(target)} by at most {bounds[name]:.2g} standard errors"
+        why = f"moves {target_name(target)} by at most {bounds[name]:.2g} standard errors"
         dropped.append(replace(effect, bound=bounds[name] * each, rank="estimate", why=why))
     certificate = replace(
         proved,

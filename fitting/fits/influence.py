@@ -23,13 +23,13 @@ from jaxvision.core.in_notebooks import record_html
 from jaxvision.errors import InputError, nearest
 from jaxvision.rendering import PixelSamples
 
-from ..inference.differences import seen_by_differences
+from ..inference.differences import correct_by_differences
 from ..inference.formatting import format_with_error
 from ..inference.problem import Problem
 from ..inference.search import derivatives, search
 from ..inference.streams import chunks
 from .depicted import without_effects
-from .information import Target, in_words, slope_of
+from .information import Target, slope_of, target_name
 from .result import Fit
 from .solve import fit
 
@@ -176,15 +176,17 @@ def influence(
         2.0
     """
     found = fit(fitted) if isinstance(fitted, Problem) else fitted
-    value, sd, measure = measured(found, target)
+    value, sd, measure = measure_effects(found, target)
     effects, left = without_effects(found.problem, samples=samples, depth=depth)
     alone = {name: left((name,)) for name in effects}
     moved = [measure(name, less) for name, less in alone.items() if less is not None]
     ranked = sorted(moved, key=lambda one: -one.bound)
-    return Influence(in_words(target), value, sd, tuple(ranked))
+    return Influence(target_name(target), value, sd, tuple(ranked))
 
 
-def measured(found: Fit, target: Target) -> tuple[float, float, Callable[[str, Problem], Moved]]:
+def measure_effects(
+    found: Fit, target: Target
+) -> tuple[float, float, Callable[[str, Problem], Moved]]:
     """The target, its standard error, and a function from the name of some effects and the problem
     without them to what they move."""
     problem, optimum = found.problem, found.optimum
@@ -222,7 +224,7 @@ def measured(found: Fit, target: Target) -> tuple[float, float, Callable[[str, P
         return None
 
     def by_search(name: str, less: Problem) -> Moved:
-        end = seen_by_differences(less, search(less, at[None]))
+        end = correct_by_differences(less, search(less, at[None]))
         if not end.stationary or end.saddle or less.stream is not None:
             return Moved(name, np.nan, np.inf, np.nan, np.nan)
         rest = np.sqrt(2 * max(end.decrement, 0.0))

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError, nearest
 
-from ..inference.design import Plan, ranked
+from ..inference.design import Plan, rank
 from ..inference.given import require_whole
 from ..inference.likelihoods import Clustered
 from ..inference.on_host import on_host
@@ -77,7 +77,7 @@ def _information(vector: Vector, problem: Problem, weights: Array, keys: Array) 
     return jnp.mean(jax.lax.map(one, keys, batch_size=BATCH), axis=0)
 
 
-def with_inputs(problem: Problem, inputs: Any) -> Problem:
+def replace_inputs(problem: Problem, inputs: Any) -> Problem:
     """The same problem for data at other inputs, without missing data."""
     if isinstance(problem.likelihood, Clustered):
         raise InputError(
@@ -161,7 +161,7 @@ def plan(
     value, slope = slope_of(problem, target, vector)
     added = {}
     for name, inputs in candidates.items():
-        new = with_inputs(problem, inputs)
+        new = replace_inputs(problem, inputs)
         every = np.ones((1, int(np.prod(new.data.shape))))
         found = expected_information(new, vector, every, seed=posterior.seed)[0]
         if not np.isfinite(found).all():
@@ -170,9 +170,9 @@ def plan(
                 "inputs for NaN."
             )
         added[name] = found * repeats / widened**2
-    return ranked(in_words(target), value, slope, posterior.covariance, added)
+    return rank(target_name(target), value, slope, posterior.covariance, added)
 
 
-def in_words(target: Target) -> str:
+def target_name(target: Target) -> str:
     """The name of a target."""
     return target if isinstance(target, str) else getattr(target, "__name__", "target")

@@ -204,7 +204,7 @@ class FitMap:
         return with_picture(figure_png(self._figure()), table, meaning="maps, errors and states")
 
 
-def found_in_words(state: UInt8[np.ndarray, "..."], *, by_label: bool) -> tuple[str, ...]:
+def map_findings(state: UInt8[np.ndarray, "..."], *, by_label: bool) -> tuple[str, ...]:
     """The number of failed pixels, with the reasons."""
     counts = np.bincount(state.ravel(), minlength=len(STATES))
     tested = int(counts[: STATES.index("stopped")].sum())

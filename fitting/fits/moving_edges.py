@@ -77,7 +77,7 @@ def _compared(problem: Problem, values: Values, step: Values) -> Array:
 
     def picture(share: Array) -> Array:
         moved = values | {name: values[name] + share * by for name, by in step.items()}
-        return _in_blocks(prediction(problem, moved))
+        return _block_means(prediction(problem, moved))
 
     shares = jnp.array([1.0, -1.0, 0.5, -0.5, 0.0])  # by one program, which is compiled once
     there, along = jax.lax.map(lambda x: jax.jvp(picture, (x,), (jnp.ones_like(x),)), shares)
@@ -85,7 +85,7 @@ def _compared(problem: Problem, values: Values, step: Values) -> Array:
     return jnp.stack([jnp.sqrt(jnp.sum(x**2)) for x in (half, half - along[4], full - half)])
 
 
-def _in_blocks(picture: Array) -> Array:
+def _block_means(picture: Array) -> Array:
     """The means of blocks of pixels, for an edge crosses few pixels in a small step."""
     if picture.ndim < 2:
         return picture

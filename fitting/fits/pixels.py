@@ -19,9 +19,9 @@ from ..inference.on_host import require_here
 from ..inference.parameters import natural_numbers
 from ..inference.pixelwise import Ends, fit_side_by_side
 from ..inference.problem import Problem, prediction
-from ..inference.search import spread_starts, unstarted
+from ..inference.search import prior_starts, spread_starts
 from .data_checks import data_check_of_map
-from .map import STATES, FitMap, found_in_words
+from .map import STATES, FitMap, map_findings
 from .result import Fit
 from .solve import fit
 
@@ -115,7 +115,7 @@ def fit_map(
             "labels: a start from the data is that of one pixel; give starts to the parameters."
         )
     if labels is not None:
-        return _by_label(
+        return _fit_labels(
             *(problem, data, leaves, labels, shape),
             starts=starts,
             misfit=misfit,
@@ -124,7 +124,7 @@ def fit_map(
         )
     dtype = jnp.result_type(float)
     require_whole("starts", starts, of="searches")
-    table, distances = unstarted(problem, starts, seed=seed)
+    table, distances = prior_starts(problem, starts, seed=seed)
     begin = jnp.asarray(table, dtype), jnp.asarray(distances, dtype)
     if problem.start is None:
         spread_starts(problem, starts, seed=seed)  # refuses what nothing says where to search
@@ -279,12 +279,12 @@ def _mapped(
         dof=dof.reshape(shape),
         state=state.reshape(shape),
         units={parameter.name: parameter.unit for parameter in problem.free},
-        findings=(*found_in_words(state, by_label=fits is not None), *told),
+        findings=(*map_findings(state, by_label=fits is not None), *told),
         fits=fits or {},
     )
 
 
-def _by_label(
+def _fit_labels(
     problem: Problem,
     data: Any,
     leaves: list[Any],

@@ -76,7 +76,7 @@ def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[str, 
         z = (place + turned * step) / np.sqrt(1 + turned**2 * spread)
         if abs(z) > limit:
             alone = _alone(space[i], values[i], slopes[i], step, np.sqrt(spread))
-            found.append((abs(z), _in_words(space[i], abs(z), alone)))
+            found.append((abs(z), _conflict_in_words(space[i], abs(z), alone)))
     if joint is not None and (one := _joint_conflict(problem, joint, vector, wide, chance)):
         found.append(one)
     return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
@@ -101,7 +101,7 @@ def _joint_conflict(
     return (square**0.5, words[0]) if words else None
 
 
-def loosened(prior: Any) -> Any:
+def loosen(prior: Any) -> Any:
     """A prior so wide that data which contradict it decide alone."""
     match prior:
         case Normal() | HalfNormal() | Marginal():
@@ -113,10 +113,10 @@ def loosened(prior: Any) -> Any:
     return prior
 
 
-def blamed(
+def blame_priors(
     problem: Problem, vector: np.ndarray, wide: Widening, before: Misfit, alone: Misfit
 ) -> tuple[str, ...]:
-    """Sentences on the priors that contradict a fit with `loosened` ones, the largest difference
+    """Sentences on the priors that contradict a fit with `loosen` ones, the largest difference
     first; empty if none does. In place of a misfit's where that fit describes the data."""
     space, joint = problem.space, problem.prior
     together = () if joint is None else places_of(joint, space)
@@ -124,14 +124,14 @@ def blamed(
     values, slopes = jax.jvp(partial(to_natural, space), (at,), (jnp.ones_like(at),))
     values, slopes = np.asarray(values, np.float64), np.asarray(slopes, np.float64)
     errors, found = np.sqrt(np.diagonal(wide.gaussian_covariance)), []
-    tested = [i for i, p in enumerate(space) if loosened(p.prior) != p.prior]
+    tested = [i for i, p in enumerate(space) if loosen(p.prior) != p.prior]
     limit = -ndtri(CHANCE / max(len(tested), 1) / 2)
     for i in tested:
         place, slope = _standard_scale(space[i].prior, values[i])
         z = abs(place) / float(np.hypot(1, slope * slopes[i] * errors[i]))
         if z > limit:
             own = _alone(space[i], values[i], slopes[i], 0.0, errors[i])
-            found.append((z, _in_words(space[i], z, own, earlier=i in together)))
+            found.append((z, _conflict_in_words(space[i], z, own, earlier=i in together)))
     told = [words for _, words in sorted(found, key=lambda pair: -pair[0])]
     if joint is not None:
         told = [*_joint_difference(problem, joint, at, wide), *told]
@@ -218,7 +218,7 @@ def _alone(p: Parameter, x: float, slope: float, step: float, error: float) -> s
     return format_with_error(x + slope * step, abs(slope) * error)
 
 
-def _in_words(p: Parameter, z: float, alone: str, *, earlier: bool = False) -> str:
+def _conflict_in_words(p: Parameter, z: float, alone: str, *, earlier: bool = False) -> str:
     low, middle, high = (p.prior.quantile(ndtr(np.array(k))) for k in (-1.0, 0.0, 1.0))
     return (
         f"The prior of {p.name}{' in it' * earlier}, {middle:.4g} ± {(high - low) / 2:.3g}, lies "

@@ -28,7 +28,7 @@ from ..inference.problem import Problem, as_arrays, records_at, values_from
 from ..inference.search import Optimum
 from ..inference.trust import cost_in_words
 from ..report.section import Picture, Section, Table
-from .bands import Bands, bands, pushed, simulated, thinned_draws
+from .bands import Bands, bands, evaluate_draws, simulate_data, thinned_draws
 from .budget import Budget, Noise, budget
 from .information import Target, plan
 from .words import agreeing, prior_share
@@ -227,7 +227,7 @@ class Fit:
             True
         """
         thinned = thinned_draws(self.posterior, draws)
-        return bands(on_host(pushed(self.problem, function, jnp.asarray(thinned))))
+        return bands(on_host(evaluate_draws(self.problem, function, jnp.asarray(thinned))))
 
     def predictive(self, inputs: Any = None, *, draws: int = 1000) -> Bands:
         """Predicted data, with the uncertainty of the parameters and the noise.
@@ -247,7 +247,7 @@ class Fit:
         if inputs is not None:
             given = jax.tree.map(jnp.asarray, as_arrays(inputs))
         return bands(
-            on_host(simulated(self.problem, keys, thinned, given, jnp.asarray(self.noise)))
+            on_host(simulate_data(self.problem, keys, thinned, given, jnp.asarray(self.noise)))
         )
 
     def plan(self, candidates: Mapping[str, Any], target: Target, *, repeats: int = 1) -> Plan:

@@ -18,7 +18,7 @@ from jaxvision.errors import InputError
 from ..inference.candidates import Choice, numbers_of, price, squared_ratios, weakest
 from ..inference.clustering import curvature_stretch
 from ..inference.diagnostics import UNDETERMINED, identifiability
-from ..inference.differences import seen_by_differences
+from ..inference.differences import correct_by_differences
 from ..inference.emcee_run import Emcee
 from ..inference.given import require_kind, require_seed
 from ..inference.importance import laplace_where_it_holds, miss_about
@@ -39,7 +39,7 @@ from ..inference.problem import (
 from ..inference.search import (
     Optimum,
     derivatives,
-    joined,
+    merge_optima,
     search,
     search_read,
     spread_starts,
@@ -48,7 +48,7 @@ from ..inference.search import (
 from ..inference.streams import Advance, chunks
 from .data_checks import DataCheck, data_check
 from .moving_edges import warn_of_moving_edges
-from .prior_check import blamed, conflicts, loosened
+from .prior_check import blame_priors, conflicts, loosen
 from .result import Fit
 from .widening import Widening, residual_sums, residuals_at, widening
 from .words import (
@@ -252,7 +252,7 @@ def _optimum(
     begin = how.start if near is None else near
     if begin:
         found = search(problem, _given(problem, begin)[None], solver=how.solver)
-        optimum = seen_by_differences(problem, found)
+        optimum = correct_by_differences(problem, found)
     else:
         optimum = _searched(problem, how.starts, how.seed, how.solver, advance)
     if problem.stream is not None:
@@ -323,7 +323,7 @@ def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) ->
 def _contradicted(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
     """Sentences on priors for which a fit failed: with wider ones the data are described, and
     disagree with the stated ones. Empty where that is no cause."""
-    loose = problem.with_priors(loosened)
+    loose = problem.with_priors(loosen)
     if loose.free == problem.free and loose.prior is None:
         return ()
     near = values_at(problem, jnp.asarray(end.optimum.vector, jnp.result_type(float)))
@@ -338,7 +338,7 @@ def _contradicted(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
         return ()
     if not alone.optimum.stationary or (alone.checks.faults and not alone.wide.explained):
         return ()
-    return blamed(problem, alone.optimum.vector, alone.wide, end.checks, alone.checks)
+    return blame_priors(problem, alone.optimum.vector, alone.wide, end.checks, alone.checks)
 
 
 def _tested(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> _End:
@@ -375,13 +375,13 @@ def _searched(problem: Problem, starts: int, seed: int, solver: Any, advance: Ad
     if problem.stream is None:
         how["told"] = lambda ended: advance(ended, len(begin))
     found = search(problem, begin, as_given=False, **how)
-    optimum = seen_by_differences(problem, found)
+    optimum = correct_by_differences(problem, found)
     for again in range(1, ROUNDS * (2 if wide_noise else 1)):
         if starts == 1 or is_confirmed(optimum, wide_noise=wide_noise):
             break
         others = spread_starts(problem, starts + 1, seed=seed + again * OTHER_SEED)[1:]
         found = search(problem, others, **how)
-        optimum = seen_by_differences(problem, joined(optimum, found))
+        optimum = correct_by_differences(problem, merge_optima(optimum, found))
     return optimum
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
 
-from ..inference.clustering import Robustness, cluster_robust, like_gaussian
+from ..inference.clustering import Robustness, cluster_robust, gaussian_equivalent
 from ..inference.likelihoods import Clustered, with_noise_scaled
 from ..inference.misfit import Misfit, judge, sums
 from ..inference.on_host import on_host
@@ -55,7 +55,7 @@ class Widening:
         return (
             self.covariance
             if self.freedom is None
-            else like_gaussian(self.covariance, self.freedom)
+            else gaussian_equivalent(self.covariance, self.freedom)
         )
 
 
@@ -78,7 +78,7 @@ def widening(
         labels = problem.likelihood.labels
         every = labels if isinstance(labels, dict) else {"": labels}
         every = {name: on_host(one) for name, one in every.items()}
-        return _of_groups(problem, optimum, every, residuals, inflate=inflate, seed=seed)
+        return _widen_by_groups(problem, optimum, every, residuals, inflate=inflate, seed=seed)
     if not inflate or checks.dof <= 0 or checks.chi_square <= max(checks.dof, 1):
         return Widening(covariance)
     factor = checks.chi_square / max(checks.dof, 1)
@@ -93,7 +93,7 @@ def widening(
     return Widening(widened, None, float(np.sqrt(factor)), tuple(words), True)
 
 
-def _of_groups(
+def _widen_by_groups(
     problem: Problem,
     optimum: Optimum,
     every: dict[str, np.ndarray],
@@ -116,7 +116,7 @@ def _of_groups(
     moved = on_host(_predictions(vector, problem), dtype=np.float64) * np.nan_to_num(slope.ravel())
     robust = cluster_robust(scores, optimum.curvature, *levels, slopes=moved, prior=prior)
     shared = robust.design_effect > 1
-    sentences = [_in_words(robust, optimum, levels[0].max() + 1)]
+    sentences = [_widening_in_words(robust, optimum, levels[0].max() + 1)]
     if len(levels) > 1:
         sizes = zip(every, robust.effects, strict=True)
         told = ", ".join(f"{name} {effect:.3g}" for name, effect in sizes)
@@ -139,7 +139,7 @@ def _of_groups(
     return Widening(robust.covariance, robust.freedom, 1.0, tuple(sentences), explained)
 
 
-def _in_words(robust: Robustness, optimum: Optimum, groups: int) -> str:
+def _widening_in_words(robust: Robustness, optimum: Optimum, groups: int) -> str:
     """The finding on the misfit in the groups' residuals, and the factor on the intervals."""
     if np.isnan(robust.by_light):
         return (

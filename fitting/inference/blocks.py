@@ -26,7 +26,9 @@ Progress = Callable[[int, int], None]
 Block = dict[str, np.ndarray]
 
 
-def begun(folder: Path | str | None, before: Sequence[Block], fingerprint: str) -> list[Block]:
+def resume_blocks(
+    folder: Path | str | None, before: Sequence[Block], fingerprint: str
+) -> list[Block]:
     """The blocks from which a run continues: those in memory or those in the checkpoint folder
     (None for no folder), whichever are more. Blocks that the folder lacks are written to it."""
     stored = [] if folder is None else _stored(Path(folder))
@@ -83,7 +85,7 @@ def next_length(done: int, size: int, ceiling: int) -> int:
     return min(size - done % size, ceiling - done)
 
 
-def stacked(blocks: Sequence[Block], name: str) -> np.ndarray:
+def stack_blocks(blocks: Sequence[Block], name: str) -> np.ndarray:
     """All blocks as one array along their steps."""
     return np.concatenate([block[name] for block in blocks])
 

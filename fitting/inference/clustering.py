@@ -70,10 +70,10 @@ class Robustness:
     @property
     def gaussian_covariance(self) -> Float[np.ndarray, "parameters parameters"]:
         """The covariance of the Gaussian whose 95 % intervals are those of Student's t."""
-        return like_gaussian(self.covariance, self.freedom)
+        return gaussian_equivalent(self.covariance, self.freedom)
 
 
-def like_gaussian(
+def gaussian_equivalent(
     covariance: Float[np.ndarray, "parameters parameters"],
     freedom: Float[np.ndarray, " parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:

@@ -97,7 +97,7 @@ class Plan:
         return record_html(heads, self._rows(), title=self._heading())
 
 
-def ranked(
+def rank(
     target: str,
     value: float,
     slope: Float[np.ndarray, " parameters"],

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from .compiled import compiled_briefly
 from .on_host import on_host
 from .problem import Problem, Vector, least_squares_residuals, log_density
-from .search import Optimum, with_prior
+from .search import Optimum, add_prior
 
 REACH = 0.5  # posterior standard deviations to either side
 UNSEEN = 0.1  # share of a derivative that a gradient may miss before it is said
@@ -28,7 +28,7 @@ _TINY = 1e-3  # of a difference, at which only rounding is left
 _SHARES = np.array([1.0, 0.5, 0.25, 0.125])  # of a step
 
 
-def seen_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
+def correct_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
     """The optimum, tested and corrected by finite differences if its gradient is incomplete."""
     squares = problem.likelihood.least_squares and problem.stream is None
     if not squares or not np.isfinite(optimum.information).all():
@@ -62,7 +62,7 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
     for _ in range(STEPS):
         of_data = _differenced(jnp.asarray(vector, dtype), jnp.asarray(sizes, dtype), problem)
         at, steepness, curvature = (on_host(x, dtype=np.float64)[None] for x in of_data)
-        found = with_prior(vector[None], problem, (at, steepness, curvature))
+        found = add_prior(vector[None], problem, (at, steepness, curvature))
         _, gradient, information = (x[0] for x in found)
         values = np.linalg.eigvalsh(information) if np.isfinite(information).all() else [0.0]
         if not values[0] > 0:

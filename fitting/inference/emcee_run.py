@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
 
-from .blocks import Block, Progress, begun, length, next_length, stacked, store
+from .blocks import Block, Progress, length, next_length, resume_blocks, stack_blocks, store
 from .convergence import autocorrelation_times, without_bias
 from .given import require_progress, require_whole
 
@@ -189,7 +189,7 @@ def run_ensemble(
     sampler = emcee.EnsembleSampler(
         walkers, mode.size, evaluate, vectorize=True, moves=_moves(mode.size)
     )
-    blocks = begun(options.checkpoint, before, fingerprint)
+    blocks = resume_blocks(options.checkpoint, before, fingerprint)
     if blocks:
         state = _resumed(blocks[-1])
     else:
@@ -309,7 +309,7 @@ def _chain_if_done(blocks: list[Block], options: Emcee) -> Chain | None:
     last = steps >= options.steps
     if not (last or _due(steps, options.block)):
         return None
-    vectors = stacked(blocks, "chain")
+    vectors = stack_blocks(blocks, "chain")
     slowest = np.max(autocorrelation_times(vectors))
     start = int(min(np.ceil(BURN_IN_TAU * slowest), steps // 2))
     tau = autocorrelation_times(vectors[start:])
@@ -319,7 +319,7 @@ def _chain_if_done(blocks: list[Block], options: Emcee) -> Chain | None:
         return None
     return Chain(
         vectors=vectors[start:],
-        log_density=stacked(blocks, "log_chain")[start:],
+        log_density=stack_blocks(blocks, "log_chain")[start:],
         tau=tau,
         acceptance=sum(int(block["accepted"]) for block in blocks) / (steps * vectors.shape[1]),
         steps=steps,

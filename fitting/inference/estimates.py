@@ -126,7 +126,7 @@ def gaussian_estimate(
     return quantile_estimate(what, value, standard_error, ends, method=method, group=group)
 
 
-def from_the_end(
+def reach_from_end(
     distance: Float[np.ndarray, "draws ..."], level: float
 ) -> tuple[Bool[np.ndarray, "..."], Float[np.ndarray, "..."]]:
     """Whether draws accumulate at an end of their range, so that the shortest interval begins

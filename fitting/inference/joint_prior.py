@@ -152,7 +152,9 @@ class JointPrior(eqx.Module):
 Selection = str | Sequence[str] | Mapping[str, str]
 
 
-def selected(selection: Selection, known: Sequence[str]) -> tuple[dict[str, str], tuple[str, ...]]:
+def select_names(
+    selection: Selection, known: Sequence[str]
+) -> tuple[dict[str, str], tuple[str, ...]]:
     """The selected names by their new names, and the new names that were given in full, without
     `*`."""
     if isinstance(selection, str):
@@ -195,7 +197,7 @@ def posterior_prior(
     words: tuple[str, ...] = (),
 ) -> JointPrior:
     """A posterior as a prior."""
-    renamed, required = selected(selection, list(shapes))
+    renamed, required = select_names(selection, list(shapes))
     sizes = [int(np.prod(shape)) for shape in shapes.values()]
     parts = np.split(np.arange(len(posterior.space)), np.cumsum(sizes)[:-1])
     places = dict(zip(shapes, parts, strict=True))
@@ -258,7 +260,7 @@ def as_prior(draws: Mapping[str, Any], names: Selection) -> JointPrior:
                 every[name + jax.tree_util.keystr(path)] = values
     if not every:
         raise InputError("as_prior: none of the numbers varies from draw to draw; give draws.")
-    renamed, required = selected(names, list(every))
+    renamed, required = select_names(names, list(every))
     space, columns = [], []
     for name in renamed:
         for column in every[name].reshape(len(every[name]), -1).T:
@@ -326,7 +328,7 @@ def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) 
     )
 
 
-def with_joint_prior(
+def apply_joint_prior(
     free: tuple[Parameter, ...], prior: JointPrior
 ) -> tuple[tuple[Parameter, ...], JointPrior]:
     """The free parameters of a problem with their part of a joint prior, and that part."""
@@ -336,7 +338,7 @@ def with_joint_prior(
             raise InputError(
                 f"prior: {name!r} is no free parameter of this problem; {nearest(name, by_name)}."
             )
-    own = restricted(prior, by_name)
+    own = restrict(prior, by_name)
     if own is None:
         raise InputError(
             f"prior: none of {', '.join(prior.names)} is a free parameter of this problem; rename "
@@ -356,7 +358,7 @@ def with_joint_prior(
     return tuple(by_name.values()), own
 
 
-def restricted(prior: JointPrior, kept: Collection[str]) -> JointPrior | None:
+def restrict(prior: JointPrior, kept: Collection[str]) -> JointPrior | None:
     """A prior marginalised over the numbers with other names; None if none remains."""
     sizes = [math.prod(shape) for shape in prior.shapes]
     chosen = np.flatnonzero(np.repeat([name in kept for name in prior.names], sizes))

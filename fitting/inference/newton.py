@@ -94,7 +94,7 @@ def _search(
     max_steps: Array,
     tolerance: Array,
 ) -> NewtonSolution:
-    local = derivatives or partial(twice, objective)
+    local = derivatives or partial(second_derivatives, objective)
     digit = float(jnp.finfo(start.dtype).eps)
 
     def step(state: _State) -> _State:
@@ -231,7 +231,7 @@ def _solution(end: _State, tolerance: Any) -> NewtonSolution:
     )
 
 
-def twice(
+def second_derivatives(
     objective: Objective, vector: Float[Array, " parameters"], args: Any
 ) -> tuple[Array, Array, Array]:
     """Cost, gradient and Hessian, one column at a time. For large data this takes half the time of

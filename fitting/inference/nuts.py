@@ -25,7 +25,16 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxvision.errors import InputError, install
 
-from .blocks import Block, Progress, begun, fingerprint, length, next_length, stacked, store
+from .blocks import (
+    Block,
+    Progress,
+    fingerprint,
+    length,
+    next_length,
+    resume_blocks,
+    stack_blocks,
+    store,
+)
 from .convergence import effective_draws, split_r_hat
 from .given import require_progress, require_whole
 from .on_host import on_host
@@ -137,7 +146,7 @@ def nuts(
     spread = jnp.asarray(np.linalg.cholesky(np.asarray(covariance, np.float64)), mode.dtype)
     settings = (space, seed, chains, WARM_UP, options.acceptance)
     run = fingerprint(log_density, mode, covariance, args, *settings, package="blackjax")
-    blocks = begun(options.checkpoint, () if after is None else after.blocks, run)
+    blocks = resume_blocks(options.checkpoint, () if after is None else after.blocks, run)
     density = (log_density, mode, spread, args)
     starting, drawing = jax.random.split(jax.random.key(seed))
     state = _resumed(blocks[-1]) if blocks else _start(*density, starting, chains)
@@ -277,7 +286,7 @@ def _posterior(
 ) -> Posterior:
     """The draws after warm-up, and whether they are reliable."""
     settled = {
-        name: stacked(blocks, name)[WARM_UP:]
+        name: stack_blocks(blocks, name)[WARM_UP:]
         for name in ("chain", "log_chain", "acceptances", "divergent")
     }
     vectors = np.swapaxes(mode + settled["chain"] @ spread.T, 0, 1)

@@ -32,7 +32,7 @@ from .search import (
     prior_derivatives,
     starts_about,
 )
-from .separable import closed_form_indices, completed
+from .separable import closed_form_indices, complete
 
 TOLERANCE = 1e-10  # fall in cost that another step promises
 
@@ -93,7 +93,7 @@ def fit_side_by_side(
             squares = here.likelihood.least_squares
             likely = here.likelihood if squares else here.likelihood.surrogate
             by_squares = eqx.tree_at(lambda p: p.likelihood, here, likely)
-            begin = jax.vmap(lambda start: completed(start[others], by_squares))(begin)
+            begin = jax.vmap(lambda start: complete(start[others], by_squares))(begin)
         return _fitted(begin, here, max_steps, chance)
 
     return jax.vmap(one)(data, own)

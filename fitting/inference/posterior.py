@@ -25,8 +25,8 @@ from .emcee_run import Emcee, enough_walkers, run_ensemble
 from .estimates import (
     QUANTILES,
     Estimate,
-    from_the_end,
     quantile_estimate,
+    reach_from_end,
     sampled_estimate,
 )
 from .on_host import on_host
@@ -287,7 +287,7 @@ def piled_at(parameter: Parameter, draws: Float[np.ndarray, " draws"]) -> str:
     if known is not None and np.std(draws) > NEARLY_PRIOR * np.std(known):
         return ""
     for side, distance in _from_bounds(parameter, draws).items():
-        if from_the_end(distance, 0.95)[0]:
+        if reach_from_end(distance, 0.95)[0]:
             return side
     return ""
 
@@ -316,7 +316,7 @@ def _sampled_ends(
     bound = ends(parameter)[side == "upper"]
     sign = 1 if side == "lower" else -1
     for level, first, last in ((0.95, 0, 4), (0.68, 1, 3)):
-        begins, reach = from_the_end(_from_bounds(parameter, draws)[side], level)
+        begins, reach = reach_from_end(_from_bounds(parameter, draws)[side], level)
         if begins:
             other = np.log(bound) if parameter.transform == "log" else bound
             other = other + sign * float(reach)

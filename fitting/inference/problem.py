@@ -25,12 +25,12 @@ from jaxvision.errors import InputError, nearest
 
 from .candidates import Candidate
 from .given import plain_numbers, require_kind
-from .joint_prior import JointPrior, log_dependence, restricted, with_joint_prior
+from .joint_prior import JointPrior, apply_joint_prior, log_dependence, restrict
 from .likelihoods import Likelihood, check_data, for_data, names_within, with_values
 from .on_host import on_host
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
 from .records import is_path, reach, read, replaced
-from .streams import Stream, opened
+from .streams import Stream, open_stream
 
 Values = dict[str, Array]
 Vector = Float[Array, " parameters"]
@@ -147,7 +147,7 @@ class Problem(eqx.Module):
         self.records = dict(records or {})
         self.stream = None
         if chunk is not None:
-            self.stream, data, inputs, likelihood = opened(data, inputs, likelihood, chunk)
+            self.stream, data, inputs, likelihood = open_stream(data, inputs, likelihood, chunk)
         self.inputs = as_arrays(inputs)
         candidates = {name: c for name, c in parameters.items() if isinstance(c, Candidate)}
         parameters = dict(parameters) | {name: c.parameter for name, c in candidates.items()}
@@ -159,7 +159,7 @@ class Problem(eqx.Module):
         self.prior = None
         if prior is not None:
             require_kind("prior", prior, JointPrior, source="fit(...).as_prior(...)")
-            self.free, self.prior = with_joint_prior(self.free, prior)
+            self.free, self.prior = apply_joint_prior(self.free, prior)
         self.candidates = tuple(
             replace(candidates[parameter.name], parameter=parameter)
             for parameter in self.free
@@ -275,7 +275,7 @@ class Problem(eqx.Module):
         every |= parameters or {}
         if self.prior is not None:
             kept = [name for name, one in every.items() if isinstance(one, Parameter | Candidate)]
-            given["prior"] = restricted(self.prior, kept)
+            given["prior"] = restrict(self.prior, kept)
         return Problem(every, self.predict, likelihood, **(given | changes))
 
 

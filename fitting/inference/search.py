@@ -54,7 +54,7 @@ from .candidates import numbers_of
 from .compiled import compiled_briefly
 from .diagnostics import UNDETERMINED, listed
 from .given import require_whole
-from .newton import minimise_many, twice
+from .newton import minimise_many, second_derivatives
 from .on_host import on_host
 from .parameters import (
     FLAT_QUANTILES,
@@ -80,7 +80,7 @@ from .problem import (
     missing_in_words,
     start_of_data,
 )
-from .separable import KNOTS, closed_form_indices, completed, eliminated, require_linear
+from .separable import KNOTS, closed_form_indices, complete, eliminate, require_linear
 from .streams import Advance, chunks
 
 _OF_CORE = 2  # starts searched at a time: the cache holds their residuals, and both end sooner
@@ -170,7 +170,7 @@ def spread_starts(
     require_whole("starts", count, of="searches")
     begin = given_start if problem.start is None else _given_start
     given = np.asarray(begin(problem), np.float64)
-    found = starts_about(*unstarted(problem, count, seed=seed), given, xp=np)
+    found = starts_about(*prior_starts(problem, count, seed=seed), given, xp=np)
     lost = [p.name for p, x in zip(problem.space, found.T, strict=True) if np.isnan(x).any()]
     if lost:
         raise InputError(
@@ -179,7 +179,7 @@ def spread_starts(
     return found
 
 
-def unstarted(
+def prior_starts(
     problem: Problem, count: int, *, seed: int
 ) -> tuple[Float[np.ndarray, "starts parameters"], Float[np.ndarray, "starts parameters"]]:
     """Starts spread over bounds and priors, unconstrained (NaN for a parameter without both, 0 for
@@ -196,7 +196,7 @@ def unstarted(
 
 
 def starts_about(table: Any, distances: Any, given: Any, *, xp: Any = jnp) -> Any:
-    """`unstarted` with the given start added, (starts, P); NaN if there is none."""
+    """`prior_starts` with the given start added, (starts, P); NaN if there is none."""
     table = xp.where(xp.isnan(table), given[None] + distances, table)
     first = xp.where(xp.isnan(given), table[0], given)
     return xp.concatenate([first[None], table[1:]])
@@ -335,7 +335,7 @@ def present_numbers(
     return free, whole
 
 
-def joined(one: Optimum, other: Optimum) -> Optimum:
+def merge_optima(one: Optimum, other: Optimum) -> Optimum:
     """The better of two optima of a problem, with the ends of the searches of both."""
     costs = np.concatenate([one.cost + one.costs, other.cost + other.costs])
     return replace(
@@ -404,11 +404,11 @@ def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, sol
             how: Any = (_with_gaussian_prior, solver, start, args)
             found = optx.least_squares(*how, max_steps=MANY_STEPS, throw=False)
             partly = found.value.size < len(problem.space)
-            return completed(found.value, problem) if partly else found.value
+            return complete(found.value, problem) if partly else found.value
         how = (negative_log_density, solver, start, problem)
         return optx.minimise(*how, max_steps=MANY_STEPS, throw=False).value
 
-    return jax.lax.map(one, starts, batch_size=at_a_time(starts))
+    return jax.lax.map(one, starts, batch_size=searches_at_once(starts))
 
 
 def _jaxopt_end(problem: Problem, mean: Array, weight: Array, solver: Any, start: Array) -> Array:
@@ -446,13 +446,13 @@ def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
     solved in closed form."""
     problem, mean, weight = args
     if vector.size < len(problem.space):
-        residuals = eliminated(vector, problem).residuals
+        residuals = eliminate(vector, problem).residuals
     else:
         residuals = least_squares_residuals(vector, problem)
     return jnp.concatenate([residuals, weight * (vector - mean)])
 
 
-def at_a_time(vectors: Any) -> int:
+def searches_at_once(vectors: Any) -> int:
     """How many are searched at once by a solver that a user gives. On a processor it is few: their
     residuals stay in its cache, and none waits for more than one other to end. An accelerator takes
     all."""
@@ -526,7 +526,7 @@ def _nonlinear(problem: Problem) -> np.ndarray:
 
 @compiled_briefly
 def _completed(vectors: Array, problem: Problem) -> Array:
-    return jax.lax.map(lambda vector: completed(vector, problem), vectors)
+    return jax.lax.map(lambda vector: complete(vector, problem), vectors)
 
 
 def _lowest_of_grid(
@@ -547,8 +547,8 @@ def _lowest_of_grid(
 
 
 def gauss_newton(vector: Vector, problem: Problem) -> Derivatives:
-    """Cost, gradient and curvature of a sum of squares and its prior, as `with_prior` says."""
-    return with_prior(vector, problem, squares(vector, problem))
+    """Cost, gradient and curvature of a sum of squares and its prior, as `add_prior` says."""
+    return add_prior(vector, problem, squares(vector, problem))
 
 
 def squares(vector: Vector, problem: Problem) -> Derivatives:
@@ -557,7 +557,7 @@ def squares(vector: Vector, problem: Problem) -> Derivatives:
 
     def of(vector: Vector) -> Array:
         if vector.size < len(problem.space):
-            return eliminated(vector, problem).residuals
+            return eliminate(vector, problem).residuals
         return least_squares_residuals(vector, problem)
 
     residuals, along = jax.linearize(of, vector)
@@ -565,7 +565,7 @@ def squares(vector: Vector, problem: Problem) -> Derivatives:
     return residuals @ residuals / 2, jacobian @ residuals, jacobian @ jacobian.T
 
 
-def with_prior(
+def add_prior(
     vector: Any, problem: Problem, of_data: Derivatives, *, squared: bool = True
 ) -> Derivatives:
     """Return cost, gradient and curvature of the data with the prior's exact derivatives.
@@ -628,7 +628,7 @@ def _squares_at(vectors: Array, wanted: Array, problem: Problem) -> Derivatives:
 
 @partial(compiled_briefly, always=False)
 def _twice_at(vectors: Array, wanted: Array, problem: Problem) -> Derivatives:
-    return _each(partial(twice, _negative_log_likelihood), vectors, wanted, problem)
+    return _each(partial(second_derivatives, _negative_log_likelihood), vectors, wanted, problem)
 
 
 @compiled_briefly
@@ -723,7 +723,7 @@ def derivatives(
     program = _squares_at if squared else _twice_at
     found = [_grouped_calls(program, vectors, part) for part in parts or [problem]]
     cost, gradient, curvature = (sum(sums) for sums in zip(*found, strict=True))
-    return with_prior(vectors, problem, (cost, gradient, curvature), squared=squared)
+    return add_prior(vectors, problem, (cost, gradient, curvature), squared=squared)
 
 
 @eqx.filter_jit
@@ -731,5 +731,5 @@ def _costs_read(vectors: Array, problem: Problem) -> Array:
     return jax.lax.map(
         lambda vector: _negative_log_likelihood(vector, problem),
         vectors,
-        batch_size=at_a_time(vectors),
+        batch_size=searches_at_once(vectors),
     )

@@ -2,7 +2,7 @@
 
 Suppose the residuals r of a `Problem` are linear in some numbers a, r(t, a) = r(t, 0) + J(t) a. The
 best a for given nonlinear numbers t, free or at least 0, is then the solution of a small linear
-problem, and the search is over t alone (`eliminated`). Its steps include the derivative of a by t,
+problem, and the search is over t alone (`eliminate`). Its steps include the derivative of a by t,
 so they equal the steps of the whole problem. No start for a is needed.
 
 `fit_separable` needs no start at all.
@@ -251,7 +251,7 @@ class Eliminated(eqx.Module):
     precision: Float[Array, " linear"]
 
 
-def eliminated(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Eliminated:
+def eliminate(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Eliminated:
     """The best linear numbers at given nonlinear ones."""
     closed = closed_form_indices(problem)
     rest, along = jax.linearize(
@@ -278,11 +278,11 @@ def _natural(nonlinear: Array, linear: Array, problem: Problem) -> Array:
     return whole.at[others].set(to_natural(space, nonlinear)) if len(others) else whole
 
 
-def completed(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Float[Array, " all"]:
+def complete(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Float[Array, " all"]:
     """Return (P,) unconstrained: the nonlinear numbers and the best linear ones. A linear number
     that is at least 0 is at the mode of its posterior on the logarithmic scale, a = (a_0 +
     sqrt(a_0^2 + 4 sd^2)) / 2."""
-    found = eliminated(nonlinear, problem)
+    found = eliminate(nonlinear, problem)
     signed = np.array([ends(problem.space[i])[0] == 0 for i in closed_form_indices(problem)], bool)
     variance = 1 / jnp.where(found.precision > 0, found.precision, 1)
     inside = (found.natural + jnp.sqrt(found.natural**2 + 4 * variance)) / 2
@@ -304,7 +304,7 @@ def require_linear(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> N
 
 @eqx.filter_jit
 def _bends(nonlinear: Array, problem: Problem) -> tuple[Array, Array]:
-    found = eliminated(nonlinear, problem)
+    found = eliminate(nonlinear, problem)
     step = jnp.abs(found.natural) + jnp.sqrt(1 / jnp.where(found.precision > 0, found.precision, 1))
     at = [residuals_from(_natural(nonlinear, k * step, problem), problem) for k in (0.0, 1.0, 2.0)]
     return jnp.stack(at), at[2] - 2 * at[1] + at[0]

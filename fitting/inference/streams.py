@@ -75,7 +75,7 @@ class Stream:
         return hash(Stream)
 
 
-def opened(
+def open_stream(
     data: Any, inputs: Any, likelihood: Any, size: int
 ) -> tuple[Stream, np.ndarray, Any, Any]:
     """Read all data once to count, check and sample them: the stream, and `size` rows of data in

@@ -55,7 +55,7 @@ from jaxvision.core.side_by_side import side_by_side
 from ..inference.clustering import Robustness, cluster_robust
 from ..inference.importance import FAR, gaussian_miss
 from ..inference.neighbours import regions
-from ..inference.newton import minimise, twice
+from ..inference.newton import minimise, second_derivatives
 from ..inference.parameters import names, to_natural
 from ..reflectance.from_images.lights import ROUNDING, no_more_than
 from ..reflectance.from_images.read import Photographs
@@ -165,7 +165,7 @@ def _at_least(covariance: Matrix, information: Matrix) -> Matrix:
 def _of_images(vector: Array, data: JointData) -> Float[Array, "parameters parameters"]:
     """The information from the images, without priors and uniform frames."""
     alone = replace(data, levels=None)
-    return twice(lambda v, d: -log_likelihood(v, d), vector, alone)[2]
+    return second_derivatives(lambda v, d: -log_likelihood(v, d), vector, alone)[2]
 
 
 @eqx.filter_jit

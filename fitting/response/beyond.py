@@ -46,7 +46,7 @@ FEWEST, MOST = 4, 24  # seen codes to go on from; that are used
 SURELY_KNOWN = 1e-8  # variance of a code's ln X
 
 
-def extrapolated(
+def extrapolate(
     bins: CodeBins,
     log_exposure: Float[np.ndarray, " bins"],
     covariance: Float[np.ndarray, "bins bins"],

@@ -16,7 +16,7 @@ from ..inference.given import require_kind
 from ..inference.precision import double_precision
 from ..report.notebook import ShownInNotebooks
 from .clipping import clear_of_clipping
-from .colour_rounding import COLOURS, shared_rounding, with_shared_rounding
+from .colour_rounding import COLOURS, add_shared_rounding, shared_rounding
 from .curve import ResponseCurve, fit_response_curve
 from .gamma import GammaFit, fit_gamma
 from .places import layout_of
@@ -104,11 +104,11 @@ def calibrate(
     if not channels:
         plane, reason = skipped[0]
         raise InputError(f"This stack ({plane.label}): {reason}{_suspects(plane, stack, seed)}")
-    stack, channels = _as_dialled(stack, channels, sampling, seed)
+    stack, channels = _recalibrate_with_exact_times(stack, channels, sampling, seed)
     return ResponseCalibration(stack, tuple(channels), tuple(skipped), sampling, seed)
 
 
-def _as_dialled(
+def _recalibrate_with_exact_times(
     stack: ExposureStack, channels: list[ChannelResponse], sampling: Emcee | None, seed: int
 ) -> tuple[ExposureStack, list[ChannelResponse]]:
     """The stack and its calibration with exact exposure times, if the images agree with these and
@@ -206,7 +206,7 @@ def _calibrate(
     if tuple(of_group) == COLOURS:
         shared = shared_rounding(list(of_group.values()), plane.channel, plane.clip)
     if shared is not None:
-        curve = with_shared_rounding(curve, shared)
+        curve = add_shared_rounding(curve, shared)
     gamma = fit_gamma(
         curve,
         label=plane.label,
@@ -251,7 +251,9 @@ def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndar
                 name = channel.plane.channel.partition("tap ")[0].strip() or "grey"
                 of_colour.setdefault(name, []).append(channel)
         names = tuple(of_colour)
-        maps = dict(zip(names, alike([_side_by_side(of_colour[n]) for n in names]), strict=True))
+        maps = dict(
+            zip(names, crop_alike([_side_by_side(of_colour[n]) for n in names]), strict=True)
+        )
         greens = [maps[site] for site in ("green 1", "green 2") if site in maps]
         if greens:
             maps["green"] = np.mean(greens, axis=0)
@@ -264,7 +266,7 @@ def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndar
     return images
 
 
-def alike(planes: Sequence[np.ndarray]) -> list[np.ndarray]:
+def crop_alike(planes: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Planes cut to the size of the smallest: sites of a frame with odd size differ by a row or a
     column."""
     rows, columns = (min(plane.shape[axis] for plane in planes) for axis in (0, 1))
@@ -297,7 +299,7 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
             (row - reference.plane.start[0]) / down,
             (column - reference.plane.start[1]) / across,
         )
-        one, other = alike([_further(_log_radiance(reference), *ahead), _log_radiance(tap)])
+        one, other = crop_alike([_further(_log_radiance(reference), *ahead), _log_radiance(tap)])
         known = np.isfinite(one - other)
         ratio = np.exp(np.median((one - other)[known])) if known.any() else np.nan
         whole[row::down, column::across] = tap.radiance.radiance * np.float32(ratio)

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, UInt16
 
 from .curve import ResponseCurve
-from .weights import undithered
+from .weights import undithered_share
 
 TO_YCC = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])
 OF_CHROMA = np.array([[0.0, 1.402], [-0.344136, -0.714136], [1.772, 0.0]])  # in R, G and B
@@ -56,13 +56,13 @@ def shared_rounding(
         if weight:
             mean = np.bincount(own, chroma, 256) / count
             spread = np.bincount(own, chroma**2, 256) / count - mean**2
-            left = undithered(np.maximum(spread - 1 / 12, 0))
+            left = undithered_share(np.maximum(spread - 1 / 12, 0))
             total += weight**2 * left
             share = np.maximum(share, left)
     return np.sqrt((total + variance * share) / 12)
 
 
-def with_shared_rounding(curve: ResponseCurve, shared: Float[np.ndarray, "256"]) -> ResponseCurve:
+def add_shared_rounding(curve: ResponseCurve, shared: Float[np.ndarray, "256"]) -> ResponseCurve:
     """A curve whose errors include that of the codes, and that of mid-scale, where g = 0."""
     error = shared[np.rint(curve.codes).astype(int)] * np.gradient(curve.log_exposure, curve.codes)
     middle, variance = curve.bins.middle, error**2

@@ -41,14 +41,14 @@ from jaxvision.errors import InputError
 
 from ..copies import Copies
 from ..inference.formatting import format_percent
-from .beyond import extrapolated
+from .beyond import extrapolate
 from .code_bins import MAX_BINS, CodeBins, code_bins, interval_variance
 from .code_pairs import PairStatistics, statistics_of_parts, total
-from .flat_places import to_flat_places, well_registered
-from .pilot import NO_CURVE, degrees_of_freedom, fit_pilot, rebinned, rising
+from .flat_places import correct_to_flat_places, is_registered
+from .pilot import NO_CURVE, degrees_of_freedom, fit_pilot, make_rising, rebin
 from .places import CLASSES, Layout, equal_classes, tiles_of
-from .repeats import HeldOut, Repeats, exposure_jackknife, tile_jackknife, widened
-from .shutter import UNINFORMATIVE, Shutter, over_tau
+from .repeats import HeldOut, Repeats, exposure_jackknife, tile_jackknife, widen
+from .shutter import UNINFORMATIVE, Shutter, tau_posterior
 from .solve import (
     MOST_ROUNDS,
     SHAKIEST,
@@ -260,7 +260,7 @@ def fit_response_curve(
     with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
         few, of_few = codes[:, sample], classes[sample]
         pilot = fit_pilot(few, of_few, log_t, coarse, least_error=least_error)
-        means = rising(rebinned(pilot.means, coarse, bins), bins)
+        means = make_rising(rebin(pilot.means, coarse, bins), bins)
         offset_t = log_t + pilot.solution.delta
         rule = noise_rule(pilot.noises, means, coarsest=coarsest(log_t))
         parts, activity = _parts(codes, bins, layout, linked)
@@ -274,8 +274,8 @@ def fit_response_curve(
         start = pilot.solution.suggested
         whole = solve(tiles, log_t, bins, start, least_error=least_error, rounds=rounds)
         rounding = float(interval_variance(whole.means)[bins.middle])
-        flat = well_registered(pilot.noises, rounding)
-        found = to_flat_places(whole, cells, activity, log_t, bins) if flat else whole
+        flat = is_registered(pilot.noises, rounding)
+        found = correct_to_flat_places(whole, cells, activity, log_t, bins) if flat else whole
         fraction = min(1.0, len(sample) / max(int(linked.sum()), 1))
         left_out = exposure_jackknife(few, of_few, log_t, coarse, pilot, found.used, bins, fraction)
         tau = _shutter_error(found)
@@ -431,16 +431,16 @@ def _curve(
     covariance += np.diag(((UNCORRECTED * noise_variance(noise, g)) ** 2 + hidden**2) * (g != 0))
     covariance += np.outer(g, g) * slope_error(noise) ** 2
     likely = found.suggested.shutter_error if len(found.free) else 0.0
-    tau_k, weights = over_tau(*_image_information(found), least_error)
+    tau_k, weights = tau_posterior(*_image_information(found), least_error)
     shutter = Shutter(g**2 / spread_of_times(exposures), likely, tau_k, weights)
     by_exposures, held_out = left_out
-    covariance, freedom = widened(covariance, shutter, tile_jackknife(whole, bins), by_exposures)
+    covariance, freedom = widen(covariance, shutter, tile_jackknife(whole, bins), by_exposures)
     spread = found.basis @ found.free_covariance @ found.basis.T
     seen = (np.diagonal(statistics.matrix)[:size] > 0) & expected
     own = np.sqrt(noise_variance(noise, g))
     density = np.diagonal(statistics.matrix)[:size] * own**2 / np.gradient(g)
     bent = _end_errors(density, g, own, seen)
-    g, covariance = extrapolated(bins, g, covariance, seen & ~np.any(bent, axis=0))
+    g, covariance = extrapolate(bins, g, covariance, seen & ~np.any(bent, axis=0))
     bent *= _room(found.used.smoothness)
     covariance += bent.T @ bent
     return ResponseCurve(

@@ -13,7 +13,7 @@ from jaxvision.point_ops import srgb_encode
 
 from ..inference.formatting import format_value
 from ..report.colours import colour_of
-from .calibration import ChannelResponse, ResponseCalibration, alike, radiance_images
+from .calibration import ChannelResponse, ResponseCalibration, crop_alike, radiance_images
 from .findings import DRAWN
 from .shape import shapes
 
@@ -156,7 +156,7 @@ def coverage_figure(calibration: ResponseCalibration) -> Figure:
     drawn = None
     most = max(len(channels[0].plane.exposures) for _, channels in panels)
     for axis, channels in panels:
-        worst = np.min(alike([channel.radiance.coverage for channel in channels]), axis=0)
+        worst = np.min(crop_alike([channel.radiance.coverage for channel in channels]), axis=0)
         drawn = axis.imshow(worst, vmin=0, vmax=most, cmap="viridis", interpolation="nearest")
         axis.set_axis_off()
     assert drawn is not None

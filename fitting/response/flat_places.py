@@ -34,7 +34,7 @@ QUIET = 2.0  # times the noise of the quietest places, up to which all are in re
 APART = 0.5  # of the mean activity, its deviation at a code, from which it shows its effect
 
 
-def well_registered(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
+def is_registered(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
     """Whether the steepness classes have similar noise; twice the noise indicates
     misregistration."""
     if any(noise is None for noise in noises):
@@ -44,7 +44,7 @@ def well_registered(noises: Sequence[NoiseModel | None], rounding: float) -> boo
     return max(variances) <= QUIET**2 * min(variances)
 
 
-def to_flat_places(
+def correct_to_flat_places(
     found: Solution,
     cells: Sequence[Sequence[PairStatistics]],
     activity: Float[np.ndarray, " classes"],
@@ -79,7 +79,7 @@ def to_flat_places(
         by_tile += factor * (pulls.sum(axis=1) - pulls[:, k]) @ rest.T
     by_tile = (by_tile - by_tile.mean(axis=0)) * np.sqrt(len(cells) / (len(cells) - 1))
     seen = (np.diagonal(matrix)[:size] > 0) & (np.arange(size) != bins.middle)
-    return _less(found, departure, by_tile, seen)
+    return _subtract_departure(found, departure, by_tile, seen)
 
 
 def _separation(weights: np.ndarray, activity: np.ndarray) -> float:
@@ -92,7 +92,7 @@ def _separation(weights: np.ndarray, activity: np.ndarray) -> float:
     return float(np.sqrt(np.median(np.maximum(variance, 0))))
 
 
-def _less(
+def _subtract_departure(
     found: Solution, departure: np.ndarray, by_tile: np.ndarray, seen: np.ndarray
 ) -> Solution:
     """The solution minus a deviation, which is shrunk for its noise, from the scatter over tiles,

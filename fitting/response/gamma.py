@@ -126,7 +126,7 @@ class Mixture:
     mean: Float[np.ndarray, " grid"]
     variance: Float[np.ndarray, " grid"]
 
-    def of_mean(self, what: Parameter, group: str) -> Estimate:
+    def mean_estimate(self, what: Parameter, group: str) -> Estimate:
         """The estimate of the parameter, with the quantiles of the mixture."""
         centre = float(self.weights @ self.mean)
         spread = float(np.sqrt(self.weights @ (self.variance + (self.mean - centre) ** 2)))
@@ -139,7 +139,7 @@ class Mixture:
         ends = (low + high) / 2
         return quantile_estimate(what, centre, spread, ends, method="marginal", group=group)
 
-    def of_tau(self, what: Parameter, group: str, *, stated: float = 0.0) -> Estimate:
+    def tau_estimate(self, what: Parameter, group: str, *, stated: float = 0.0) -> Estimate:
         """The estimate of tau, with its median as the value."""
         tau = np.hypot(np.exp(self.log_tau), stated)
         ends = np.interp(QUANTILES, np.cumsum(self.weights), tau)
@@ -206,7 +206,7 @@ def fit_gamma(
     black_sd = 0.0 if "black_sd" in named else black_sd
     known = 0.0 if "exposure_sd" in named else exposure_sd
     sums = _gamma_sums(curve, column, dispersion, known, exposure_sd)
-    sums = eqx.tree_at(lambda s: s.added, sums, _from_elsewhere(curve, sums, dispersion, black_sd))
+    sums = eqx.tree_at(lambda s: s.added, sums, _other_variance(curve, sums, dispersion, black_sd))
     log_tau = np.linspace(np.log(TABULATED[0]), np.log(float(sums.most)), 1001)
     given = _tabulate(sums, jnp.asarray(log_tau))
     prior = -(((log_tau - np.log(float(sums.median))) / float(sums.log_sd)) ** 2) / 2
@@ -230,8 +230,8 @@ def fit_gamma(
         mixture = Mixture(log_tau, weights, np.asarray(given.mean), np.asarray(given.variance))
         drawn = mixture.draws(len(found.samples), seed)
         found = replace(found, method="marginal", draws=drawn[None])
-        gamma = mixture.of_mean(GAMMA, label)
-        tau = mixture.of_tau(SHUTTER_ERROR, label, stated=exposure_sd)
+        gamma = mixture.mean_estimate(GAMMA, label)
+        tau = mixture.tau_estimate(SHUTTER_ERROR, label, stated=exposure_sd)
     assert gamma.value is not None
     information = np.linalg.inv(found.covariance)
     encoded = (curve.codes - curve.bins.black) / (curve.bins.full_scale - curve.bins.black)
@@ -347,7 +347,7 @@ def _least_squares(curve: ResponseCurve, column: np.ndarray) -> float:
     )
 
 
-def _from_elsewhere(
+def _other_variance(
     curve: ResponseCurve, sums: GammaSums, dispersion: float, black_sd: float
 ) -> Array:
     """Variance of gamma from sources outside the weighted fit: the black level, the correction for

@@ -88,7 +88,7 @@ def fit_pilot(
             rises = min(np.ptp(found.means), np.ptp(other.means)) > np.ptp(x) / SLOWEST
             if rises and other.log_evidence > found.log_evidence - LOG_ODDS:
                 found = other
-        means = rising(found.means, bins)
+        means = make_rising(found.means, bins)
         offset_t = log_t + found.delta
         hyper = found.suggested if turn else Hyperparameters(FIRST_SMOOTHNESS, FIRST_ERROR)
         seen = observe(binned, classes, offset_t, means, rule, screened=False)
@@ -113,13 +113,13 @@ def degrees_of_freedom(statistics: PairStatistics) -> float:
     return free
 
 
-def rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarray, " bins"]:
+def make_rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarray, " bins"]:
     """Bin means made monotone, with at least a third of the slope of a linear response."""
     floor = bins.log_codes / SLOWEST
     return np.maximum.accumulate(means - floor) + floor
 
 
-def rebinned(
+def rebin(
     means: Float[np.ndarray, " bins"], bins: CodeBins, other: CodeBins
 ) -> Float[np.ndarray, " others"]:
     """Bin means of a curve, interpolated to other bins."""

@@ -21,7 +21,7 @@ from scipy.special import chdtri
 from .code_bins import CodeBins
 from .code_pairs import pair_statistics
 from .pilot import Pilot
-from .shutter import MOST_FREE, Shutter, mixed
+from .shutter import MOST_FREE, Shutter, mix_over_tau
 from .solve import Hyperparameters, Solution, bin_centre_curve, inverse, solve
 from .weights import cells_of, weighted_mean
 
@@ -135,7 +135,7 @@ def exposure_jackknife(
     return on_fine, held_out
 
 
-def widened(
+def widen(
     covariance: Float[np.ndarray, "bins bins"],
     shutter: Shutter,
     tiles: Repeats | None,
@@ -155,7 +155,7 @@ def widened(
     share = sum(
         ((part / some) ** 2 / max(freedom, 1) for part, freedom in parts), np.zeros(len(own))
     )
-    variance, freedom = mixed(repeated, 1 / np.maximum(share, MOST_FREE**-1), shutter)
+    variance, freedom = mix_over_tau(repeated, 1 / np.maximum(share, MOST_FREE**-1), shutter)
     scale = np.sqrt(variance / np.where(own > 0, own, 1))
     return covariance * np.outer(scale, scale), freedom
 

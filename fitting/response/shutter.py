@@ -67,7 +67,7 @@ def prior_of(shown: int, *, stated: float = 0.0) -> LogNormal:
     return SHUTTER_SHOWN if shown else SHUTTER_PRIOR
 
 
-def over_tau(
+def tau_posterior(
     score: Float[np.ndarray, " shown"],
     information: Float[np.ndarray, "shown shown"],
     known: float,
@@ -90,7 +90,7 @@ def over_tau(
     return tau[kept], weights[kept] / weights[kept].sum()
 
 
-def mixed(
+def mix_over_tau(
     variance: Float[np.ndarray, " bins"], freedom: Float[np.ndarray, " bins"], shutter: Shutter
 ) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, " bins"]]:
     """Squared scale and degrees of freedom of Student's t for the combined errors of a variance

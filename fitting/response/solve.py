@@ -146,7 +146,7 @@ def solve(
     right = np.sum([tile.right for tile in equations], axis=0)
     increments, size = _increments(bins), len(bins.centres)
     rough = increments.T @ increments
-    moved = _from_another_black(bins, matrix[:size, :size], right[:size])
+    moved = _shift_by_black(bins, matrix[:size, :size], right[:size])
     pull = rough @ moved
     curve, errors = slice(0, size), slice(size, None)
     free, least_effect = basis.shape[1], sum(tile.pixels for tile in tiles) / COUNTED
@@ -200,7 +200,7 @@ def solve(
             rounds = 1
 
 
-def _from_another_black(
+def _shift_by_black(
     bins: CodeBins, matrix: Float[np.ndarray, "bins bins"], right: Float[np.ndarray, " bins"]
 ) -> Float[np.ndarray, " bins"]:
     """Return the change of the best gamma curve if black is a standard deviation lower; 0 if the

@@ -116,7 +116,7 @@ def noise_rule(
     """Weights by the predicted exposure under a curve and a noise model for each class."""
     grid = np.linspace(means[0], means[-1], 4 * len(means))
     absent = np.zeros(len(means)), *(np.zeros(len(grid) + 2) for _ in range(4))
-    rows = [absent if n is None else _of_class(n, means, grid, coarsest) for n in noises]
+    rows = [absent if n is None else _class_tables(n, means, grid, coarsest) for n in noises]
     by_bin, *tables = (np.stack(column) for column in zip(*rows, strict=True))
     return WeightRule(by_bin, grid[0], grid[1] - grid[0], *tables)
 
@@ -129,14 +129,14 @@ def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
     return COARSEST if np.diff(np.sort(log_t)).max() < APART else np.inf
 
 
-def _of_class(
+def _class_tables(
     noise: NoiseModel, means: np.ndarray, grid: np.ndarray, coarsest: float
 ) -> tuple[np.ndarray, ...]:
     interval = np.interp(grid, means, interval_variance(means))
     variance = np.minimum(noise_variance(noise, grid) + interval, 1e6)  # it grows as X^-2
     reach = MARGIN * np.sqrt(variance)
     independent = noise_variance(noise, grid)
-    rounded = interval * undithered(independent / (12 * interval))
+    rounded = interval * undithered_share(independent / (12 * interval))
     fine = rounded < coarsest**2
     looked_at = variance < WIDEST**2
     sharp = (variance - noise.relative < LOOSEST**2) & looked_at
@@ -157,7 +157,7 @@ def _of_class(
     return np.where(of_bins < WIDEST**2, 1 / of_bins, 0), precision, weight, share, bias
 
 
-def undithered(
+def undithered_share(
     variance: Float[np.ndarray, " points"],
 ) -> Float[np.ndarray, " points"]:
     """The covariance of the rounding error with the light under noise, relative to that without

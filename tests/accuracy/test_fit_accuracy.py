@@ -35,7 +35,7 @@ knots panels subdivisions degree refine cutoff
 OTHER = words("""
 *.sensitivities.* *.samples.cells_of.width
 *.Posterior.* *.Chain.* *.Bands.draws *.*Solution.steps *.Grouping.count *.Grid.count *.Cells.count
-*.budget.posterior *.budget.count *.plan.posterior *.method_of.posterior *.price.count *.unstarted.*
+*.budget.posterior *.budget.count *.plan.posterior *.method_of.posterior *.price.count
 *.beyond_chance.count *.SharedFit.posterior *.starts_about.* *.SamplingOptions.* *.NutsOptions.*
 *.Misfit.count *.Stream.count *.Ends.count *.fit_side_by_side.starts
 *.simulated.count *.simulations *.plan.repeats *.sphere_lights.count *.from_files.*
@@ -49,7 +49,7 @@ OTHER = words("""
 *.format_within.width *.plain_tables.width *.called_for.tolerance *.bands.bands.draws
 *.bands.thinned_draws.* *.Window.nodes *.refuse_half.count *.prediction.*.draws
 *.posterior_prior.posterior *.as_prior.draws *.refitted.terms *.histogram.steps *.General.draws
-*.SensorOfSites.draws *.from_edge.reach
+*.SensorOfSites.draws *.from_edge.reach *.prior_starts.*
 """)
 
 

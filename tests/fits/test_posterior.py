@@ -154,16 +154,16 @@ def test_a_damaged_block_and_one_that_is_missing_are_named(tmp_path):
     block = {"chain": np.arange(3.0), "fingerprint": np.array("this run")}
     for number in range(3):
         blocks.store(tmp_path, number, block)
-    assert len(blocks.begun(tmp_path, (), "this run")) == 3
+    assert len(blocks.resume_blocks(tmp_path, (), "this run")) == 3
     second = tmp_path / "block-00001.npz"
     whole = second.read_bytes()
     for content in (whole[:-30], whole.replace(b"chain", b"chaim"), whole.replace(b"@", b"A"), b""):
         second.write_bytes(content)
         with pytest.raises(InputError, match=r"block-00001\.npz: a damaged block; delete it"):
-            blocks.begun(tmp_path, (), "this run")
+            blocks.resume_blocks(tmp_path, (), "this run")
     second.unlink()
     with pytest.raises(InputError, match=r"block-00001\.npz: missing; delete the blocks behind"):
-        blocks.begun(tmp_path, (), "this run")
+        blocks.resume_blocks(tmp_path, (), "this run")
 
 
 def test_a_short_chain_is_kept_and_says_what_it_lacks():

@@ -432,7 +432,7 @@ def test_a_kind_of_curve_outside_of_the_family_is_within_the_band(monkeypatch):
         for truth in curves[::3]:
             seen = (bins.centres >= 80) & (bins.centres <= 220)
             measured = truth + rng.normal(0, 0.004, truth.shape)
-            g, covariance = beyond.extrapolated(bins, measured, 3e-5 * np.eye(len(truth)), seen)
+            g, covariance = beyond.extrapolate(bins, measured, 3e-5 * np.eye(len(truth)), seen)
             codes = np.searchsorted(bins.centres, [8, 17, 30, 50])
             z.append((g - truth)[codes] / np.sqrt(np.diagonal(covariance)[codes]))
         assert np.mean(np.abs(z) < 1.96) >= 0.9
@@ -464,7 +464,7 @@ def test_a_curve_of_no_kind_of_the_family_is_within_the_band():
     sine = np.sin(np.pi * u / 2)
     for light in (u**2.2 + sine**3, 0.6 * u + 0.4 * u**4, np.tan(u * np.arctan(4))):
         measured = np.log(light) + rng.normal(0, 0.004, u.shape)
-        g, covariance = beyond.extrapolated(bins, measured, 3e-5 * np.eye(len(u)), seen)
+        g, covariance = beyond.extrapolate(bins, measured, 3e-5 * np.eye(len(u)), seen)
         z = (g - np.log(light)) / np.sqrt(np.diagonal(covariance))
         beyond_seen = ~seen & (bins.centres >= 8) & (bins.centres <= 250)
         assert np.mean(np.abs(z[beyond_seen]) < 1.96) >= 0.85

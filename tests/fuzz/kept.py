@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 import jaxvision
-from fitting.inference.blocks import begun
+from fitting.inference.blocks import resume_blocks
 from jaxvision.files.materials import read_material, write_material
 from jaxvision.render_command.tiles import PartialImage, PartialSum
 
@@ -42,7 +42,7 @@ def chain(file: Path) -> object:
     folder = file.parent / "chain"
     folder.mkdir(exist_ok=True)
     (folder / "block-00000.npz").write_bytes(file.read_bytes())
-    return [block["chain"] for block in begun(folder, (), "this run")]
+    return [block["chain"] for block in resume_blocks(folder, (), "this run")]
 
 
 def sound(folder: Path) -> dict[str, bytes]:

@@ -33,7 +33,7 @@ from fitting.response.solve import (
     shutter_basis,
     solve,
 )
-from fitting.response.weights import NoiseModel, hat_rule, noise_rule, observe, undithered
+from fitting.response.weights import NoiseModel, hat_rule, noise_rule, observe, undithered_share
 from fitting.rig import Camera
 from jaxvision.errors import InputError
 
@@ -445,7 +445,7 @@ def test_rounding_follows_the_light_until_noise_dithers_it():
         noisy = light + deviation * rng.standard_normal(light.size)
         within = light - np.round(light)
         follows = -12 * np.mean((np.round(noisy) - noisy) * within)
-        assert undithered(np.array([deviation**2]))[0] == pytest.approx(follows, abs=0.04)
+        assert undithered_share(np.array([deviation**2]))[0] == pytest.approx(follows, abs=0.04)
 
 
 def test_codes_three_stops_apart_keep_a_pure_gamma():

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from fitting.response.shutter import Shutter, mixed, over_tau
+from fitting.response.shutter import Shutter, mix_over_tau, tau_posterior
 
 SPREAD, KNOWN = 4.0, 3e-4  # sum (ln t - mean)^2; errors of pixels' making
 
 
 def posterior_of_exponent(error, known=0.0):
     """(squared scale, freedom) of an exponent after one error has shown."""
-    tau, weights = over_tau(np.array([error / KNOWN**2]), np.array([[KNOWN**-2]]), known)
+    tau, weights = tau_posterior(np.array([error / KNOWN**2]), np.array([[KNOWN**-2]]), known)
     shutter = Shutter(np.array([1 / SPREAD]), 0.0, tau, weights)
-    square, freedom = mixed(np.array([KNOWN**2]), np.array([1e6]), shutter)
+    square, freedom = mix_over_tau(np.array([KNOWN**2]), np.array([1e6]), shutter)
     return square[0], freedom[0]
 
 
@@ -77,13 +77,13 @@ def test_what_is_stated_of_the_times_is_believed_unless_images_show_more():
 
 def test_nothing_is_uncertain_at_mid_scale():
     shutter = Shutter(np.zeros(2), 0.0, np.array([1e-3, 1e-2]), np.array([0.5, 0.5]))
-    square, freedom = mixed(np.array([0.0, 4.0]), np.array([1e6, 7.0]), shutter)
+    square, freedom = mix_over_tau(np.array([0.0, 4.0]), np.array([1e6, 7.0]), shutter)
     assert square[0] == 0
     np.testing.assert_allclose([square[1], freedom[1]], [4.0, 7.0], rtol=0.02)
 
 
 def test_errors_of_which_images_tell_nothing_tell_nothing():
     """Differences of precisions leave rounding in the place of zeros, of either sign."""
-    alone = over_tau(np.array([2.0]), np.array([[1e6]]), 0.0)
-    beside = over_tau(np.array([2.0, 1e-9]), np.diag([1e6, -1e-8]), 0.0)
+    alone = tau_posterior(np.array([2.0]), np.array([[1e6]]), 0.0)
+    beside = tau_posterior(np.array([2.0, 1e-9]), np.diag([1e6, -1e-8]), 0.0)
     np.testing.assert_allclose(alone, beside, rtol=1e-12)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from jaxvision.errors import InputError, nearest
 
-from ...inference.design import Plan, ranked
+from ...inference.design import Plan, rank
 from ...inference.formatting import format_with_error
 from ...inference.parameters import names
 from ...report.section import Section, Table
@@ -54,7 +54,7 @@ def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
             name: added_information(observation, fit, light) / fit.design_effect
             for name, observation, light in lights
         }
-        plans[fit.channel] = ranked(target, value, slope, covariance, added)
+        plans[fit.channel] = rank(target, value, slope, covariance, added)
     if not plans:
         raise InputError("The images do not determine the model: read what `brdf` says of them.")
     return plans
