@@ -480,7 +480,7 @@ def _photographs(
     tools: tuple[Callable[..., Any], ...],
 ) -> "list[Section]":
     """One section, or one for each colour of a mosaic, by functions that read, calibrate and
-    report; `words` are its kind, its title and what is being done."""
+    report; `words` are a section's kind, title and progress text."""
     from .report.inputs import with_inputs
     from .rig import COLOURS
 

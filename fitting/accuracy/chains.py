@@ -15,7 +15,7 @@ from ..inference.parameters import ParameterSpace, unconstrained_numbers
 from ..inference.posterior import LogDensity, Posterior, laplace, sample
 
 ENDS = (0.025, 0.16, 0.5, 0.84, 0.975)  # of the 95 and 68 % intervals, and the middle
-BLOCK = 100  # steps
+BLOCK = 100  # steps between two assessments
 Turn = Callable[[Any], Compute]
 
 

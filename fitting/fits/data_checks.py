@@ -24,12 +24,12 @@ from .widening import predicted_at
 
 FEWEST = 10  # data
 PIXELS = 1000  # of a map, whose data are checked
-PILED, STEEP = 5, 3.0  # data at an end, and times as many as at any value beside it
-BESIDE = 8  # values beside an end
-BEYOND = 3  # data that the fit predicts beyond an end at which others pile up
-COARSE = 1.0  # standard deviations of the noise, from which a step of the data is not negligible
-CROSSED = 0.1  # share of neighbours in the order of predictions whose standard deviations fall
-FELT, WRONG = 0.5, 2.0  # errors of a total, by which a fit misses it: said, and failed
+PILED, STEEP = 5, 3.0  # fewest data at an end; their ratio to the data at each value next to it
+BESIDE = 8  # values next to an end
+BEYOND = 3  # fewest data that the fit must predict beyond an end to call the others clipped
+COARSE = 1.0  # step of the data, in standard deviations of the noise, that is not negligible
+CROSSED = 0.1  # share of neighbours, ordered by prediction, whose standard deviations decrease
+FELT, WRONG = 0.5, 2.0  # errors by which a fit misses the total: finding, and failure
 
 
 @dataclass(frozen=True)

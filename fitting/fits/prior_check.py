@@ -3,8 +3,8 @@
 Any prior is N(0, 1) on the scale g = Phi^-1(F(x)) with F its distribution function. A prior that
 decreases from its lower end is half of one, g = Phi^-1((1 + F(x)) / 2). Let H be the curvature of
 the log posterior at its mode, h the part of prior i in H_ii, and V = (H^-1)_ii. Without that prior
-the variance is c = V / (1 - h V), and the mode moves by c dL/du_i, because there the slope of the
-remainder is minus that of the prior. On the scale g the two differ by z standard deviations:
+the variance is c = V / (1 - h V). The mode moves by c dL/du_i, because at the mode the slopes of
+the prior and of the remainder cancel. On the scale g the two differ by z standard deviations:
 
     z = g / sqrt(1 + c (dg/du)^2).
 
@@ -34,8 +34,8 @@ from ..inference.problem import Problem, log_prior_at
 from ..inference.search import Optimum
 from .widening import Widening
 
-LOOSE = 1e3  # times as wide, a prior that decides nothing where the data do
-LEAST = 1e-4  # of what is known of a parameter, the data's share from which they are compared
+LOOSE = 1e3  # factor on the width of a prior, with which the data decide alone
+LEAST = 1e-4  # smallest share of the data in the information on a parameter that is compared
 
 
 def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[str, ...]:

@@ -13,12 +13,12 @@ from .frame import FrameSample, OddFrames
 SPIKE = 0.15  # by which a level's light differs from that of both levels beside it
 FEWEST_LEVELS = 4  # to predict a level from its neighbours
 FEWEST_ON_A_CURVE = 6  # to compare a level with a curve through the others
-ONCE = 1e-3  # chance that a level of a clean camera is named
-STATED_WRONGLY = 0.02  # of the light: shutters and lamps are no better than a percent
-SHADOW = 0.005  # of the light, rms over the frame: half of what pixels' gains differ by
-LIKE_SHOT_NOISE = 0.5  # of what most levels have: less variance for its signal has a saturated one
-UNLIKE = 2.0  # times the scatter of the other levels, rms of 256 blocks, which is known to 5 %
-ALONE_ON_IT = 1e-3  # of its deviation, that a level leaves which decides on a part of a curve
+ONCE = 1e-3  # probability that a level of a clean camera is named
+STATED_WRONGLY = 0.02  # least relative deviation; shutters and lamps are accurate to a percent
+SHADOW = 0.005  # least deviation, rms over the frame, half the usual spread of pixel gains
+LIKE_SHOT_NOISE = 0.5  # variance per signal, relative to most levels, below which one is saturated
+UNLIKE = 2.0  # ratio to the scatter of the other levels, an rms of 256 blocks known to 5 %
+ALONE_ON_IT = 1e-3  # least share of its deviation that a level is assumed to leave in a fit
 CLIPPED = 1e-3  # share of the pixels at the top code
 
 

@@ -10,12 +10,12 @@ from .deviates import usual_size
 from .frame import ALONE, FrameSample, OddFrames
 
 BLOCKS = 16  # of a frame, along each side
-SURE = 6.0  # standard deviations beyond which a frame departs
-UNEVEN, HALF = 0.03, 0.5  # least departure: of the signal, and of a pixel's noise
+SURE = 6.0  # standard deviations from which a frame deviates
+UNEVEN, HALF = 0.03, 0.5  # least deviation: relative to the signal, and to a pixel's noise
 OTHER_NOISE = 1.4  # ratio of variances
 MOSTLY = 0.9  # share of the pixels at one end of the codes
-MOST = 0.5  # of the signal, more than which no lamp flickers
-TRIMMED = 0.98  # of squares: hot pixels and cosmic rays are no noise of a frame
+MOST = 0.5  # largest relative flicker of a lamp
+TRIMMED = 0.98  # share of the squares that are kept, without hot pixels and cosmic rays
 FEWEST_TRIMMED = 50
 
 

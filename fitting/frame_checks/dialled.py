@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 STOPS = (1, 2, 3)  # parts of a stop that dials have
-PRINTED = 0.08  # relative error of a printed time, at most
-ROUNDED = 0.01  # and of the worst of a series, at least
-LESS = 1 / 3  # of the scatter, that exact times must leave at most
+PRINTED = 0.08  # largest relative error of a printed time
+ROUNDED = 0.01  # least relative error of the worst time of a series that counts as rounded
+LESS = 1 / 3  # largest share of the scatter that may remain with exact times
 
 
 def exact_times(times: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " n"]]:

@@ -104,7 +104,7 @@ def by_channel(
 
 
 class _Channels:
-    """`predict` for every channel; its arguments are those of one."""
+    """`predict` for every channel, with the arguments of `predict` for one."""
 
     def __init__(self, predict: Any, asks: Any, several: Any, axes: Any) -> None:
         self.key = predict, asks, several, tuple(jax.tree.leaves(axes, is_leaf=_none))

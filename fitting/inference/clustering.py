@@ -33,9 +33,9 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtri, ndtri, stdtrit
 
 CHANCE = 0.01  # probability of calling independent residuals clustered
-WHOLE = 1e-9  # of 1 - A_g: a direction that a cluster alone determines leaves no residual in it
-THINNEST = 1e-3  # variance of any direction over that of independent data: draws need one
-LEVEL = 0.975  # quantile at which a Gaussian stands in for Student's t
+WHOLE = 1e-9  # eigenvalue of 1 - A_g below which one cluster alone determines the direction
+THINNEST = 1e-3  # smallest variance of a direction, relative to independent data, so draws exist
+LEVEL = 0.975  # quantile at which a Gaussian replaces Student's t
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Robustness:
 
     @property
     def by_pixel(self) -> float:
-        """The design effect of the second level; NaN without one."""
+        """The design effect of the second level, or NaN if there is only one level."""
         return self.effects[1] if len(self.effects) > 1 else np.nan
 
     @property
@@ -254,10 +254,8 @@ def curvature_stretch(
     information: Float[np.ndarray, "parameters parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """C with C^T information C = covariance^-1; the identity if they already agree.
-
-    It turns one standard deviation by the information into one by the covariance: log density(mode
-    + C (vector - mode)) has the inverse of the covariance as its curvature."""
+    """Return C with C^T information C = covariance^-1, so that log density(mode + C (vector -
+    mode)) has the inverse of the covariance as its curvature."""
     own = np.linalg.cholesky(information)
     wanted = np.linalg.cholesky(np.linalg.inv(covariance))
     return np.linalg.solve(own.T, wanted.T)

@@ -17,8 +17,8 @@ from .parameters import ParameterSpace, names, natural_numbers, natural_slopes, 
 
 UNDETERMINED = 1e-10  # scaled eigenvalue below which rounding, not data, fills a direction
 CONFUSED = 5.0  # sqrt(VIF) from which it is reported
-KNOWN_WELL = 0.05  # relative error of a parameter up to which nothing is gained by knowing others
-PARTNER = 0.3  # share of a direction from which a parameter is named in it
+KNOWN_WELL = 0.05  # relative error of a parameter up to which its VIF is not reported
+PARTNER = 0.3  # component of a direction from which a parameter is named in it
 OPEN = 1.0  # standard deviation of a log parameter from which it counts as not determined
 
 

@@ -25,14 +25,14 @@ from .given import require_progress, require_whole
 
 TIMES_TAU = 50  # shortest chain that is trusted, in autocorrelation times
 BURN_IN_TAU = 5  # discarded before anything is read off, in autocorrelation times
-PATIENCE = 1.25  # growth of the chain from one judgement to the next
+PATIENCE = 1.25  # growth of the chain from one assessment to the next
 # A density estimated from half of 64 walkers fails in many dimensions. tau of a banana, KDE + DE:
 # 15 at P = 5, 52 at 10, 260 at 20; DE alone: 37, 70, 131; stretch moves: 95, 171, 369.
 MOST_FOR_KDE = 10
-FROM = 256  # walkers of which a density is estimated, at most: all of thousands take their square
-FLAT = 1e6  # condition number of walkers, each direction in its own deviation, that span too little
-HALVINGS = 60  # of the way to the mode, after which a walker is there
-BEYOND = 1e9  # standard deviations from the mode: no walker of a posterior that ends gets there
+FROM = 256  # most walkers for a density estimate, whose cost is quadratic in their number
+FLAT = 1e6  # condition number, in scaled directions, from which walkers count as in one plane
+HALVINGS = 60  # of the distance to the mode, after which a walker has reached it
+BEYOND = 1e9  # standard deviations from the mode, which only walkers of an improper posterior reach
 
 
 class Unbounded(InputError):

@@ -28,13 +28,14 @@ from .parameters import ParameterSpace, from_scaled, names, natural_numbers, sca
 from .posterior import LogDensity, Posterior, evaluate_density, laplace, sample
 
 FAR = 2.0  # standard deviations at which the Gaussian is tested
-TOLERATED = 0.4  # of its fall there, 2: a 95 % interval is then right to some 2 %
-FREEDOM = 5.0  # of the proposals: their tails are heavier than a posterior's
+TOLERATED = 0.4  # difference from the Gaussian's fall, 2: a 95 % interval is then right to 2 %
+FREEDOM = 5.0  # degrees of freedom of the proposals, whose tails exceed those of most posteriors
 FEWEST, USUAL, MOST = 1024, 4096, 16_384  # proposals of a round: powers of two
-SETTLED = 0.2  # share of the proposals that the draws are worth once they follow the density
+SETTLED = 0.2  # effective draws per proposal from which the proposals follow the density
 KEPT = 8000  # draws
-WANTED, ENOUGH = 2000.0, 1000.0  # independent draws at which it ends, and that will do: the error
-# of a 95 % interval's end is then 6 % of a standard deviation, or 8 %
+# Effective draws at which sampling stops, and fewest that are accepted: the end of a 95 % interval
+# then has an error of 6 % or 8 % of a standard deviation.
+WANTED, ENOUGH = 2000.0, 1000.0
 ROUNDS = 6
 
 

@@ -441,7 +441,7 @@ def log_prior_at(problem: Problem, vectors: Float[Array, "... parameters"]) -> F
 
 
 def least_squares_residuals(vector: Vector, problem: Problem) -> Float[Array, " data"]:
-    """Standardised residuals, those of an interval at its end; 0 where a datum is missing."""
+    """Standardised residuals, 0 where a datum is missing. A clipped datum counts at its end."""
     return residuals_from(to_natural(problem.space, vector), problem)
 
 

@@ -83,12 +83,12 @@ from .problem import (
 from .separable import KNOTS, closed_form_indices, complete, eliminate, require_linear
 from .streams import Advance, chunks
 
-_OF_CORE = 2  # starts searched at a time: the cache holds their residuals, and both end sooner
-STEPS = 100  # of a search; a straggler ends there
-_BOX = 10.0  # standard deviations of the prior on either side, for jaxopt's L-BFGS-B
-MANY_STEPS = 1000  # of a solver that a user gives: those that know no curvature take more
+_OF_CORE = 2  # starts that are searched at a time, because the cache holds the residuals of two
+STEPS = 100  # maximum of a search
+_BOX = 10.0  # half width of the box for jaxopt's L-BFGS-B, in standard deviations of the prior
+MANY_STEPS = 1000  # maximum of a user's solver, which may use no curvature and need more steps
 BEYOND, NOTHING = 30, 1e-6  # most steps beyond the end of a search, and share of its tolerance
-EDGE = 1e-3  # of a range, the nearest to an end that a search begins
+EDGE = 1e-3  # smallest distance of a start from an end of its range, as a share of the range
 SAME_PLACE = 0.5  # rise in cost within which two searches ended at one optimum
 FARTHEST = 700.0  # unconstrained, in place of infinity: the exponential of more overflows
 TOGETHER = 16  # vectors of one call: as many as `fit` begins with
@@ -652,8 +652,8 @@ def _grouped_calls(
     return cost, gradient, curvature
 
 
-# Squared standard errors of the sample within which its searches ended at one place: all data tell
-# apart what the sample's searches, at rest in its own precision, do not.
+# Squared distance, in standard errors of the sample, within which its searches ended at one
+# optimum. All data distinguish ends that the precision of the sample's searches does not.
 ONE_END = 0.1
 
 
@@ -716,9 +716,9 @@ def derivatives(
     parts: Iterable[Problem] | None = None,
     exact: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cost (n,), gradient (n, P) and curvature (n, P, P) at each of (n, P) vectors, for the data
-    that the problem holds or those of all `parts`; with `exact` the curvature of a sum of squares
-    too is that of second derivatives."""
+    """Cost (n,), gradient (n, P) and curvature (n, P, P) at each of (n, P) vectors, summed over
+    `parts` if they are given. With `exact`, the curvature of a sum of squares includes second
+    derivatives."""
     squared = problem.likelihood.least_squares and not exact
     program = _squares_at if squared else _twice_at
     found = [_grouped_calls(program, vectors, part) for part in parts or [problem]]

@@ -34,10 +34,10 @@ Kind = Literal["mirror", "matte"]
 OUTLINE_SD = 0.5  # pixels
 INSIDE = 0.97  # of the radius: where highlights are looked for
 STEP = 1e-3  # pixels
-NOT_MATTE = 0.03  # of the largest signal: a residual that is told
-CONTRADICTED = 3.5  # standard deviations between the outlines of mask and shading: told
-FOCAL = 5000.0  # pixels: of a lens of 25 mm and pixels of 5 micrometres
-SEEN_FROM = 0.5  # of a light's distance: the largest standard deviation of a position
+NOT_MATTE = 0.03  # residual, relative to the largest signal, from which it is reported
+CONTRADICTED = 3.5  # standard deviations between two outlines from which they are reported
+FOCAL = 5000.0  # pixels, as of a lens of 25 mm with pixels of 5 micrometres
+SEEN_FROM = 0.5  # largest standard deviation of a position, relative to its distance
 
 
 def calibrate(

@@ -17,12 +17,12 @@ from scipy.ndimage import maximum_filter, uniform_filter
 from scipy.special import stdtr
 
 MIXED = 4  # pixels over which neighbours are mixed: half a block of a JPEG
-CONTRASTS = 4.0, 6.0, 9.0, 13.0  # of a peak to what a blur has left, the mildest first
+CONTRASTS = 4.0, 6.0, 9.0, 13.0  # factors by which a blur may have reduced a peak, mildest first
 FEWEST_CLIPPED = 50  # pixels to estimate the code of the shorter exposure that clips in the longer
 BRIGHT = 0.6  # share of the clip level above which codes of the longer exposure are compared
 INTERVALS = 256  # of codes of the shorter exposure, within which they count as one
-SIDE, FEWEST_TILES = 4, 4  # tiles along either side of a picture; that must hold such pixels
-CHANCE = 0.05  # of a plane whose peaks do not hide
+SIDE, FEWEST_TILES = 4, 4  # tiles along a side of the picture; number of them with such pixels
+CHANCE = 0.05  # probability of finding hidden peaks where there are none
 
 
 def clear_of_clipping(

@@ -75,8 +75,8 @@ def statistics_of_parts(
     rule: WeightRule,
     means: Float[np.ndarray, " bins"],
 ) -> list[PairStatistics]:
-    """A and b of several sets of pixels, whose sum is that of all of them, with the noise scale and
-    the adjacency of codes from all sets, because a few pixels do not determine them."""
+    """A and b of several sets of pixels. They add up to A and b of all pixels, because the noise
+    scale and the adjacency of codes come from all sets."""
     every = []
     for part in parts:
         sums = _Sums(len(rule.by_bin), len(means), len(log_t))

@@ -71,15 +71,15 @@ from .weights import (
 
 PILOT_PIXELS = 2048  # of a class of steepness: enough for its noise model and a first curve
 PILOT_BINS = 140
-FEWEST_PIXELS, FEWEST_SHARE = 100, 0.005  # well exposed twice: fewer may all be hot pixels
+FEWEST_PIXELS, FEWEST_SHARE = 100, 0.005  # well exposed in two images; fewer may be hot pixels
 SIGNIFICANCE = 0.95  # of the chi-square test for a shutter error
-UNCORRECTED = 0.05  # of the variance of ln X, the bias that the score may leave
-SAME = 1e-3  # step of ln t below which two exposures are one
+UNCORRECTED = 0.05  # bias that the score may leave, as a share of the variance of ln X
+SAME = 1e-3  # step of ln t below which two exposures count as one
 RIPPLE = 0.055  # of g, for each unit of ln t by which a step between exposures exceeds `APART`
-BENT = 100.0  # smoothness up to which a ripple is as large: a third of the median of measured ones
-FALLS = 0.5  # in ln X, of a curve that has gone astray
-NEAR, BENT_BY = 4.0, 2.5  # noises of a pixel: from the end of what is seen; error of ln X there
-DOUBTFUL = 0.5  # of the relative variance, the error of the slope that its correction may be
+BENT = 100.0  # smoothness below which the ripple is not reduced; a third of the measured median
+FALLS = 0.5  # decrease in ln X from which a curve is refused
+NEAR, BENT_BY = 4.0, 2.5  # pixel noises: distance from the last observed code; error of ln X there
+DOUBTFUL = 0.5  # error of the slope by its correction, as a share of the relative variance
 
 
 @dataclass(frozen=True)

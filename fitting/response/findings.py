@@ -22,18 +22,16 @@ from .shape import (
 from .solve import ROUGHEST
 
 DRAWN = 0.1  # standard error of ln exposure, up to which the figure shows a departure
-CLUSTERED = 2.0  # pixels that count as one, from which it is said
-MOSTLY_SEEN = 0.8  # share of the codes, below which it is said which are extrapolated
-FEW_FREE = 2  # determined shutter errors below which the prior dominates
+CLUSTERED = 2.0  # number of pixels that count as one, from which it is reported
+MOSTLY_SEEN = 0.8  # share of observed codes below which the extrapolated ones are reported
+FEW_FREE = 2  # number of determined shutter errors below which the prior dominates
 SHAKY = 0.1  # shutter error from which a time or a gain is more likely wrong
-APART_ERRORS = 3.0  # by which an image's exposure stands apart
+APART_ERRORS = 3.0  # standard errors from which a deviation of one image is named
 RARE, WIDE = 0.01, 8.0  # share of pixels at an image's lowest code; range of exposures
-BLACKS = 0.01  # error of exposure times from which they may be the cause
-LEAST_POWER = 0.01  # between the curves of colours, from which it is said
-SAID = 0.1  # DN, of rounding that pixels share, from which it is said
-NOTABLE_RIPPLE = (
-    0.5  # share of the variance of a curve that its ripple makes, from which it is said
-)
+BLACKS = 0.01  # shutter error from which black points of single images are a possible cause
+LEAST_POWER = 0.01  # departure of the power between two colours from 1 that is reported
+SAID = 0.1  # DN of shared rounding from which it is reported
+NOTABLE_RIPPLE = 0.5  # share of a curve's variance from which its ripple is reported
 
 
 def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
@@ -174,8 +172,8 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
-    """The exposure times to check if their scatter exceeds that of shutters: the most deviating
-    image, or all times; empty if it does not."""
+    """The exposure times to check if they scatter more than shutters do: the most deviating image,
+    or all times. Empty if they do not."""
     shaky = [c for c in channels if (c.curve.shutter_error or 0.0) > SHAKY]
     if not shaky:
         return ""

@@ -23,14 +23,14 @@ from .weights import (
 )
 
 PASSES = 4
-KEPT = 0.3  # share of a class's pixels that its noise model must leave
+KEPT = 0.3  # smallest share of a class's pixels that its noise model must keep
 FIRST_SMOOTHNESS = 300.0  # the median of the 201 measured curves
 FIRST_ERROR = 0.01  # of the shutter
-SLOWEST = 3.0  # times that a response may rise slower than a linear one
-LOG_ODDS = 10.0  # of a curve that bends over a pure gamma, to be taken for one
+SLOWEST = 3.0  # factor by which a response may rise more slowly than a linear one
+LOG_ODDS = 10.0  # log evidence that a bent curve needs over a smoother one
 MOST_CELLS, FEWEST_CELLS = 48, 6  # of predicted exposure, for a noise model
-REWEIGHTED = 4  # times that a noise model is fitted
-IN_CELL, FEWEST_IN_CELL = 40, 10  # observations wanted and needed
+REWEIGHTED = 4  # fits of a noise model, each with the weights of the last
+IN_CELL, FEWEST_IN_CELL = 40, 10  # observations per cell: intended, and least that counts
 NO_CURVE = (
     "the images agree on no response curve; check the exposure times, the black level, that "
     "neither scene nor camera moved, and that the images are not mostly noise."

@@ -141,9 +141,9 @@ def widen(
     tiles: Repeats | None,
     exposures: Repeats | None,
 ) -> tuple[Float[np.ndarray, "bins bins"], Float[np.ndarray, " bins"]]:
-    """A covariance widened to the observed scatter, with Satterthwaite's degrees of freedom: by the
-    scatter of tiles beyond their pixels, that of exposures beyond pixels and shutter, and the
-    shutter's errors of any size (`shutter.py`)."""
+    """A covariance widened to the observed scatter, with Satterthwaite's degrees of freedom. It
+    adds the scatter of tiles beyond their pixels, the scatter of exposures beyond pixels and
+    shutter, and the errors of the shutter (`shutter.py`)."""
     parts = []
     if tiles is not None:
         parts.append(tiles.beyond(tiles.pixels, 1))

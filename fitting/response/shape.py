@@ -25,7 +25,7 @@ PURE = 0.05  # departure in ln exposure up to which gamma is given
 SURE = 0.05  # standard error of ln exposure up to which a departure is judged
 QUIET = 0.1  # relative noise of one pixel up to which a departure is judged
 EDGES = 0.05, 0.95  # of the range of codes, between which a departure is judged
-CHANCE = 0.01  # of a response that is a pure gamma in all channels
+CHANCE = 0.01  # probability of a significant departure if all channels are pure gammas
 MOST_CODES, DRAWS = 64, 20000
 SURELY_KNOWN = 1e-3  # standard error below which codes weigh alike
 

@@ -24,14 +24,14 @@ from .solve import STEADIEST
 
 SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
 SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=2.5)  # where images show it: within a factor of 12
-BEYOND = 0.1  # of what is stated, the median of what comes on top
+BEYOND = 0.1  # median of the error in addition to a stated one, as a share of the stated one
 BEYOND_LOG_SD = 1.5  # of its logarithm
 TABULATED = (1e-6, 1.0)  # range of tau over which errors are mixed
 GRID = 101  # of ln tau
 MOST_STEPS, NEAR = 100, 1e-6  # toward a quantile
 UNINFORMATIVE = 1e-9  # share of the information below which the images do not determine an error
-LEAST = 1e-6  # weight of a tau that is left out
-MOST_FREE = 1e6  # degrees of freedom that are as good as infinitely many
+LEAST = 1e-6  # weight up to which a tau is left out
+MOST_FREE = 1e6  # degrees of freedom from which they count as infinite
 LEVELS = ndtr(1.0), 0.975
 FREEDOMS = np.geomspace(0.2, MOST_FREE, 400)
 RATIOS = stdtrit(FREEDOMS, LEVELS[1]) / stdtrit(FREEDOMS, LEVELS[0])
@@ -60,8 +60,8 @@ class Shutter:
 
 
 def prior_of(shown: int, *, stated: float = 0.0) -> LogNormal:
-    """The prior on tau, or on the error in addition to a stated one; narrower, near the errors of
-    real cameras, if no error is visible, so that the prior alone determines the interval."""
+    """The prior on tau, or on the error in addition to a stated one. If no error is visible, the
+    prior alone determines the interval. It is then narrower, near the errors of real cameras."""
     if stated > STEADIEST:
         return LogNormal(median=BEYOND * stated, log_sd=BEYOND_LOG_SD)
     return SHUTTER_SHOWN if shown else SHUTTER_PRIOR

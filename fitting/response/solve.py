@@ -30,12 +30,12 @@ from .code_bins import CodeBins
 from .code_pairs import PairStatistics
 
 SMOOTHEST = 1e8  # precision at which the exponent is constant to a few parts in 10,000
-ROUGHEST = 30.0  # a tenth of the median of the 201 measured curves: what is rougher is misfit
+ROUGHEST = 30.0  # a tenth of the median of the 201 measured curves; a rougher curve is a misfit
 MOST_ROUNDS = 30  # of the hyperparameters
-SETTLED = 0.05  # step of the logarithm of the smoothness at which it has settled
-STEADIEST, SHAKIEST = 1e-6, 0.2  # shutter errors between no and no usable time
-COUNTED = 1 << 14  # pixels beyond which errors are the method's own, which more do not lessen
-BELIEVED = 0.02  # shutter error beyond which a bow of the offsets is rather a misfit of the curve
+SETTLED = 0.05  # step of the logarithm of the smoothness at which it has converged
+STEADIEST, SHAKIEST = 1e-6, 0.2  # smallest assumed and largest accepted error of ln t
+COUNTED = 1 << 14  # number of pixels beyond which more pixels do not reduce the errors
+BELIEVED = 0.02  # shutter error from which a bow of the offsets is taken for a misfit of the curve
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,14 @@ from jaxtyping import Float, Int
 
 from .code_bins import CodeBins, interval_variance
 
-LOOSEST = 0.15  # log standard deviation up to which terms of second order are a percent or two
-WIDEST = 0.2  # the same of codes that are looked at: those used stay clear of the others
-COARSEST = 0.015  # the same of rounding that no noise dithers, whose error all pixels share
-APART = 1.4  # step of ln t from which on coarse codes are the only partners of fine ones
-HAT_DEVIATION = 0.1  # log standard deviation taken at mid-scale before anything is known
-HAT_BRIM = 0.08  # below this height the noise of a logarithm is anyone's guess
-OUTLIER = 5.0  # standard deviations beyond which a residual cannot be noise: the pixel is left out
-HARMONICS = 16  # of rounding
+LOOSEST = 0.15  # log standard deviation of usable codes: second-order terms are a percent or two
+WIDEST = 0.2  # log standard deviation of codes that are read, wider so that usable ones stay clear
+COARSEST = 0.015  # log standard deviation of rounding that no noise dithers and all pixels share
+APART = 1.4  # step of ln t from which coarse codes are the only partners of fine ones
+HAT_DEVIATION = 0.1  # log standard deviation at mid-scale before a noise model is known
+HAT_BRIM = 0.08  # height of the hat below which codes are not used, because their noise is unknown
+OUTLIER = 5.0  # standard deviations of a residual from which its pixel is left out
+HARMONICS = 16  # terms of the series for rounding
 MARGIN = 3.0  # standard deviations between a predicted exposure and unobserved codes
 
 
