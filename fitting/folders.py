@@ -486,7 +486,7 @@ def _photographs(
 
     (kind, title, doing), (read, calibrate, section) = words, tools
 
-    def of_colour(colour: str) -> "Section":
+    def calibrate_colour(colour: str) -> "Section":
         of = f" of {colour}" if colour else ""
         with step(f"reading images{of}"):
             observation = read(rig, channel=colour)
@@ -501,7 +501,7 @@ def _photographs(
             )
 
     colours = COLOURS if rig.camera.pattern is not None else ("",)
-    first, *others = map(of_colour, colours)
+    first, *others = map(calibrate_colour, colours)
     free = settings.get("fit_gamma", False)
     first = with_inputs(first, rig, "a reflectance calibration", fit_gamma=free)
     if not others:

@@ -272,7 +272,7 @@ class SensorCounts(eqx.Module):
         share = self.log_density(prediction, data)
         read, mean, counts, log_count = self._counted(prediction, data)
         low, high = self._ends(read, data, counts)
-        code, dark, bright = self._of_code(read, data), *_beyond(counts, mean)
+        code, dark, bright = self._nearest_count(read, data), *_beyond(counts, mean)
         dark = jnp.where(counts[..., 0] <= code, dark, -jnp.inf)
         bright = jnp.where(counts[..., -1] >= code, bright, -jnp.inf)
         below = jnp.logaddexp(logsumexp(log_count + log_ndtr(low), axis=-1), dark)
@@ -364,7 +364,7 @@ class SensorCounts(eqx.Module):
         counts = centre[..., None] + about.reshape(*[1] * centre.ndim, -1)
         return read, mean, counts, log_poisson(counts, jnp.maximum(mean, 1e-30)[..., None])
 
-    def _of_code(self, read: _Reading, data: Array) -> Array:
+    def _nearest_count(self, read: _Reading, data: Array) -> Array:
         """The electron count whose signal is nearest to a code."""
         signal = (data - read.offset) / read.gain
         curve = _record(self.sensor).nonlinearity
@@ -379,7 +379,7 @@ class SensorCounts(eqx.Module):
         for white at most. The terms around it decrease at least as fast as the read noise
         distribution.
         """
-        code, variance = self._of_code(read, data), jnp.square(read.noise)
+        code, variance = self._nearest_count(read, data), jnp.square(read.noise)
         log_mean = jnp.log(jnp.maximum(mean, 1e-30))
         curve = _record(self.sensor).nonlinearity
 
@@ -403,7 +403,7 @@ class SensorCounts(eqx.Module):
 
     def _ends_beyond(self, read: _Reading, data: Array, counts: Array) -> tuple[Array, Array]:
         """Whether all counts below the summed range are black, and all above it white."""
-        code = self._of_code(*jax.lax.stop_gradient((read, data)))
+        code = self._nearest_count(*jax.lax.stop_gradient((read, data)))
         fewest, most = counts[..., 0], counts[..., -1]
         return self._is_black(data) & (fewest <= code), self._is_white(data) & (most >= code)
 

@@ -49,10 +49,10 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     names = [name for name in units if name in calibration.standard.values]
     errors = np.array([units[name] for name in names])
 
-    def of_sheet(sheet: Mapping[str, object]) -> np.ndarray:
+    def errors_of_sheet(sheet: Mapping[str, object]) -> np.ndarray:
         return np.array([float(np.asarray(sheet[name])) for name in names]) / errors
 
-    def of_linear(measured: PhotonTransfer, *, exact: bool | None = None) -> np.ndarray:
+    def errors_of_linear(measured: PhotonTransfer, *, exact: bool | None = None) -> np.ndarray:
         """The sheet of a linear camera, with exact moments, usual moments, or those that the data
         require."""
         usable, within = linear_levels(measured), ranges(measured)
@@ -66,13 +66,13 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         fit = fitted(stated(space, inputs, rows), standard)
         args = (space, inputs, jnp.zeros(len(rows), bool))
         vector = jnp.asarray(fit.optimum.vector)
-        return of_sheet(eqx.filter_jit(likelihood_sheet)(vector, within.saturation, args))
+        return errors_of_sheet(eqx.filter_jit(likelihood_sheet)(vector, within.saturation, args))
 
     def likelihood(setting: str) -> Compute:
         if setting == "moments":
             sheet = eqx.filter_jit(evaluate)
-            return lambda seed: of_sheet(sheet(measurement, ranges(measurement)).values)
-        return lambda seed: of_linear(measurement, exact=setting == "exact")
+            return lambda seed: errors_of_sheet(sheet(measurement, ranges(measurement)).values)
+        return lambda seed: errors_of_linear(measurement, exact=setting == "exact")
 
     def pixels(share: float) -> Compute:
         def compute(seed: int) -> np.ndarray:
@@ -86,7 +86,7 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
                     places[size] = _window(size, share, rng)
                 return image[places[size]]
 
-            return of_linear(reduce_rig(rig, load=part))
+            return errors_of_linear(reduce_rig(rig, load=part))
 
         return compute
 

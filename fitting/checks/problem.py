@@ -127,7 +127,7 @@ def check(
     method = method_of(posterior)
     space = problem.space
     labels = names(space)
-    truths = _from_priors(space) if truth is None else _given(problem, truth)
+    truths = _prior_quantiles(space) if truth is None else _given(problem, truth)
 
     def simulate(number: int) -> np.ndarray:
         rng = np.random.default_rng([seed, number])
@@ -154,7 +154,7 @@ def check(
     return Check(coverage(places, labels), places)
 
 
-def _from_priors(space: tuple[Parameter, ...]) -> list[np.ndarray]:
+def _prior_quantiles(space: tuple[Parameter, ...]) -> list[np.ndarray]:
     """Equally likely values of each parameter under its prior."""
     known = [prior_values(parameter) for parameter in space]
     labels = zip(names(space), known, strict=True)

@@ -86,7 +86,7 @@ def places(stack: Stack, seed: int) -> np.ndarray:
     told = stack.shutter_sd if stack.stated else None
     read = from_stack(list(images), stack.times, camera=camera, exposure_sd=told)
     channel, black = calibrate(read).channels[0], _black(stack, seed)
-    own = [_of_code(channel.curve, stack, code, black) for code in CODES]
+    own = [_code_probability(channel.curve, stack, code, black) for code in CODES]
     of_gamma = (
         np.nan if stack.gamma is None else _interval_deviate(channel.gamma.gamma, stack.gamma)
     )
@@ -143,7 +143,7 @@ def _black(stack: Stack, seed: int) -> float:
     return stack.black + stack.black_sd * np.random.default_rng([seed, 1]).standard_normal()
 
 
-def _of_code(curve: ResponseCurve, stack: Stack, code: int, black: float) -> float:
+def _code_probability(curve: ResponseCurve, stack: Stack, code: int, black: float) -> float:
     place = int(np.argmin(np.abs(curve.codes - code)))
     if not curve.seen[place]:
         return np.nan

@@ -205,7 +205,7 @@ def measure_effects(
         shift = (there - value) / sd
         return Moved(name, shift, abs(shift) + rest + own, ratio, float(cost - begun))
 
-    def by_steps(name: str, less: Problem) -> Moved | None:
+    def step_to_mode(name: str, less: Problem) -> Moved | None:
         by, before = np.zeros_like(at), np.inf
         for _ in range(_STEPS):
             cost, gradient, curvature = (
@@ -223,7 +223,7 @@ def measure_effects(
             before = size
         return None
 
-    def by_search(name: str, less: Problem) -> Moved:
+    def search_mode(name: str, less: Problem) -> Moved:
         end = correct_by_differences(less, search(less, at[None]))
         if not end.stationary or end.saddle or less.stream is not None:
             return Moved(name, np.nan, np.inf, np.nan, np.nan)
@@ -231,6 +231,6 @@ def measure_effects(
         return moved(name, end.vector, rest, end.cost, end.curvature)
 
     def both(name: str, less: Problem) -> Moved:
-        return (None if optimum.unseen else by_steps(name, less)) or by_search(name, less)
+        return (None if optimum.unseen else step_to_mode(name, less)) or search_mode(name, less)
 
     return value, sd, both

@@ -107,7 +107,7 @@ def _stated_wrongly(levels: ComparedLevels) -> None:
         # Of black that drifts, the level's own and that of its darks.
         drift = [levels.wander * np.sqrt(2 / len(levels.frames[i])) for i in there]
         chance = np.hypot([levels.chance(i) for i in there], drift) / signal
-        away, scatter, degrees = _from_the_others(rates, _response(light), rates, chance * rates)
+        away, scatter, degrees = _deleted_residuals(rates, _response(light), rates, chance * rates)
         limit = -stdtrit(degrees, ONCE / len(there) / 2) * scatter
         beyond = np.abs(away) / np.maximum(limit, STATED_WRONGLY * rates)
         worst = int(np.argmax(beyond))
@@ -145,7 +145,7 @@ def _response(light: np.ndarray) -> Float[np.ndarray, "levels terms"]:
     return np.stack(terms if len(x) < 2 * len(terms) + 2 else [*terms, x**2], axis=1)
 
 
-def _from_the_others(
+def _deleted_residuals(
     values: Float[np.ndarray, "levels ..."],
     design: np.ndarray,
     scatter: np.ndarray,
@@ -194,7 +194,7 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
         )
         chance = np.maximum(np.maximum(chance / signal, apart), 1e-9)
         values = np.stack([field.ravel() for field in fields])
-        away, scatter, _ = _from_the_others(values, design, chance, chance)
+        away, scatter, _ = _deleted_residuals(values, design, chance, chance)
         size = np.array([rms(own) for own in away])
         beyond = size / np.maximum(UNLIKE * scatter, SHADOW)
         worst = int(np.argmax(beyond))

@@ -74,13 +74,13 @@ def _pairs(count: int) -> list[tuple[int, int]]:
 def _parted(
     distances: Float[np.ndarray, " frames"],
     limit: float,
-    from_expected: Callable[[], Float[np.ndarray, " frames"] | None],
+    expected_distances: Callable[[], Float[np.ndarray, " frames"] | None],
 ) -> Bool[np.ndarray, " frames"] | None:
     """Return the frames that differ; None if this cannot be determined."""
     far = distances > limit
     if 2 * far.sum() < len(far) or not far.any():
         return far
-    known = from_expected()
+    known = expected_distances()
     if known is None:
         return None
     far = known * CLOSER > max(known.max(), limit)
@@ -144,11 +144,13 @@ def _means(levels: ComparedLevels) -> None:
         middle = np.median(values)
         distances = np.abs(values - middle) * (2 if len(values) == 2 else 1)
 
-        def from_expected(values: np.ndarray = values, level: int = level) -> np.ndarray | None:
+        def expected_distances(
+            values: np.ndarray = values, level: int = level
+        ) -> np.ndarray | None:
             told = levels.expected(level)
             return None if told is None else np.abs(values - told)
 
-        _take(levels, level, _parted(distances, limit, from_expected), _mean_in_words)
+        _take(levels, level, _parted(distances, limit, expected_distances), _mean_in_words)
 
 
 def _take(
@@ -198,13 +200,15 @@ def _unevenness(levels: ComparedLevels) -> None:
         away = 2.0 if len(own) == 2 else 1.0
         distances = np.array([away * rms(field - middle) for field in own])
 
-        def from_expected(own: list[np.ndarray] = own) -> np.ndarray | None:
+        def expected_distances(own: list[np.ndarray] = own) -> np.ndarray | None:
             if len(known) < 4:
                 return None
             told = np.median(known, axis=0)
             return np.array([rms(field - told) for field in own])
 
-        _take(levels, level, _parted(distances, limit, from_expected), lambda odd, rest: uneven)
+        _take(
+            levels, level, _parted(distances, limit, expected_distances), lambda odd, rest: uneven
+        )
 
 
 def _noise(levels: ComparedLevels) -> None:

@@ -269,7 +269,7 @@ def _to_natural(space: ParameterSpace, unconstrained: Any) -> Any:
     def columns(parameter: Parameter, u: Any) -> Any:
         return _natural(parameter, _into_bounds(u, *scaled_ends(parameter)))
 
-    return _by_kind(space, unconstrained, columns)
+    return _map_kinds(space, unconstrained, columns)
 
 
 def _to_unconstrained(space: ParameterSpace, natural: Any) -> Any:
@@ -277,7 +277,7 @@ def _to_unconstrained(space: ParameterSpace, natural: Any) -> Any:
         v = x if parameter.transform == "identity" else numpy_or_jax(x).log(x)
         return _out_of_bounds(v, *scaled_ends(parameter))
 
-    return _by_kind(space, natural, columns)
+    return _map_kinds(space, natural, columns)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -327,7 +327,7 @@ def natural_slopes(space: ParameterSpace, unconstrained: Any) -> tuple[Any, Any]
         return slope, bend
 
     slopes, bends = (
-        _by_kind(space, unconstrained, lambda parameter, u, i=i: both(parameter, u)[i])
+        _map_kinds(space, unconstrained, lambda parameter, u, i=i: both(parameter, u)[i])
         for i in (0, 1)
     )
     return slopes, bends
@@ -342,8 +342,8 @@ def log_flat_slopes(
         bend = _bend(u, *scaled_ends(parameter))
         return (bend**2 - 1) / 2 if np.isfinite(scaled_ends(parameter)).all() else 0 * u
 
-    first = _by_kind(space, unconstrained, lambda p, u: _bend(u, *scaled_ends(p)))
-    return first, _by_kind(space, unconstrained, second)
+    first = _map_kinds(space, unconstrained, lambda p, u: _bend(u, *scaled_ends(p)))
+    return first, _map_kinds(space, unconstrained, second)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -358,7 +358,7 @@ def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Flo
     def columns(parameter: Parameter, u: Array) -> Array:
         return _into_bounds(u, *scaled_ends(parameter))
 
-    return _by_kind(space, unconstrained, columns), slopes
+    return _map_kinds(space, unconstrained, columns), slopes
 
 
 @partial(jax.jit, static_argnums=0)
@@ -368,7 +368,7 @@ def from_scaled(space: ParameterSpace, scaled: Vector) -> Vector:
     def columns(parameter: Parameter, v: Array) -> Array:
         return _out_of_bounds(v, *scaled_ends(parameter))
 
-    return _by_kind(space, scaled, columns)
+    return _map_kinds(space, scaled, columns)
 
 
 def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "..."]:
@@ -435,7 +435,7 @@ def _kinds(space: ParameterSpace) -> list[Kind]:
     return list(found.values())
 
 
-def _by_kind(
+def _map_kinds(
     space: ParameterSpace, values: Array, columns: Callable[[Parameter, Array], Array]
 ) -> Array:
     kinds = _kinds(space)

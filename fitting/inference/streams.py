@@ -168,12 +168,12 @@ def _beside(
     first piece that a function yields."""
     if not yielded:
         beside, known = (inputs, likelihood), len(first)
-        return beside, tuple(_by_row(leaf, known) for leaf in jax.tree.leaves(beside))
+        return beside, tuple(_holds_rows(leaf, known) for leaf in jax.tree.leaves(beside))
     if not isinstance(first, tuple):
         return (inputs, likelihood), (False,) * len(jax.tree.leaves((inputs, likelihood)))
     rows, its_inputs = first
     count = np.shape(rows)[0] if np.ndim(rows) else 0
-    own = [_by_row(leaf, count) for leaf in jax.tree.leaves(its_inputs)]
+    own = [_holds_rows(leaf, count) for leaf in jax.tree.leaves(its_inputs)]
     return (its_inputs, likelihood), (*own, *[False] * len(jax.tree.leaves(likelihood)))
 
 
@@ -212,7 +212,7 @@ def _check_beside(stream: Stream, beside: tuple[Any, Any], count: int) -> None:
     if alike:
         pairs = zip(jax.tree.leaves(beside), jax.tree.leaves(stream.beside), strict=True)
         alike = all(
-            _by_row(leaf, count) if own else leaf is first or np.array_equal(leaf, first)
+            _holds_rows(leaf, count) if own else leaf is first or np.array_equal(leaf, first)
             for (leaf, first), own in zip(pairs, stream.by_row, strict=True)
         )
     if not alike:
@@ -283,5 +283,5 @@ def _filled(rows: Rows, size: int) -> tuple[Rows, np.ndarray]:
     return _taken(rows, np.minimum(place, len(rows.data) - 1)), place < len(rows.data)
 
 
-def _by_row(leaf: Any, count: int) -> bool:
+def _holds_rows(leaf: Any, count: int) -> bool:
     return np.ndim(leaf) > 0 and np.shape(leaf)[0] == count

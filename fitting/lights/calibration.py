@@ -110,9 +110,9 @@ def calibrate(
     black, clip = camera.black_level or 0.0, camera.clip_level
     signals = np.stack(readings) - black
     found = (
-        _from_shading(signals, balls[0], clip - black, outlines[0], names)
+        _locate_by_shading(signals, balls[0], clip - black, outlines[0], names)
         if kind == "matte"
-        else _from_highlights(signals, balls, clip - black, outlines, names, radius)
+        else _locate_by_highlights(signals, balls, clip - black, outlines, names, radius)
     )
     copies = Copies()
     for name, reading in zip(names, readings, strict=True):
@@ -154,7 +154,7 @@ def _mask(name: str, mask: ArrayLike) -> Bool[np.ndarray, "h w"]:
     return stored.astype(bool) if stored.ndim == 2 else np.asarray(stored.astype(bool).any(axis=-1))
 
 
-def _from_highlights(
+def _locate_by_highlights(
     signals: Float[np.ndarray, "lights h w"],
     balls: list[Bool[np.ndarray, "h w"]],
     clip: float,
@@ -272,7 +272,7 @@ def _refuse_far(places: np.ndarray, covariance: np.ndarray, names: list[str]) ->
             )
 
 
-def _from_shading(
+def _locate_by_shading(
     signals: Float[np.ndarray, "lights h w"],
     ball: Bool[np.ndarray, "h w"],
     clip: float,

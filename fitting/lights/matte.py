@@ -130,7 +130,7 @@ def _shading(
             axis=-1,
         ) / (2 * STEP)
         parts = [
-            _of_light(reading, normals, slopes, sector, clip, name)
+            _solve_light(reading, normals, slopes, sector, clip, name)
             for reading, name in zip(readings, names, strict=True)
         ]
         effect = max(float(np.mean([part.effect for part in parts])), 1.0)
@@ -159,7 +159,7 @@ class _Light:
     effect: float
 
 
-def _of_light(
+def _solve_light(
     reading: np.ndarray,
     normals: np.ndarray,
     slopes: np.ndarray,

@@ -52,14 +52,14 @@ class Outline:
     lens: Lens
 
 
-def _from_centre(column: Array, row: Array, radius: Array, inputs: dict[str, Array]) -> Array:
+def _circle_residuals(column: Array, row: Array, radius: Array, inputs: dict[str, Array]) -> Array:
     """Pixels by which edges lie outside a circle; parameters are changes of a start, in its
     radius."""
     x, y, r = inputs["start"] + inputs["start"][2] * jnp.stack([column, row, radius])
     return jnp.hypot(inputs["edge"][:, 0] - x, inputs["edge"][:, 1] - y) - r
 
 
-def _from_axis(column: Array, row: Array, radius: Array, inputs: dict[str, Array]) -> Array:
+def _cone_residuals(column: Array, row: Array, radius: Array, inputs: dict[str, Array]) -> Array:
     """Likewise outside a cone of rays; columns and rows are about the lens' axis."""
     x, y, r = inputs["start"] + inputs["start"][2] * jnp.stack([column, row, radius])
     focal, edge = inputs["focal"], inputs["edge"]
@@ -102,7 +102,7 @@ def outline_of(mask: Bool[np.ndarray, "h w"], lens: Lens, *, sd: float, name: st
     names = ("column", "row", "radius")
     problem = Problem(
         {name: Parameter(start=0.0) for name in names},  # of equal structure: compiled once
-        _from_centre if lens.focal_length is None else _from_axis,
+        _circle_residuals if lens.focal_length is None else _cone_residuals,
         Gaussian(sd=ROUNDING),
         np.zeros(RAYS),
         inputs=inputs,
