@@ -1,4 +1,4 @@
-"""Scene files that several tests read, as text."""
+"""Files of scenes and meshes that several tests read, as text."""
 
 BALL = """
 [camera]
@@ -22,4 +22,18 @@ material = "grey"
 kind = "point"
 position = [1, -2, 3]
 intensity = [10, 10, 10]
+"""
+PLY = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+3 0 1 2
 """

@@ -379,9 +379,7 @@ def test_wrong_commands_are_sentences(scene, arguments, sentence):
     assert sentence in error
 
 
-def test_a_turned_order_is_the_order_that_is_rendered_with(tmp_path):
-    """Whatever other knobs stand at: a rule brings its own order only when it is turned itself."""
-    lamp = """
+LAMP = """
 [[light]]
 kind = "rectangle"
 corner = [-0.5, -1.5, 3]
@@ -391,9 +389,12 @@ radiance = [5, 5, 4]
 
 [render]
 integrator = "direct"
-order = 2
 """
-    (tmp_path / "lamp.toml").write_text(BALL + lamp)
+
+
+def test_a_turned_order_is_the_order_that_is_rendered_with(tmp_path):
+    """Whatever other knobs stand at: a rule brings its own order only when it is turned itself."""
+    (tmp_path / "lamp.toml").write_text(BALL + LAMP + "order = 2")
     source = read_scene(tmp_path / "lamp.toml")
     names = knobs_of(source, source.render)
     assert {"order", "rule"} <= set(names)
@@ -410,19 +411,7 @@ order = 2
 def test_the_chance_of_light_is_measured_apart_from_that_of_places_within_pixels(tmp_path):
     """The edges of the ball are hit elsewhere by each seed, but not where rules are compared: there
     two seeds of a rule without chance agree, and those of a random one do not."""
-    lamp = """
-[[light]]
-kind = "rectangle"
-corner = [-0.5, -1.5, 3]
-edge_u = [0, 1, 0]
-edge_v = [1, 0, 0]
-radiance = [5, 5, 4]
-
-[render]
-integrator = "direct"
-samples = 4
-"""
-    (tmp_path / "lamp.toml").write_text(BALL + lamp)
+    (tmp_path / "lamp.toml").write_text(BALL + LAMP + "samples = 4")
     problem = scene_problem(read_scene(tmp_path / "lamp.toml"))
     apart = {}
     for rule in ("quadrature", "monte_carlo"):

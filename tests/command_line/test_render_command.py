@@ -14,6 +14,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 from commands import called
+from scene_texts import BALL
 
 from jaxvision.cli import app
 from jaxvision.errors import InputError
@@ -25,33 +26,9 @@ from jaxvision.render_command.tiles import PartialImage, PartialSum
 from jaxvision.rendering import PixelSamples, render
 
 K = {"scene": "a", "seed": 1}
-SCENE = """
-[camera]
-kind = "pinhole"
-position = [0, -4, 0.5]
-target = [0, 0, 0]
-resolution = [18, 26]
-field_of_view = 50
-
-[render]
-tile = 100
-
-[material.grey]
-family = "lambert"
-albedo = [0.2, 0.5, 0.7]
-
-[[surface]]
-name = "ball"
-shape = "sphere"
-centre = [0, 0, 0]
-radius = 1
-material = "grey"
-
-[[light]]
-kind = "point"
-position = [1, -2, 3]
-intensity = [10, 20, 30]
-"""
+SCENE = "[render]\ntile = 100\n" + BALL.replace("[6, 8]", "[18, 26]").replace(
+    "[[surface]]", '[[surface]]\nname = "ball"'
+).replace("[0.2, 0.2, 0.2]", "[0.2, 0.5, 0.7]").replace("[10, 10, 10]", "[10, 20, 30]")
 
 
 run = partial(called, app, "render")

@@ -5,26 +5,13 @@ import builtins
 import numpy as np
 import pytest
 import trimesh
+from scene_texts import PLY
 
 from jaxvision.errors import InputError
 from jaxvision.files.meshes import read_mesh
 from jaxvision.geometry import problems
 
 CUBE = trimesh.creation.box((2, 4, 6))
-PLY = """ply
-format ascii 1.0
-element vertex 3
-property float x
-property float y
-property float z
-element face 1
-property list uchar int vertex_indices
-end_header
-0 0 0
-1 0 0
-0 1 0
-3 0 1 2
-"""
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb", ".stl", ".off"])

@@ -14,6 +14,7 @@ import trimesh
 from astropy.io import fits
 from oracles import measured, mitsuba_pictures
 from raw_contents import dng
+from scene_texts import PLY
 
 import jaxvision
 from fitting.noise.levels_table import read_table
@@ -58,20 +59,6 @@ f 1 3 2
 f 1 2 4
 f 2 3 4
 f 1 4 3
-"""
-PLY = """ply
-format ascii 1.0
-element vertex 3
-property float x
-property float y
-property float z
-element face 1
-property list uchar int vertex_indices
-end_header
-0 0 0
-1 0 0
-0 1 0
-3 0 1 2
 """
 TABLE = """\
 exposure_ms,photons_per_pixel,mean_bright_DN,var_bright_DN2,mean_dark_DN,var_dark_DN2,pixels
