@@ -47,7 +47,7 @@ from .report.progress import Reporter
 
 BitsOfTable = Annotated[int | None, typer.Option(help="ADC bits of a CSV's camera.", min=1, max=16)]
 Channel = Annotated[
-    str, typer.Option(help="Site of a mosaic, or tap, to use (default: each by itself).")
+    str, typer.Option(help="Site of a mosaic, or tap, to use (default: each separately).")
 ]
 INCOMPLETE = 3  # exit status where channels could not be calibrated and the others were written
 

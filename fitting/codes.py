@@ -194,13 +194,14 @@ def converter_in_words(converter: Converter, full_scale: float | None) -> list[s
     if not step:
         return [
             "The numbers lie on no grid, as those of frames do that were corrected or averaged: "
-            "nothing is subtracted for rounding, and averages hide noise; give raw frames."
+            "no rounding noise is subtracted, and averages hide noise. Give raw frames."
         ]
     if not converter.even:
         return [
             f"{100 * converter.missing:.2g} % of the codes do not occur, as after a stretched "
-            f"histogram or a table (gamma): steps are {converter.width:.3g} DN on average, and "
-            "rounding counts as theirs; where they are unequal, read noise is off. Give raw frames."
+            f"histogram or a table (gamma). The rounding noise is that of the mean step of "
+            f"{converter.width:.3g} DN. Where steps differ, the read noise is wrong. Give raw "
+            "frames."
         ]
     if step < 1:
         parts = f"{1 / step:.6g}"
@@ -221,13 +222,13 @@ def converter_in_words(converter: Converter, full_scale: float | None) -> list[s
     has = f"the converter has {bits} bits, and its" if bits else "the"
     if step != round(step):
         return [
-            f"The numbers lie {step:.5g} apart, scaled and rounded again: {has} rounding counts as "
-            f"{step:.5g}²/12 DN². Figures in DN are in the file's numbers."
+            f"The numbers lie {step:.5g} apart, scaled and rounded again: {has} rounding variance "
+            f"is {step:.5g}²/12 DN². Results in DN refer to the numbers in the file."
         ]
     grid = f"{step:g}" if not origin else f"{step:g}, plus {origin:g}"
     return [
-        f"Every number is a multiple of {grid}: {has} rounding counts as {step:g}²/12 DN². Figures "
-        "in DN are in the file's numbers."
+        f"Every number is a multiple of {grid}: {has} rounding variance is {step:g}²/12 DN². "
+        "Results in DN refer to the numbers in the file."
     ]
 
 

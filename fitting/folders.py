@@ -137,8 +137,8 @@ def noise(
     sites = [channel] if rig is None or channel else list(rig.camera.sites)
     if release == "4.0" and settings > 1:
         raise InputError(
-            f"{path}: has {settings} settings, and the sheet of release 4.0 is of one; give the "
-            "frames of one gain and temperature, or leave out --release."
+            f"{path}: has {settings} settings, and the sheet of release 4.0 describes one; give "
+            "the frames of one gain and temperature, or leave out --release."
         )
     added = _release_4(path, sites, step, draws, bits) if release == "4.0" else []
     if rig is not None and settings > 1:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 REACH = 16.0  # pixels on both sides of the edge that the free MTF is measured from
 _LEAST = 8  # pixels on both sides that the fit needs
-_BLOCK = 8  # side of the blocks that err together where neighbouring residuals correlate
+_BLOCK = 8  # side of the blocks of shared errors where neighbouring residuals correlate
 _SIGNIFICANT = 4.0  # standard errors
 _FINEST = 1.0  # cycles per pixel, the highest frequency of the free MTF
 _NARROWEST = 1e-3  # pixels: of widths in a denominator
@@ -646,8 +646,9 @@ def _findings(
     yield from _plateau(pixels)
     if pixels.blocks is not None:
         yield (
-            "Neighbouring pixels err together, as in a developed or compressed picture; intervals "
-            f"are those of blocks of {_BLOCK} x {_BLOCK} pixels. Raw numbers give better ones."
+            "The errors of neighbouring pixels are correlated, as in a developed or compressed "
+            f"picture. Intervals are those of blocks of {_BLOCK} x {_BLOCK} pixels; raw numbers "
+            "give narrower ones."
         )
     if result.frequency[-1] < _FINEST - 1 / 32:
         yield (

@@ -260,7 +260,7 @@ class Camera(_Known):
             raise ValueError("taps = [1, 1] repeat at every pixel and separate nothing; remove it")
         if self.in_parts and self.region:
             raise ValueError(
-                f'taps = "{self.taps}" are parts of a whole frame and go with no region; give one '
+                f'taps = "{self.taps}" are parts of a whole frame and exclude a region; give one '
                 "part at a time as the region, without taps"
             )
         for name in BY_SITE:

@@ -144,7 +144,8 @@ def rig_of(folder: Path) -> FoundRig:
     found = FoundRig(
         kind="noise" if flat else "brdf" if light else "response" if stack else "",
         left_out=[
-            f"{name}: holds floating numbers, and the other images whole ones." for name in merged
+            f"{name}: holds floating numbers, and the other images hold whole ones."
+            for name in merged
         ],
     )
     lines = _camera(folder, images, found)

@@ -264,9 +264,7 @@ def from_patches(
     for i, name in enumerate(names):
         kept = np.isfinite(y[:, i])
         if kept.sum() < _FEWEST:
-            raise InputError(
-                f"{name}: {kept.sum()} readings that are numbers; {_FEWEST} are the least."
-            )
+            raise InputError(f"{name}: {kept.sum()} readings are numbers; give at least {_FEWEST}.")
         own = None if stated is None else stated[kept, i]
         channel = _Channel(spectra[kept], y[kept, i], at, own)
         best, spread = channel.best()

@@ -493,7 +493,7 @@ def _check_counts(sensor: Sensor, reach: int) -> None:
         if getattr(sensor, name) is not None:
             raise InputError(
                 f"SensorCounts: Sensor.{name} changes counted electrons, which are then no longer "
-                "Poisson's in each pixel by itself; leave it out, or use SensorNoise."
+                "independent Poisson counts of each pixel; leave it out, or use SensorNoise."
             )
     if not is_concrete(sensor):
         return

@@ -24,7 +24,7 @@ _OF_RIGS = (
     Knob(
         "cells",
         "of the usual width",
-        "cells of like pixels instead of pixels, exact where they put the mode",
+        "cells of similar pixels instead of single pixels; the result is exact at the mode found",
         (8.0, 4.0, 2.0, 1.0, 0.5, 0.25),
         ("pixels",),
         sets=("*.group.width", "*.make_grid.width"),
@@ -32,7 +32,7 @@ _OF_RIGS = (
     Knob(
         "likelihood",
         "",
-        "of means and variances: regressions, Gaussian, or exact for codes that are rounded",
+        "of means and variances: regressions, Gaussian, or exact for rounded codes",
         ("moments", "gaussian", "exact"),
         ("exact",),
         sets=("*.noise_data.window", "*.NoiseData.window", "*.SensorCounts.reach"),
@@ -77,7 +77,7 @@ _OF_RIGS = (
     Knob(
         "curve rounds",
         "rounds",
-        "how often smoothness and shutter errors of a response curve are found anew at most",
+        "most updates of the smoothness and shutter errors of a response curve",
         (1, 2, 4, 8, 15, 30),
         (60,),
         sets=("*.solve.rounds", "*.fit_response_curve.rounds"),
@@ -98,7 +98,7 @@ _APART = (
     Knob(
         "starts",
         "searches",
-        "starts over bounds and priors, of which the best is kept",
+        "starts over bounds and priors; the best optimum is kept",
         (1, 2, 4, 8, 16),
         (32, 64),
         random=True,

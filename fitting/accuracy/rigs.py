@@ -71,8 +71,8 @@ def problems(
         return run_within(lambda: _calibrated(rig, fits, load), lambda: until - now())
     except OutOfTime:
         raise InputError(
-            f"{rig.folder}: the calibration that errors are measured by takes longer than "
-            f"{seconds:.3g} s; allow more."
+            f"{rig.folder}: the reference calibration takes longer than {seconds:.3g} s; allow "
+            "more."
         ) from None
 
 

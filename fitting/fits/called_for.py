@@ -104,8 +104,8 @@ def called_for(
     smaller = problem.with_records(left, left_out=pruned.certificate)
     if not abs(float(_log_ratio(problem, smaller))) <= _limit(tolerance):
         raise InputError(
-            "called_for: without what was left out, simulated data would be quite another; predict "
-            "must show the scene through the camera as the records hold them."
+            "called_for: simulated data change too much without the effects left out; predict must "
+            "show the scene through the camera as the records hold them."
         )
     if target is None:
         return smaller

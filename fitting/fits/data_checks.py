@@ -231,6 +231,6 @@ def _rounded(seen: _FitOfPresent, data: np.ndarray, seed: int) -> list[str]:
         return []
     return [
         f"All data lie {step:.4g} apart or a multiple of it, which is {step / noise:.2g} times the "
-        f"noise of the likelihood, {noise:.2g}: they were rounded, by {step / np.sqrt(12):.2g} "
-        "rms, and neighbours are rounded alike. Give the data as they were before."
+        f"noise of the likelihood, {noise:.2g}: they were rounded, with an error of "
+        f"{step / np.sqrt(12):.2g} rms that neighbours share. Give the data without rounding."
     ]

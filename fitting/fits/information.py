@@ -81,8 +81,7 @@ def replace_inputs(problem: Problem, inputs: Any) -> Problem:
     """The same problem for data at other inputs, without missing data."""
     if isinstance(problem.likelihood, Clustered):
         raise InputError(
-            "Clustered: what a new group shares with none is not known; plan with the likelihood "
-            "inside."
+            "Clustered: the shared error of a new group is unknown; plan with its inner likelihood."
         )
     arrays = jax.tree.map(jnp.asarray, as_arrays(inputs))
     origin = jnp.zeros(len(problem.space))

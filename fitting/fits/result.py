@@ -189,8 +189,8 @@ class Fit:
         if self.noise > 1:
             return (
                 *before,
-                "The prior comes from a fit with a misfit; what its data say is widened by "
-                f"{self.noise:.3g}.",
+                "The prior comes from a fit with a misfit; the errors from its data are multiplied "
+                f"by {self.noise:.3g}.",
             )
         if self.posterior.freedom is not None:
             return (
@@ -438,7 +438,7 @@ def section(fit: Fit, title: str) -> Section:
         "Candidate terms",
         ("term", "stays", "standard errors from absent", "needed"),
         tuple((one.name, str(one.kept), one.ratio, one.needed) for one in fit.choices),
-        "A term stays if it pays for its numbers by BIC and is no chance.",
+        "A term stays if BIC favours it and chance does not explain it.",
     )
     left_out = fit.problem.left_out
     gone = () if left_out is None else (left_out_table(left_out),)
@@ -447,7 +447,7 @@ def section(fit: Fit, title: str) -> Section:
     picture = Picture(
         "residuals",
         "Residuals",
-        "In standard deviations; a model that describes its data leaves even noise.",
+        "In standard deviations. If the model describes the data, they show no pattern.",
         partial(residual_figure, fit.residuals),
     )
     return Section(

@@ -49,8 +49,9 @@ def verdict(
         )
     if len(optimum.costs) == 1 and wide_noise:
         failures.append(
-            "The width of the noise was fitted, which grows until a wrong optimum passes for "
-            "noise, so that only the agreement of several starts can tell: use more starts."
+            "The width of the noise was fitted. At a wrong optimum it grows until the misfit "
+            "counts as noise, so only the agreement of several starts confirms an optimum: use "
+            "more starts."
         )
     elif len(optimum.costs) > 1 and not is_confirmed(optimum, wide_noise=wide_noise):
         failures.append(
@@ -62,8 +63,8 @@ def verdict(
         failures += checks.faults
     elif checks.faults and agreeing(optimum) < 2:
         failures.append(
-            "A misfit is allowed for, so that only the agreement of several starts can tell the "
-            "best optimum, and none agrees with this one: use more starts."
+            "A misfit is allowed, so only the agreement of several starts confirms an optimum, and "
+            "no other start agrees with this one: use more starts."
         )
     return failures
 
@@ -110,7 +111,7 @@ def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
         return []
     return [
         f"{others} of {len(optimum.costs)} starts ended elsewhere and fit as well: the data allow "
-        "several answers; bounds or a prior that exclude the others would choose one."
+        "several solutions. Narrower bounds or a prior can select one."
     ]
 
 
@@ -160,8 +161,8 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
         found.append(convergence_in_words(posterior))
     if problem.data.dtype != jnp.float64:
         found.append(
-            "Computed with 7 digits: jax.config.update('jax_enable_x64', True) gives 16, which a "
-            "search for an optimum can use."
+            "Computed with 7 digits. jax.config.update('jax_enable_x64', True) gives 16, with "
+            "which searches find optima more accurately."
         )
     return tuple(found)
 
@@ -178,7 +179,7 @@ def _prior_alone(space: ParameterSpace, posterior: Posterior) -> list[str]:
     before, share = prior_share(space, posterior)
     return [
         f"{parameter.name} is known from its prior or bounds, hardly from the data: its standard "
-        f"deviation is {part * width:.3g} after and {width:.3g} before them."
+        f"deviation is {part * width:.3g} with the data and {width:.3g} without them."
         for parameter, width, part in zip(space, before, share, strict=True)
         if part > (HARDLY if isinstance(parameter.prior, Marginal) else NEARLY_PRIOR)
     ]
@@ -199,6 +200,6 @@ def _bound_findings(space: ParameterSpace, posterior: Posterior) -> list[str]:
             begins = ", and its 95 % interval begins there" if side == end else ""
             found.append(
                 f"{parameter.name} lies {distance / sd:.1f} standard deviations from the {end} "
-                f"end of its range: the data may want it beyond{begins}."
+                f"end of its range: its best value may lie beyond{begins}."
             )
     return found

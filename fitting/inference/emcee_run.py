@@ -44,7 +44,7 @@ class Unbounded(InputError):
 
     def __init__(self, parameter: str) -> None:
         super().__init__(
-            f"the walkers went on without end: the data do not bound {parameter} on both sides; "
+            f"the walkers diverged: the data do not bound {parameter} on both sides; "
             "give it bounds or a prior, or more data."
         )
         self.parameter = parameter

@@ -92,7 +92,7 @@ def judge_sums(totals: Float[np.ndarray, " sums"], parameters: float) -> Misfit:
         elif other < CHANCE:
             remarks.append(
                 f"The data scatter less than stated: chi-square per degree of freedom is "
-                f"{chi_square / dof:.4g}; the intervals are too wide if the noise was overrated."
+                f"{chi_square / dof:.4g}; the intervals are too wide if the noise is overrated."
             )
     else:
         remarks.append("There are as many parameters as data, so the fit cannot test the model.")

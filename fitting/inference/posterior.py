@@ -175,7 +175,7 @@ def laplace(
     except np.linalg.LinAlgError as error:
         raise InputError(
             "The best fit is no proper maximum, so it has no standard errors: the model does not "
-            "describe these data; check them and what is stated of them."
+            "describe these data; check the data and their stated properties."
         ) from error
     if freedom is not None:
         deviation = np.sqrt(np.diagonal(covariance))

@@ -292,20 +292,20 @@ def _locate_by_shading(
     if found.floor:
         findings += (
             f"Pixels of the ball that are turned from a light read {found.floor:.4g} DN above "
-            "black (median). This was taken off all numbers. Camera.black_level is wrong, or the "
-            "room was not dark.",
+            "black (median). This was subtracted from all numbers. Camera.black_level is wrong, or "
+            "the room was not dark.",
         )
     off = np.abs(found.values - outline.values) / np.sqrt(np.diag(outline.covariance))
     if off.max() > CONTRADICTED:
         findings += (
             f"The shading has its outline at ({found.values[0]:.2f}, {found.values[1]:.2f}) with a "
             f"radius of {found.values[2]:.2f} pixels, {off.max():.1f} standard deviations from the "
-            "mask's. The mask is wrong, or the ball is not Lambert's; directions may be further "
+            "mask's. The mask is wrong, or the ball is not Lambertian; directions may be further "
             "off than their standard deviations say.",
         )
     if found.misfit > NOT_MATTE:
         findings += (
-            "The ball is not Lambert's: readings differ from g.n by "
+            "The ball is not Lambertian: readings differ from g.n by "
             f"{format_percent(found.misfit)} of the largest signal (rms, median over lights), by "
             "highlights, roughness, a gamma or shadows. Directions may be further off than their "
             "standard deviations say.",

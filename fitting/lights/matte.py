@@ -176,7 +176,7 @@ def _solve_light(
     for _ in range(6):
         if lit.sum() < FEWEST or np.quantile(reading, 0.98) < 2:
             raise InputError(
-                f"{name}: {lit.sum()} pixels of the ball are lit; {FEWEST} are the least, so "
+                f"{name}: {lit.sum()} pixels of the ball are lit, of at least {FEWEST} needed; "
                 "expose longer, or leave the image out."
             )
         g = np.linalg.lstsq(normals[lit], reading[lit], rcond=None)[0]

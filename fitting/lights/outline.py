@@ -83,8 +83,8 @@ def outline_of(mask: Bool[np.ndarray, "h w"], lens: Lens, *, sd: float, name: st
     radius = float(np.sqrt(mask.sum() / np.pi))
     if radius < SMALLEST:
         raise InputError(
-            f"{name}: the mask's ball has a radius of {radius:.1f} pixels; {SMALLEST:.0f} are the "
-            "least, so photograph it larger."
+            f"{name}: the mask's ball has a radius of {radius:.1f} pixels, of at least "
+            f"{SMALLEST:.0f} needed; photograph it larger."
         )
     turn = 2 * np.pi * np.arange(RAYS) / RAYS
     along = np.arange(0, 1.5 * radius, 0.05)

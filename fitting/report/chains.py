@@ -193,7 +193,7 @@ def chain_pictures(section: Section) -> tuple[Picture, ...]:
     for group, posterior in section.posteriors.items():
         if posterior.steps:
             which = f" ({group})" if group else ""
-            caption = "Paths of some chains after burn-in; a settled chain looks like even noise."
+            caption = "Traces of some chains after burn-in; a converged chain has no trend."
             draw = partial(trace_figure, posterior)
             pictures.append(Picture(f"trace_{group}", f"Chains{which}", caption, draw))
     return tuple(pictures)
@@ -204,15 +204,15 @@ def _corner_picture(posteriors: dict[str, Posterior], section: Section) -> Pictu
     each = ("exact integrals" if p.method == "marginal" else p.method for p in posteriors.values())
     methods = " and ".join(dict.fromkeys(each))
     about = (
-        f"Each in per cent of its median ({channels}) where that is clear of 0, to lie over each "
-        "other. "
+        f"Values are in per cent of the median of each ({channels}) where that is clear of 0, so "
+        "that the regions overlap. "
         if len(posteriors) > 1
         else ""
     )
     lines = " Straight lines: the truth." if section.truth else ""
     caption = (
         f"Posterior by {methods}: 68 and 95 % regions of every pair of parameters. {about}"
-        f"A slanted ellipse is a pair the data partly confuse.{lines}"
+        f"A slanted ellipse is a pair of correlated parameters.{lines}"
     )
     draw = partial(corner_figure, posteriors, section.truth)
     return Picture(f"corner_{channels}", "Joint uncertainty", caption, draw, is_whole=True)

@@ -24,7 +24,7 @@ def left_out_tables(channels: Iterable[tuple[str, tuple[LeftOut, ...]]]) -> tupl
         title="Left out",
         columns=tuple(compress(columns, named)),
         rows=tuple(tuple(compress(row, named)) for row in rows),
-        caption="Too small for any fit to tell: the law of all data moves by no more than this, in "
-        f"standard deviations of their noise; all together at most {TOLERANCE:g}.",
+        caption="Too small for any fit to detect: the most by which each changes the distribution "
+        f"of all data, in standard deviations of their noise; together at most {TOLERANCE:g}.",
     )
     return (table,)

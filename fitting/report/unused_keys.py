@@ -80,11 +80,13 @@ def _response(rig: Rig) -> Unused:
 def _brdf(rig: Rig) -> Unused:
     if rig.camera.gain is None or rig.camera.read_noise is None:
         keys = NOISE[:-1]
-        why = "without both gain and read noise that of pixels is estimated from the residuals"
+        why = (
+            "without both gain and read noise, the noise of pixels is estimated from the residuals"
+        )
         yield _camera(keys), why
     else:
         errors = "gain_sd", "read_noise_sd"
-        yield _camera(errors), "they change the weights of pixels, to first order no estimate"
+        yield _camera(errors), "they change the weights of pixels, but no estimate to first order"
     yield _camera(("prnu_sd",)), "the unequal gains of pixels are read off the residuals"
     yield _camera(OF_PHOTONS), "lights are stated by their irradiance"
     yield ("[[flat]]", "[[dark]]"), "jaxvision-fit joint uses them"
@@ -94,7 +96,7 @@ def _joint(rig: Rig) -> Unused:
     told = "flat.photons", "flat.irradiance", *_camera(OF_PHOTONS)
     yield told, "flats count by their means and variances"
     if rig.camera.black_level is None and rig.dark and rig.camera.encoding is None:
-        yield _camera(("black_sd",)), "without camera.black_level the darks tell the black level"
+        yield _camera(("black_sd",)), "without camera.black_level the darks give the black level"
 
 
 REASONS = {

@@ -222,8 +222,7 @@ def inverse(
         return cho_solve(cho_factor(held, lower=True), np.eye(len(held)))
     except np.linalg.LinAlgError as error:
         raise InputError(
-            "the images determine no curve; check that each is an exposure of its own, as "
-            "different from the others as its time."
+            "the images determine no curve; check that each is an exposure with its own time."
         ) from error
 
 

@@ -284,7 +284,7 @@ def test_an_image_of_another_exposure_is_left_out_of_few(count):
 
 @pytest.mark.parametrize("brighter", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_right_intensities_that_differ_are_not_called_wrong(brighter):
-    """The noise of photons grows with the light, which had passed for a surface not Lambert's."""
+    """Noise of photons grows with the light, which had passed for a non-Lambertian surface."""
     lights, normals = ring(8), ball(30).reshape(-1, 3)
     intensities = np.where(np.arange(8) % 2, brighter, 1.0)
     readings = photons(lights, normals, intensities).reshape(-1, 30, 30)

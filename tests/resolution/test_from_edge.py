@@ -163,7 +163,7 @@ def test_sharpening_smoothing_and_the_psf_are_told():
     sharp = raw + 1.5 * (raw - gaussian_filter(raw, 1.0))
     told = " ".join(resolution.from_edge(sharp).findings)
     assert "sharpened" in told
-    assert "err together" in told
+    assert "errors of neighbouring pixels are correlated" in told
 
 
 @pytest.mark.slow

@@ -289,7 +289,7 @@ def test_numbers_by_site_are_had_by_name(tmp_path):
         ({"taps": "top and bottom", "gain": [1, 2, 3]}, "taps = .* has 2 sites; give one number"),
         (
             {"taps": "quadrants", "region": (0, 0, 8, 8)},
-            "parts of a whole frame and go with no reg",
+            "parts of a whole frame and exclude a reg",
         ),
         (
             {"taps": "left and right", "pattern": "RGGB", "gain": [1, 2]},

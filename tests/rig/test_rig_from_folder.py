@@ -247,7 +247,7 @@ def test_a_merged_map_is_no_exposure(tmp_path):
     write_image(tmp_path / "merged.hdr", np.full((6, 8, 3), 274.0, np.float32))
     status, stdout, _ = run("init", tmp_path)
     assert status == 0
-    assert "Left out: merged.hdr: holds floating numbers, and the other images whole" in stdout
+    assert "Left out: merged.hdr: holds floating numbers, and the other images hold whole" in stdout
     rig = load_rig(tmp_path)
     assert [one.file for one in rig.exposure] == ["view0.jpg", "view1.jpg"]
     assert rig.camera.bits == 8

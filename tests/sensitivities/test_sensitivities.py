@@ -86,7 +86,7 @@ def test_louder_noise_is_found_and_said():
         ({"wavelengths": NM}, "in metres"),
         ({"light": CHART[:5]}, "give \\(patches, 3\\), \\(patches, bands\\) and \\(bands,\\)"),
         ({"sd": 0.0}, "sd must be above 0"),
-        ({"readings": np.full((24, 3), np.nan)}, "red: 0 readings that are numbers"),
+        ({"readings": np.full((24, 3), np.nan)}, "red: 0 readings are numbers"),
         ({"light": -CHART}, "light must be finite and at least 0"),
     ],
 )
