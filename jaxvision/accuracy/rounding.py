@@ -209,12 +209,15 @@ def _run_as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
 
     match eqn.primitive.name:
         case "scan":
-            first, ends = params["num_consts"], params["num_consts"] + params["num_carry"]
+            body = params["jaxpr"].jaxpr
+            carried = _count_unstacked(eqn.outvars, body.outvars)
+            ends = _count_unstacked(eqn.invars, body.invars)
+            first = ends - carried
 
             def step(carry: Any, x: Any) -> Any:
                 key, own = jax.random.split(carry[0])
                 out = run(params["jaxpr"], own, [*inputs[:first], *carry[1], *x])
-                return (key, out[: ends - first]), out[ends - first :]
+                return (key, out[:carried]), out[carried:]
 
             start = (key, inputs[first:ends])
             options = {name: params[name] for name in ("length", "reverse")}
@@ -239,6 +242,11 @@ def _run_as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
     before = sizes.matvec + sizes.vecmat
     consts, right = inputs[before : before + sizes.solve], inputs[sum(sizes) :]
     return run(inner.solve, key, [*consts, *right])
+
+
+def _count_unstacked(outside: list[Any], inside: list[Any]) -> int:
+    """How many variables of a scan have the same axes in its body, as constants and carry have."""
+    return sum(x.aval.ndim == y.aval.ndim for x, y in zip(outside, inside, strict=True))
 
 
 def _round_at_random(exact: Any, native: Any, key: Any) -> Any:
