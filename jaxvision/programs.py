@@ -102,16 +102,6 @@ def moderately() -> Options | None:
     return options | {"xla_backend_optimization_level": 1} if ours and options else None
 
 
-def thoroughly() -> Options | None:
-    """`compiler_options` of `jax.jit` for a long-running program, which is compiled with
-    optimisation even after `compile_quickly`; read them after that call."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    if not flags or flags != quick_flags():
-        return None
-    emitters = {name: True for name in _OLDER_EMITTERS if name in quick_options()}
-    return {"xla_backend_optimization_level": 3, **emitters}
-
-
 def keep_programs() -> None:
     """Keep compiled programs in the user's cache folder, if it is writable and
     JAX_COMPILATION_CACHE_DIR neither names another nor is empty."""

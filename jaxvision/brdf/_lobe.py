@@ -112,16 +112,13 @@ _NODES = 48
 def circles(
     cos_axis: Scalar, *, width: Scalar, end: float
 ) -> tuple[tuple[Scalars, Scalars], tuple[Scalars, Scalars], tuple[Scalars, Scalars]]:
-    """Quadrature nodes for cones about an axis, possibly cut by the horizon.
-
-    The axis has the polar angle theta with a cosine in [0, 1]. Circles at alpha < pi / 2 - theta
-    about it lie entirely above the horizon. Of circles up to pi / 2 + theta the part |phi| < phi_m
-    remains, with cos(phi_m) = -cot(alpha) cot(theta). Returns (alpha, weight) of the complete
-    circles, the same for the cut ones, and p = cos(alpha) cos(theta) and q = sqrt(sin^2 sin^2 -
-    p^2) of the cut ones, so that phi_m = atan2(q, -p) and q = sin(phi_m) sin(alpha) sin(theta).
-    Each part ends at `width` from its start, or at `end`. It has 48 Gauss-Legendre nodes. The cut
-    circles are transformed by sin^2, because phi_m has square-root behaviour at both ends.
-    """
+    """Quadrature nodes for cones about an axis at the polar angle theta, cos(theta) in [0, 1],
+    perhaps cut by the horizon. Circles at alpha < pi / 2 - theta lie above it; of others up to pi /
+    2 + theta the part |phi| < phi_m remains, with cos(phi_m) = -cot(alpha) cot(theta). Returns
+    (alpha, weight) of the complete and of the cut circles, and for the cut ones p = cos(alpha)
+    cos(theta) and q = sqrt(sin^2 sin^2 - p^2), so that phi_m = atan2(q, -p). Each part ends at
+    `width` from its start, or at `end`. sin^2 transforms the cut ones, whose phi_m has square-root
+    behaviour at both ends."""
     t, dt = gauss_legendre(_NODES)
     ease, d_ease = np.sin(np.pi / 2 * t) ** 2, np.pi / 2 * np.sin(np.pi * t) * dt
     t, dt, ease, d_ease = (jnp.asarray(a, cos_axis.dtype) for a in (t, dt, ease, d_ease))

@@ -86,12 +86,8 @@ class NormalisedBlinn(PowerLobe):
 
 
 def log_cos_half(wi: Direction, wo: Direction) -> Scalars:
-    """Logarithm of the cosine n.h of the half vector, () <= 0, no unit, of unit local directions; 0
-    where H.z <= 0, below the surface.
-
-    With H = wi + wo, -log(1 + (H.x^2 + H.y^2) / H.z^2) / 2, which keeps its digits for the
-    sharpest lobe.
-    """
+    """Logarithm of n.h, () <= 0, no unit, of unit local directions, -log(1 + (H.x^2 + H.y^2) /
+    H.z^2) / 2 with H = wi + wo, which keeps the digits of the sharpest lobe; 0 where H.z <= 0."""
     both = as_vec(wi) + as_vec(wo)
     above = ~(both.z <= smallest_divisor(both.z.dtype))
     z = or_one(both.z, above)
@@ -107,14 +103,11 @@ def normalisation(exponent: Scalar) -> Scalar:
 
 
 def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
-    """Integrals of (n.h)^n, n of no unit, and of it times cos(theta_i), over directions of light
-    above the horizon, () each in sr.
-
-    In the half vector's angle t to the normal and its azimuth phi from the viewer's, with
-    dwi = 4 d dh, d = wo.h = P + Q cos(phi), P = cos_o cos(t), Q = sin_o sin(t), and
-    cos(theta_i) = 2 d cos(t) - cos_o, the azimuths are integrals of polynomials in cos(phi) up to
-    the horizon, cos(phi_m) = -cot(2 t) cot(theta_o). What remains in t is quadrature, to 1e-10.
-    """
+    """Integrals of (n.h)^n, and of it times cos(theta_i), over light above the horizon, () each in
+    sr, to 1e-10. With the half vector's angle t and azimuth phi, dwi = 4 d dh, d = wo.h = P + Q
+    cos(phi), P = cos_o cos(t), Q = sin_o sin(t), cos(theta_i) = 2 d cos(t) - cos_o, azimuths are
+    integrals of polynomials in cos(phi) up to cos(phi_m) = -cot(2 t) cot(theta_o), and t is a
+    quadrature."""
     width = 2 * 8.5 / jnp.sqrt(exponent + 1)
     (inner, inner_weight), (outer, outer_weight), (p, q) = circles(cos_o, width=width, end=np.pi)
     sin_o = jnp.sqrt(jnp.maximum((1 - cos_o) * (1 + cos_o), jnp.finfo(cos_o.dtype).tiny))

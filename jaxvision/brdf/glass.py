@@ -60,17 +60,9 @@ class Glass(Material):
 
 @takes_numbers
 def refracted_direction(w: Vector, eta: Scalar) -> Vec:
-    """The unit direction of a refracted ray on the other side of the interface: -x / eta, -y / eta,
-    and the z that makes it a unit vector; eta is the index behind the interface over that before
-    it.
-
-    In total reflection it is the direction along the surface, with z = 0.
-
-    Example:
-        >>> bent = jv.brdf.glass.refracted_direction([0.6, 0.0, 0.8], 1.5)
-        >>> print([round(float(x), 3) for x in bent])  # Snell's law: 0.6 / 1.5
-        [-0.4, -0.0, -0.917]
-    """
+    """The unit direction of a refracted ray on the other side: -x / eta, -y / eta, and the z that
+    makes it a unit vector, 0 in total reflection. eta is the index behind the interface over that
+    before it."""
     v = as_vec(w)
     # 1 - (1 - z^2) / eta^2 = (eta^2 - 1 + z^2) / eta^2: nothing cancels near equal indices
     below = safe_sqrt((eta - 1) * (eta + 1) + v.z * v.z) / eta

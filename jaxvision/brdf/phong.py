@@ -171,15 +171,10 @@ def power_pdf(axis: Vector, w: Vector, exponent: Scalar) -> Scalar:
 
 
 def power_integrals(cos_axis: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
-    """Integrals of [cos alpha]+^n, without and with cos(theta_i), over the directions above the
-    horizon, () each in sr.
-
-    They are 2 pi / (n + 1) and 2 pi cos_axis / (n + 2) if the horizon does not cut the lobe.
-    Quadrature over 8.5 widths of the lobe is accurate to 1e-10 for whole exponents and from n = 2
-    on. For other exponents the lobe is not polynomial at alpha = pi / 2. The relative errors,
-    largest along the normal, reach 2e-5, 3e-6 and 3e-9 without the cosine at n = .1, .5, 1.5, and
-    1.1e-8 with it at n = .1.
-    """
+    """Integrals of [cos alpha]+^n, without and with cos(theta_i), over directions above the
+    horizon, () each in sr: 2 pi / (n + 1) and 2 pi cos_axis / (n + 2) if the horizon does not cut
+    the lobe, else quadrature over 8.5 widths, to 1e-10 from n = 2 on. Below, relative errors reach
+    2e-5, 3e-6, 3e-9 at n = .1, .5, 1.5."""
 
     def lobe(alpha: Scalars) -> Scalars:
         return phong_lobe(log_cosine(alpha), exponent)

@@ -224,14 +224,10 @@ class _Elapsed(logging.Formatter):
 
 @contextmanager
 def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") -> Iterator[None]:
-    """Context in which errors that a user can correct end the command with one line, which begins
-    with its name.
-
-    Input errors and file errors end with exit status 2, an interrupt with 130 and `interrupted`,
-    unless it has a sentence of its own. A warning becomes one line. Of warnings that many files
-    share, the first is printed with their number. A command whose output is no longer read ends
-    without a line, with status 141.
-    """
+    """Context in which a user's error ends the command with one line that begins with its name. The
+    exit status is 2 for input and files, 130 for an interrupt, and 141, without a line, if the
+    output is no longer read. A warning is a line; one of many files is printed once, with their
+    number."""
     say_if_interrupted(interrupted)
     alike: Counter[str] = Counter()
 

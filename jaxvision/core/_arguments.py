@@ -57,12 +57,9 @@ class _Wanted(NamedTuple):
 
 
 def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
-    """Make a function of arrays accept plain numbers, lists and NumPy arrays.
-
-    They become arrays in the floating dtype of the other arguments. A wrong shape, a direction that
-    is not unit and a number in place of a random key raise `ValueError`. Optional arguments without
-    their names, and unknown names, raise `TypeError`.
-    """
+    """Make a function of arrays accept numbers, lists and NumPy arrays, in the floating dtype of
+    its other arguments. `ValueError` for wrong shapes, directions and keys; `TypeError` for
+    optional arguments by place and unknown names."""
 
     @wraps(function)
     def converting(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -57,15 +57,9 @@ def dot(u: Vec3, v: Vec3) -> Scalars:
 
 
 def exact_cross(u: Vec3, v: Vec3) -> Vec:
-    """u x v of nearly parallel vectors, in the product of their units, with errors thousands of
-    times smaller than in the plain differences of products.
-
-    Factors are split into halves with exact products, so that compiled code cannot change the
-    rounding by contracting a product and a sum.
-
-    Source: after Dekker, "A Floating-Point Technique for Extending the Available Precision",
-    Numerische Mathematik 18 (1971), with halves by their bits.
-    """
+    """u x v of nearly parallel vectors, in the product of their units, a thousand times more
+    accurate than plain differences. Halves of factors have exact products, which compiled code
+    cannot contract (Dekker, Numerische Mathematik 18 (1971))."""
     a, b = as_vec(u), as_vec(v)
     return Vec(
         difference_of_products(a.y, b.z, a.z, b.y),

@@ -40,13 +40,10 @@ def uniforms(stream: Stream, block: Word | int, dtype: DTypeLike) -> Float[Array
 
 
 def lattice_point(stream: Stream, dimensions: int, dtype: DTypeLike) -> Float[Array, " n"]:
-    """The position of a sample among those of its pixel: 2 or 4 numbers uniform in [0, 1).
-
-    It is point k of a Kronecker sequence, (k alpha_i + shift_i) mod 1, with a random shift for each
-    pixel (Cranley and Patterson, SIAM J. Numerical Analysis 13 (1976)), and alpha_i = phi^-i with
-    phi^(d+1) = phi + 1 (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018).
-    It is computed in whole multiples of 2^-32, exact for any k, and rounded like `uniforms`.
-    """
+    """A sample's position in its pixel, 2 or 4 numbers uniform in [0, 1): point k of a Kronecker
+    sequence, (k alpha_i + shift_i) mod 1, in whole multiples of 2^-32. alpha_i = phi^-i with
+    phi^(d+1) = phi + 1 (Roberts, 2018), and each pixel has a random shift (Cranley and Patterson,
+    SIAM J. Numerical Analysis 13 (1976))."""
     shifts = _words(stream, jnp.uint32(0), _OF_LATTICE)
     steps = _steps(dimensions)
     sample = jnp.uint32(0) if stream.sample is None else stream.sample

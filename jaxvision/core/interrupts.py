@@ -24,28 +24,19 @@ INTERRUPTED = 130  # the exit status of shells: 128 + SIGINT
 
 
 class _Ending:
-    """The handling of an interrupt in this process.
-
-    Attributes:
-        sentence: message for standard error.
-        unfinished: files that are removed.
-        seen: set by the signal handler.
-        said: set when the message has been passed to standard error.
-        raised: set by a context that expects the exception.
-        thrown: set when the exception was raised; that context may have ended before the thread
-            checks it.
-        handled: set by the code that catches the exception and ends the process itself.
-        behind: set where abandoned threads are still running.
-        leaving: lock of the thread that ends the process; it is never released.
-    """
+    """The handling of an interrupt in this process: the message, the files to remove, and
+    events."""
 
     def __init__(self) -> None:
         self.sentence = "interrupted."
         self.unfinished: set[Path] = set()
-        self.seen, self.said = threading.Event(), threading.Event()
-        self.raised, self.thrown = threading.Event(), threading.Event()
-        self.handled, self.behind = threading.Event(), threading.Event()
-        self.leaving = threading.Lock()
+        self.seen = threading.Event()  # by the signal handler
+        self.said = threading.Event()  # the message is on standard error
+        self.raised = threading.Event()  # a context expects the exception
+        self.thrown = threading.Event()  # though that context may have ended since
+        self.handled = threading.Event()  # whoever caught it ends the process
+        self.behind = threading.Event()  # abandoned threads still run
+        self.leaving = threading.Lock()  # of the thread that ends the process; never released
 
 
 _ending = _Ending()

@@ -37,19 +37,10 @@ _WIDEST = {"f": np.float64, "c": np.complex128}  # that JAX knows, by the kind o
 
 
 def plain_array(name: str, value: Any) -> Any:
-    """The argument as numbers alone, if nothing is lost by that: a masked array with NaN where a
-    floating number is masked, an array of the other byte order (as of FITS files) in this
-    machine's, numbers of more than 64 bits (NumPy's longdouble) in 64 bits, and subclasses such as
-    memory maps as plain arrays; lists are looked through.
-
-    `InputError`, which names the argument, for masked whole numbers, which cannot be NaN, for
-    arrays with units, coordinates or an index, for spans of time, which have a unit too, and for
-    arrays of text, dates, fields by name or objects that are no numbers.
-
-    Example:
-        >>> jv.core.plain_arrays.plain_array("data", np.ma.masked_greater([1.0, 9.0], 5))
-        array([ 1., nan])
-    """
+    """The argument as plain numbers if nothing is lost: NaN for masked floating numbers, this
+    machine's byte order, 64 bits for wider numbers, no subclass, also inside lists. `InputError`,
+    which names the argument, for masked whole numbers, units, coordinates, an index, spans of time,
+    and what is no number."""
     if type(value) in (list, tuple):
         if all(type(part) in (float, int) for part in value):
             return value

@@ -275,13 +275,9 @@ def _fast_length(n: int) -> int:
 
 
 def correlate_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
-    """The sum of shifted images, in loops over whole rows (h, w c).
-
-    A shift by one pixel is then a shift by c numbers: the loop vectorises even for few bands.
-
-    Rows beyond the border are read in place by their index. Columns beyond it are added to the
-    image first, and so are rows that do not equal a row of the image (border "extend").
-    """
+    """The sum of shifted images, in loops over whole rows (h, w c), which vectorise even for few
+    bands. Rows beyond the border are read in place; columns are added first, and so are the rows of
+    border "extend"."""
     (kh, kw), (n, _, _, c) = kernel.shape[:2], image.shape
     if border == "extend":
         image = materialise(lambda f: padded(f, (kh, kw), anchor, border), image)

@@ -58,15 +58,10 @@ def weighted_mean(
     margin: int = 0,
     taken: Callable[[Int[Array, ""], int], Bool[Array, ""]] | None = None,
 ) -> Planes:
-    """sum w f / sum w over the square of neighbours up to `radius` away.
-
-    `weight_of(change, dy, dx)` gets guide(p + (dy, dx)) - guide(p), on the picture and `margin`
-    pixels around it. `taken(dy, dx)`: whether that neighbour counts (None: all do). With the border
-    "normalised_zero", neighbours outside the picture do not count.
-
-    The backward pass recomputes each neighbour instead of storing it, so a gradient needs the
-    memory of one row of neighbours, not of the square.
-    """
+    """sum w f / sum w over the neighbours up to `radius` away for which `taken(dy, dx)`, or all.
+    `weight_of(change, dy, dx)` gets guide(p + (dy, dx)) - guide(p) on the picture and `margin`
+    pixels around it. Border "normalised_zero" leaves out neighbours outside. The backward pass
+    recomputes each row of neighbours."""
     zero = jnp.zeros_like(values[0])
     height, width = zero.shape[1:]
     present = (_pad_guide(zero + 1, radius, border),) if border == "normalised_zero" else ()

@@ -129,10 +129,9 @@ def flat_quad(quad: Quad) -> FlatQuad:
 
 
 def line_crossing(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """(height, slope, u slope, v slope) of the crossing of the ray's line with the plane of the
-    parallelogram, at the distance height / slope, m, of either sign, and at u edge_u + v edge_v
-    from the corner; slope >= 0. All are multiplied by the slope, so that a test needs no
-    division."""
+    """(height, slope, u slope, v slope) of the ray's line with the plane of the parallelogram, at
+    the distance height / slope, m, of either sign, slope >= 0, and at u edge_u + v edge_v from the
+    corner; a test needs no division."""
     toward = quad.corner - ray.origin
     height, slope = dot(quad.normal, toward), dot(quad.normal, ray.direction)
     height, slope = jnp.where(slope < 0, -height, height), jnp.abs(slope)

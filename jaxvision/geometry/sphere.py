@@ -95,12 +95,9 @@ def _first_crossing(ray: Ray, sphere: Sphere) -> Scalar:
 
 
 def _crossings(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar, Bool[Array, ""]]:
-    """(distance of the near crossing, of the far one, m, and whether the line meets the sphere).
-
-    Source: Haines, Guenther, Akenine-Moeller, "Precision Improvements for Ray/Sphere
-    Intersection", Ray Tracing Gems (2019), ch. 7: the discriminant from the closest approach, and
-    the smaller root from the product of both, so that neither a distant nor a small sphere cancels.
-    """
+    """(near, far, whether the line meets the sphere), distances in m, without cancellation at
+    distant or small spheres (Haines et al., Ray Tracing Gems (2019), ch. 7): by the closest
+    approach and the product of both roots."""
     r = sphere.radius
     b, closest = _closest_approach(ray, sphere)
     discriminant = r * r - dot(closest, closest)

@@ -265,13 +265,9 @@ def _edges(stack: Stack, chosen: Binning) -> Float[Array, " edges"]:
 def _weighted_counts(
     values: Float[Array, "n h w bands"], chosen: Binning, kernel: str
 ) -> Float[Array, "planes bins"]:
-    """Sums of B-spline weights about the bins' centres.
-
-    A running float32 sum of equal weights loses precision at each step, and stalls near 2^24 of
-    them (a black background). A weight is therefore split: the upper digits of thousands of weights
-    add without rounding, and the lower ones, with the gradient, are too small to matter. Groups of
-    pixels are summed separately, and the sums are then added in pairs.
-    """
+    """Sums of B-spline weights about the bins' centres. A running float32 sum of equal weights
+    stalls near 2^24 of them, so a weight is split: upper digits of thousands add without rounding,
+    and groups of pixels are summed in pairs. The lower digits carry the gradient."""
     bins, low, high = chosen
     n, h, w, bands = values.shape
     inside = (values >= low) & (values <= high)

@@ -139,16 +139,10 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
 def window_sample(
     window: Window, point: Vector, u: Float[Array, "2"]
 ) -> tuple[Vec, Scalar, Scalar, Float[Array, "2"]]:
-    """A position of the window by `u`, (2,) in [0, 1], dense where the window is near: x = D sinh(p
-    + u q) along each edge, which is uniform if the window is far away.
-
-    Returns the unit direction toward it, the distance, m, the solid angle per unit of the square,
-    sr, which is 0 for a point behind the window or in its plane, and the position, (2,) in [0, 1]
-    along the edges.
-
-    Source: Johnston & Elliott, "A sinh transformation for evaluating nearly singular boundary
-    element integrals", Int. J. Numer. Meth. Engng 62 (2005).
-    """
+    """A position of the window by `u`, (2,) in [0, 1], dense where it is near: x = D sinh(p + u q)
+    along each edge (Johnston & Elliott, Int. J. Numer. Meth. Engng 62 (2005)). Returns the unit
+    direction, the distance, m, the solid angle per unit of the square, sr, 0 for a point behind the
+    window, and the position, (2,) in [0, 1]."""
     spread_u, spread_v = _spreads(window, point)
     s, jacobian_u = _place(spread_u, u[0])
     t, jacobian_v = _place(spread_v, u[1])

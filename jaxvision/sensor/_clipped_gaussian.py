@@ -148,15 +148,10 @@ def is_narrow(width: Scalars, offset: Scalars) -> Bool[Array, "..."]:
 
 
 def narrow_window_moments(width: Scalars, offset: Scalars) -> tuple[Scalars, Scalars]:
-    """Mean and variance of Z clipped to [offset - width / 2, offset + width / 2], measured from the
-    lower end in units of the width.
-
-    The window is narrow (`is_narrow`), and its middle m >= 0 lies above the mean. In the window the
-    survival function is the series S(m) - phi(m) (x - He_1(m) x^2 / 2! + He_2(m) x^3 / 3! - ...),
-    and
-
-        E[u] = int S du,   E[u^2] = 2 int u S du.
-    """
+    """Mean and variance of Z clipped to offset -+ width / 2, from the lower end in widths, for a
+    narrow window (`is_narrow`) whose middle m >= 0: E[u] = int S du and E[u^2] = 2 int u S du, with
+    the survival function S as the series S(m) - phi(m) (x - He_1(m) x^2 / 2! + He_2(m) x^3 / 3! -
+    ...)."""
     m, half = offset, width / 2
     even, odd = jnp.ones_like(m), m  # He_{2k-2} and He_{2k-1}
     power, more, less = half, jnp.zeros_like(m), jnp.zeros_like(m)

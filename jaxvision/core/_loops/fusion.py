@@ -65,11 +65,8 @@ def at_a_time(of_core: int) -> int:
 
 
 def one_program(function: Callable[P, R]) -> Callable[P, R]:
-    """`function` compiled once for each structure of its arguments: arrays are traced, everything
-    else is static. Inside another program it becomes a part of that program.
-
-    XLA recompiles an eager loop if its function is new, as a closure is.
-    """
+    """`function` compiled once for each structure of its arguments, in which all but arrays is
+    static. XLA recompiles an eager loop whose function is new, as a closure is."""
     compiled = cast(Any, eqx.filter_jit)(function, inline=True)
 
     @wraps(function)
@@ -82,12 +79,9 @@ def one_program(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def materialise(function: Callable[..., Any], *arguments: Any) -> Any:
-    """`function(*arguments)`, computed once and materialised.
-
-    XLA fuses a value into every loop that reads it: each tap of a filter's second pass would
-    recompute its first pass. An optimisation barrier is removed before XLA fuses. Loops do not
-    cross the boundary of a call that is not inlined.
-    """
+    """`function(*arguments)`, computed once and materialised. XLA would repeat it in every loop
+    that reads it, and removes optimisation barriers before that; loops do not cross a call that is
+    not inlined."""
     return _primitives.not_inlined(function, *arguments) if _helps() else function(*arguments)
 
 
@@ -98,13 +92,9 @@ def inline(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def fuse(values: Any) -> Any:
-    """The same tree of arrays of one shape, computed in one loop and materialised; their
-    derivatives too.
-
-    On the CPU, XLA gives each array its own loop and repeats common work in it. Only the reduction
-    of several arrays is one loop with several results. Here it reduces an axis of two equal entries
-    and keeps the last one.
-    """
+    """The same tree of arrays of one shape, and their derivatives, computed in one loop and
+    materialised. On the CPU XLA gives each array a loop of its own, except in a reduction of
+    several arrays: here of an axis of two equal entries."""
     if _fuse is None or not on_processor():
         return values
     leaves, tree = jax.tree.flatten(values)
@@ -137,12 +127,8 @@ _fuse = None if PLAIN else _primitives.identity("fuse", _one_loop)
 
 
 def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """`function(*arguments, **named)`, a search whose results are whole numbers and flags.
-
-    `vmap` and derivatives see one equation instead of the thousand equations of a search over all
-    shapes. The gradient of nested loops would trace each of them a dozen times without finding
-    anything to differentiate. A path-traced box then takes a seventh longer to compile.
-    """
+    """`function(*arguments, **named)`, a search whose results are whole numbers and flags. `vmap`
+    and derivatives see one equation instead of thousands without anything to differentiate."""
     if not _helps():
         arguments, named = jax.lax.stop_gradient((arguments, named))
         return function(*arguments, **named)
@@ -152,9 +138,8 @@ def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any
 def bilinear(
     name: str, function: Callable[..., Array], *, opaque: Callable[..., bool], **rules: Any
 ) -> Callable[..., Array]:
-    """A function that is linear in each of two arrays, with the `rules` of `primitives.bilinear`
-    for its transposes and batches in place of those that JAX derives from its parts. `opaque`, of
-    the named arguments: whether JAX cannot derive them, so that an accelerator needs these rules
+    """A function linear in two arrays, with the `rules` of `primitives.bilinear` for transposes and
+    batches. `opaque` arguments cannot be derived by JAX, so that an accelerator needs the rules
     too."""
     if PLAIN:
         return function
@@ -165,12 +150,9 @@ def bilinear(
 
 
 def in_tiles(function: Callable[..., Any], *trees: Any, size: int) -> Any:
-    """`vmap(function)(*trees)` over the leading axes of all arrays, up to `size` entries at a time.
-
-    The intermediate results of one tile stay in the cache, and a gradient recomputes a tile instead
-    of storing it. Both take half the time and a tenth of the memory. All tiles have the same size,
-    with padding in the last one, because a remainder would need its own program.
-    """
+    """`vmap(function)(*trees)` over the leading axes of all arrays, up to `size` entries at a time,
+    the last tile padded. Intermediate results stay in the cache, and a gradient recomputes them:
+    half the time and a tenth of the memory."""
     count = len(jax.tree.leaves(trees)[0])
     if count <= size:
         return jax.vmap(function)(*trees)
