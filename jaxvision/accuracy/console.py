@@ -8,6 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ..core._shown import aligned_columns
 from ..errors import InputError
 from .pages import write_page
 from .records import Curve, Problem
@@ -87,12 +88,3 @@ def keep(
 def print_json(sheet: Mapping[str, Any]) -> None:
     """Prints one JSON document."""
     print(json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False), flush=True)
-
-
-def aligned_columns(rows: Sequence[tuple[str, ...]]) -> str:
-    """Rows with equal numbers of cells as lines with aligned columns."""
-    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    )

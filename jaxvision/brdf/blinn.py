@@ -103,11 +103,11 @@ def normalisation(exponent: Scalar) -> Scalar:
 
 
 def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
-    """Integrals of (n.h)^n, and of it times cos(theta_i), over light above the horizon, () each in
-    sr, to 1e-10. With the half vector's angle t and azimuth phi, dwi = 4 d dh, d = wo.h = P + Q
-    cos(phi), P = cos_o cos(t), Q = sin_o sin(t), cos(theta_i) = 2 d cos(t) - cos_o, azimuths are
-    integrals of polynomials in cos(phi) up to cos(phi_m) = -cot(2 t) cot(theta_o), and t is a
-    quadrature."""
+    """Integrals of (n.h)^n, n of no unit, and of it times cos(theta_i), over light above the
+    horizon, () each in sr, to 1e-10. With the half vector's angle t and azimuth phi, dwi = 4 d dh,
+    d = wo.h = P + Q cos(phi), P = cos_o cos(t), Q = sin_o sin(t), and cos(theta_i) = 2 d cos(t) -
+    cos_o. Azimuths are integrals of polynomials in cos(phi) up to cos(phi_m) = -cot(2 t)
+    cot(theta_o), and t is a quadrature."""
     width = 2 * 8.5 / jnp.sqrt(exponent + 1)
     (inner, inner_weight), (outer, outer_weight), (p, q) = circles(cos_o, width=width, end=np.pi)
     sin_o = jnp.sqrt(jnp.maximum((1 - cos_o) * (1 + cos_o), jnp.finfo(cos_o.dtype).tiny))

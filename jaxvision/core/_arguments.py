@@ -29,6 +29,7 @@ from ._types import (
     in_short,
     is_any_axes,
     is_known,
+    is_record,
     members_of,
     require_metres,
 )
@@ -163,7 +164,7 @@ def _records(function: Callable[..., Any]) -> dict[str, tuple[tuple[type, ...], 
     for name in signature(function).parameters:
         parts = members_of(hints.get(name))
         kinds = tuple(part for part in parts if part is not type(None))
-        if kinds and all(map(_is_record, kinds)):
+        if kinds and all(map(is_record, kinds)):
             found[name] = kinds, type(None) in parts
     return found
 
@@ -186,7 +187,7 @@ def _wanted_by_hint(name: str, hint: Any) -> _Wanted | None:
     parts = [kind for part in _parts(hint) for kind in _kinds(part)]
     numbers = {float, int} & set(parts)
     others = {np.ndarray, *numbers}
-    arrays = [part for part in parts if part not in others and not _is_record(part)]
+    arrays = [part for part in parts if part not in others and not is_record(part)]
     if not arrays or not all(hasattr(part, "dim_str") for part in arrays):
         return None
     if not all(_dtypes(part) in (_dtypes(Float), _dtypes(Shaped)) for part in arrays):
@@ -195,7 +196,7 @@ def _wanted_by_hint(name: str, hint: Any) -> _Wanted | None:
     shapes = tuple(axes_of(part) for part in arrays)
     is_picture = any("h" in shape for shape in shapes)
     many = any(is_any_axes(axis) for shape in shapes for axis in shape)
-    is_vector = any(_is_record(part) for part in parts)
+    is_vector = any(is_record(part) for part in parts)
     return _Wanted(
         shapes,
         is_picture=is_picture,
@@ -214,10 +215,6 @@ def _kinds(part: Any) -> tuple[Any, ...]:
 
 def _dtypes(part: Any) -> Any:
     return part.dtypes
-
-
-def _is_record(part: Any) -> bool:
-    return isinstance(part, type) and issubclass(part, eqx.Module)
 
 
 def _common_dtype(values: dict[str, Any]) -> Any:

@@ -2,7 +2,7 @@
 
 import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from html import escape
 from typing import Any
@@ -131,3 +131,12 @@ def _list_items(
         f"\n{inner}{name}{_shown(one, inner, units=units)}{unit}," for name, one, unit in given
     )
     return f"{head}{entries}\n{indent}{tail.lstrip(',')}"
+
+
+def aligned_columns(rows: Sequence[tuple[str, ...]]) -> str:
+    """Rows with equal numbers of cells as lines with aligned columns."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )

@@ -154,6 +154,11 @@ def _field() -> str:
     return ""
 
 
+def is_record(kind: Any) -> bool:
+    """Whether a type is a record."""
+    return isinstance(kind, type) and issubclass(kind, eqx.Module)
+
+
 def common_dtype(*records: object) -> jnp.dtype:
     """The floating dtype that all numbers of the records share."""
     leaves = jax.tree.leaves(records)
@@ -482,7 +487,7 @@ def _field_shapes(
         hint = hints[field.name]
         parts = members_of(hint)
         shapes = tuple(axes_of(part) for part in parts if hasattr(part, "dim_str"))
-        kinds = tuple(p for p in parts if isinstance(p, type) and issubclass(p, eqx.Module))
+        kinds = tuple(part for part in parts if is_record(part))
         if shapes or kinds:
             found[field.name] = shapes, kinds
     return found

@@ -18,6 +18,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from ..core._shown import aligned_columns
 from ..core.in_notebooks import record_html
 from ..errors import InputError
 from ..scene import Camera, Scene, View
@@ -252,12 +253,5 @@ def explain(certificate: Certificate) -> str:
     """
     table = [(word, *cells) for word, cells in _rows(certificate)]
     table = [("", *_headings(certificate)), *table]
-    widths = [max(len(row[i]) for row in table) for i in range(6)]
-    lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row[:6], widths, strict=True))
-        + "  "
-        + row[6]
-        for row in table
-    ]
     notes = [f"Assumed: {note}" for note in certificate.assumptions]
-    return "\n".join([*(line.rstrip() for line in lines), *notes, summary(certificate)])
+    return "\n".join([aligned_columns(table), *notes, summary(certificate)])

@@ -20,7 +20,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core._shown import meanings
-from ..core._types import Colour, Range, axes_of, check_range, check_shape, in_short, members_of
+from ..core._types import (
+    Colour,
+    Range,
+    axes_of,
+    check_range,
+    check_shape,
+    in_short,
+    is_record,
+    members_of,
+)
 from ..errors import InputError, nearest
 from ..scene import Map
 from ..sensor.colour_filters import bayer
@@ -294,11 +303,6 @@ def _kinds_of(base: type) -> list[type]:
     """The records that a field of a base class may have, including registered ones."""
     own = [kind for below in base.__subclasses__() for kind in _kinds_of(below)]
     return own or [base]
-
-
-def is_record(kind: Any) -> bool:
-    """Whether a type is a record."""
-    return isinstance(kind, type) and issubclass(kind, eqx.Module)
 
 
 def _tuple(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) -> Any:

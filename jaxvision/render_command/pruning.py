@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from .. import effects
+from ..core._shown import aligned_columns
 from ..effects import Effect, Pruned, Tolerance
 from ..effects.pruning import WORTH, looking_pays
 from ..errors import InputError
@@ -184,11 +185,7 @@ def listed(found: Iterable[Effect]) -> str:
         if timed:
             taken = "" if effect.seconds is None else f"{1e3 * effect.seconds:.2f}"
         rows.append((effect.name, bound, unit, f"{effect.place:.2g}", taken, effect.rank, why))
-    widths = [max(len(row[i]) for row in rows) for i in range(6)]
-    return "\n".join(
-        "  ".join([*(c.ljust(w) for c, w in zip(row[:6], widths, strict=True)), row[6]]).rstrip()
-        for row in rows
-    )
+    return aligned_columns(rows)
 
 
 def smaller(source: SceneFile, pruned: Pruned) -> str:

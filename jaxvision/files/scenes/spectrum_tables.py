@@ -12,16 +12,8 @@ import numpy as np
 
 from ...errors import InputError, nearest, plain_text
 
-_WAVELENGTH = {
-    "wavelength",
-    "wavelengths",
-    "wave",
-    "lambda",
-    "λ",
-    "wl",
-    "wavenumber",
-    "wavenumbers",
-}
+_WAVELENGTH = {"wavelength", "wavelengths", "wave", "lambda", "λ", "wl"}
+_WAVELENGTH |= {"wavenumber", "wavenumbers"}
 _INDEX = {"", "index", "id", "no", "nr", "row", "unnamed"}
 _UNCERTAINTY = {
     "uncertainty",

@@ -9,16 +9,6 @@ from ....errors import InputError
 from .document import Node
 from .spectra import SPECTRUM, index_of, map_of, reflectance_of
 
-BSDFS = (
-    "diffuse",
-    "twosided",
-    "dielectric",
-    "conductor",
-    "roughconductor",
-    "plastic",
-    "roughplastic",
-    "normalmap",
-)
 # Refractive indices by Mitsuba's names: published measurements near 589 nm.
 _INDICES = {
     "vacuum": 1.0,
@@ -52,7 +42,7 @@ def material_of(node: Node | None) -> tuple[dict[str, Any], bool]:
     normal map, and whether both sides are fronts; `InputError` for one without a counterpart."""
     if node is None:
         return {"family": "lambert", "albedo": 0.5}, False
-    if (kind := node.must_be(*BSDFS)) in ("twosided", "normalmap"):
+    if (kind := node.must_be(*_FAMILIES, "twosided", "normalmap")) in ("twosided", "normalmap"):
         inner = node.only("bsdf")
         if inner is None:
             raise InputError(f"{node.label}: holds no BSDF; put one within.")
