@@ -183,13 +183,7 @@ def converter_of(frames: Iterable[np.ndarray]) -> Converter:
 
 
 def converter_in_words(converter: Converter, full_scale: float | None) -> list[str]:
-    """A finding about a converter whose numbers are not 0, 1, 2 and so on.
-
-    Example:
-        >>> from fitting.codes import Converter, converter_in_words
-        >>> print(converter_in_words(Converter(step=16.0), 65520.0)[0][:62])
-        Every number is a multiple of 16: the converter has 12 bits, a
-    """
+    """A finding about a converter whose numbers are not 0, 1, 2 and so on."""
     step, origin = converter.step, converter.origin
     if not step:
         return [

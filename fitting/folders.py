@@ -447,20 +447,7 @@ def response(
 
 
 def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
-    """Reflectance from images of a known shape under known lights.
-
-    Args:
-        path: folder of a rig.
-        step: function that reports progress.
-        draws: settings of the sampler.
-        settings: further arguments of `from_images.calibration.calibrate`, such as model and index.
-
-    Returns:
-        One section, without pictures.
-
-    Raises:
-        InputError: for what cannot be calibrated.
-    """
+    """Reflectance from images of a known shape under known lights."""
     rig = read_rig(path, "a reflectance calibration")
     from .reflectance.from_images.calibration import calibrate
     from .reflectance.from_images.read import read_reflectance_observation

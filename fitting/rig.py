@@ -55,13 +55,7 @@ COLDEST = 100.0  # K, of a sensor; a smaller number is one of degrees Celsius
 
 
 def kelvin(temperature: float) -> float:
-    """A sensor temperature in K; other values are refused.
-
-    Example:
-        >>> from fitting.rig import kelvin
-        >>> print(kelvin(293.15))
-        293.15
-    """
+    """A sensor temperature in K; other values are refused."""
     if not temperature >= COLDEST:
         raise ValueError(
             f"{temperature:g} K is no temperature of a camera; give kelvin, 293.15 for 20 °C"

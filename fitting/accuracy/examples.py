@@ -57,17 +57,7 @@ EXAMPLES: Mapping[str, Callable[[], Problem]] = {"starts": _starts, "Laplace dra
 
 
 def example(knob: str) -> Problem:
-    """The problem on which a setting is measured when there is no rig.
-
-    Args:
-        knob: name of the setting.
-
-    Returns:
-        The problem. Its errors are in standard errors, relative to the converged result.
-
-    Raises:
-        InputError: for a setting that has no example.
-    """
+    """The problem on which a setting is measured when there is no rig."""
     if knob not in EXAMPLES:
         raise InputError(f"knob {knob!r} has no example of its own; {nearest(knob, EXAMPLES)}.")
     return EXAMPLES[knob]()

@@ -22,11 +22,12 @@ from .compared import (
     OTHER_NOISE,
     SURE,
     ComparedLevels,
+    beyond_chance,
     rms,
     scaled_to_one_mean,
     trimmed_variance,
+    usual_size,
 )
-from .deviates import beyond_chance, usual_size
 from .frame import COPIED, FrameSample, OddFrames, listed
 from .moved import moved_frames
 

@@ -152,13 +152,7 @@ def price(
     freedom: float = np.inf,
     scatter: tuple[int, int] | None = None,
 ) -> float:
-    """The squared Wald ratio above which a term is kept.
-
-    Example:
-        >>> from fitting.inference.candidates import price
-        >>> round(price(1000), 2), round(price(100), 2)  # ln 1000, and 2.58^2 above ln 100
-        (6.91, 6.63)
-    """
+    """The squared Wald ratio above which a term is kept."""
     larger = 1.0
     if scatter is not None:
         freedom = max(scatter[0] - scatter[1], 1)

@@ -110,16 +110,7 @@ def gaussian_estimate(
     log_scale: bool = False,
     freedom: float = np.inf,
 ) -> Estimate:
-    """Estimate with Gaussian intervals, or those of Student's t.
-
-    Example:
-        >>> from fitting.inference.estimates import gaussian_estimate
-        >>> from fitting.inference.parameters import Parameter
-        >>> gain = Parameter("gain", symbol="K", unit="DN/e-")
-        >>> low, high = gaussian_estimate(gain, 0.25, 0.01).interval_95
-        >>> round(low, 4), round(high, 4)
-        (0.2304, 0.2696)
-    """
+    """Estimate with Gaussian intervals, or those of Student's t."""
     steps = stdtrit(freedom, QUANTILES) * standard_error
     with np.errstate(over="ignore"):  # an infinite end is reported as such
         ends = value * np.exp(steps / value) if log_scale and value > 0 else value + steps

@@ -20,13 +20,7 @@ LARGEST_SEED = 2**32 - 1  # that all generators take
 
 
 def plain_numbers(what: str, value: Any) -> Any:
-    """An argument as an array of real numbers; else an error that names it.
-
-    Example:
-        >>> from fitting.inference.given import plain_numbers
-        >>> plain_numbers("data", np.array([1, 2], ">f4")).dtype.isnative
-        True
-    """
+    """An argument as an array of real numbers; else an error that names it."""
     plain = plain_array(what, value)
     if not hasattr(plain, "dtype"):
         try:

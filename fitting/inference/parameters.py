@@ -282,14 +282,7 @@ def _to_unconstrained(space: ParameterSpace, natural: Any) -> Any:
 
 @partial(jax.jit, static_argnums=0)
 def to_natural(space: ParameterSpace, unconstrained: Vector) -> Vector:
-    """Unconstrained values to values in the parameters' own units.
-
-    Example:
-        >>> from fitting.inference.parameters import Parameter, to_natural
-        >>> space = (Parameter("gain", symbol="K", unit="DN/e-", transform="log"),)
-        >>> round(float(to_natural(space, jnp.array([0.0]))[0]), 3)
-        1.0
-    """
+    """Unconstrained values to values in the parameters' own units."""
     return _to_natural(space, unconstrained)
 
 

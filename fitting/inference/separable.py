@@ -65,14 +65,7 @@ def non_negative_amplitudes(
     """The a >= 0 that minimise a^T G a - 2 a^T b.
 
     The optimum solves the unconstrained problem on its own support. With few columns every support
-    is tried, which needs no branches and is cheap under `vmap`. A column of zeros gets 0.
-
-    Example:
-        >>> from fitting.inference.separable import non_negative_amplitudes
-        >>> amplitudes, _ = non_negative_amplitudes(jnp.eye(2), jnp.array([3.0, -1.0]))
-        >>> amplitudes.tolist()
-        [3.0, 0.0]
-    """
+    is tried, which needs no branches and is cheap under `vmap`. A column of zeros gets 0."""
     count = len(moment)
     if count > 4:
         raise ValueError(f"at most four columns, got {count}: the supports grow as 2^columns.")

@@ -33,16 +33,7 @@ class Finding(NamedTuple):
 
 
 def said(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:
-    """The sentences of a table whose conditions a calibration meets.
-
-    Example:
-        >>> from fitting.report.sentences import Finding, said
-        >>> def above(x):
-        ...     return {"x": x} if x > 1 else None
-        >>> table = [Finding("above one", above, "{x:.2f} exceeds 1.")]
-        >>> said(table, 1.25), said(table, 0.5)
-        (('1.25 exceeds 1.',), ())
-    """
+    """The sentences of a table whose conditions a calibration meets."""
     found = []
     for row in table:
         numbers = row.condition(calibration)

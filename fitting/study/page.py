@@ -30,19 +30,7 @@ def page(
     *,
     shown: str = "report.html",
 ) -> str:
-    """The page.
-
-    Args:
-        title: of the page.
-        outcomes: of the folders, which link to their reports.
-        found: as `table` returns it.
-        quantities: as `compared` returns them, in their units.
-        drifting: as `drifts` returns them.
-        shown: name of the file with a folder's results.
-
-    Returns:
-        HTML with the figures inside, as SVG.
-    """
+    """The page as HTML with its figures inside, as SVG."""
     import jinja2
     from markupsafe import Markup
 
