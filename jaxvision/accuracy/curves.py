@@ -156,7 +156,9 @@ def _look(session: Session, names: tuple[str, ...]) -> None:
         if session.expected(setting, calls=2) <= share * session.left:
             _run_twice(session, setting)
         if setting == settings[0]:
-            _compile_norms(session, names)
+            for point in session.points.values():  # compiles norms, for which no interrupt waits
+                some = next(iter(point.results.values()))
+                norms_of(some, some, 1.0, names=names, developed=session.problem.developed)
         if session.given_up:
             break
     if not session.points and not session.refused and not session.given_up:
@@ -165,13 +167,6 @@ def _look(session: Session, names: tuple[str, ...]) -> None:
             _run_twice(session, first)
     if not session.points:
         raise next(iter(session.refused.values()), OutOfTime())
-
-
-def _compile_norms(session: Session, names: tuple[str, ...]) -> None:
-    """Compile the programs of norms, for which an interrupt should not wait."""
-    for point in session.points.values():
-        some = next(iter(point.results.values()))
-        norms_of(some, some, 1.0, names=names, developed=session.problem.developed)
 
 
 def _run_twice(session: Session, setting: Any) -> None:

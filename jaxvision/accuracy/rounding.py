@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Literal
 
+from ..core._types import as_dtype
 from ..errors import InputError
 
 WHOLE = float(-np.log10(np.finfo(np.float32).eps / 2))  # digits of float32
@@ -96,7 +97,7 @@ def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: 
     """
     if runs < 2:
         raise InputError(f"digits: give at least 2 runs, got {runs}.")
-    single = jax.tree.map(_single, arguments)
+    single = as_dtype(jax.tree.map(jnp.asarray, arguments), jnp.float32)
     closed, shapes = jax.make_jaxpr(function, return_shape=True)(*single)
     names: list[str] = []
     with jax.enable_x64(True):
@@ -116,11 +117,6 @@ def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: 
     if Digits(left, "", 0.0).fewest > WHOLE - _LOSS or not lost or lost[most] <= _LOSS:
         return Digits(left, "", 0.0)
     return Digits(left, names[most], float(lost[most]))
-
-
-def _single(x: Any) -> Any:
-    x = jnp.asarray(x)
-    return x.astype(jnp.float32) if jnp.issubdtype(x.dtype, jnp.floating) else x
 
 
 def _digits_of(values: np.ndarray) -> np.ndarray:

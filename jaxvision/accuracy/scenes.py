@@ -129,7 +129,11 @@ def scene_problem(
     names = knobs_of(source, own)
     base = base_of(own, names)
     height, width = source.view.resolution
-    rows, columns = (_spread_rays(size, min(probe, size)) for size in (height, width))
+    counts = (min(probe, height), min(probe, width))  # of evenly spread rows and columns
+    rows, columns = (
+        ((np.arange(n) + 0.5) * size / n).astype(int)
+        for n, size in zip(counts, (height, width), strict=True)
+    )
     places = tuple(axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
 
     compiled: dict[str, Callable[..., Callable[..., np.ndarray]]] = {}
@@ -210,11 +214,6 @@ def _samples_a_call(entry: RenderEntry) -> int:
     if entry.integrator == "path":
         return 1
     return 2 if entry.samples % 2 == 0 else entry.samples
-
-
-def _spread_rays(size: int, count: int) -> np.ndarray:
-    """Evenly spread indices of pixels."""
-    return ((np.arange(count) + 0.5) * size / count).astype(int)
 
 
 def _compute_passes(

@@ -64,8 +64,8 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def converting(*args: P.args, **kwargs: P.kwargs) -> R:
-        wanted = _expected_content(function)
-        if len(args) > (placed := _count_positional(function)):
+        wanted, keys, records, placed = _expected(function)
+        if len(args) > placed:
             raise _unnamed_error(function, placed, args)
         if not kwargs.keys() <= wanted.keys():
             raise _unknown_error(function, kwargs, wanted)
@@ -89,10 +89,10 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
             numeric = isinstance(value, int | float | eqx.Module) or hasattr(value, "dtype")
             if not numeric and (value is not None or not want.may_be_absent):
                 raise _no_numbers(function, name, value)
-        for name, absent in _keys(function).items():
+        for name, absent in keys.items():
             if name in values:
                 check_key(_place(function, name), values[name], several=False, absent=absent)
-        for name, (kinds, absent) in _records(function).items():
+        for name, (kinds, absent) in records.items():
             if name in values and not (values[name] is None and absent):
                 check_given(_place(function, name), values[name], *kinds)
         with one_call():
@@ -141,46 +141,37 @@ def _is_plain(value: Any, want: _Wanted) -> bool:
     return isinstance(value, jax.Array) and value.dtype.kind in ("ibu" if no_codes else "ib")
 
 
-@cache
-def _expected_content(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
-    """The expected content of each parameter, in order; None unless it is an array of numbers, or
-    either an array or a record."""
-    hints = get_type_hints(function)
-    return {name: _wanted_by_hint(name, hints.get(name)) for name in signature(function).parameters}
+class _Expected(NamedTuple):
+    """What a function expects, by parameter."""
+
+    # in order; None unless it is an array of numbers, or either an array or a record
+    contents: dict[str, _Wanted | None]
+    keys: dict[str, bool]  # random keys, and whether they may be None
+    records: dict[str, tuple[tuple[type, ...], bool]]  # their kinds, and whether they may be None
+    positional: int  # number of arguments by place
 
 
 @cache
-def _keys(function: Callable[..., Any]) -> dict[str, bool]:
-    """The parameters that are random keys, and whether they may be None."""
-    hints = get_type_hints(function)
-    parts = {name: _parts(hints.get(name)) for name in signature(function).parameters}
-    return {name: type(None) in part for name, part in parts.items() if Key in part}
-
-
-@cache
-def _records(function: Callable[..., Any]) -> dict[str, tuple[tuple[type, ...], bool]]:
-    """The parameters that are records of known kinds, the kinds, and whether they may be None."""
-    hints, found = get_type_hints(function), {}
-    for name in signature(function).parameters:
-        parts = members_of(hints.get(name))
-        kinds = tuple(part for part in parts if part is not type(None))
+def _expected(function: Callable[..., Any]) -> _Expected:
+    hints, parameters = get_type_hints(function), signature(function).parameters
+    contents = {name: _wanted_by_hint(name, hints.get(name)) for name in parameters}
+    parts = {name: _parts(hints.get(name)) for name in parameters}
+    keys = {name: type(None) in part for name, part in parts.items() if Key in part}
+    records = {}
+    for name in parameters:
+        members = members_of(hints.get(name))
+        kinds = tuple(kind for kind in members if kind is not type(None))
         if kinds and all(map(is_record, kinds)):
-            found[name] = kinds, type(None) in parts
-    return found
+            records[name] = kinds, type(None) in members
+    ways = [parameter.kind for parameter in parameters.values()]
+    by_place = sum(way is not Parameter.KEYWORD_ONLY for way in ways)
+    positional = maxsize if Parameter.VAR_POSITIONAL in ways else by_place
+    return _Expected(contents, keys, records, positional)
 
 
 def _parts(hint: Any) -> tuple[Any, ...]:
     """Return the members of a union, with aliases by name; any other hint by itself."""
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-
-
-@cache
-def _count_positional(function: Callable[..., Any]) -> int:
-    """The number of positional arguments."""
-    kinds = [parameter.kind for parameter in signature(function).parameters.values()]
-    if Parameter.VAR_POSITIONAL in kinds:
-        return maxsize
-    return sum(kind is not Parameter.KEYWORD_ONLY for kind in kinds)
 
 
 def _wanted_by_hint(name: str, hint: Any) -> _Wanted | None:

@@ -84,15 +84,11 @@ def meanings(kind: object) -> dict[str, str]:
     return {name: " ".join(text.split()) for name, text in entries}
 
 
-def _units(kind: type) -> dict[str, str]:
-    """The unit of each field that has one, with a space before it: the text after its shape."""
-    found = {name: UNIT.match(meaning) for name, meaning in meanings(kind).items()}
-    return {name: f" {match[1]}" for name, match in found.items() if match}
-
-
 def _shown(value: Any, indent: str = "", *, units: bool = False) -> str:
     if isinstance(value, eqx.Module):
-        unit = _units(type(value)) if units else {}
+        # the text after a field's shape, with a space before it
+        read = {name: UNIT.match(text) for name, text in meanings(type(value)).items() if units}
+        unit = {name: f" {match[1]}" for name, match in read.items() if match}
         kept = [(f.name, getattr(value, f.name)) for f in fields(value) if f.repr]
         given = [
             (f"{name}=", one, "" if isinstance(one, eqx.Module) else unit.get(name, ""))

@@ -6,7 +6,6 @@ import math
 import jax.numpy as jnp
 
 from ..core._numerics import norm
-from ..core._types import Scalars
 from ..core._vector import Vec3, as_vec
 from ..errors import InputError
 from .rectangle import RectangleLight, _nearest_offset
@@ -40,7 +39,8 @@ def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -
         >>> [jv.order_for(lamp, jnp.array([0.0, 0.0, -below])) for below in (1.0, 20.0)]
         [6, 2]
     """
-    nearest = float(jnp.min(_distance_over_size(light, points)))
+    longest = jnp.maximum(norm(light.edge_u), norm(light.edge_v))
+    nearest = float(jnp.min(norm(_nearest_offset(light, as_vec(points))) / longest))
     pole = math.pi / 2 / math.asinh(0.5 / max(nearest, 1 / 64))
     rho = pole + math.hypot(1, pole)
     needed = math.log(100 / tolerance) / (2 * math.log(rho))
@@ -50,10 +50,3 @@ def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -
             f"the largest, {ORDERS[-1]}; loosen it, or use lights.polygon.rectangle_irradiance."
         )
     return next(order for order in ORDERS if order >= needed)
-
-
-def _distance_over_size(light: RectangleLight, points: Vec3) -> Scalars:
-    """Distance from points to the nearest position of the rectangle, divided by its longer edge."""
-    return norm(_nearest_offset(light, as_vec(points))) / jnp.maximum(
-        norm(light.edge_u), norm(light.edge_v)
-    )

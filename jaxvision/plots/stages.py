@@ -39,7 +39,8 @@ def pipeline(camera: Camera, *, axes: "Axes | None" = None) -> "Axes":
         axes.text(0, row, title, fontsize=9, fontweight="bold", va="center")
         for number, name in enumerate(names):
             down, across = divmod(number, _COLUMNS)
-            absent = _is_absent(getattr(record, name, None))
+            value = getattr(record, name, None)
+            absent = value is None or value is False or (isinstance(value, tuple) and not value)
             axes.text(
                 across + 0.5,
                 row + 0.7 * (down + 1),
@@ -63,7 +64,3 @@ def _stages(camera: Camera) -> list[tuple[str, Any, list[str]]]:
         if record is not None:
             stages.append((title, record, [field.name for field in fields(type(record))]))
     return stages
-
-
-def _is_absent(value: Any) -> bool:
-    return value is None or value is False or (isinstance(value, tuple) and not value)
