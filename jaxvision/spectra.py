@@ -402,7 +402,7 @@ def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths
     Source:
         CIE 15:2018, section 4.1.2.
     """
-    if is_known(temperature) and not ((temperature >= 4000) & (temperature <= 25000)).all():
+    if is_known(temperature) and not 4000 <= float(temperature) <= 25000:
         warn_caller(
             f"daylight: CIE defines it from 4000 to 25000 K, got {float(temperature):g} K; the "
             "nearest end is taken. Cooler lamps have the spectrum of a black body."

@@ -88,14 +88,17 @@ class Coated(Material):
                 "function: a polished TorranceSparrow (roughness 1e-3) has one."
             )
         diffuse = getattr(self.body, "diffuse", None)
-        if diffuse is not None and is_known(diffuse) and np.any(np.pi * diffuse > 1 + 1e-3):
+        known = diffuse is not None and is_known(diffuse)
+        most = np.pi * np.max(np.asarray(diffuse)) if known else 0
+        if most > 1 + 1e-3:
             raise ValueError(
-                f"Coated.body reflects {float(np.pi * np.max(diffuse)):.3g} of its light, and at "
-                "most 1 is possible; diffuse is in sr^-1, the albedo over pi."
+                f"Coated.body reflects {most:.3g} of its light, and at most 1 is possible; diffuse "
+                "is in sr^-1, the albedo over pi."
             )
         eta = self.interface.eta
-        known = not is_known(eta) or bool(np.all((eta >= LEAST_INDEX) & (eta <= LARGEST_INDEX)))
-        if jnp.size(eta) != 1 or not known:
+        if jnp.size(eta) != 1 or (
+            is_known(eta) and not LEAST_INDEX <= np.asarray(eta).item() <= LARGEST_INDEX
+        ):
             raise ValueError(
                 f"Coated.interface must have one index from {LEAST_INDEX} to {LARGEST_INDEX}, got "
                 f"{eta}."

@@ -140,10 +140,12 @@ class TorranceSparrow(Material):
 
     def __check_init__(self) -> None:
         check_fields(self, diffuse=AMOUNT, specular=AMOUNT, roughness=AMOUNT, ambient=AMOUNT)
-        if is_known(self.roughness) and np.max(self.roughness) > ROUGHEST:
+        # not by `self.roughness.max()`, which is traced in a trace even where the numbers are known
+        largest = np.max(np.asarray(self.roughness)) if is_known(self.roughness) else 0
+        if largest > ROUGHEST:
             raise ValueError(
                 f"TorranceSparrow.roughness is alpha, at most {ROUGHEST:g}, neither degrees nor "
-                f"per cent, got {float(np.max(self.roughness)):g}."
+                f"per cent, got {largest:g}."
             )
         spectra = [self.diffuse, self.specular, *jax.tree.leaves(self.interface, is_leaf=is_map)]
         counts = [x.shape[-1] for x in spectra]
@@ -156,8 +158,7 @@ class TorranceSparrow(Material):
             check_choice(f"TorranceSparrow.{name}", getattr(self, name), get_args(words))
         if self.multiple_scattering is not None:
             check_choice("TorranceSparrow.multiple_scattering", self.multiple_scattering, BETWEEN)
-            rough = is_known(self.roughness) and np.max(self.roughness) > 1
-            if self.roughness.shape or rough or self.shadowing != "smith":
+            if self.roughness.shape or largest > 1 or self.shadowing != "smith":
                 raise ValueError(
                     "TorranceSparrow.multiple_scattering needs one roughness, at most 1, and "
                     "shadowing 'smith'."

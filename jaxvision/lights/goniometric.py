@@ -136,7 +136,7 @@ def _check(light: Goniometric) -> None:
             raise ValueError(f"{kind}.{name} must increase.")
     turns = light.horizontal
     if light.system == "C" and turns.shape[0] > 1 and is_known(turns):
-        span = float(turns[-1] - turns[0])
+        span = float(np.ptp(np.asarray(turns)))
         if abs(span - _TURN) > 1e-4:
             raise ValueError(f"{kind}.horizontal must span a turn (6.2832 rad), got {span:g}.")
 

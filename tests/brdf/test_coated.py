@@ -121,6 +121,12 @@ def test_the_plastic_of_other_programs():
     rho = np.array([0.9, 0.5, 0.1])
     exact = np.array(way)[:, None] * rho / (1 - rho * kept) / np.pi / 1.5**2
     np.testing.assert_allclose(EVALUATE(coat, wi, wo), exact, rtol=3e-4)
+    # and the first, a picture of a coat that faces the camera
+    floor = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), coat)
+    view = jv.Orthographic([0, 0, 9], np.diag([1.0, -1, -1]), 0.1, resolution=(1, 1))
+    lamp = jv.DirectionalLight(towards(0.5), [1.0])
+    straight = exact[0] * (1 - fresnel(1.0, 1.5)) / (1 - fresnel(np.cos(0.9), 1.5)) * np.cos(0.5)
+    np.testing.assert_allclose(jv.render(jv.Scene(floor, lamp), view)[0, 0], straight, rtol=3e-4)
 
 
 @pytest.mark.parametrize("cos_o", [0.9, 0.1])

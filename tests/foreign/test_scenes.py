@@ -524,6 +524,17 @@ def test_known_scenes_are_looked_at_inside_a_trace_too():
         assert sum("times the light that it receives" in str(one.message) for one in said) == warned
 
 
+def test_records_of_known_numbers_are_made_inside_a_trace_too():
+    coat = jv.Coated(GREY, jv.Dielectric([1.5]), 0.1)
+    full, basis, warm = jnp.array([0, np.pi, 2 * np.pi]), jnp.ones((3, 3)), jnp.asarray(5000.0)
+    for make in (
+        lambda: jv.Coated(coat.body, coat.interface, coat.roughness).roughness,
+        lambda: jv.GoniometricLight([0, 0, 2], [8.0], jnp.ones((2, 3)), [0, 1.0], full).position,
+        lambda: jv.spectra.daylight(basis, warm),
+    ):
+        np.testing.assert_array_equal(jax.jit(make)(), make())
+
+
 @pytest.mark.slow
 def test_shapes_far_from_the_origin_are_named_by_python_too():
     east = np.array([1e5, 1e5, 0])
