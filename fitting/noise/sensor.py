@@ -186,10 +186,16 @@ def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
     """Write the sensor of a calibration, with its draws in a second file."""
     best, draws = fitted_sensor(calibration)
     about = "Fitted by photon transfer; light is photons per pixel and second."
-    converter = calibration.measurement.converter
-    if converter.step not in (0.0, 1.0):
-        about += f" Its codes are the file's numbers divided by {converter.step:.5g}."
-    write_sensor(best, path, draws=draws, about=about)
+    write_sensor(
+        best, path, draws=draws, about=about + codes_in_words(calibration.measurement.converter)
+    )
+
+
+def codes_in_words(converter: Converter) -> str:
+    """A sentence on the step of the numbers in the files; empty where they are the codes."""
+    if converter.step in (0.0, 1.0):
+        return ""
+    return f" Its codes are the file's numbers divided by {converter.step:.5g}."
 
 
 def _fitted_without(

@@ -216,16 +216,23 @@ def observations(problem: Problem) -> int:
 
 def start_vector(problem: Problem, standard: Sheet) -> Float[Array, " p"]:
     """Where a fit starts: the standard's figures, no compression, slight scatter."""
-    data, (mean, _, _, spatial) = problem.inputs, problem.data.T
+    data, (mean, variance, _, spatial) = problem.inputs, problem.data.T
     dark, gain = data.lit == 0, standard["system_gain"]
     responsivity = data.top_signal / jnp.max(data.light)
+    black, rate = jnp.min(jnp.where(dark, mean, jnp.inf)), jnp.asarray(0.0, gain.dtype)
+    if "dark_current" in names(problem.space):  # a line through the darks
+        weights = jnp.where(dark & (variance > 0), 1 / variance, 0)
+        middle, level = (jnp.average(x, weights=weights) for x in (data.exposure, mean))
+        late = data.exposure - middle
+        rate = jnp.sum(weights * late * mean) / jnp.sum(weights * late**2)
+        black = level - rate * middle
     starts = {
         "system_gain": gain,
         "responsivity": responsivity,
         "signal_rate": responsivity,
-        "black_level": jnp.min(jnp.where(dark, mean, jnp.inf)),
+        "black_level": black,
         "read_noise": standard["read_noise"],
-        "dark_current": jnp.asarray(0.0, gain.dtype),
+        "dark_current": rate / gain,
         "black_scatter": jnp.std(mean, where=dark),
         "offset_spread": jnp.sqrt(jnp.maximum(jnp.mean(spatial, where=dark), FINEST_SPREAD**2)),
     }

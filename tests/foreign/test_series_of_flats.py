@@ -12,6 +12,7 @@ from fitting import noise
 from fitting.codes import converter_in_words, converter_of
 from fitting.frame_checks.heads import Stated, odd_heads
 from fitting.noise import calibration as calibrations
+from fitting.noise.across_settings.prediction import predict_settings
 from fitting.noise.doubts import drifting
 from fitting.noise.findings import _glow, _periodic
 from fitting.noise.levels import linear_levels
@@ -407,3 +408,43 @@ def test_a_lamp_that_flickers_does_not_drift(flicker):
     for seed in range(3):
         found = ageing(np.random.default_rng(seed), 0.0, flicker=flicker)
         assert drifting(found, linear_levels(found)) is None
+
+
+def own_darks(rng, seconds, current):
+    """Darks of long exposures, whose dark current fills half of the range."""
+    return [[exposed(rng, current * t) for _ in range(2)] for t in seconds]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("current", [200.0, 4000.0])
+def test_a_large_dark_current_is_found_and_leaves_the_gain(current):
+    rng, seconds = np.random.default_rng(5), [0.01, 0.1, 0.5, 1.0]
+    flats = [[exposed(rng, e + 0.01 * current) for _ in range(2)] for e in ELECTRONS]
+    darks = own_darks(rng, seconds, current)
+    of = {"camera": noise.Camera(bits=12), "dark_exposures": seconds}
+    found = noise.calibrate(noise.from_frames(flats, darks, [0.01] * 8, ELECTRONS, **of))
+    values, errors = found.chosen.values, found.chosen.errors
+    assert abs(float(values["system_gain"]) / K - 1) < 0.03
+    off = float(values["dark_current"]) / current - 1
+    assert abs(off) < 4 * (errors["dark_current"] / current + errors["system_gain"])
+
+
+@pytest.mark.slow
+def test_settings_with_steps_of_their_own_are_predicted():
+    def frames(rng, iso, step):
+        def shot(electrons):
+            return step * exposed(rng, electrons, gain=K * iso / 100 / step)
+
+        flats = [[shot(e) for _ in range(2)] for e in ELECTRONS / (iso / 100)]
+        darks, of = [[shot(0) for _ in range(2)]], {"dark_exposures": [0.01]}
+        of["camera"] = noise.Camera(bits=14)
+        measured = noise.from_frames(flats, darks, [0.01] * 8, ELECTRONS / (iso / 100), **of)
+        return noise.FramesOfSetting(noise.Setting(iso), measured)
+
+    rng = np.random.default_rng(6)  # the second gain multiplies the numbers of the first
+    camera = noise.calibrate_settings([frames(rng, 100, 1), frames(rng, 400, 4)])
+    (one, _), (four, _) = (noise.sensor_at(camera, gain=iso) for iso in (100, 400))
+    assert abs(float(four.gain) / float(one.gain) - 1) < 0.03
+    assert (float(one.bits), float(four.bits)) == (14, 12)
+    for predicted in predict_settings(camera):
+        assert not predicted.judged.missed

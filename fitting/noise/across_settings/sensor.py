@@ -18,7 +18,7 @@ from ...inference.precision import double_precision
 from ...inference.problem import values_from
 from ...rig import Camera
 from ..levels import Levels, PhotonTransfer
-from ..sensor import DRAWS
+from ..sensor import DRAWS, bits_of, codes_in_words
 from ..settings import Setting
 from ..sites import joined_sensors
 from .calibration import CameraCalibration
@@ -39,7 +39,8 @@ def sensor_at(
     temperature (`ArrheniusDarkCurrent`) if there is one. Otherwise it is interpolated linearly
     between the temperatures. Fixed patterns and full well have the values of the best fit in every
     draw. The exposure is the median of the flats' exposures, so light is a rate in photons per
-    pixel and second.
+    pixel and second. If the numbers of the nearest measured gain are multiples of a step, as
+    left-aligned ones are, the sensor gives the converter's own codes.
 
     Args:
         calibration: of the camera.
@@ -73,9 +74,11 @@ def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Pa
     file."""
     warmest = calibration.fit.reference
     best, draws = sensor_at(calibration, gain=gain, temperature=warmest)
-    at = Setting(gain, calibration.settings[0].gain_unit, warmest).label
+    unit = calibration.settings[0].gain_unit
+    at = Setting(gain, unit, warmest).label
     about = f"Fitted by photon transfer over gains and temperatures, at {at}; light is photons per "
-    write_sensor(best, path, draws=draws, about=about + "pixel and second.")
+    codes = codes_in_words(_nearest(calibration, Setting(gain, unit).gain_factor).converter)
+    write_sensor(best, path, draws=draws, about=f"{about}pixel and second.{codes}")
 
 
 @double_precision
@@ -90,6 +93,12 @@ def write_sensor_of_sites_at(
         f"Fitted by photon transfer over gains and temperatures; taps are {', '.join(camera.sites)}"
     )
     write_sensor(best, path, draws=draws, about=f"{about}; light is photons per pixel and second.")
+
+
+def _nearest(calibration: CameraCalibration, factor: float) -> PhotonTransfer:
+    """The flats and darks of the measured gain nearest to a gain factor."""
+    lit = [one for one in calibration.frames if isinstance(one.frames, PhotonTransfer)]
+    return min(lit, key=lambda one: abs(np.log(one.setting.gain_factor / factor))).frames
 
 
 def _within(known: list[float | None], asked: float | None, word: str) -> float | None:
@@ -135,7 +144,8 @@ def _sensor(
     frames = [one.frames for one in calibration.frames]
     darks = [one if isinstance(one, Levels) else one.dark for one in frames]
     lit = [one for one in frames if isinstance(one, PhotonTransfer)]
-    scale = lit[0].full_scale
+    scale, converter = lit[0].full_scale, _nearest(calibration, factor).converter
+    step = converter.step or 1.0
     shortest = [jnp.argmin(one.exposure) for one in darks]
     black = jnp.stack([one.mean[i] for one, i in zip(darks, shortest, strict=True)])
     if at.dark_current is not None:
@@ -171,9 +181,9 @@ def _sensor(
         read_noise=jnp.sqrt(jnp.maximum(variance, 0)) / above,
         dark_current=dark,
         full_well=well,
-        gain=gain * above,
-        offset=between(black),
+        gain=gain * above / step,
+        offset=(between(black) - converter.origin) / step,
         dsnu=None if dsnu is None else np.sqrt(dsnu),
         prnu=None if prnu is None else np.sqrt(prnu),
-        bits=None if scale is None else float(np.log2(scale + 1)),
+        bits=None if scale is None else bits_of(scale, converter),
     )
