@@ -53,7 +53,8 @@ from .nonlinearity import charge_of_signal, signal_of_charge
 from .read_out import read_out_variance
 from .sampling import light_share
 
-FAR = 4.0  # standard deviations of the read-out noise below a full well that may be full
+FAR = 4.0  # standard deviations of noise, within which a pixel may be full, dead or dark
+DEAD = 0.1  # relative sensitivity below which a pixel whose flat is no more than noise is dead
 
 Along = Literal["pixels", "rows", "columns", "frame", "all"]
 Kernel = Float[Array, "rows columns"]
@@ -130,7 +131,8 @@ class Calibrated(Shown):
 
     Attributes:
         image: (..., h, w, bands) photoelectrons for a pixel of mean sensitivity, or photons, or W
-            m^-2; NaN in defects and where the raw value or the flat was saturated.
+            m^-2; NaN in defects and where the raw value or the flat was saturated, or the flat
+            has no light.
         parts: of its error.
         saturated: (..., h, w, bands) where a raw value was; None where no end is known.
 
@@ -297,7 +299,8 @@ def correct(
             differs from the frames', and a flat that is saturated throughout.
 
     Warns:
-        UserWarning: for a dark master that is far from what the camera states, unless traced.
+        UserWarning: for a dark master that is far from what the camera states, and for raw
+            numbers below those without light, unless traced.
 
     Example:
         >>> sensor = jv.Sensor(nonlinearity=jv.Compression(0.05, electrons=1e4), offset=64.0)
@@ -315,7 +318,11 @@ def correct(
         shown = None if master is None else master.mean
         check_shape(f"correct: masters.{name}.mean", shown, raw.shape[-3:], advice=advice)
     check_shape("correct: masters.defects", masters.defects, raw.shape[-3:-1], advice=advice)
+    if expected is not None and expected.ndim > 0:
+        check_shape("correct: expected", expected, ("...", *raw.shape[-3:]))
     measured = raw = as_float(raw)  # codes are unsigned, and would wrap
+    _warn_of_raw(sensor, raw, masters.dark)
+    masters = _add_defects_of_flat(sensor, masters)
     if masters.defects is not None:  # neighbours are unmixed from the mean of those around
         raw, masters = _fill(raw, masters.defects), _fill_masters(masters, masters.defects)
     if sensor.own is not None:
@@ -339,8 +346,6 @@ def correct(
     bad = jnp.zeros(raw.shape, bool) if saturated is None else saturated
     if masters.defects is not None:
         bad = bad | _broadcast(masters.defects[..., None], raw)
-    if masters.flat is not None:
-        bad = bad | _broadcast(_find_ended(sensor, masters.flat), raw)
     if masters.dark is not None:
         _warn_of_dark(sensor, masters.dark)
     return Calibrated(jnp.where(bad, jnp.nan, image), tuple(parts), saturated)
@@ -372,6 +377,38 @@ def _find_ended(sensor: Sensor, flat: Master) -> Bool[Array, "..."]:
             "scale."
         )
     return ended
+
+
+def _add_defects_of_flat(sensor: Sensor, masters: Masters) -> Masters:
+    """Masters whose defects include the pixels of a flat that are saturated or show only noise."""
+    if masters.flat is None:
+        return masters
+    flat = _flat(sensor, masters, masters.flat.mean)
+    assert flat is not None
+    of = {"shape": flat.shape, "dtype": flat.dtype}
+    noise = jnp.sqrt(read_out_variance(sensor, **of) / masters.flat.frames)
+    dim = jnp.minimum(FAR * noise, DEAD * jnp.mean(flat, (-3, -2), keepdims=True))
+    bad = jnp.any(_find_ended(sensor, masters.flat) | (flat <= jnp.maximum(dim, 0)), axis=-1)
+    if is_known(bad) and not bool(bad.any()):
+        return masters
+    return replace(masters, defects=bad if masters.defects is None else masters.defects | bad)
+
+
+def _warn_of_raw(sensor: Sensor, raw: Counts, dark: Master | None) -> None:
+    """Of raw numbers that lie on average below those without light by more than their noise."""
+    if not is_known(raw):
+        return
+    black = jnp.zeros(raw.shape[-3:], raw.dtype)
+    stated = amplified(sensor, mean_dark(sensor, black) + black) if dark is None else dark.mean
+    found, expected = jnp.nanmean(raw), jnp.mean(stated)
+    noise = jnp.sqrt(jnp.mean(signal_variance(sensor, black)))
+    if is_known(expected - noise) and found < expected - FAR * noise:
+        warnings.warn(
+            f"raw has a mean of {float(found):.4g} DN, below the {float(expected):.4g} DN without "
+            "light; give the numbers as the camera wrote them, neither divided by their largest "
+            "number, nor of fewer bits, nor without the black level.",
+            stacklevel=4,
+        )
 
 
 def _warn_of_dark(sensor: Sensor, dark: Master) -> None:
@@ -492,13 +529,14 @@ def _fill_masters(masters: Masters, defects: Bool[Array, "h w"]) -> Masters:
 
 
 def _fill(raw: Counts, defects: Bool[Array, "h w"]) -> Counts:
-    """Fill defects with the mean of the usable pixels around them, within 5 x 5."""
+    """Fill defects with the mean of the usable pixels around them, within 5 x 5; without one, with
+    that of the frame."""
     good = jnp.broadcast_to(~_broadcast(defects[..., None], raw), raw.shape)
     around = jnp.ones((5, 5), raw.dtype)
-    mean = convolve(jnp.where(good, raw, 0), around) / jnp.maximum(
-        convolve(good.astype(raw.dtype), around), 1
-    )
-    return jnp.where(good, raw, mean)
+    count = convolve(good.astype(raw.dtype), around)
+    mean = convolve(jnp.where(good, raw, 0), around) / jnp.maximum(count, 1)
+    whole = jnp.mean(raw, (-3, -2), keepdims=True, where=good)
+    return jnp.where(good, raw, jnp.where(count > 0.5, mean, whole))
 
 
 def _parts(sensor: Sensor, raw: Counts, masters: Masters, expected: Counts | None) -> list[Part]:

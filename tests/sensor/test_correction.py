@@ -417,3 +417,23 @@ def test_the_mean_of_a_patch_with_saturated_pixels_is_said_to_be_too_low():
     assert float(found.mean(below).mean[0]) > 0  # without a word
     with pytest.warns(UserWarning, match="saturated"):
         (found - js.correct(jnp.full_like(raw, 500.0), replace(SIMPLE, bits=14))).mean()
+
+
+def test_flats_with_saturated_and_dead_pixels_scale_the_others_by_usable_ones():
+    sensor = jv.Sensor(read_noise=5.0, gain=0.25, offset=60.0, bits=12)
+    flat = jnp.full((24, 24, 1), 60.0 + 0.25 * 3000).at[:12].set(4095.0)
+    flat = flat.at[15, 3].set(60.0).at[15, 9].set(50.0)
+    raw = jnp.full((24, 24, 1), 60.0 + 0.25 * 3000)
+    found = js.correct(raw, sensor, masters=js.Masters(flat=js.Master(flat, 16)))
+    assert np.isnan(np.asarray(found.image)).sum() == 12 * 24 + 2
+    assert np.allclose(np.asarray(found.image)[12:, 10:], 3000)
+    assert np.isfinite(np.asarray(found.mean().variance)).all()
+
+
+@pytest.mark.parametrize("scale", [1 / 4095, 1 / 16])
+def test_numbers_of_another_scale_are_warned_of(scale):
+    sensor = jv.Sensor(read_noise=5.0, gain=0.25, offset=200.0, bits=12)
+    raw = jnp.full((8, 8, 1), 800.0)
+    with pytest.warns(UserWarning, match="below the 200 DN without light"):
+        js.correct(raw * scale, sensor)
+    js.correct(raw, sensor)
