@@ -244,8 +244,8 @@ def _curve_of(
 def _gap(
     session: Session, others: Sequence[Point], exact: np.ndarray, reference: Reference
 ) -> float:
-    """Return the distance of the finest setting from the reference if it exceeds their scatter (for
-    equal seeds: the nearest setting's), so that one of them is wrong; else 0."""
+    """Return the distance of the finest setting from the reference if it exceeds their scatter, so
+    that one of them is wrong; else 0. For equal seeds it is the distance of the nearest setting."""
     from scipy.special import stdtrit
 
     error, known = reference.error, [one for one in others if len(one.results) > 1]

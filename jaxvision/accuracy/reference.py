@@ -158,7 +158,7 @@ def _finest(session: Session, *, calls: int) -> Any:
 
 def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.ndarray]]) -> float:
     """Estimate the error of the last of at least two results by the law E exp(-k x) of the knob's
-    variable x: the correlation between steps shows whether their errors add in one direction or at
+    variable x. The correlation between steps shows whether errors add in one direction or at
     random, and the steps give k."""
     if len(ladder) < 2:
         return float("inf")

@@ -209,8 +209,8 @@ def scene_problem(
 
 
 def _samples_a_call(entry: RenderEntry) -> int:
-    """The samples of one call, several of which give any number: one for paths, and for others,
-    whose single sample is the pixel's middle, two or all."""
+    """The samples of one call; several calls give any number. Paths take one. Other integrators,
+    whose single sample is the pixel's middle, take two or all."""
     if entry.integrator == "path":
         return 1
     return 2 if entry.samples % 2 == 0 else entry.samples

@@ -310,7 +310,7 @@ def all_together(
     clock: Clock | None = None,
 ) -> tuple[Together, ...]:
     """Choose and check the cheapest combination of settings for each of `TOLERANCES` within the
-    given s; none for fewer than two knobs. An interrupt ends the checks."""
+    given s. The result is empty for fewer than two settings, and an interrupt ends the checks."""
     known = [curve for curve in curves if curve.knob.name in problem.settings]
     if len(known) < 2:
         return ()

@@ -99,8 +99,8 @@ def about(axis: Vector, one_minus_cos: Scalar, phi: Scalar) -> Vec:
 
 
 def log_cosine(angle: Scalars) -> Scalars:
-    """log(cos(angle)), `angle` in [0, pi / 2] rad, near 0 by 1 - cos = 2 sin^2(angle / 2), which
-    keeps the digits that a narrow lobe amplifies; `log_of_zero` at pi / 2."""
+    """log(cos(angle)), `angle` in [0, pi / 2] rad, and `log_of_zero` at pi / 2. Near 0 it uses 1 -
+    cos = 2 sin^2(angle / 2), which keeps the digits that a narrow lobe amplifies."""
     near = angle < 1
     small = log1p(-2 * jnp.square(jnp.sin(jnp.minimum(angle, 1.25) / 2)))
     return jnp.where(near, small, safe_log(jnp.cos(angle)))

@@ -177,8 +177,8 @@ def body_colour(
 @takes_numbers
 def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, Colour]:
     """The unit normal, (3,), of a material's dichromatic plane in a linear picture, and the root
-    mean squares along the main axes, (3,), ascending, in its unit; if the second is noise too, the
-    colours lie on a line."""
+    mean squares along the main axes, (3,), ascending, in its unit. If the second is at the noise
+    level too, the colours lie on a line."""
     check_shape("one pixel", image[(0,) * (image.ndim - 1)], (3,))
     pixels = image.reshape(-1, 3)
     weight = jnp.ones_like(pixels[:, 0]) if valid is None else valid.reshape(-1).astype(image.dtype)

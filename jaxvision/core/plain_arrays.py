@@ -37,10 +37,10 @@ _WIDEST = {"f": np.float64, "c": np.complex128}  # that JAX knows, by the kind o
 
 
 def plain_array(name: str, value: Any) -> Any:
-    """The argument as plain numbers if nothing is lost: NaN for masked floating numbers, this
-    machine's byte order, 64 bits for wider numbers, no subclass, also inside lists. `InputError`,
-    which names the argument, for masked whole numbers, units, coordinates, an index, spans of time,
-    and what is no number."""
+    """The argument as plain numbers if nothing is lost. Masked floating numbers become NaN. Other
+    byte orders, wider numbers and subclasses become this machine's arrays of at most 64 bits, also
+    inside lists. `InputError`, which names the argument, for masked whole numbers, units,
+    coordinates, an index, spans of time, and what is no number."""
     if type(value) in (list, tuple):
         if all(type(part) in (float, int) for part in value):
             return value

@@ -42,8 +42,8 @@ class PointLight(Light):
 
 
 def from_point_light(light: PointLight, point: Vector) -> Incident:
-    """Light from a point: the unit direction, E = I / d^2 on a surface that faces it, (bands,) W
-    m^-2, and the distance d, m; 0 nearer than `smallest_divisor`."""
+    """Light from a point: unit direction, irradiance E = I / d^2 on a surface that faces it,
+    (bands,) W m^-2, and distance d, m. It is 0 nearer than `smallest_divisor`."""
     direction, distance, dilution = _toward(light.position, point)
     return Incident(direction, map_bands(lambda band: band * dilution, light.intensity), distance)
 

@@ -50,8 +50,9 @@ class SmallLight(Light):
 
 
 def from_small_light(light: SmallLight, point: Vector) -> Incident:
-    """Light from a small light: the unit direction, E = I cos(theta) / d^2 on a surface that faces
-    it, (bands,) W m^-2, and the distance, m; 0 behind it, and nearer than `smallest_divisor`."""
+    """Light from a small light: unit direction, irradiance E = I cos(theta) / d^2 on a surface that
+    faces it, (bands,) W m^-2, and distance, m. It is 0 behind the light, and nearer than
+    `smallest_divisor`."""
     direction, distance, dilution = _toward(light.position, point)
     cosine = jnp.maximum(-dot(direction, normalize(light.normal)), 0)
     factor = cosine * dilution

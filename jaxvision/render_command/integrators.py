@@ -62,9 +62,9 @@ def pixels_of(
 
 
 def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
-    """Return a function from a seed, and a further one for the positions of rays, to a function of
-    rows, columns and the number of the first sample, which takes the dtype of the scene, W m^-2
-    sr^-1; compiled once, also for other depths of paths."""
+    """Return a function from a seed, and a second one for the positions of rays, to a function that
+    computes pixels. That one takes rows, columns and the number of the first sample, and for paths
+    another depth. Radiance, W m^-2 sr^-1, has the dtype of the scene; all is compiled once."""
     traces = _seeded_traces_of(source, settings)
 
     def seeded(seed: int, within_pixels: int | None = None) -> Computed:

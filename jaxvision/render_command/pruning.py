@@ -103,9 +103,9 @@ def prune_scene(
 
 
 def prune_losslessly(source: SceneFile, settings: RenderEntry) -> Pruned | None:
-    """The scene without effects that are proved to be 0 W m^-2 sr^-1, for pictures without random
-    lamp samples, where looking takes at most a twentieth of the picture's time and saves 3 % of its
-    work; else None. Times are estimated by counts, so that a resumed render agrees."""
+    """The scene without effects that are proved to be 0 W m^-2 sr^-1, or None. It looks in pictures
+    without random lamp samples, if looking takes at most a twentieth of the picture's time and
+    saves 3 % of its work. Times are estimated by counts, so that a resumed render agrees."""
     if settings.integrator not in ("direct", "rays") or settings.rule != "quadrature":
         return None
     rays = math.prod(source.view.resolution) * settings.samples

@@ -184,7 +184,7 @@ def _shares(
     inefficiency: Scalar, size: int, trail: int, like: Counts
 ) -> list[tuple[Shares, Shares]]:
     """For each lag k, the share of the packet of row i that is read there, by C(i + k, k) / C(i + k
-    - 1, k - 1) = (i + k) / k; the last lag takes the remainder, but at least its own share, because
+    - 1, k - 1) = (i + k) / k. The last lag takes the remainder, but at least its own share, because
     1 minus the others has no digits there."""
     row = jnp.arange(size, dtype=like.dtype)
     kept = (row + 1) * log1p(-inefficiency)

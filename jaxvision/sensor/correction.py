@@ -167,8 +167,8 @@ class Calibrated(Shown):
 
     def mean(self, where: Bool[Array, "h w"] | None = None) -> Moments:
         """Mean and variance, (..., bands) in the unit of the image and its square, of the pixels
-        `where` true (NaN never), with the errors that they share; warns of saturated ones unless
-        traced."""
+        where `where` is true. NaN is never used, and shared errors are included. Warns of saturated
+        pixels unless traced."""
         kept = jnp.isfinite(self.image)
         if where is not None:
             kept = kept & _broadcast(jnp.asarray(where)[..., None], kept)

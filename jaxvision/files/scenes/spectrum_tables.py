@@ -45,9 +45,9 @@ _NO_LENGTH = {"hz", "thz", "ev", "frequency", "energy"}
 
 
 def read_table(file: Path, column: str | None, quantity: str) -> tuple[np.ndarray, np.ndarray]:
-    """Wavelengths, (n,) m, ascending, and values, (n,) in the file's unit, of a column of a CSV (by
-    default the only one that is a spectrum or named after the quantity); `InputError` where column
-    or unit are ambiguous."""
+    """Wavelengths, (n,) m, ascending, and values, (n,) in the file's unit, of a column of a CSV.
+    The default is the only column that is a spectrum, or that is named after the quantity.
+    `InputError` where column or unit are ambiguous."""
     lines = plain_text(file).splitlines()
     first = next((n for n, line in enumerate(lines) if line.strip()[:1] not in ("", "#")), None)
     heads = [] if first is None else _cells(lines[first])

@@ -48,8 +48,8 @@ def reflectance_of(node: Node, name: str, otherwise: float) -> Any:
 
 
 def light_of(node: Node, name: str, otherwise: float) -> Any:
-    """Return a radiance, intensity or irradiance by its name, the white of sRGB without one; a flat
-    spectrum has equal energy, and a black body the values of Mitsuba's spectral variants, per
+    """Return a radiance, intensity or irradiance by its name; without one, the white of sRGB. A
+    flat spectrum has equal energy. A black body has the values of Mitsuba's spectral variants, per
     nm."""
     match node.take(name, (*SPECTRUM, Blackbody), otherwise):
         case Blackbody(kelvin):
