@@ -26,6 +26,7 @@ from .solve import STEADIEST
 
 FEWEST_TO_LEAVE_OUT = 4  # exposures: any two of three agree on some curve
 GOOD_SHUTTER, AS_GOOD = 0.005, 3.0  # errors of ln t: of any shutter; times the least, as good as it
+MOST_ROUNDING = 2.0  # times the scatter of rounded times: more disagreement has other causes
 MOST_PIXELS = 100_000  # of a plane, by which an image is suspected
 
 
@@ -116,6 +117,8 @@ def _recalibrate_with_exact_times(
     stated = _shutter_error_of(channels)
     times = np.unique(np.concatenate([channel.plane.exposures for channel in channels]))
     for exact in exact_times(times) if stated else ():
+        if stated > MOST_ROUNDING * np.std(np.log(exact / times)):
+            continue
         own = [
             replace(c.plane, exposures=exact[np.searchsorted(times, c.plane.exposures)])
             for c in channels

@@ -21,7 +21,7 @@ CUTS = 3  # at most
 WIDEST = 1024  # pixels of a side of what is compared, from the middle
 CLEAR = 0.03, 0.95  # of the range of codes, between which a cut must lie
 FARTHEST = 8  # of the picture's sides: the farthest shift is a part of so many
-LEAST = 2.0  # pixels: less is seen to by the classes of steepness
+LEAST = 2.0  # pixels from which an image is left out; one displaced by less is moved back
 SURE = 6.0  # standard deviations by which agreement must rise
 ALIKE = 0.5  # Cohen's kappa of the agreement where the images are said to lie
 
@@ -32,16 +32,24 @@ def moved_exposures(
     *,
     full_scale: float,
     cell: tuple[int, int] = (1, 1),
-) -> list[OddFrames]:
-    """Exposures that are displaced relative to most others."""
+) -> tuple[list[OddFrames], dict[str, tuple[int, int]]]:
+    """Exposures that are displaced relative to most others, and by name the rows and columns of
+    those displaced by a pixel, to lay them on the others."""
     if len({np.shape(frame) for frame in frames}) != 1:
-        return []  # refused where they are read
+        return [], {}  # refused where they are read
     size: Any = list(cell)  # SciPy's types know one number for all axes only
     smooth = [uniform_filter(_middle(frame), size) for frame in frames]
     steps = [_shift(one, other, full_scale) for one, other in pairwise(smooth)]
     places = np.concatenate([np.zeros((1, 2)), np.cumsum(np.array(steps).reshape(-1, 2), axis=0)])
     far = np.linalg.norm(places[:, None] - places, axis=-1) >= LEAST
-    home = places[np.argmin(far.sum(axis=1))]
+    middle = int(np.argmin(far.sum(axis=1)))
+    home = places[middle]
+    apart = np.hypot(*(places - home).T)
+    near = {}
+    for i in np.flatnonzero((apart > 0) & (apart < LEAST)):
+        down, right = _shift(smooth[middle], smooth[i], full_scale)
+        if 0 < np.hypot(down, right) < LEAST and not (down % cell[0] or right % cell[1]):
+            near[names[i]] = int(down), int(right)
     return [
         OddFrames(
             (name,),
@@ -50,7 +58,20 @@ def moved_exposures(
         )
         for name, (down, right) in zip(names, places - home, strict=True)
         if np.hypot(down, right) >= LEAST
-    ]
+    ], near
+
+
+def moved_back(
+    frame: Shaped[np.ndarray, "h w *channels"], by: tuple[int, int], fill: float
+) -> Shaped[np.ndarray, "h w *channels"]:
+    """A picture moved up and left by rows and columns, with a filled border."""
+    found = np.full_like(frame, fill)
+    (into, of), (into_columns, of_columns) = (
+        (slice(max(-n, 0), size - max(n, 0)), slice(max(n, 0), size + min(n, 0)))
+        for n, size in zip(by, frame.shape, strict=False)
+    )
+    found[into, into_columns] = frame[of, of_columns]
+    return found
 
 
 def _shift(

@@ -18,10 +18,11 @@ from ..codes import Converter, converter_of
 from ..frame_checks.exposures import blank_images, odd_exposures, refuse_toned
 from ..frame_checks.frame import frame_sample, refuse_half
 from ..frame_checks.heads import Stated, odd_heads
+from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent
 from ..observation import Load, cropped_to_region, read_frame, read_stack, split_channels
 from ..rig import Camera, Exposure, Rig, SiteCamera, as_rig, require
-from .moved import moved_exposures
+from .moved import moved_back, moved_exposures
 
 LONGER = 8.0  # a pixel that stays alike while its exposure grows so much sees no light
 BRIGHTER = 1.9
@@ -169,7 +170,9 @@ def _without_odd_images(
     gone = {name for one in blank for name in one.names}
     clear = [entry.file for entry in entries if entry.file not in gone]
     pictures, full_scale = [images[file] for file in clear], rig.camera.full_scale
-    moved = moved_exposures(clear, pictures, full_scale=full_scale, cell=rig.camera.cell)
+    moved, near = moved_exposures(clear, pictures, full_scale=full_scale, cell=rig.camera.cell)
+    for name, by in near.items():
+        images[name] = moved_back(images[name], by, full_scale)
     gone = {name for one in moved for name in one.names}
     still = [i for i, one in enumerate(seen) if one.name not in gone]
     kept = [times[i] for i in still]
@@ -178,6 +181,11 @@ def _without_odd_images(
     refuse_half(rig.folder, odd, len(entries))
     # Blank images are not fitted, but show the black level and the clip level.
     remarks += [one.sentence for one in (*blank, *odd)]
+    if near:
+        remarks.append(
+            f"The scene of {listed(list(near))} is shifted by a pixel from its position in most "
+            "exposures. The images were moved back by whole pixels; a tripod gives a better curve."
+        )
     gone = {name for one in odd for name in one.names}
     return tuple(entry for entry in entries if entry.file not in gone)
 

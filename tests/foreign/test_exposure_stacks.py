@@ -497,6 +497,34 @@ def test_an_exposure_that_moved_is_named_with_its_shift(seed):
     assert "-3 pixels to the right and +2 down" in said
 
 
+@pytest.mark.slow
+def test_exposures_that_moved_by_a_pixel_are_moved_back():
+    """The curve was off by 10 % where its error was given as 1 %, without a word."""
+    camera, moves = Camera(bits=8), [(0, 0), (0, 1), (1, 0), (-1, 0)]
+    stack = from_stack(hand_held(moves), FIVE[1:], camera=camera)
+    (said,) = [sentence for sentence in stack.remarks if "moved back" in sentence]
+    assert all(f"images[{i}]" in said for i in (1, 2, 3))
+    still = calibrate(from_stack(hand_held([(0, 0)] * 4), FIVE[1:], camera=camera))
+    (one,), (other,) = calibrate(stack).channels, still.channels
+    codes = np.arange(60, 240)
+    away = [np.interp(codes, x.curve.codes, x.curve.log_exposure) for x in (one, other)]
+    assert np.abs(away[0] - away[1]).max() < 0.02
+
+
+@pytest.mark.slow
+def test_an_unstated_black_level_does_not_change_the_exposure_times():
+    """They became 1/64 s and so on, by which the images disagreed less."""
+    times = [1 / 60, 1 / 30, 1 / 15, 1 / 8, 1 / 4, 1 / 2, 1]
+    light = ramp(120, 120, low=0.03, high=3)
+    rng, images = np.random.default_rng(4), []
+    for t in times:
+        electrons = rng.poisson(3e4 * light * t) + rng.normal(0, 20, light.shape)
+        images.append(np.clip(np.round(256 + electrons / 3e4 * 3839), 0, 4095).astype(int))
+    found = calibrate(from_stack(images, times, camera=Camera(bits=12)))
+    assert not any("1/64" in sentence for sentence in found.stack.remarks)
+    assert np.allclose(found.channels[0].curve.exposures, times)
+
+
 def test_a_stack_that_moved_throughout_is_refused():
     with pytest.raises(InputError, match=r"half of its 4 frames .* pixels to the right"):
         from_stack(hand_held([(0, 0), (3, 0), (0, 4), (-5, 5)]), FIVE[1:], camera=Camera(bits=8))
