@@ -33,6 +33,7 @@ EXPECTED = 12.0  # pixels of a code, next to which an empty one is missing
 REACH = 4.0  # median distances of codes beyond which the numbers between belong to no signal
 SELDOM = 3.0  # a code is rare where both codes beside it occur so many times as often
 SIGNIFICANT = 5.0  # standard errors, and codes
+BELOW = 16  # numbers with which the largest is compared
 PILE, STEEP = 100, 10.0  # pixels at the largest number, and times as many as at any of those below
 COARSE = 3.0  # DN; a finer step cannot be followed through numbers that were rounded again
 FLOAT32 = 2.0**-22  # relative rounding error of numbers that went through single precision
@@ -106,28 +107,31 @@ class Codes:
         """One more frame."""
         values = np.asarray(frame, float).ravel()
         values = values[np.isfinite(values)]
-        if not values.size or self._continuous:
+        if self._continuous:  # only the largest numbers still tell something
+            values = values[values >= self._broken[0, 0]]
+        if not values.size:
             return
-        if np.array_equal(values, np.floor(values)) and 0 <= values.min() <= values.max() < 2**17:
+        whole = not self._continuous and np.array_equal(values, np.floor(values))
+        if whole and 0 <= values.min() <= values.max() < 2**17:
             counts = np.bincount(values.astype(np.int64))
             self._whole = _sum(self._whole, counts)
             octave = int(np.floor(np.log2(_noise(frame))))
             self._by_noise[octave] = _sum(self._by_noise.get(octave, counts[:0]), counts)
             return
         self._broken = _counted([self._broken, np.unique(values, return_counts=True)])
-        self._continuous = self._broken.shape[1] > MOST_VALUES
+        self._continuous |= self._broken.shape[1] > MOST_VALUES
+        if self._continuous:
+            self._broken = self._broken[:, -BELOW - 1 :]
 
     def converter(self) -> Converter:
         """The grid of all frames so far."""
-        if self._continuous:
-            return Converter(step=0.0)
         used = np.flatnonzero(self._whole).astype(float)
         counts = self._whole[self._whole > 0]
         if self._broken.size:
             values = np.union1d(self._broken[0], used)
-            grid = _grid(values, FLOAT32 * np.abs(values).max())
-            clips_at = _clips_at(*self._broken)
-            return Converter(step=0.0) if grid is None else Converter(*grid, clips_at=clips_at)
+            grid = None if self._continuous else _grid(values, FLOAT32 * np.abs(values).max())
+            step, origin = grid or (0.0, 0.0)
+            return Converter(step, origin, clips_at=_clips_at(*self._broken))
         clips_at = _clips_at(used, counts)
         common = _common_step(used)
         if common is not None and common[0] > 1:
@@ -350,8 +354,8 @@ def _imbalance(counts: np.ndarray) -> float:
 
 def _clips_at(values: np.ndarray, counts: np.ndarray) -> float | None:
     """The largest number, if far more pixels have it than the numbers below."""
-    below = counts[:-1][-16:]
+    below = counts[:-1][-BELOW:]
     # Of darks that are a few codes wide the largest number may be the most frequent, too.
-    if below.size < 16 or counts[-1] < max(PILE, STEEP * float(below.max())):
+    if below.size < BELOW or counts[-1] < max(PILE, STEEP * float(below.max())):
         return None
     return float(values[-1])

@@ -65,6 +65,15 @@ def test_a_pile_at_the_largest_number_is_where_it_clips(scale):
     assert converter_of([scale * frame for frame in FRAMES]).clips_at is None
 
 
+@pytest.mark.parametrize("most", [2**18, 1000])
+def test_numbers_on_no_grid_may_be_clipped_too(monkeypatch, most):
+    """As of frames that were averaged, or from which a dark was subtracted."""
+    monkeypatch.setattr("fitting.codes.MOST_VALUES", most)
+    smooth = [np.minimum(RNG.normal(80, 16, (60, 80)), 110) for _ in range(3)]
+    assert converter_of(smooth) == Converter(0.0, clips_at=110)
+    assert converter_of([RNG.normal(80, 16, (60, 80))]) == Converter(0.0)
+
+
 def test_few_numbers_say_nothing():
     assert converter_of([np.array([[64.0, 80.0]])]) == Converter()
     quiet = [np.round(RNG.normal(64.4, 0.2, (60, 80))) for _ in range(4)]
