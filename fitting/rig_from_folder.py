@@ -40,6 +40,8 @@ _DARK, _FLAT, _LIGHT = (
         "lights?|lamps?|led",
     )
 )
+# Frames without an exposure.
+_BIAS = re.compile(r"(?<![a-z])bias(?:frames?)?(?![a-z])|^zero$", re.IGNORECASE)
 # In IMAGETYP of a FITS header, such as DARKFLAT and Flat Field: the first that occurs.
 _TYPES = {
     "dark": re.compile("dark|bias|zero", re.IGNORECASE),
@@ -217,7 +219,10 @@ def _image(folder: Path, name: str, *, counted: bool) -> _Image:
     settings = read_settings(folder / name)
     if settings.exposure:
         return _Image(name, settings, settings.exposure)
-    return _Image(name, settings, *_time_in(name, counted=counted))
+    seconds, doubt = _time_in(name, counted=counted)
+    if seconds is None and _BIAS.search(settings.kind or Path(name).stem):
+        seconds = 0.0
+    return _Image(name, settings, seconds, doubt)
 
 
 def _time_in(name: str, *, counted: bool) -> tuple[float | None, str]:
@@ -403,6 +408,8 @@ def _seconds(image: _Image) -> str:
     """The line for the exposure: a fraction if EXIF has one, or if decimals would round."""
     if image.exposure is None:
         return UNKNOWN_EXPOSURE
+    if image.exposure == 0:
+        return "exposure = 0  # a bias frame"
     decimals, under = f"{image.exposure:.6g}", round(1 / image.exposure)
     is_fraction = under > 1 and math.isclose(under * image.exposure, 1, rel_tol=1e-7)
     by_exif = image.settings.exposure and Path(image.name).suffix.lower() not in FITS_FORMATS

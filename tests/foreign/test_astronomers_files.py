@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fitting.rig_from_folder import rig_of
 from jaxvision.errors import InputError
 from jaxvision.files.image_settings import read_settings
 from jaxvision.files.images import read_image
@@ -114,3 +115,14 @@ def test_an_exposure_that_is_no_number_hides_none(tmp_path):
     head = fits.Header({"EXPTIME": "0.5 s", "EXPOSURE": 0.5})
     fits.writeto(tmp_path / "a.fits", np.zeros((2, 2)), head)
     assert read_settings(tmp_path / "a.fits").exposure == 0.5
+
+
+@pytest.mark.parametrize(("kind", "name"), [("Bias Frame", "b"), ("zero", "b"), (None, "bias")])
+def test_a_bias_frame_has_no_exposure(tmp_path, kind, name):
+    head = {"EXPTIME": 0.0} | ({"IMAGETYP": kind} if kind else {})
+    for i in range(2):
+        unit = fits.PrimaryHDU(np.full((20, 20), 100 + i, np.uint16), fits.Header(head))
+        unit.writeto(tmp_path / f"{name}_{i}.fits")
+    found = rig_of(tmp_path)
+    assert "exposure = 0  # a bias frame" in found.text
+    assert not any("Exposures" in sentence for sentence in found.missing)
