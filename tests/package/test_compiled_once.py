@@ -36,7 +36,7 @@ QUICKLY = [
 OTHER = 1 - 2.0**-12  # times a number: directions stay unit, to what is checked
 # Rooms of the examples in docstrings; the others take longer.
 SAID = {*{name.split(".")[1] for name in functions(jaxvision)}} - {"cli", "accuracy", "files"}
-SAID_QUICKLY = {"matting", "point_ops"}
+SAID_QUICKLY = {"geometry", "point_ops", "shot", "spectra"}
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
