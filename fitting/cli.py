@@ -459,8 +459,7 @@ def accuracy(
     described = load_rig(rig)
     keep_programs()
     from jaxvision.accuracy.console import check_request, keep, print_json, repeating, show
-    from jaxvision.accuracy.curves import LEAST
-    from jaxvision.accuracy.knobs_in_turn import asked_knobs
+    from jaxvision.accuracy.curves import LEAST, asked_knobs
 
     from .accuracy import measured, problems
     from .accuracy.knobs import RIG_KNOBS

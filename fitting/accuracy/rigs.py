@@ -9,9 +9,8 @@ from importlib.util import find_spec
 import numpy as np
 
 from jaxvision.accuracy import Curve, Problem, curve
-from jaxvision.accuracy.curves import LEAST
+from jaxvision.accuracy.curves import LEAST, asked_knobs, measure_in_turn
 from jaxvision.accuracy.deadlines import OutOfTime, run_within
-from jaxvision.accuracy.knobs_in_turn import asked_knobs, measure_in_turn
 from jaxvision.accuracy.session import Clock
 from jaxvision.errors import InputError
 from jaxvision.files.images import read_image

@@ -23,10 +23,9 @@ from ..files.images import replaced_on_success
 from ..files.scenes import SceneFile
 from ..files.scenes.schema import RenderEntry
 from ..render_command import prune_scene, pruned_scene
-from .curves import LEAST, curve
+from .curves import KEPT, LEAST, WORTH, asked_knobs, curve, measure_in_turn
 from .deadlines import OutOfTime, TooLittleTime, run_within
 from .knobs import KNOBS
-from .knobs_in_turn import KEPT, WORTH, asked_knobs, measure_in_turn
 from .records import Curve, Knob, Problem
 from .scenes import APART, entry_of, knobs_of, scene_problem
 from .session import Clock, part_seconds

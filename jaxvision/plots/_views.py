@@ -8,8 +8,7 @@ import numpy as np
 
 from ..histogram import exact_histogram
 from ..point_ops import srgb_encode
-from ._pixels import colours_of
-from .summary import BandSummary
+from .summary import BandSummary, colours_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

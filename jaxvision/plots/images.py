@@ -7,9 +7,8 @@ import numpy as np
 
 from ..errors import InputError
 from . import _views as views
-from ._pixels import checked, white_level
 from .legible_axes import new_axes
-from .summary import band_names
+from .summary import band_names, checked, white_level
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

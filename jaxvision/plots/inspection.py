@@ -7,8 +7,7 @@ import numpy as np
 
 from ..errors import InputError
 from . import _views as views
-from ._pixels import checked, white_level
-from .summary import summarise
+from .summary import checked, summarise, white_level
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

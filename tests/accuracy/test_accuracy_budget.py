@@ -12,9 +12,8 @@ from commands import called
 from scene_texts import BALL
 
 from jaxvision.accuracy import Knob, Problem, choose, combined, curve, deadlines, plot
-from jaxvision.accuracy.curves import LEAST
+from jaxvision.accuracy.curves import KEPT, LEAST, WORTH, measure_in_turn
 from jaxvision.accuracy.deadlines import OutOfTime, run_within
-from jaxvision.accuracy.knobs_in_turn import KEPT, WORTH, measure_in_turn
 from jaxvision.accuracy.pages import write_page
 from jaxvision.accuracy.scenes import scene_problem
 from jaxvision.accuracy.tables import json_sheet, notes, rows
