@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 
 from .core._arguments import takes_numbers, warn_caller
 from .core._shown import Shown
-from .core._types import Image, Key, Scalar, check_given, in_short, is_known, print_by_name
-from .core.in_notebooks import preview_png, with_picture
+from .core._types import Image, Key, Scalar, check_given, is_known, print_by_name, shorten
+from .core.in_notebooks import picture_html, preview_png
 from .development import develop
 from .effects import Certificate, Pruned, Tolerance, prune
 from .effects.pruning import WORTH, looking_pays
@@ -75,7 +75,7 @@ class Capture(Shown):
         table = super()._repr_html_()
         if not is_known(self.raw) or not np.size(self.raw):
             return table
-        return with_picture(preview_png(_seen_as(self)), table, meaning="preview")
+        return picture_html(preview_png(_seen_as(self)), table, meaning="preview")
 
 
 @takes_numbers
@@ -157,7 +157,7 @@ def capture(
     if integrator is not None and (not finds_radiance or isinstance(integrator, type)):
         raise ValueError(
             "integrator must be Paths(samples, depth), a function of scene and view, or None, got "
-            f"{in_short(integrator)}."
+            f"{shorten(integrator)}."
         )
     if integrator is not None and samples is not None:
         raise ValueError("samples are of direct light: an integrator brings its own, leave them.")

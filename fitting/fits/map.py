@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from jaxvision.core.in_notebooks import figure_png, record_html, with_picture
+from jaxvision.core.in_notebooks import figure_png, picture_html, record_html
 from jaxvision.files.images import replaced_on_success, write_image
 
 from ..inference.formatting import format_spread, format_unit
@@ -201,7 +201,7 @@ class FitMap:
         table = record_html(heads, self._rows(), title=self._heading(), notes=self.findings)
         if self.state.ndim != 2:
             return table
-        return with_picture(figure_png(self._figure()), table, meaning="maps, errors and states")
+        return picture_html(figure_png(self._figure()), table, meaning="maps, errors and states")
 
 
 def map_findings(state: UInt8[np.ndarray, "..."], *, by_label: bool) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from scipy.special import ndtri, stdtrit
 from threadpoolctl import threadpool_limits
 
 from jaxvision import ArrayLike
-from jaxvision.core.in_notebooks import figure_png, record_html, with_picture
+from jaxvision.core.in_notebooks import figure_png, picture_html, record_html
 from jaxvision.errors import InputError
 from jaxvision.plots import pictures
 
@@ -120,7 +120,7 @@ class Stereo:
         white = np.percentile(known, 99) or 1.0
         shown = {"normals as colours": (1 + self.normals) / 2, "albedo": self.albedo / white}
         maps = pictures({name: np.nan_to_num(pixels) for name, pixels in shown.items()})
-        return with_picture(figure_png(maps), table, meaning="normals and albedo")
+        return picture_html(figure_png(maps), table, meaning="normals and albedo")
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # threads cost more than systems this small

@@ -47,7 +47,7 @@ def around_circle(nodes: Float[Array, " n"], angle: Scalar) -> Place:
     return [(i, wi), (j % nodes.shape[0], wj)]
 
 
-def in_unit(position: Scalar, count: int) -> Place:
+def place_in_unit(position: Scalar, count: int) -> Place:
     """The position of a number in [0, 1] among `count` equally spaced nodes, including 0 and 1."""
     if count == 1:
         return _only(position)

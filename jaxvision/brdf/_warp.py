@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from ..core._loops.fusion import one_program
 from ..core._numerics import divide, running_sum, safe_sqrt
 from ..core._types import Scalar
-from ._interpolation import among, in_unit
+from ._interpolation import among, place_in_unit
 
 Slices = list[tuple[tuple[Int[Array, ""], Int[Array, ""]], Scalar]]
 Square = tuple[Scalar, Scalar]
@@ -69,7 +69,7 @@ def mixed(table: Float[Array, "..."], at: Slices, *index: Int[Array, ""] | int) 
 
 def bilinear(table: Float[Array, "p t rows columns *rest"], at: Slices, position: Square) -> Array:
     """The table (p, t, rows, columns, ...) at a position (x, y) of the unit square: (...)."""
-    x, y = in_unit(position[0], table.shape[3]), in_unit(position[1], table.shape[2])
+    x, y = place_in_unit(position[0], table.shape[3]), place_in_unit(position[1], table.shape[2])
     return sum(wy * wx * mixed(table, at, row, column) for row, wy in y for column, wx in x)  # pyright: ignore[reportReturnType]
 
 
@@ -119,8 +119,8 @@ def warp(w: Warp, at: Slices, u: Square) -> tuple[Square, Scalar]:
 def unwarp(w: Warp, at: Slices, position: Square) -> tuple[Square, Scalar]:
     """The inverse of `warp`: (uniform numbers, density) of a position."""
     rows, columns = w.density.shape[2:]
-    (column, _), (_, x) = in_unit(position[0], columns)
-    (row, _), (_, y) = in_unit(position[1], rows)
+    (column, _), (_, x) = place_in_unit(position[0], columns)
+    (row, _), (_, y) = place_in_unit(position[1], rows)
 
     def along(table: Array, i: Int[Array, ""]) -> Scalar:
         return (1 - y) * mixed(table, at, row, i) + y * mixed(table, at, row + 1, i)

@@ -39,7 +39,7 @@ from ._half_vector import (
     square_to_half,
     stretch,
 )
-from ._interpolation import in_unit, multilinear
+from ._interpolation import multilinear, place_in_unit
 from ._lobe import where_above
 from ._registry import register
 from ._warp import Slices, Square, Warp, bilinear, slices, tabulated_warp, unwarp, warp
@@ -144,7 +144,7 @@ def _seen_from(material: RGL, wo: Vec) -> tuple[Slices, Scalar, Square]:
 def _interpolate_square(table: Float[Array, "rows columns"], place: Square) -> Scalar:
     """A table over the unit square at (x, y), bilinear."""
     rows, columns = table.shape
-    return multilinear(table, in_unit(place[1], rows), in_unit(place[0], columns))
+    return multilinear(table, place_in_unit(place[1], rows), place_in_unit(place[0], columns))
 
 
 def _reflected_by(

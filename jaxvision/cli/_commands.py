@@ -419,7 +419,7 @@ def effects(
     from ..files.cameras import read_camera
     from ..files.scenes import read_scene
     from ..render_command import inspect_scene, light_findings, prune_scene
-    from ..render_command.pruning import box_of, listed, smaller, with_names
+    from ..render_command.pruning import box_of, listed, name_effect, smaller
 
     goal = None
     if place is not None and tolerance is None:
@@ -441,7 +441,7 @@ def effects(
         if as_json:
             print(json.dumps(rows, indent=2))
             return
-        print(listed(with_names(source, effect) for effect in found))
+        print(listed(name_effect(source, effect) for effect in found))
         if estimates:
             count = sum(effect.rank == "estimate" for effect in found)
             which = "is an estimate" if count < 2 else "are estimates"
@@ -457,7 +457,7 @@ def effects(
         print(json.dumps(sheet, indent=2, allow_nan=False))
         return
     kept, dropped = (
-        tuple(with_names(source, effect) for effect in effects)
+        tuple(name_effect(source, effect) for effect in effects)
         for effects in (certificate.kept, certificate.dropped)
     )
     named = replace(certificate, kept=kept, dropped=dropped)

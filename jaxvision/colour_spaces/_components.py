@@ -34,7 +34,7 @@ def to_unit_size(*parts: Scalars) -> Scalars:
     return 1 / power_of_two_in(reduce(jnp.maximum, map(jnp.abs, parts)))
 
 
-def of_unit_size(*parts: Scalars) -> tuple[Scalars, ...]:
+def scale_to_unit(*parts: Scalars) -> tuple[Scalars, ...]:
     """The components times that power, for what does not depend on size: neither their sums nor
     the inverses of these leave the range."""
     scale = to_unit_size(*parts)

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from ..core._arguments import takes_numbers
-from ._components import Colours, joined, of_unit_size, over, parts, reciprocal, vanishes
+from ._components import Colours, joined, over, parts, reciprocal, scale_to_unit, vanishes
 
 
 @takes_numbers
@@ -20,7 +20,7 @@ def xyz_to_xyy(xyz: Colours) -> Colours:
         ValueError: for a last axis other than 3, and for integer codes.
     """
     luminance = parts(xyz)[1]
-    x, y, z = of_unit_size(*parts(xyz))
+    x, y, z = scale_to_unit(*parts(xyz))
     total = x + y + z
     return joined(over(x, total), over(y, total), luminance)
 

@@ -11,10 +11,10 @@ from ._components import (
     chroma_of,
     hue_angle,
     joined,
-    of_unit_size,
     over,
     parts,
     reciprocal,
+    scale_to_unit,
 )
 
 _BREAK = 6 / 29
@@ -100,7 +100,7 @@ def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     lightness = 116 * (fy + y_0)
     # u' - u'_n over one common denominator: a near grey keeps the digits of its small difference
     x_n, y_n, z_n = white
-    x, y, z = of_unit_size(x, y, z)
+    x, y, z = scale_to_unit(x, y, z)
     total, total_n = x + 15 * y + 3 * z, x_n + 15 * y_n + 3 * z_n
     scale = over(13 * lightness, total * total_n)
     xy, xz, yz = x * y_n - x_n * y, x * z_n - x_n * z, y * z_n - y_n * z
@@ -125,7 +125,7 @@ def luv_to_xyz(luv: Colours, white: Float[Array, "3"]) -> Colours:
     lightness = parts(luv)[0]
     x_n, y_n, z_n = white
     y = y_n * _inverse_lightness(lightness / 116)
-    unit, u, v = of_unit_size(*parts(luv))
+    unit, u, v = scale_to_unit(*parts(luv))
     share = reciprocal(13 * unit)
     sum_n = x_n + 15 * y_n + 3 * z_n
     u_prime, v_prime = u * share + 4 * x_n / sum_n, v * share + 9 * y_n / sum_n

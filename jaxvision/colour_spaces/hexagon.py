@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from ..core._arguments import takes_numbers
 from ..core._types import Scalars, refuse_codes
-from ._components import Colours, joined, of_unit_size, over, parts, to_unit_size, within
+from ._components import Colours, joined, over, parts, scale_to_unit, to_unit_size, within
 
 
 @takes_numbers
@@ -24,7 +24,7 @@ def rgb_to_hsv(rgb: Colours) -> Colours:
     """
     refuse_codes(rgb)
     value = _ends(*parts(rgb))[1]
-    unit = of_unit_size(*parts(rgb))
+    unit = scale_to_unit(*parts(rgb))
     least, most = _ends(*unit)
     return joined(_hue(*unit), over(most - least, most), value)
 
@@ -74,7 +74,7 @@ def rgb_to_hsl(rgb: Colours) -> Colours:
     low, high = one * least, one * most
     # 1 - |2 lightness - 1|, which keeps its digits near black
     room = jnp.minimum(high + low, 2 * one - (high + low))
-    hue = _hue(*of_unit_size(*parts(rgb)))
+    hue = _hue(*scale_to_unit(*parts(rgb)))
     return joined(hue, over(high - low, room), lightness)
 
 

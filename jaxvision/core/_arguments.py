@@ -26,12 +26,12 @@ from ._types import (
     check_key,
     check_range,
     check_shape,
-    in_short,
     is_any_axes,
     is_known,
     is_record,
     members_of,
     require_metres,
+    shorten,
 )
 from ._warnings import one_call, warn_caller
 from .plain_arrays import plain_array, warn_of_range, within_integers
@@ -224,7 +224,7 @@ def _as_array(
     except (TypeError, ValueError) as error:
         raise _no_numbers(function, name, value) from error
     if array.dtype.kind == "c" and isinstance(value, PLAIN):
-        raise ValueError(f"{_place(function, name)} must be real, got {in_short(value)}.")
+        raise ValueError(f"{_place(function, name)} must be real, got {shorten(value)}.")
     given = isinstance(value, np.ndarray | np.generic) and array.dtype.kind in "fc"
     whole = array.dtype.kind != "f" and want.keeps_integers
     return array if given or whole else array.astype(dtype)
@@ -259,14 +259,14 @@ def _check(
 
 
 def _no_numbers(function: Callable[..., Any], name: str, value: Any) -> ValueError:
-    return ValueError(f"{_place(function, name)} must be numbers, got {in_short(value)}.")
+    return ValueError(f"{_place(function, name)} must be numbers, got {shorten(value)}.")
 
 
 def _unnamed_error(function: Callable[..., Any], placed: int, args: tuple[Any, ...]) -> TypeError:
     """The error message for too many positional arguments."""
     by_name = list(signature(function).parameters)[placed:]
     extra = zip(by_name, args[placed:], strict=False)
-    given = ", ".join(f"{name}={in_short(value)}" for name, value in extra)
+    given = ", ".join(f"{name}={shorten(value)}" for name, value in extra)
     who = getattr(function, "__name__", "function")
     advice = f"write {given}" if given else "leave out the others"
     return TypeError(f"{who} takes {placed} of its arguments by their place; {advice}.")

@@ -421,10 +421,10 @@ def power(base: Scalars, exponent: Scalars) -> Scalars:
 
 
 @jax.custom_jvp
-def with_gradient_of(value: Scalars, smooth: Scalars) -> Scalars:
+def replace_gradient(value: Scalars, smooth: Scalars) -> Scalars:
     """`value`, differentiated as if it were `smooth`."""
     del smooth
     return value
 
 
-with_gradient_of.defjvps(None, lambda tangent, result, value, smooth: tangent)
+replace_gradient.defjvps(None, lambda tangent, result, value, smooth: tangent)

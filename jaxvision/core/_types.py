@@ -113,11 +113,11 @@ def as_float(x: Any) -> Array:
     if jnp.issubdtype(array.dtype, jnp.floating) and not array.weak_type:
         return array
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
-        raise ValueError(f"{_field()}real numbers are wanted, got {in_short(x)}.")
+        raise ValueError(f"{_field()}real numbers are wanted, got {shorten(x)}.")
     return array.astype(jnp.result_type(float))
 
 
-def in_short(x: Any) -> str:
+def shorten(x: Any) -> str:
     """Return the given value as text on one line, short enough for a sentence."""
     words = " ".join(repr(x).split())
     return words if len(words) <= 80 else f"{words[:80]} ..."
@@ -138,7 +138,7 @@ def _as_numbers(x: Any) -> Array:
     try:
         return jnp.asarray(x)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{_field()}numbers are wanted, got {in_short(x)}.") from error
+        raise ValueError(f"{_field()}numbers are wanted, got {shorten(x)}.") from error
 
 
 def _field() -> str:
@@ -302,7 +302,7 @@ def check_key(name: str, value: Any, *, several: bool = True, absent: bool = Tru
         if absent:
             return
         raise ValueError(f"{name} must be a random key, got None; write jax.random.key(0).")
-    got = in_short(value)
+    got = shorten(value)
     if hasattr(value, "dtype") and hasattr(value, "shape"):
         typed = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
         many = tuple(value.shape) if typed else tuple(value.shape[:-1])

@@ -38,7 +38,7 @@ def record_html(
     )
 
 
-def with_picture(png: bytes, html: str, *, meaning: str) -> str:
+def picture_html(png: bytes, html: str, *, meaning: str) -> str:
     """HTML of a picture next to a table; `meaning` is the picture's text alternative."""
     data = base64.b64encode(png).decode()
     return (

@@ -23,7 +23,7 @@ from jaxtyping import Array, Float, Int, Shaped
 
 from ..core._arguments import takes_numbers, warn_caller
 from ..core._loops.fusion import materialise
-from ..core._numerics import with_gradient_of
+from ..core._numerics import replace_gradient
 from ..core._types import Image, Scalar, as_float, as_relative, check_choice, is_known
 from ..filters.padding import Picture
 from ..scene.developments import ROUNDINGS, SUBSAMPLINGS
@@ -180,7 +180,7 @@ def _part(total: Array, bias: Array | float | int, of: Array | int, whole: bool)
     """floor((total + bias) / of), an integer division that `bias` turns into rounding; or total /
     of."""
     exact = total / of
-    return with_gradient_of(jnp.floor((total + bias) / of), exact) if whole else exact
+    return replace_gradient(jnp.floor((total + bias) / of), exact) if whole else exact
 
 
 # ---------------------------------------------------------------- colour
@@ -260,7 +260,7 @@ def _code(plane: Plane, table: Table, whole: bool) -> Plane:
     levels = eighths / (8 * divisor)
     if whole:
         away = jnp.floor((jnp.abs(eighths) + 4 * divisor + _NO_TIE) / (8 * divisor))
-        levels = with_gradient_of(jnp.sign(eighths) * away, levels)
+        levels = replace_gradient(jnp.sign(eighths) * away, levels)
     else:
         nearest = jax.lax.stop_gradient(jnp.round(levels))
         levels = nearest + (levels - nearest) ** 3
@@ -284,5 +284,5 @@ def _pass(
         exact = (product(rows.astype(jnp.int32)) + 2 ** (bits - 1)) >> bits
         # a whole number cannot hold NaN
         value = jnp.where(jnp.isnan(smooth), smooth, exact.astype(plane.dtype))
-        smooth = with_gradient_of(value, smooth)
+        smooth = replace_gradient(value, smooth)
     return smooth.reshape(plane.shape)

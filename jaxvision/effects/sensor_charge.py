@@ -103,7 +103,7 @@ def charge_transfer(pixel: Pixel) -> Bound:
     return Bound(moved, f"{max(lost, gained):.3g} of a packet stays behind")
 
 
-def on_charge(name: str, pixel: Pixel) -> Bound:
+def charge_effects(name: str, pixel: Pixel) -> Bound:
     """The change of a pixel by an effect on charge (`Pixel.moved_by`)."""
     ends = Ends(*(end[name] for end in pixel.sensor))
     moved = pixel.moved_by(ends)
@@ -148,7 +148,7 @@ BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
         function.__name__: function
         for function in (shot_noise, brighter_fatter, full_well, blooming, charge_transfer)
     },
-    **{name: partial(on_charge, name) for name in ("mixing", "nonlinearity")},
+    **{name: partial(charge_effects, name) for name in ("mixing", "nonlinearity")},
 }
 # What can take the place of a way of counting: the name of the effect, the kinds that have it, its
 # bound, and the kind without it.

@@ -176,9 +176,9 @@ def _offsets(pixel: Pixel) -> list[float]:
     """The smallest and the largest offset of a pixel, DN."""
     found = []
     for end, extreme in zip(pixel.sensor, (np.min, np.max), strict=True):
-        of_taps = getattr(end["taps"], "offset", None)
+        tap_map = getattr(end["taps"], "offset", None)
         own = 0.0 if end["offset"] is None else float(end["offset"])
-        found.append(own + (0.0 if of_taps is None else float(extreme(of_taps))))
+        found.append(own + (0.0 if tap_map is None else float(extreme(tap_map))))
     return found
 
 

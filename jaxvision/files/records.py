@@ -26,9 +26,9 @@ from ..core._types import (
     axes_of,
     check_range,
     check_shape,
-    in_short,
     is_record,
     members_of,
+    shorten,
 )
 from ..errors import InputError, nearest
 from ..scene import Map
@@ -271,12 +271,12 @@ def chosen(reading: Reading, where: str, value: Any, words: Iterable[str]) -> st
     """A word at the key `where` that must be a known one; else `InputError` with the nearest."""
     if not isinstance(value, str) or value not in words:
         hint = nearest(str(value), words)
-        raise InputError(f"{reading.place}: {where} = {in_short(value)} is unknown; {hint}.")
+        raise InputError(f"{reading.place}: {where} = {shorten(value)} is unknown; {hint}.")
     return value
 
 
 def _wrong(reading: Reading, where: str, value: Any, what: str) -> InputError:
-    return InputError(f"{reading.place}: {where} = {in_short(value)}: {what}; correct it.")
+    return InputError(f"{reading.place}: {where} = {shorten(value)}: {what}; correct it.")
 
 
 def _chosen_record(
@@ -340,7 +340,7 @@ def _number(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) ->
             lists = [hint for hint in hints if getattr(hint, "dim_str", "").strip()]
             noun = "numbers" if not array.shape and len(lists) == len(hints) else "a number"
             raise InputError(
-                f"{reading.place}: {place(i)} = {in_short(x)} must be {noun}; correct it."
+                f"{reading.place}: {place(i)} = {shorten(x)} must be {noun}; correct it."
             )
     try:
         values = np.reshape([float(x) for x in numbers], array.shape)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from ..core._loops.fusion import materialise
-from ..core._numerics import divide, dot, smallest_divisor, with_gradient_of
+from ..core._numerics import divide, dot, replace_gradient, smallest_divisor
 from ..core._types import Scalar
 from ..core._vector import Vec, as_vec, where
 from ..scene import Box
@@ -126,7 +126,7 @@ def box_hit(ray: Ray, box: Box, compute: Callable[..., Any]) -> Hit:
     distance, place = compute(_place, ray, box, face)
     hit, axis, side = face >= 0, face // 2, _side(face, distance)
     ahead = jnp.maximum(distance, jnp.finfo(distance.dtype).tiny)  # the face was met ahead
-    distance = jnp.where(hit, with_gradient_of(ahead, distance), jnp.inf)
+    distance = jnp.where(hit, replace_gradient(ahead, distance), jnp.inf)
     normal = Vec(*(jnp.where(hit & (axis == i), side, 0) for i in range(3)))
     point = where(hit, as_vec(box.centre) + _world(box, place), ray.origin)
     return Hit(distance, _world(box, normal), point, size_of(box))

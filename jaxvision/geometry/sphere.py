@@ -10,9 +10,9 @@ from ..core._numerics import (
     dot,
     norm,
     or_one,
+    replace_gradient,
     safe_sqrt,
     smallest_divisor,
-    with_gradient_of,
 )
 from ..core._types import Scalar
 from ..core._vector import Vec, as_vec, where
@@ -78,7 +78,7 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
     half_chord = safe_sqrt(sphere.radius * sphere.radius - dot(closest, closest))
     first = found < b
     near, far, _ = _crossings(ray, sphere)
-    distance = with_gradient_of(found, jnp.where(hit, jnp.where(first, near, far), 0))
+    distance = replace_gradient(found, jnp.where(hit, jnp.where(first, near, far), 0))
     along = jnp.where(first, -half_chord, half_chord)
     outward = closest + along * ray.direction
     square = or_one(dot(outward, outward), hit)

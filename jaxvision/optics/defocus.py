@@ -231,10 +231,10 @@ def chromatic_defocus(
     scale = _blur(view, depth)
     shifts = vergence_difference(view.focal_length, focal_lengths) * _pixels_per_vergence(view)
 
-    def of_band(plane: Float[Array, "h w"], shift: Float[Array, ""]) -> Float[Array, "h w"]:
+    def blur_band(plane: Float[Array, "h w"], shift: Float[Array, ""]) -> Float[Array, "h w"]:
         return _gathered(view, plane, scale + shift, radius=radius, members=None)
 
-    return jax.vmap(of_band, in_axes=(-1, 0), out_axes=-1)(picture, shifts)
+    return jax.vmap(blur_band, in_axes=(-1, 0), out_axes=-1)(picture, shifts)
 
 
 def _blur(view: ThinLens, depth: Depth) -> Depth:

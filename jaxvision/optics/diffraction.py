@@ -126,7 +126,7 @@ def airy_kernel(
     share = jnp.asarray(np.tile(weights, size), pixel_pitch.dtype)
     point = jnp.zeros((size, size), pixel_pitch.dtype).at[size // 2, size // 2].set(1)
 
-    def of_band(wavelength: Scalar) -> Float[Array, "size size"]:
+    def psf(wavelength: Scalar) -> Float[Array, "size size"]:
         unit = wavelength * f_number
         sharp = unit <= 0
         scale = divide(jnp.pi, unit, ~sharp)
@@ -138,9 +138,7 @@ def airy_kernel(
         kernel = jnp.where(wide, kept, kernel)
         return jnp.where(sharp, point, kernel / kernel.sum())
 
-    return (
-        of_band(wavelength) if wavelength.ndim == 0 else jax.vmap(of_band, out_axes=-1)(wavelength)
-    )
+    return psf(wavelength) if wavelength.ndim == 0 else jax.vmap(psf, out_axes=-1)(wavelength)
 
 
 def _leaving(scale: Scalar, size: int, order: int) -> Float[Array, "size size"]:

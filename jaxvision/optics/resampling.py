@@ -137,13 +137,13 @@ def lateral_aberration(
     rows = jnp.arange(h, dtype=magnification.dtype) - (h - 1) / 2
     columns = jnp.arange(w, dtype=magnification.dtype) - (w - 1) / 2
 
-    def of_band(plane: Float[Array, "... h w"], factor: Float[Array, ""]) -> Array:
+    def resample_band(plane: Float[Array, "... h w"], factor: Float[Array, ""]) -> Array:
         row, column = jnp.meshgrid(
             rows / factor + (h - 1) / 2, columns / factor + (w - 1) / 2, indexing="ij"
         )
         return sample_image(plane[..., None], row, column, interpolation=interpolation)[..., 0]
 
-    return jax.vmap(of_band, in_axes=(-1, 0), out_axes=-1)(image, magnification)
+    return jax.vmap(resample_band, in_axes=(-1, 0), out_axes=-1)(image, magnification)
 
 
 def _bent(

@@ -165,7 +165,7 @@ def _render_tiles(
         def rows() -> Iterator[np.ndarray]:
             return partial.rows(width, channels, height, at_once=ROWS)
 
-        yield rows, spent.of_all(tiles, tiles - first)
+        yield rows, spent.extrapolate(tiles, tiles - first)
         partial.delete()
 
 
@@ -204,7 +204,7 @@ def _render_passes(
     def rows() -> Iterator[np.ndarray]:
         return (picture[row : row + ROWS] for row in range(0, height, ROWS))
 
-    yield rows, spent.of_all(passes, passes - first)
+    yield rows, spent.extrapolate(passes, passes - first)
     partial.delete()
 
 
@@ -272,7 +272,7 @@ class _Spent:
             self._workers.add(process)
         return result
 
-    def of_all(self, parts: int, here: int) -> Seconds:
+    def extrapolate(self, parts: int, here: int) -> Seconds:
         """The seconds of all parts from those computed now, of compiling, and how many worked."""
         seconds, compiling = self._there if self._workers else self._clock.read()
         return float(seconds) * parts / max(here, 1), float(compiling), len(self._workers)

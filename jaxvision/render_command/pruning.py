@@ -118,7 +118,7 @@ def prune_losslessly(source: SceneFile, settings: RenderEntry) -> Pruned | None:
 def lossless_sentence(source: SceneFile, pruned: Pruned) -> str:
     """One line that says what `prune_losslessly` has left out of `source`, with the names of the
     file."""
-    names = [with_names(source, effect).name for effect in pruned.certificate.dropped]
+    names = [name_effect(source, effect).name for effect in pruned.certificate.dropped]
     shown = ", ".join(names[:_NAMED])
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return f"Left out what changes nothing: {shown}{more} (--keep-all keeps it)."
@@ -161,7 +161,7 @@ def box_of(free: Sequence[str]) -> Box:
     return found
 
 
-def with_names(source: SceneFile, effect: Effect) -> Effect:
+def name_effect(source: SceneFile, effect: Effect) -> Effect:
     """The effect, with the name of its surface or light added if the file gives one."""
     place = re.match(r"(surfaces|lights|shadows)\[(\d+)\]", effect.name)
     if place is None:

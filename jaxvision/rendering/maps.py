@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from ..core._arguments import takes_numbers
 from ..core._maps import maps_of, replace_maps
-from ..core._numerics import arctan2, divide, dot, normalize, safe_sqrt, with_gradient_of
+from ..core._numerics import arctan2, divide, dot, normalize, replace_gradient, safe_sqrt
 from ..core._types import Scalar, Varying
 from ..core._vector import Vec, as_vec, where
 from ..geometry import Hit, Ray
@@ -208,7 +208,7 @@ def summed(own: Map) -> Summed:
     high, low = jax.lax.stop_gradient(rest), jnp.zeros_like(rest)
     for axis in (0, 1):
         high, low = jax.lax.associative_scan(_sum_of_pairs, (high, low), axis=axis)
-    high = with_gradient_of(high, jnp.cumsum(jnp.cumsum(rest, axis=0), axis=1))
+    high = replace_gradient(high, jnp.cumsum(jnp.cumsum(rest, axis=0), axis=1))
     first = ((1, 0), (1, 0), *((0, 0),) * len(own.shape))
     high, low = jnp.pad(high, first), jnp.pad(low, first)
     return Summed(values, own.uv, mean[0, 0], high, low, own.wrap)

@@ -22,7 +22,7 @@ from ..core._numerics import divide, safe_sqrt
 from ..core._random import Stream, Word, lattice_point, seed_of
 from ..core._shown import Shown
 from ..core._types import Key, Scalar, Spectrum, check_count, check_given, check_key, is_known
-from ..core.in_notebooks import preview_png, with_picture
+from ..core.in_notebooks import picture_html, preview_png
 from ..geometry import Ray
 from ..optics import view_ray
 from ..point_ops import srgb_encode
@@ -112,7 +112,7 @@ class Traced(Shown):
         table = super()._repr_html_()
         if not is_known(self.radiance) or not np.size(self.radiance) or self.radiance.ndim < 3:
             return table
-        return with_picture(preview_png(_encoded(self.radiance)), table, meaning="radiance, sRGB")
+        return picture_html(preview_png(_encoded(self.radiance)), table, meaning="radiance, sRGB")
 
 
 def _encoded(radiance: Spectrum) -> np.ndarray:

@@ -142,7 +142,7 @@ def stage_of(effect: SensorEffect) -> Stage:
     return _STAGES[kind]
 
 
-def on_charge(sensor: Sensor) -> tuple[SensorEffect, ...]:
+def charge_effects(sensor: Sensor) -> tuple[SensorEffect, ...]:
     """All effects on charge that the sensor has, in their order."""
     last = (sensor.mixing, sensor.nonlinearity)
     return (*(sensor.own or ()), *(effect for effect in last if effect is not None))

@@ -10,7 +10,7 @@ from ..scene import Sensor, Taps
 from ._draws import Shape, check_image
 
 
-def of_taps(
+def tap_map(
     values: Float[Array, " taps"], taps: Taps, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
     """A map of the pixels from one number for each tap."""
@@ -36,7 +36,7 @@ def factored(
     factors = None if taps is None else getattr(taps, name)
     if taps is None or factors is None:
         return number
-    return number * of_taps(factors, taps, shape=shape, dtype=dtype)
+    return number * tap_map(factors, taps, shape=shape, dtype=dtype)
 
 
 def total_gain(sensor: Sensor, *, shape: Shape, dtype: DTypeLike) -> Scalars | None:

@@ -3,11 +3,11 @@
 import jax.numpy as jnp
 
 from ..core._arguments import takes_numbers
-from ..core._numerics import with_gradient_of
+from ..core._numerics import replace_gradient
 from ..core._powers import exp2
 from ..core._types import Key, Scalar, Scalars, Spectrum, check_range
 from ..scene import Sensor
-from ._taps import of_taps, total_gain
+from ._taps import tap_map, total_gain
 from .fixed_pattern import column_gains
 
 
@@ -45,7 +45,7 @@ def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None)
     if sensor.bits is not None:
         # the sensor may have been converted to another dtype since it was made
         check_range("Sensor.bits", sensor.bits, 1, jnp.finfo(sensor.bits.dtype).nmant + 1)
-        signal = with_gradient_of(jnp.round(signal), signal)
+        signal = replace_gradient(jnp.round(signal), signal)
         signal = jnp.clip(signal, 0, largest_number(sensor.bits))
     return signal
 
@@ -59,7 +59,7 @@ def amplified(sensor: Sensor, electrons: Scalars) -> Scalars:
         signal = signal + sensor.offset
     if sensor.taps is None or sensor.taps.offset is None:
         return signal
-    return signal + of_taps(
+    return signal + tap_map(
         sensor.taps.offset, sensor.taps, shape=electrons.shape, dtype=electrons.dtype
     )
 

@@ -58,14 +58,14 @@ def sites(pattern: Pattern | str, height: int, width: int) -> tuple[Bool[Array, 
     at_row = np.arange(height)[:, None] % len(tile)
     at_column = np.arange(width) % tile.shape[1]
 
-    def of_band(band: int) -> Bool[Array, "h w"]:
+    def mask(band: int) -> Bool[Array, "h w"]:
         seen = jnp.zeros((height, width), bool)
         for i, row in enumerate(tile):
             columns = jnp.asarray((row == band)[at_column][None])
             seen |= jnp.asarray(at_row == i) & columns
         return seen
 
-    return tuple(of_band(band) for band in range(tile.max() + 1))
+    return tuple(mask(band) for band in range(tile.max() + 1))
 
 
 @takes_numbers

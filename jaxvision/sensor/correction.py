@@ -35,7 +35,7 @@ from ..core._types import (
 )
 from ..filters.convolution import convolve
 from ..scene import Camera, Sensor, ShutterOffset
-from ._taps import factored, of_taps, total_gain
+from ._taps import factored, tap_map, total_gain
 from .adc import amplified, largest_number
 from .brighter_fatter import gathered
 from .ccd import transferred
@@ -502,7 +502,7 @@ def _signal(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
         return above + (held if curve is None else signal_of_charge(curve, held))
     above = raw if sensor.offset is None else raw - sensor.offset
     if sensor.taps is not None and sensor.taps.offset is not None:
-        above = above - of_taps(sensor.taps.offset, sensor.taps, shape=raw.shape, dtype=raw.dtype)
+        above = above - tap_map(sensor.taps.offset, sensor.taps, shape=raw.shape, dtype=raw.dtype)
     return above if gain is None else above / gain
 
 

@@ -41,7 +41,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers
-from ..core._numerics import divide, smallest_divisor, with_gradient_of
+from ..core._numerics import divide, replace_gradient, smallest_divisor
 from ..core._types import Key, Scalars, check_choice, check_count
 from ..scene import PoissonShotNoise
 from ._draws import Shape
@@ -271,4 +271,4 @@ def _attach_slopes(average: Scalars, *slopes: tuple[Scalars, Scalars]) -> Scalar
     for slope, parameter in slopes:
         change = jax.lax.stop_gradient(slope) * parameter
         along = along + (change.sum() if average.ndim == 0 else change)
-    return with_gradient_of(jax.lax.stop_gradient(average), along)
+    return replace_gradient(jax.lax.stop_gradient(average), along)

@@ -31,7 +31,7 @@ from ._clipped_gaussian import (
     tail_square,
     tail_variance,
 )
-from ._registry import moments_after, on_charge, stage_of
+from ._registry import charge_effects, moments_after, stage_of
 from ._taps import factored, total_gain
 from .adc import amplified, largest_number
 from .brighter_fatter import (
@@ -158,7 +158,7 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
         raise ValueError(f"pattern_variance knows no {names}; draw frames by raw_image.")
     charge = _charge(sensor, irradiance)
     mean = _read(sensor, charge).mean
-    if on_charge(sensor):  # they act on a pattern as on noise
+    if charge_effects(sensor):  # they act on a pattern as on noise
         pattern = Moments(_passed_on(sensor, charge).mean, variance)
         variance = _act(sensor, pattern).variance
     if sensor.conversion_prnu is not None:
@@ -514,7 +514,7 @@ def _passed_on(sensor: Sensor, charge: Moments) -> Moments:
 
 def _act(sensor: Sensor, charge: Moments) -> Moments:
     """Moments of the electrons after all effects on charge."""
-    return moments_after(on_charge(sensor), charge)
+    return moments_after(charge_effects(sensor), charge)
 
 
 def _count_sum_moments(sensor: Sensor, mean: Scalars) -> Moments:

@@ -12,7 +12,7 @@ from ..core._arguments import takes_numbers
 from ..core._types import Key, Scalar
 from ..scene import Sensor
 from ._draws import Frame, needed
-from ._registry import affected, on_charge
+from ._registry import affected, charge_effects
 from .adc import digitise
 from .brighter_fatter import gathered
 from .ccd import bloomed, transfer_noise, transferred
@@ -94,7 +94,7 @@ def collect(
         packets, electrons = electrons, transferred(electrons, transfer)
         if sensor.shot_noise is not None:
             electrons = electrons + transfer_noise(key, packets, transfer)
-    effects = on_charge(sensor)
+    effects = charge_effects(sensor)
     if effects:
         electrons = affected(key, effects, electrons)
     if sensor.conversion_prnu is not None:

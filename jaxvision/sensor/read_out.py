@@ -19,7 +19,7 @@ from ._draws import (
     uniform,
     words,
 )
-from ._taps import factored, of_taps
+from ._taps import factored, tap_map
 from .dark import BOLTZMANN, ELEMENTARY_CHARGE
 
 
@@ -122,7 +122,7 @@ def read_out_variance(
         case rms:
             variance = variance + rms**2
     if sensor.taps is not None and sensor.taps.read_noise is not None and shape is not None:
-        factors = of_taps(sensor.taps.read_noise, sensor.taps, shape=shape, dtype=dtype)
+        factors = tap_map(sensor.taps.read_noise, sensor.taps, shape=shape, dtype=dtype)
         variance = variance * factors**2
     if sensor.reset_noise is not None:
         variance = variance + reset_noise_rms(sensor.reset_noise) ** 2

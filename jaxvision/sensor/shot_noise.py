@@ -33,7 +33,7 @@ from jaxtyping import Array, Bool, UInt32
 
 from ..core._arguments import takes_numbers
 from ..core._loops.fusion import one_program
-from ..core._numerics import divide, polynomial, safe_sqrt, smallest_divisor, with_gradient_of
+from ..core._numerics import divide, polynomial, replace_gradient, safe_sqrt, smallest_divisor
 from ..core._random import seed_of
 from ..core._types import Key, Scalars, as_float, is_known
 from ..scene import FastPoissonShotNoise, GaussianShotNoise, ShotNoise
@@ -221,7 +221,7 @@ def _inverse_poisson(bits: Words, mean: Scalars) -> Scalars:
 def _along_draw(drawn: Scalars, mean: Scalars) -> Scalars:
     """A count with the slope 1/2 + N / (2 mean), or 1 without light."""
     slope = divide(drawn + mean, 2 * mean, ~(mean <= smallest_divisor(mean.dtype)), otherwise=1)
-    return with_gradient_of(jax.lax.stop_gradient(drawn), jax.lax.stop_gradient(slope) * mean)
+    return replace_gradient(jax.lax.stop_gradient(drawn), jax.lax.stop_gradient(slope) * mean)
 
 
 def _summed_inverse(probability: Scalars, mean: Scalars) -> Scalars:

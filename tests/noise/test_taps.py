@@ -198,14 +198,14 @@ def test_taps_that_bear_other_names_than_the_frames_are_refused():
         stated: noise.from_frames(*frames(11, BAYER), camera=Camera(bits=12, **dict([stated])))
         for stated in (("pattern", "RGGB"), ("taps", (2, 2)))
     }
-    of_mosaic, of_taps = measured.values()
+    of_mosaic, tap_map = measured.values()
     colours = mosaic_sensor(((0, 1), (2, 3)), SITES)
     plain = mosaic_sensor(((0, 1), (2, 3)), None)
     with pytest.raises(InputError, match=r"state camera\.taps = \[2, 2\] of the frames"):
         noise.predict(plain, of_mosaic)
     with pytest.raises(InputError, match=r'state camera\.pattern = "RGGB" of the frames'):
-        noise.predict(colours, of_taps)
-    assert noise.predict(plain, of_taps).judged
+        noise.predict(colours, tap_map)
+    assert noise.predict(plain, tap_map).judged
     assert camera_of_taps(jv.Taps("GRBG", offset=[0.0, 1.0, 2.0])).pattern == "GRBG"
 
 

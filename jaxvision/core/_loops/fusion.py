@@ -70,12 +70,12 @@ def one_program(function: Callable[P, R]) -> Callable[P, R]:
     compiled = cast(Any, eqx.filter_jit)(function, inline=True)
 
     @wraps(function)
-    def of_kind(*args: P.args, **kwargs: P.kwargs) -> R:
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
         # equinox takes NumPy's numbers for arrays, but numbers among the settings are static
         known = (x.item() if isinstance(x, np.generic) else x for x in args)
         return compiled(*known, **kwargs)
 
-    return of_kind
+    return call
 
 
 def materialise(function: Callable[..., Any], *arguments: Any) -> Any:

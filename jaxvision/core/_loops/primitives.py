@@ -41,7 +41,7 @@ def identity(name: str, loops: Loops) -> Loops:
     except structural zeros."""
     primitive = Primitive(name)
 
-    def of_known(values: Sequence[Any]) -> list[Any]:
+    def evaluate(values: Sequence[Any]) -> list[Any]:
         known = [value for value in values if type(value) is not ad.Zero]
         results = iter(primitive.bind(*known) if known else ())
         return [value if type(value) is ad.Zero else next(results) for value in values]
@@ -63,9 +63,9 @@ def identity(name: str, loops: Loops) -> Loops:
     batching.primitive_batchers[primitive] = batched
     ad.primitive_jvps[primitive] = lambda values, tangents: (
         primitive.bind(*values),
-        of_known(tangents),
+        evaluate(tangents),
     )
-    ad.primitive_transposes[primitive] = lambda cotangents, *_: of_known(cotangents)
+    ad.primitive_transposes[primitive] = lambda cotangents, *_: evaluate(cotangents)
     return primitive.bind
 
 
