@@ -23,6 +23,7 @@ from .search import Optimum, add_prior
 REACH = 0.5  # posterior standard deviations to either side
 UNSEEN = 0.1  # share of a derivative that a gradient may miss before it is said
 FALL = 0.05  # in log density, .3 standard deviations: a place that is lower by less is no lower
+RISE = 0.1  # in log density within a standard deviation of a parameter; of a Gaussian at least .5
 STEPS = 20
 _TINY = 1e-3  # of a difference, at which only rounding is left
 _SHARES = np.array([1.0, 0.5, 0.25, 0.125])  # of a step
@@ -78,6 +79,7 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
             break
         vector = tried[1 + lowest]
         sizes = REACH * _deviations(information)
+    information = _widened(problem, vector, cost, information)
     fall = float(begun - cost)
     ends, depths = optimum.ends.copy(), optimum.costs + fall
     ends[best], depths[best] = vector, 0.0
@@ -91,6 +93,27 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
         ends=ends,
         costs=depths - depths.min(),
     )
+
+
+def _widened(
+    problem: Problem, vector: np.ndarray, cost: float, information: np.ndarray
+) -> np.ndarray:
+    """The information with each standard deviation doubled until the cost rises to both sides. Over
+    a jump of the prediction, differences grow as their steps shrink, and beside it the cost is
+    flat."""
+    sizes = _deviations(information)
+    if not np.isfinite(sizes).all():
+        return information
+    factors = np.ones(len(sizes))
+    for _ in range(STEPS):
+        steps = np.diag(factors * sizes)
+        tried = jnp.asarray(vector + np.concatenate([steps, -steps]), problem.data.dtype)
+        rise = on_host(_costs(tried, problem), dtype=np.float64).reshape(2, -1) - cost
+        flat = (rise < RISE).any(axis=0)
+        if not flat.any():
+            break
+        factors[flat] *= 2
+    return information / np.outer(factors, factors)
 
 
 def _deviations(information: np.ndarray) -> np.ndarray:

@@ -531,6 +531,24 @@ def test_an_edge_that_no_gradient_sees_move_is_followed_by_differences():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 4, 5, 6])
+def test_the_place_of_a_step_is_known_to_the_distance_of_the_data(seed):
+    """It was known to a tenth of that or less, and up to ten of its standard errors off."""
+    rng, at = np.random.default_rng(seed), np.linspace(0.0, 4.0, 80)
+    true = rng.uniform(0.5, 3.5)
+    problem = Problem(
+        {"place": Parameter(lower=0, upper=4), "height": Parameter(lower=0, upper=5)},
+        lambda place, height, inputs: jnp.where(inputs > place, height, 0.0),
+        Gaussian(sd=0.1),
+        (at > true) + 0.1 * rng.standard_normal(80),
+        inputs=at,
+    )
+    found = fit(problem).estimates[0]
+    assert found.interval_95[0] < true < found.interval_95[1]
+    assert 0.01 < found.standard_error < 0.1
+
+
+@pytest.mark.slow
 def test_smooth_models_have_nothing_unseen():
     time = jnp.linspace(0.0, 3.0, 50)
     noise = 0.3 * np.random.default_rng(0).standard_normal(50)  # wide intervals: much curvature
