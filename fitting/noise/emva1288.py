@@ -45,6 +45,7 @@ from .shared import SharedNoise
 
 SENSITIVITY_TOP = 0.7
 LINEARITY_RANGE = (0.05, 0.95)
+FEWEST_FOR_LINE = 3  # levels in that range, for deviations from a line
 # Of the square of a converter's step; below it, the standard says, rounding rules.
 LEAST_DARK_VARIANCE = 0.24
 UNLIKELY = 0.01  # p-value of a chi-square below which scatter is significant
@@ -235,11 +236,15 @@ def linearity_errors(
 def linearity_deviation(
     light: Float[Array, " levels"], signal: Float[Array, " levels"], within: Bool[Array, " levels"]
 ) -> Float[Array, " levels"]:
-    """Deviation of each level from the linearity line."""
+    """Deviation of each level from the linearity line; NaN with too few levels, whose slopes must
+    not enter other figures."""
+    enough = jnp.sum(within) >= FEWEST_FOR_LINE
+    within = within | ~enough
     safe = jnp.where(within, signal, 1)
     offset, slope = line(light, signal, weights=jnp.where(within, 1 / safe**2, 0))
     expected = offset + slope * light
-    return 100 * (signal - expected) / jnp.where(within, expected, 1)
+    off = 100 * (signal - expected) / jnp.where(within, expected, 1)
+    return jnp.where(enough, off, jnp.nan)
 
 
 def evaluate(

@@ -167,6 +167,9 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
             if floored and name in FROM_DARK_NOISE:
                 reason = _bound(calibration, quantity, value)
                 listed.append(not_determined(quantity, reason, method=STANDARD))
+            elif not np.isfinite(value) and name.startswith("linearity"):
+                reason = "too few levels lie between 5 and 95 % of saturation; add flats there"
+                listed.append(not_determined(quantity, reason, method=STANDARD))
             else:
                 one = sheet_estimate(quantity, value, error, STANDARD)
                 listed.append(widened(one, calibration.unequal))

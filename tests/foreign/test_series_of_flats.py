@@ -14,6 +14,7 @@ from fitting.frame_checks.heads import Stated, odd_heads
 from fitting.noise import calibration as calibrations
 from fitting.noise.across_settings.prediction import predict_settings
 from fitting.noise.doubts import drifting
+from fitting.noise.emva1288 import evaluate, ranges
 from fitting.noise.findings import _glow, _periodic
 from fitting.noise.levels import linear_levels
 from fitting.noise.levels_table import read_table
@@ -448,3 +449,16 @@ def test_settings_with_steps_of_their_own_are_predicted():
     assert (float(one.bits), float(four.bits)) == (14, 12)
     for predicted in predict_settings(camera):
         assert not predicted.judged.missed
+
+
+@pytest.mark.slow
+def test_one_level_in_the_range_of_linearity_leaves_the_other_figures():
+    rng, light = np.random.default_rng(7), np.array([1.0, 2, 5, 10, 20, 40, 600, 7000])
+    flats = [[exposed(rng, e) for _ in range(2)] for e in light]
+    darks, of = [[exposed(rng, 0) for _ in range(2)]], {"dark_exposures": [0.01]}
+    found = noise.from_frames(flats, darks, [0.01] * 8, light, camera=noise.Camera(bits=12), **of)
+    sheet = evaluate(found, ranges(found))
+    value, error = (float(one["responsivity"]) for one in (sheet.values, sheet.errors))
+    assert abs(value - K) < 4 * error < 0.1
+    assert np.isfinite(float(sheet.errors["system_gain"]))
+    assert not np.isfinite(float(sheet.values["linearity_error_max"]))
