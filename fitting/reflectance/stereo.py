@@ -7,7 +7,8 @@ Optical Engineering 19, 1980). Attached and cast shadows, clipped pixels and hig
 of this model.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -24,7 +25,10 @@ from ..copies import Copies
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_spread, format_with_error
 from ..inference.given import plain_numbers
+from .models import has_lobe, shape_of
+from .names import MODELS, Model
 from .stereo_lights import (
+    EXPLAINED,
     FLAT,
     Common,
     Counted,
@@ -36,9 +40,11 @@ from .stereo_lights import (
     Vectors,
     by_lights,
     common_departure,
+    predicted,
     solved,
 )
-from .stereo_misfit import departures, shared_squares
+from .stereo_misfit import Departures, departures, shared_squares
+from .stereo_model import Surface, fitted_surface
 
 ROUNDS = 30  # of reweighting toward the least sum of absolute residuals
 FAR = 2.5  # standard deviations at which a reading is left out (Rousseeuw & Leroy, 1987)
@@ -52,6 +58,7 @@ APART = 8.0  # times the median image's median residual, from which an image sta
 FEWEST = 30  # pixels by which an image is judged
 ALONE = 0.02  # logarithm of a factor that sets an image apart from those that agree
 SHARED, SMALL = 0.5, 0.02  # of the residuals' squares; of the albedo: a contradiction that is told
+FITTED = 256  # pixels that show first whether a rough body explains residuals
 SHOWN_BY = 32  # lights whose residuals show what a rough surface does to normals
 NEGLIGIBLE = 1e-6  # of the albedo: a departure from Lambert's law that is rounding
 DARK = 3.0  # standard errors from 0: the mean of images without light
@@ -76,6 +83,9 @@ class Stereo:
             and albedo include it.
         findings: sentences on images that do not match the others, on a surface that is not
             Lambertian, and on images without light.
+        materials: by label, the numbers that its pixels share and their standard deviations: of a
+            lobe the amplitude, in the unit of the albedo (times that of the model's k_s), and the
+            shape; of a rough body the roughness. Empty for Lambert's law.
     """
 
     normals: Float[np.ndarray, "h w 3"]
@@ -85,6 +95,7 @@ class Stereo:
     used: Int[np.ndarray, "h w"]
     misfit: Float[np.ndarray, "h w"]
     findings: tuple[str, ...] = ()
+    materials: Mapping[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     def __str__(self) -> str:
         rows = [
@@ -133,6 +144,9 @@ def photometric_stereo(
     lowest: float = 0.0,
     highest: float = np.inf,
     robust: bool = True,
+    model: Model = "lambert",
+    materials: ArrayLike | None = None,
+    viewer: ArrayLike = (0.0, 0.0, 1.0),
 ) -> Stereo:
     """Normals, albedo and their errors from photographs of one still view under distant lights.
 
@@ -158,19 +172,27 @@ def photometric_stereo(
             wrong one may remain and the normal be off by 0.25 rad. An image that the others
             contradict in most pixels is left out as a whole and named. So is one of at least five
             images that is brighter or darker than predicted by one factor in all pixels.
+        model: reflectance, one of those that `calibrate` fits. A lobe lies on a Lambertian body,
+            whose albedo differs between pixels; all pixels of a material share the amplitude and
+            the shape of the lobe, or the roughness of the body. Facets have an index of 1.5.
+        materials: (h, w) whole numbers, one label a material; pixels below 0 are Lambertian. None
+            for one material.
+        viewer: (3,) unit vector toward the camera, in the axes of the lights. Only a `model` other
+            than Lambert's, and the comparison with a rough surface, use it.
 
     Returns:
         Normals, albedo and their standard deviations. These follow from the residuals of each
         pixel, with the residuals of the other pixels as prior. Where residuals show that the
         surface is not Lambertian, or the readings not linear, the standard deviations include the
-        departures that neighbouring lights share, and a sentence says so. A factor of one light's
-        intensity or an offset of all readings that explains residuals in all pixels is named. g is
-        not corrected for it, but the standard deviations include the change that a correction would
-        make. On simulated balls under 6 to 96 lights, at most 60 degrees from the viewer, cones of
-        95 % contained the true normal in 94 to 98 % of the pixels of a matt ball, in 94 to 99 % of
-        a glossy one and in 90 to 97 % of a rough one. With fewer than 32 lights, some of them
-        grazing, a rough surface biases normals by more than its residuals show: cones of 8, 16 and
-        24 lights contained 66, 78 and 88 %, and the sentence says that too. Interreflection between
+        departures that neighbouring lights share, and a sentence says so. With fewer than 32 lights
+        they also include the change of the normal by a rough body (Oren and Nayar's), if that
+        explains the residuals: it turns normals toward the viewer and leaves hardly any residual. A
+        factor of one light's intensity or an offset of all readings that explains residuals in all
+        pixels is named. g is not corrected for it, but the standard deviations include the change
+        that a correction would make. On simulated balls under 6 to 96 lights, cones of 95 %
+        contained the true normal in 93 to 98 % of the pixels of a matt ball, in 92 to 100 % of a
+        glossy one and in 91 to 100 % of a rough one. With a `model`, the departures are those from
+        it, and the standard deviations include the errors of its numbers. Interreflection between
         parts of a surface changes the readings as another normal would, leaves hardly any residual,
         and is not included: in a hollow the standard deviations are lower bounds.
 
@@ -187,6 +209,7 @@ def photometric_stereo(
         [0. 0. 1.] 100.0
     """
     stack, directions, irradiance = _checked(images, lights, intensities)
+    labels, toward = _checked_materials(stack, model, materials, viewer)
     rows = directions * irradiance[:, None]
     together = None if covariance is None else _common_errors(covariance, len(stack))
     readings = stack.reshape(len(stack), -1)
@@ -198,6 +221,15 @@ def photometric_stereo(
     unlit = _unlit_finding(readings, between, limits)
     between &= not unlit
     counts = _counted(rows, readings, between, limits, robust=robust)
+    surface, linear, tilt, told = None, rows, 0.0, ()
+    if model != "lambert":
+        start = solved(rows, readings, counts.astype(float))[0]
+        surface = fitted_surface(
+            model, directions, irradiance, readings, between, start, labels.ravel(), toward
+        )
+        linear, tilt = surface.slopes, surface.tilt(rows)
+        readings = readings - surface.extra
+        counts = _counted(rows, readings, between, limits, robust=robust)
     apart, findings = _contradicted_images(rows, readings, counts, limits)
     if robust and apart.any():
         between[apart] = False
@@ -210,15 +242,25 @@ def photometric_stereo(
     if apart.any() or alone.any() or common is not None:
         agreeing = readings if common is None else common.removed(readings)
         counts = _counted(rows, agreeing, between, limits, robust=robust)
-    shaped = counts.reshape(stack.shape)
-    found = departures(rows, directions, agreeing.reshape(stack.shape), shaped)
-    g, _ = solved(rows, readings, found.weights)
-    covariance_of_g = found.covariance
+    shape, shaped = stack.shape, counts.reshape(stack.shape)
+    found = departures(rows, directions, (agreeing + tilt).reshape(shape), shaped, linear)
+    g, _ = solved(linear, readings + tilt, found.weights)
+    covariance_of_g, rough = found.covariance, None
+    if surface is not None:
+        covariance_of_g = covariance_of_g + surface.covariance
+        told = _materials_finding(model, surface)
+    elif found.significant and np.median(counts.sum(axis=0)[np.isfinite(g[:, 0])]) < SHOWN_BY:
+        rough = _rough_body(directions, irradiance, readings, shaped, found, toward)
+    if rough is not None and (common is None or common.explained < rough.explained):
+        covariance_of_g, common = rough.covariance, None
     if common is not None:
-        covariance_of_g = departures(rows, directions, stack, shaped).covariance
-        moved = solved(rows, agreeing, found.weights)[0] - g
+        covariance_of_g = departures(
+            rows, directions, (readings + tilt).reshape(shape), shaped, linear
+        ).covariance
+        moved = solved(linear, agreeing + tilt, found.weights)[0] - g
         covariance_of_g = covariance_of_g + moved[:, :, None] * moved[:, None, :]
         findings += (_common_factor_finding(common, moved / _typical(g)),)
+        rough = None
     if together is not None:
         covariance_of_g = covariance_of_g + by_lights(
             rows, irradiance, found.weights, found.inverse, g, together
@@ -230,18 +272,90 @@ def photometric_stereo(
         misfit = np.where(np.isfinite(albedo), found.size / albedo, np.nan)
         by_noise = _deviations(normals, albedo, found.inverse * found.noise[:, None, None])[0]
     if found.significant and np.nanmedian(misfit) > NEGLIGIBLE:
-        findings += (_misfit_finding(misfit, normal_sd / by_noise, counts.sum(axis=0)),)
+        findings += (
+            _misfit_finding(model, misfit, normal_sd / by_noise, counts.sum(axis=0), rough),
+        )
     if not findings:
-        findings = unlit or _contradiction_finding(rows, stack, between, limits)
-    shape = stack.shape[1:]
+        findings = unlit or _contradiction_finding(rows, readings.reshape(shape), between, limits)
     return Stereo(
-        normals.reshape(*shape, 3),
-        albedo.reshape(shape),
-        normal_sd.reshape(shape),
-        albedo_sd.reshape(shape),
-        counts.sum(axis=0).reshape(shape),
-        misfit.reshape(shape),
-        (*clipped, *_copies(stack), *findings),
+        normals.reshape(*shape[1:], 3),
+        albedo.reshape(shape[1:]),
+        normal_sd.reshape(shape[1:]),
+        albedo_sd.reshape(shape[1:]),
+        counts.sum(axis=0).reshape(shape[1:]),
+        misfit.reshape(shape[1:]),
+        (*clipped, *_copies(stack), *told, *findings),
+        {} if surface is None else surface.numbers,
+    )
+
+
+def _materials_finding(model: Model, surface: Surface) -> tuple[str, ...]:
+    names = ["specular"] * has_lobe(model) + [shape_of(model).name]
+    return tuple(
+        f"Material {label} ({model}) has "
+        + listed(
+            [
+                f"{name} = {format_with_error(*numbers)}"
+                for name, *numbers in zip(names, *found, strict=True)
+            ]
+        )
+        + "."
+        for label, found in surface.numbers.items()
+    )
+
+
+@dataclass(frozen=True)
+class _Rough:
+    """What a rough body in place of Lambert's would change."""
+
+    covariance: Matrices  # of g, with the change that it would make
+    sigma: float  # its roughness, rad
+    sigma_sd: float
+    explained: float  # share of the residuals' squares
+    turned: float  # rad, median change of the normals
+
+
+def _rough_body(
+    directions: Rows,
+    irradiance: Float[np.ndarray, " lights"],
+    readings: Readings,
+    counts: Bool[np.ndarray, "lights h w"],
+    found: Departures,
+    viewer: Float[np.ndarray, "3"],
+) -> _Rough | None:
+    """The body of Oren and Nayar, if it explains the residuals of Lambert's law. It turns normals
+    toward the viewer and leaves hardly any residual under few lights. The departures that are found
+    remain in the covariance unless it leaves none."""
+    weights = found.weights
+    rows, flat = directions * irradiance[:, None], counts.reshape(len(readings), -1)
+    g = solved(rows, readings, weights)[0]
+    plain = np.where(flat, readings - predicted(rows, g), 0)
+    lit = np.flatnonzero(np.isfinite(g[:, 0]) & (flat.sum(axis=0) > 3))
+    labels = np.full(len(g), -1)
+    labels[lit[:: -(-len(lit) // FITTED)]] = 0
+    for part in (labels, np.where(np.isin(np.arange(len(g)), lit), 0, -1)):
+        body = fitted_surface("oren-nayar", directions, irradiance, readings, flat, g, part, viewer)
+        if not body.numbers:
+            return None
+        bent = readings - body.extra + body.tilt(rows)
+        own = solved(body.slopes, bent, weights)[0]
+        left = np.where(flat, bent - predicted(body.slopes, own), 0)
+        some = (part == 0) & np.isfinite(own[:, 0])
+        explained = 1 - float((left[:, some] ** 2).sum() / (plain[:, some] ** 2).sum())
+        if explained < EXPLAINED:
+            return None
+    after = departures(rows, directions, bent.reshape(counts.shape), counts, body.slopes)
+    own_covariance = (found if after.significant else after).covariance
+    moved = np.where(some[:, None], own - g, 0)
+    (sigma, sd) = (float(x[0]) for x in body.numbers[0])
+    turned = np.linalg.norm(np.cross(g, own), axis=1) / np.linalg.norm(g, axis=1)
+    turned = np.arcsin(np.clip(turned[some] / np.linalg.norm(own[some], axis=1), 0, 1))
+    return _Rough(
+        own_covariance + body.covariance + moved[:, :, None] * moved[:, None, :],
+        sigma,
+        sd,
+        explained,
+        float(np.median(turned)),
     )
 
 
@@ -363,17 +477,34 @@ def _contradiction_finding(
     )
 
 
-def _misfit_finding(misfit: OfPixels, wider: OfPixels, used: Int[np.ndarray, " pixels"]) -> str:
+def _misfit_finding(
+    model: Model,
+    misfit: OfPixels,
+    wider: OfPixels,
+    used: Int[np.ndarray, " pixels"],
+    rough: _Rough | None,
+) -> str:
     few = (
         f" With only {np.median(used):.0f} lights they are lower bounds: a rough surface may bias "
         f"normals by twice as much; {SHOWN_BY} lights would show it."
         if np.median(used) < SHOWN_BY
         else ""
     )
+    if rough is not None:
+        sigma, sd, turned = np.degrees([rough.sigma, rough.sigma_sd, rough.turned])
+        few = (
+            f" A rough body (Oren-Nayar, sigma = {format_with_error(sigma, sd)} degrees) explains "
+            f"{format_percent(rough.explained)} of the residuals' squares. It would turn normals "
+            f"by {turned:.2g} degrees (median), which the standard deviations include. If the "
+            'surface is rough, give model = "oren-nayar".'
+        )
+    surface, law = "is not Lambertian", "m = E rho n.l"
+    if model != "lambert":
+        surface, law = f"does not follow {model}", "the model"
     return (
-        "The surface is not Lambertian, or the readings are not linear (room light, a black level, "
+        f"The surface {surface}, or the readings are not linear (room light, a black level, "
         "a gamma, clipped pixels), or the lights are not as stated: under neighbouring lights, the "
-        "readings depart from m = E rho n.l in the same way, by "
+        f"readings depart from {law} in the same way, by "
         f"{format_percent(np.nanmedian(misfit), decimals=1)} of the albedo (median over pixels). "
         "The standard deviations of normals include this and are "
         f"{np.nanmedian(wider):.1f} times those of noise alone.{few} In a hollow, where "
@@ -443,6 +574,25 @@ def _checked(
     if len(stack) < 3 or strengths[2] < FLAT * strengths[0]:
         raise InputError("normals need three lights that do not lie in one plane; add a light.")
     return stack, directions, irradiance
+
+
+def _checked_materials(
+    stack: np.ndarray, model: Model, materials: ArrayLike | None, viewer: ArrayLike
+) -> tuple[np.ndarray, np.ndarray]:
+    if model not in MODELS:
+        raise InputError(f"model must be one of {', '.join(MODELS)}, got {model!r}.")
+    labels = np.zeros(stack.shape[1:], int)
+    if materials is not None:
+        labels = np.asarray(plain_numbers("materials", materials))
+        if labels.shape != stack.shape[1:] or not np.issubdtype(labels.dtype, np.integer):
+            raise InputError(
+                f"materials must be whole numbers of shape {stack.shape[1:]}, one label a pixel, "
+                f"got {labels.dtype} of shape {labels.shape}."
+            )
+    toward = np.asarray(plain_numbers("viewer", viewer), float)
+    if toward.shape != (3,) or not np.isclose(np.linalg.norm(toward), 1, atol=1e-3):
+        raise InputError(f"viewer must be a unit vector toward the camera, got {toward}.")
+    return labels, toward / np.linalg.norm(toward)
 
 
 def _common_errors(covariance: ArrayLike, lights: int) -> np.ndarray:

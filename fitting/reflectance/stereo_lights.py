@@ -52,15 +52,27 @@ class Common:
         return (readings - self.offset) / self.factors[:, None]
 
 
-def solved(rows: Rows, readings: Readings, weights: Readings) -> tuple[np.ndarray, np.ndarray]:
+def predicted(rows: np.ndarray, g: Vectors) -> Readings:
+    """Readings of a linear model, whose rows, (lights, 3), may differ between pixels, (lights,
+    pixels, 3)."""
+    return rows @ g.T if rows.ndim == 2 else np.einsum("lpi,pi->lp", rows, g)
+
+
+def solved(
+    rows: np.ndarray, readings: Readings, weights: Readings
+) -> tuple[np.ndarray, np.ndarray]:
     """Weighted least squares of each pixel."""
-    products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), 9)
-    matrix = (weights.T @ products).reshape(-1, 3, 3)
+    if rows.ndim == 2:
+        products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), 9)
+        matrix = (weights.T @ products).reshape(-1, 3, 3)
+    else:
+        matrix = np.einsum("lp,lpi,lpj->pij", weights, rows, rows)
     sizes = np.linalg.eigvalsh(matrix)
-    known = sizes[:, 0] > FLAT**2 * sizes[:, 2]
+    regular = sizes[:, 0] > FLAT**2 * sizes[:, 2]
     inverse = np.full_like(matrix, np.nan)
-    inverse[known] = np.linalg.inv(matrix[known])
-    right = np.where(weights > 0, weights * readings, 0).T @ rows
+    inverse[regular] = np.linalg.inv(matrix[regular])
+    known = np.where(weights > 0, weights * readings, 0)
+    right = known.T @ rows if rows.ndim == 2 else np.einsum("lp,lpi->pi", known, rows)
     return np.einsum("pij,pj->pi", inverse, right), inverse
 
 

@@ -37,7 +37,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import gammaln
 
-from .stereo_lights import Images, Matrices, OfPixels, Readings, Rows, solved
+from .stereo_lights import Images, Matrices, OfPixels, Readings, Rows, predicted, solved
 
 REACH = 0.8  # w: as slow as n.l and rough surfaces change with the light
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e8, 21)])  # tau^2 / sigma^2
@@ -93,12 +93,17 @@ class _Reduced:
 
 
 def departures(
-    rows: Rows, directions: Rows, readings: Images, counts: Bool[np.ndarray, "lights h w"]
+    rows: Rows,
+    directions: Rows,
+    readings: Images,
+    counts: Bool[np.ndarray, "lights h w"],
+    linear: np.ndarray,
 ) -> Departures:
-    """Covariance of g that includes departures from Lambert's law."""
+    """Covariance of g that includes departures from the linear model with the given slopes,
+    (lights, 3), `rows` for Lambert's law, or (lights, pixels, 3)."""
     flat, counted = readings.reshape(len(rows), -1), counts.reshape(len(rows), -1)
     used = counted.sum(axis=0)
-    g, inverse = solved(rows, flat, counted.astype(float))
+    g, inverse = solved(linear, flat, counted.astype(float))
     told = (used > 3) & np.isfinite(inverse[:, 0, 0])
     noise, size = np.full(len(used), np.nan), np.zeros(len(used))
     covariance = np.full_like(inverse, np.nan)
@@ -108,10 +113,10 @@ def departures(
             counted.astype(float), inverse, covariance, noise, size, significant=False
         )
     features = _features(directions) * np.linalg.norm(rows, axis=1)[:, None]
-    expected = np.maximum(np.nan_to_num(rows @ g.T), 0)
+    expected = np.maximum(np.nan_to_num(predicted(linear, g)), 0)
     typical = float(np.median(expected[counted & told])) or 1.0
 
-    left = np.where(counted, flat - rows @ g.T, 0)
+    left = np.where(counted, flat - predicted(linear, g), 0)
     clear = np.where(counted, flat, 0).sum(axis=0) ** 2 * (used - 3) > (
         CLEAR**2 * used**2 * (left**2).sum(axis=0)
     )
@@ -127,8 +132,10 @@ def departures(
     growths += [(share, square) for square in squares for share in OF_LAMPS]
     for share, growth in growths:
         weights = counted / (1 - share + share * growth)
-        g, inverse = solved(rows, flat, weights)
-        of = _Fit(rows, features, np.where(counted, flat - rows @ g.T, 0), weights, inverse)
+        g, inverse = solved(linear, flat, weights)
+        of = _Fit(
+            linear, features, np.where(counted, flat - predicted(linear, g), 0), weights, inverse
+        )
         scaled = of.residuals * np.sqrt(weights)
         shared = shared_squares(scaled.reshape(readings.shape), voting)
         scatter = (scaled[:, voters] ** 2).sum(axis=0) / (used[voters] - 3)
@@ -158,7 +165,7 @@ def departures(
 class _Fit:
     """Weighted least squares of all pixels."""
 
-    rows: Rows  # E l
+    rows: np.ndarray  # E l, or (lights, pixels, 3) slopes of a model
     features: Float[np.ndarray, "lights features"]  # of the departures, times E
     residuals: Readings  # (lights, pixels); 0 for unused readings
     weights: Readings
@@ -172,9 +179,14 @@ class _Fit:
             self.inverse[some],
         )
         count = self.features.shape[1]
-        both = np.concatenate([self.features, self.rows], axis=1)
-        products = (both[:, :, None] * both[:, None, :]).reshape(len(both), -1)
-        table = (weights.T @ products).reshape(-1, count + 3, count + 3)
+        if self.rows.ndim == 2:
+            both = np.concatenate([self.features, self.rows], axis=1)
+            products = (both[:, :, None] * both[:, None, :]).reshape(len(both), -1)
+            table = (weights.T @ products).reshape(-1, count + 3, count + 3)
+        else:
+            alike = np.repeat(self.features[:, None], len(some), axis=1)
+            both = np.concatenate([alike, self.rows[:, some]], axis=2)
+            table = np.einsum("lp,lpi,lpj->pij", weights, both, both, optimize=True)
         across = table[:, count:, :count]
         turning = inverse @ across
         left = table[:, :count, :count] - np.swapaxes(across, 1, 2) @ turning
