@@ -165,7 +165,7 @@ def capture(
         raise ValueError("edges are of direct light: leave them out with an integrator.")
     if motion is None and moments != 8:
         warn_caller("capture: moments has no effect without a motion; leave it out.")
-    certificate = None
+    certificate = threshold = None
     if tolerance is not None:
         if not (integrator is None or isinstance(integrator, Paths)):
             raise ValueError("a tolerance bounds what None or Paths render, got a function.")
@@ -177,7 +177,7 @@ def capture(
         if isinstance(integrator, Paths) and pruned.depth is not None:
             integrator = replace(integrator, depth=pruned.depth)
         motion = None if pruned.moments is None else motion
-        certificate = pruned.certificate
+        certificate, threshold = pruned.certificate, pruned.threshold
     elif not keep_all and integrator is None and motion is None:
         pruned = _prune_losslessly(scene, camera, rule, samples)
         if pruned is not None:
@@ -186,7 +186,7 @@ def capture(
             certificate = pruned.certificate
     if integrator is None or isinstance(integrator, Paths):
         _check_keys(key, die_key, camera, _bands(scene))
-    renderer = _renderer(integrator, key, rule, samples, edges)
+    renderer = _renderer(integrator, key, rule, samples, edges, threshold)
     radiance, irradiance, error = _light_on_sensor(renderer, scene, camera, motion, moments)
     _check_unit(camera, irradiance)
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
@@ -292,9 +292,11 @@ def _renderer(
     rule: Rule,
     samples: PixelSamples | None,
     edges: Edges | None,
+    threshold: float | None,
 ) -> Renderer | Callable[[Scene, View], Traced]:
     if integrator is None:
-        return partial(render, rule=rule, samples=samples, edges=edges)
+        asked = {"rule": rule, "samples": samples, "edges": edges, "threshold": threshold}
+        return partial(render, **asked)
     if not isinstance(integrator, Paths):
         return integrator
     if key is None:

@@ -196,6 +196,8 @@ class Pruned:
             times its transpose. None where the bands are unchanged.
         certificate: of the kept and removed effects.
         depth: number of segments of a path, or None for direct light.
+        threshold: W m^-2 sr^-1 for `render`, which then takes lights in order of what they show;
+            None for all lights.
     """
 
     scene: Scene
@@ -205,6 +207,7 @@ class Pruned:
     expand: np.ndarray | None
     certificate: Certificate
     depth: int | None = None
+    threshold: float | None = None
 
 
 def _headings(certificate: Certificate) -> tuple[str, ...]:

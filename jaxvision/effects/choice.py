@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from ..core._maps import mean_of, replace_maps
+from ..rendering.shadows import UNROLLED
 from ..scene import Camera, Scene, TriangleMesh, View
 from .boxes import keeps
 from .certificate import IRRADIANCE, RADIANCE, Certificate, Effect, Pruned, Tolerance
@@ -20,6 +21,8 @@ from .pixel import ASSUMED
 from .reflection import fills
 from .spectra import folded, with_bands
 from .stages import Draft, Gone, Row
+
+_TRIES = 64  # thresholds, each at most half of the one before
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,9 @@ class Choice:
         self.bounds: dict[int, float] = {}
         self.barred: set[int] = set()
         self.all_bands = ""  # why none of them can go
+        # what ordinary effects may change: half, where lights in order may take the rest
+        many = start.depth is None and not free and _many(finished(records[0], start))
+        self.allowed = goal.value / 2 if many else goal.value
 
     def bound(self, row: Row) -> float:
         """The bound of a row in the unit of the tolerance."""
@@ -93,6 +99,30 @@ class Choice:
         ladders = sorted((row for row in self.chain.rows if row.ladder), key=lambda row: row.ladder)
         for _, steps in groupby(ladders, key=lambda row: row.ladder):
             next((step for step in steps if self._try((step,))), None)
+        if self.allowed < self.goal.value:
+            self.allowed = self.goal.value
+            self._order_lights()
+
+    def _order_lights(self) -> None:
+        """Leave out of each part of the picture the lights that show least there, with what the
+        other effects left of the tolerance."""
+        scene = finished(self.records[0], self.draft)
+        if not _many(scene):
+            return
+        why = f"traces {len(scene.lights)} lights in order of what they show, until the others"
+
+        def row(threshold: float) -> Row:
+            told = f"{why} show at most {threshold:.3g} W m^-2 sr^-1 together"
+            effect = Effect("lights in order", True, told, threshold, unit=RADIANCE)
+            own = np.full_like(self.chain.rows[0].amount, threshold)  # the first is of a light
+            return Row(effect, own, lambda draft: replace(draft, threshold=threshold), saves=0.5)
+
+        threshold, left = 1.0, self.goal.value - self.total - self.estimated
+        for _ in range(_TRIES):
+            bound = self.bound(row(threshold))
+            if bound <= left and self._try((row(threshold),)):
+                return
+            threshold *= min(left / bound, 0.5) if bound > 0 and left > 0 else 0.5
 
     def _price(self, party: tuple[Row, ...]) -> tuple[bool, float]:
         cost = sum(self.bound(row) for row in party) / max(self.goal.value, 1e-300)
@@ -117,11 +147,11 @@ class Choice:
         place, rare = self.place + sum(row.effect.place for row in rows), self.rare
         few = self.level is None and all(row.effect.rare > 0 for row in rows)
         few = few and bool(np.isfinite(bounds).all())
-        if few and proved + estimated > self.goal.value:  # a few pixels may differ by any amount
+        if few and proved + estimated > self.allowed:  # a few pixels may differ by any amount
             bounds = [0.0] * len(rows)
             rare += sum(row.effect.rare for row in rows)
             proved, estimated = self._sums(rows, bounds)
-        fits = proved + estimated <= self.goal.value and place <= self.goal.place
+        fits = proved + estimated <= self.allowed and place <= self.goal.place
         if not fits or rare > self.goal.rare:
             return False
         draft = self.draft
@@ -163,10 +193,13 @@ class Choice:
     def result(self, scene: Scene, camera: Camera | View) -> Pruned:
         """Return the remaining records, and the certificate."""
         draft, expand, own = self.draft, None, self.draft.camera
+        threshold = draft.threshold
         left = finished(scene, draft)
         if draft.bands is not None:
             kept, expand = draft.bands
             left = with_bands(left, kept, len(expand))
+            if threshold is not None:
+                threshold /= max(float(np.abs(expand).sum(1).max()), 1.0)
             taking = folded(own, kept, expand) if self.chain.dn is not None else None
             own, expand = (own, expand) if taking is None else (taking, None)
         return Pruned(
@@ -177,6 +210,7 @@ class Choice:
             expand,
             self._certificate(),
             draft.depth,
+            threshold,
         )
 
     def _certificate(self) -> Certificate:
@@ -221,6 +255,14 @@ class Choice:
     def _effect(self, row: Row, bound: float, unit: str) -> Effect:
         free = any(concerns(name, row.effect.name) for name in self.free) or id(row) in self.barred
         return replace(row.effect, bound=bound, unit=unit, saves=row.saves, free=free)
+
+
+def _many(scene: Scene) -> bool:
+    """Whether lights in order save more shadow rays than their order costs."""
+    blocking = range(len(scene.surfaces)) if scene.occluders is None else scene.occluders
+    shapes = [scene.surfaces[i].shape for i in blocking]
+    meshes = any(isinstance(shape, TriangleMesh) for shape in shapes)
+    return len(scene.lights) > UNROLLED and (len(shapes) > UNROLLED or meshes)
 
 
 def _assumed_of(scene: Scene) -> Iterator[str]:

@@ -50,6 +50,7 @@ class Draft:
     depth: int | None = None  # pieces of a path, or None: direct light
     bands: tuple[np.ndarray, np.ndarray] | None = None  # (kept bands, expand) or None
     unmet: frozenset[int] = frozenset()  # numbers of the surfaces that were dropped
+    threshold: float | None = None  # W m^-2 sr^-1, as in `render`, before bands were dropped
 
     @property
     def left(self) -> tuple[Surface, ...]:

@@ -43,16 +43,17 @@ BY_PIXEL = ("direct", "rays", "path", "radiosity")
 Numbers = Int[Array, " pixels"]
 Computed = Callable[..., Any]
 Solve = Callable[[Key], Solution | None]
-RaysOf = Callable[[Scene, Key, Solution | None, Array], Along]
+RaysOf = Callable[[Scene, Key, Solution | None, Array, Array | None], Along]
 Pixels = Float[Array, "pixels bands"]
 
 
 def pixels_of(
-    source: SceneFile, settings: RenderEntry
+    source: SceneFile, settings: RenderEntry, *, threshold: float | None = None
 ) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """A function from (rows, columns) of n pixels to their radiance and its standard error of
-    independent samples (inf for one), (n, bands) float32 in W m^-2 sr^-1."""
-    compute = _seeded_traces_of(source, settings)(settings.seed)
+    independent samples (inf for one), (n, bands) float32 in W m^-2 sr^-1. The value of a pixel
+    depends on the others only with a `threshold`, W m^-2 sr^-1 as for `render`."""
+    compute = _seeded_traces_of(source, settings, threshold)(settings.seed)
 
     def both(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         radiance, error = compute(rows, columns)
@@ -74,8 +75,11 @@ def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., 
     return seeded
 
 
-def _seeded_traces_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
+def _seeded_traces_of(
+    source: SceneFile, settings: RenderEntry, threshold: float | None = None
+) -> Callable[..., Computed]:
     """`seeded_pixels_of` with standard errors."""
+    least = None if threshold is None else np.float32(threshold)
     _check_light(source, settings)
     _check_lens(source, settings)
     if settings.integrator == "radiosity":
@@ -95,7 +99,9 @@ def _seeded_traces_of(source: SceneFile, settings: RenderEntry) -> Callable[...,
             places = rows.astype(np.int32), columns.astype(np.int32)
             numbers = np.uint32(first), np.uint32(depth)
             with _refusals_in_words(source):
-                found = tile(source.scene, source.view, key, within, ready, *places, *numbers)
+                found = tile(
+                    source.scene, source.view, key, within, ready, *places, *numbers, least
+                )
             shape = len(rows), source.bands
             radiance, error = (np.asarray(x).reshape(len(rows), -1) for x in found)
             return np.broadcast_to(radiance, shape), np.broadcast_to(error, shape)
@@ -190,11 +196,12 @@ def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., tuple[Pixels
         columns: Numbers,
         first: Array,
         depth: Array,
+        threshold: Array | None,
     ) -> tuple[Pixels, Pixels]:
         samples = PixelSamples(jax.random.fold_in(within, 1), settings.samples)
         if settings.samples == 1 and settings.integrator != "path":
             samples = None
-        rays, pixels = along(scene, key, ready, depth), (rows, columns)
+        rays, pixels = along(scene, key, ready, depth, threshold), (rows, columns)
         wide = _is_wide(scene, settings)
         traced = photograph(rays, view, samples, pixels=pixels, first_sample=first, wide=wide)
         return traced.radiance, traced.error
@@ -238,14 +245,14 @@ def _along(settings: RenderEntry) -> RaysOf:
     """Radiance along rays, as a function of a scene and a key; both may be traced."""
     match settings.integrator:
         case "direct":
-            return lambda scene, key, *_: direct_along(
-                scene, _rule(settings, key), wide=_is_wide(scene, settings)
+            return lambda scene, key, _solution, _depth, threshold: direct_along(
+                scene, _rule(settings, key), wide=_is_wide(scene, settings), threshold=threshold
             )
         case "path":
             method = Paths(settings.samples, settings.depth)
             if settings.depth == 1:
                 return lambda scene, *_: path_along(scene, method)
-            return lambda scene, key, _, depth: path_along(scene, method, depth=depth)
+            return lambda scene, key, _, depth, *__: path_along(scene, method, depth=depth)
         case _:
             rule = _fixed_rule(settings)
             return lambda scene, *_: ray_tree_along(scene, rays=settings.depth, rule=rule)
@@ -270,7 +277,7 @@ def _solve_radiosity(source: SceneFile, settings: RenderEntry) -> tuple[Solve, R
         with _refusals_in_words(source):
             return exchanged(scene, table=table(), rule=_rule(settings, key))
 
-    def along(scene: Scene, key: Key, solution: Solution | None, depth: Array) -> Along:
+    def along(scene: Scene, key: Key, solution: Solution | None, *_: Any) -> Along:
         assert solution is not None
         gather = None
         if settings.gather > 0:

@@ -223,7 +223,9 @@ class _Work:
     def radiance(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         """`pixels_of` the remaining scene, in all of its bands: (n, bands), or with several samples
         (n, 2 bands), with the standard errors last."""
-        compute = pixels_of(*pruned_scene(self.source, self.settings, self.pruned))
+        threshold = None if self.pruned is None else self.pruned.threshold
+        left = pruned_scene(self.source, self.settings, self.pruned)
+        compute = pixels_of(*left, threshold=threshold)
         expand = None if self.pruned is None else self.pruned.expand
         several = self.settings.samples > 1
 

@@ -3,31 +3,59 @@
 Radiance in W m^-2 sr^-1, lengths in m.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Int
 
-from ..core._loops.fusion import fuse
+from ..core._loops.fusion import at_a_time, fuse
 from ..core._loops.groups import group_by_structure, take
 from ..core._maps import replace_maps
 from ..core._numerics import dot
-from ..core._random import Stream
+from ..core._random import Stream, Word
 from ..core._types import Colour, Image, Scalar, check_given
 from ..core._vector import Vec, as_array, where
 from ..core._warnings import one_call
 from ..geometry import Encounter, Hit, Ray, Sorted, hit_shape, nearest_shape, sorted_shapes
 from ..geometry.checks import warn_if_coarse
-from ..lights import DirectionalLight, Incident, Rule, can_be_seen, nearest_seen, rules_of
-from ..scene import Material, Scene, Surface, TriangleMesh, View
+from ..lights import (
+    Balanced,
+    DirectionalLight,
+    Incident,
+    Rule,
+    can_be_seen,
+    lights_by_rule,
+    nearest_seen,
+    rules_of,
+)
+from ..scene import Light, Material, Scene, Surface, TriangleMesh, View
 from .edges import Edges, moving_edges
 from .maps import Patch, Varied, at_patch, patch_of, shading_normal, summed, varied_surfaces
-from .pixel_loop import Along, PixelRay, PixelSamples, each, numbers_of, photograph
-from .shading import Lighting, lighting, reflected_radiance
-from .shadows import DEFAULT_RULE, TRACED, Leaving
+from .pixel_loop import (
+    Along,
+    PixelRay,
+    PixelSamples,
+    each,
+    in_blocks,
+    numbers_of,
+    photograph,
+)
+from .shading import Lighting, largest_reflected, lighting, reflected_radiance
+from .shadows import (
+    DEFAULT_RULE,
+    TRACED,
+    Leaving,
+    Place,
+    Visible,
+    samples_that_reach,
+    visible_in_order,
+)
 
+TOGETHER = 256  # rays whose lights are taken in one order
 _LARGEST = 256  # numbers in an array of a material that are gathered by each pixel
 
 
@@ -85,15 +113,21 @@ def sorted_scene(scene: Scene, *, wide: bool = False) -> SortedScene:
     return SortedScene(shapes, sorted_shapes(blocking) if blocking else None, varied, materials)
 
 
-def _along(
-    scene: Scene,
-    shapes: SortedScene,
-    seen: Ray | PixelRay,
-    rules: tuple[Rule, ...],
-    known: Encounter | None = None,
-) -> Colour:
-    """`radiance_along` for one of many rays, with sorted shapes. `known`: the encounter of the ray,
-    if it was searched before."""
+class Met(eqx.Module):
+    """The place of a surface that a ray meets; lengths in m."""
+
+    ray: Ray
+    encounter: Encounter
+    hit: Hit
+    patch: Patch | None  # of the maps there
+    normal: Vec  # that shades
+    leaving: Leaving
+
+
+def _met(
+    scene: Scene, shapes: SortedScene, seen: Ray | PixelRay, known: Encounter | None = None
+) -> Met:
+    """What a ray meets. `known`: its encounter, if it was searched before."""
     wide = seen if isinstance(seen, PixelRay) else None
     ray = seen.ray if isinstance(seen, PixelRay) else seen
     encounter = known or checkpoint_name(nearest_shape(ray, shapes.shapes), TRACED)
@@ -101,25 +135,42 @@ def _along(
     patch = None
     if shapes.varied is not None:
         patch = patch_of(shapes.varied, encounter.shape, encounter.primitive, hit, seen=wide)
-    normal, leaving = _facing(scene, ray, encounter.shape, hit, patch)
+    return Met(ray, encounter, hit, patch, *_facing(scene, ray, encounter.shape, hit, patch))
+
+
+def _along(
+    scene: Scene,
+    shapes: SortedScene,
+    seen: Ray | PixelRay,
+    rules: tuple[Rule, ...],
+    known: Encounter | None = None,
+) -> Colour:
+    """`radiance_along` for one of many rays, with sorted shapes; `known` as for `_met`."""
+    met = _met(scene, shapes, seen, known)
     light = lighting(
         scene.lights,
-        hit.point,
-        leaving,
+        met.hit.point,
+        met.leaving,
         ambient=scene.ambient,
         rule=rules,
         occluders=shapes.occluders,
     )
-    radiance = _reflected(scene, light, ray, encounter, normal, patch, shapes.materials)
+    return _seen(scene, shapes, met, light)
+
+
+def _seen(scene: Scene, shapes: SortedScene, met: Met, light: Lighting) -> Colour:
+    """What a ray sees where its surface has this light, W m^-2 sr^-1."""
+    ray, encounter = met.ray, met.encounter
+    radiance = _reflected(scene, light, ray, encounter, met.normal, met.patch, shapes.materials)
     emissions = [surface.emission for surface in scene.surfaces]
     if any(emission is not None for emission in emissions):
         emitted = _of_surface(emissions, encounter.shape)
-        radiance = radiance + jnp.where(dot(leaving.normal, ray.direction) < 0, emitted, 0)
+        radiance = radiance + jnp.where(dot(met.leaving.normal, ray.direction) < 0, emitted, 0)
     if not any(can_be_seen(light) for light in scene.lights):
         return radiance
     ahead = nearest_seen(scene.lights, ray)
     missed = encounter.shape < 0
-    return jnp.where((ahead.distance < hit.distance) | missed, ahead.radiance, radiance)
+    return jnp.where((ahead.distance < met.hit.distance) | missed, ahead.radiance, radiance)
 
 
 def _reflected(
@@ -130,15 +181,17 @@ def _reflected(
     normal: Vec,
     patch: Patch | None,
     materials: Sequence[Material] | None = None,
+    reflected: Callable[..., Array] = reflected_radiance,
 ) -> Colour | Scalar:
     """The light that the surface of an encounter reflects against the ray, W m^-2 sr^-1.
-    `materials`: of all surfaces, with prepared maps; None for the scene's own."""
+    `materials`: of all surfaces, with prepared maps; None for the scene's own. `reflected` of a
+    material, its light, the normal and the direction of the viewer."""
     radiance = jnp.zeros((), ray.origin.x.dtype)
     materials = materials or [surface.material for surface in scene.surfaces]
     for members, group in group_by_structure(materials, largest=_LARGEST):
         material, among = take(members, group, encounter.shape)
         material = material if patch is None else at_patch(material, patch)
-        shaded = reflected_radiance(material, light, normal, -ray.direction)
+        shaded = reflected(material, light, normal, -ray.direction)
         radiance = jnp.where(among, shaded, radiance)
     return radiance
 
@@ -176,7 +229,9 @@ def _of_surface(emissions: list[Colour | None], index: Int[Array, ""]) -> Colour
     return jnp.where(index >= 0, table[jnp.maximum(index, 0)], 0)
 
 
-def direct_along(scene: Scene, rule: Rule, *, wide: bool = False) -> Along:
+def direct_along(
+    scene: Scene, rule: Rule, *, wide: bool = False, threshold: Scalar | float | None = None
+) -> Along:
     """`radiance_along` for the rays of `photograph`.
 
     Args:
@@ -184,6 +239,7 @@ def direct_along(scene: Scene, rule: Rule, *, wide: bool = False) -> Along:
         rule: of the samples of extended lights without a rule of their own; a random rule draws
             anew for each pixel and sample.
         wide: whether the rays are a `PixelRay` each, over which maps are averaged.
+        threshold: as in `render`.
 
     Returns:
         A function from a block of rays to (n, bands) W m^-2 sr^-1.
@@ -193,7 +249,68 @@ def direct_along(scene: Scene, rule: Rule, *, wide: bool = False) -> Along:
     def along(ray: Ray | PixelRay, stream: Stream) -> Colour:
         return _along(scene, shapes, ray, rules_of(scene, rule, numbers=numbers_of(stream)))
 
-    return each(along)
+    if threshold is None or shapes.occluders is None:
+        return each(along)
+    return _in_order(scene, shapes, rule, threshold)
+
+
+def _in_order(scene: Scene, shapes: SortedScene, rule: Rule, threshold: Scalar | float) -> Along:
+    """`direct_along` with a threshold, for `TOGETHER` rays at once."""
+    groups = [
+        (members, group)
+        for members, group, own in lights_by_rule(scene.lights, rules_of(scene, rule))
+        if not (can_be_seen(scene.lights[members[0]]) and isinstance(own, Balanced))
+    ]
+
+    def along(rays: Ray | PixelRay, stream: Stream) -> Colour:
+        leaves, tree = jax.tree.flatten((rays, stream.pixel))
+
+        def rules_at(pixel: Word) -> tuple[Rule, ...]:
+            numbers = numbers_of(Stream(pixel, stream.sample, stream.seed))
+            return rules_of(scene, rule, numbers=numbers)
+
+        def shown(number: int, light: Light, met: Met, pixel: Word) -> Scalar:
+            rules = rules_at(pixel)[number : number + 1]
+            own = lighting([light], met.hit.point, met.leaving, rule=rules)
+            place = met.ray, met.encounter, met.normal, met.patch, shapes.materials
+            return _reflected(scene, own, *place, largest_reflected)
+
+        def reached(number: int, light: Light, met: Met, pixel: Word) -> Bool[Array, " _"]:
+            return samples_that_reach(_place(shapes, met), rules_at(pixel)[number], light)
+
+        def together(*leaves: Array) -> Colour:
+            rays, pixels = tree.unflatten(leaves)
+            met = jax.vmap(partial(_met, scene, shapes))(rays)
+
+            def of_all(one: Callable[..., Array], number: int) -> Callable[[Light], Array]:
+                return lambda light: jax.vmap(partial(one, number, light))(met, pixels)
+
+            visible: list[Array | None] = [None] * len(scene.lights)
+            traced = [jnp.ones((), bool)] * len(scene.lights)
+            least = jnp.asarray(threshold, met.hit.distance.dtype) / max(len(groups), 1)
+            for members, group in groups:
+                first = members[0]
+                flags, needed = visible_in_order(
+                    group, of_all(shown, first), of_all(reached, first), least
+                )
+                for k, i in enumerate(members):
+                    visible[i], traced[i] = flags[k], needed[k]
+
+            def seen(met: Met, pixel: Word, visible: Visible) -> Colour:
+                own = scene.lights, rules_at(pixel), met.hit.point, scene.ambient
+                light = Lighting(*own, _place(shapes, met), visible, tuple(traced))
+                return _seen(scene, shapes, met, light)
+
+            return jax.vmap(seen)(met, pixels, tuple(visible))
+
+        return in_blocks(together, *leaves, size=at_a_time(TOGETHER))
+
+    return along
+
+
+def _place(shapes: SortedScene, met: Met) -> Place:
+    assert shapes.occluders is not None
+    return Place(met.hit.point, met.leaving, shapes.occluders)
 
 
 @one_call()
@@ -204,6 +321,7 @@ def render(
     rule: Rule = DEFAULT_RULE,
     samples: PixelSamples | None = None,
     edges: Edges | None = None,
+    threshold: Scalar | float | None = None,
 ) -> Image:
     """Render the radiance picture of a scene by direct light.
 
@@ -236,6 +354,13 @@ def render(
         samples: rays of each pixel, whose mean is taken; None for one ray through each pixel's
             centre.
         edges: moving edges in derivatives; None neglects them.
+        threshold: W m^-2 sr^-1 that each pixel may lack; None: nothing. For every 256 pixels of a
+            row, the shadow rays go to the lights in order of the most that each can show there. The
+            last lights, which together show no pixel more than the threshold, are left out. At 1 %
+            of the brightest pixel, a street of 100 lamps and 60 houses in 256 x 256 pixels takes 5
+            % of the shadow rays, and a sixth of the time of one core. It does not pay for few
+            lights or few shapes. Lights under the rule `Balanced` are all traced. `effects.prune`
+            finds the threshold of a tolerance.
 
     Returns:
         (h, w, bands) W m^-2 sr^-1.
@@ -259,7 +384,7 @@ def render(
     check_given("render: view", view, View)
     warn_if_coarse(*(surface.shape for surface in scene.surfaces))
     wide = samples is None and varied_surfaces(scene) is not None
-    along = direct_along(scene, rule, wide=wide)
+    along = direct_along(scene, rule, wide=wide, threshold=threshold)
     radiance = photograph(along, view, samples, keep=(TRACED,), wide=wide).radiance
     if edges is None:
         return radiance

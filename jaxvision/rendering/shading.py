@@ -9,7 +9,8 @@ only. For ONE point: the caller vmaps.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import partial, reduce
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,7 +21,7 @@ from .. import brdf
 from ..core._arguments import takes_numbers
 from ..core._loops.bands import FEW, Bands, plus, split_bands
 from ..core._loops.fusion import fuse
-from ..core._types import Colour, common_dtype
+from ..core._types import Colour, Scalar, common_dtype
 from ..core._vector import Direction, Vec, Vector, as_vec
 from ..geometry import Ray, Shapes, sorted_shapes
 from ..geometry.hemisphere import to_local
@@ -54,6 +55,8 @@ class Lighting(eqx.Module):
     # what comes through of each light, as `shadows.visibility` finds it, or None where nothing
     # blocks
     visible: Visible | None
+    # () each, whether a light was traced from any of the rays computed at once; None: all were
+    traced: tuple[Bool[Array, ""], ...] | None = None
 
 
 @takes_numbers
@@ -141,7 +144,27 @@ def reflected_radiance(
     *,
     tangent: Vector | None = None,
 ) -> Colour:
-    """The sum at the top of this file, (bands,) in W m^-2 sr^-1, 0 if `wo` lies below the surface.
+    """The sum at the top of this file, (bands,) in W m^-2 sr^-1, 0 if `wo` lies below the
+    surface."""
+    return jnp.stack(fuse(reflected_bands(material, light, normal, wo, tangent=tangent)))
+
+
+def largest_reflected(
+    material: Material, light: Lighting, normal: Direction, wo: Direction
+) -> Scalar:
+    """The largest band of `reflected_radiance`, () W m^-2 sr^-1, of either sign."""
+    return reduce(jnp.maximum, map(jnp.abs, reflected_bands(material, light, normal, wo)))
+
+
+def reflected_bands(
+    material: Material,
+    light: Lighting,
+    normal: Direction,
+    wo: Direction,
+    *,
+    tangent: Vector | None = None,
+) -> Bands:
+    """`reflected_radiance` band by band, W m^-2 sr^-1.
 
     The samples of one light, and more than eight lights at one place, are a loop over one piece of
     code. Up to eight lights at one place are summed in one pass over the rays.
@@ -159,8 +182,8 @@ def reflected_radiance(
         )
         return tuple(where_clear(passes, e * s) for e, s in pairs)
 
-    def sampled(rule: Rule, radiance: Bands, item: tuple[Light, Array | None]) -> tuple:
-        source, visible = item
+    def sampled(rule: Rule, radiance: Bands, item: tuple[Light, Array | None, Any]) -> tuple:
+        source, visible, traced = item
         paired = rule if can_be_seen(source) and isinstance(rule, Balanced) else None
         own = None
         if paired is not None:  # a direction from the material beside each one from the light
@@ -178,7 +201,13 @@ def reflected_radiance(
             return plus(total, fuse(shown(arriving, wi, passes))), None
 
         nodes = *light_nodes(source, rule, dtype), visible, own
-        return jax.lax.scan(add, radiance, nodes)
+
+        def added(radiance: Bands) -> Bands:
+            return jax.lax.scan(add, radiance, nodes)[0]
+
+        if traced is not None:
+            return jax.lax.cond(traced, added, lambda dark: dark, radiance), None
+        return added(radiance), None
 
     radiance = (jnp.zeros((), dtype),) * bands
     if light.ambient is not None and k_a is not None:
@@ -188,7 +217,10 @@ def reflected_radiance(
         if can_be_seen(light.lights[members[0]]) or len(members) > UNROLLED:
             known = [flags for flags in passes if flags is not None]  # of all members, or of none
             flags = jnp.stack(known) if known else None
-            radiance, _ = jax.lax.scan(partial(sampled, rule), radiance, (group, flags))
+            traced = None
+            if light.traced is not None:
+                traced = jnp.stack([light.traced[i] for i in members])
+            radiance, _ = jax.lax.scan(partial(sampled, rule), radiance, (group, flags, traced))
             continue
         arriving = [incident(light.lights[i], point) for i in members]
         for one, flags in zip(arriving, passes, strict=True):
@@ -199,7 +231,7 @@ def reflected_radiance(
         seen = _seen_along(light, as_vec(world_direction(frame, toward, wo)))
         radiance = plus(radiance, split_bands(reflectance * seen, bands))
     unseen = jnp.where(viewer.z <= 0, 0, viewer.z)  # or NaN
-    return jnp.stack(fuse(tuple(jnp.where(viewer.z > 0, band, unseen) for band in radiance)))
+    return tuple(jnp.where(viewer.z > 0, band, unseen) for band in radiance)
 
 
 def _seen_along(light: Lighting, direction: Vec) -> Colour:
