@@ -126,3 +126,26 @@ def test_nothing_is_computed_where_no_edge_moves():
         for e in (None, jv.Edges())
     )
     assert len(more) < len(plain) + 500
+
+
+@pytest.mark.slow
+def test_a_disc_out_of_focus():
+    """A lens spreads the image of a disc over 3 pixels more, and keeps its sum and its middle."""
+    scale = 0.05 / (1 - 0.05 / 4) / 3 / 0.003  # pixels per metre at 3 m, in focus at 4 m
+
+    def moments(disc):
+        radius, across = disc
+        place = jnp.stack([across, jnp.asarray(0.05), jnp.asarray(3.0)])
+        lamp = jv.Surface(jv.Disc(place, [0, 0, -1], radius), BLACK, [1.0])
+        own = {"resolution": (32, 32), "f_number": 0.025, "focus_distance": 4.0}
+        view = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 0.003, **own)
+        samples = jv.PixelSamples(jax.random.key(0), 16)
+        seen = jv.render(jv.Scene(lamp, []), view, samples=samples, edges=jv.Edges(32))[..., 0]
+        return jnp.stack([seen.sum(), seen.sum(0) @ jnp.arange(-15.5, 16)])
+
+    own = jnp.array([1.0, 0.1])
+    found = jax.jit(jax.jacrev(moments))(own)
+    area = np.pi * scale**2
+    middle = scale * 0.1
+    expected = [[2 * area, 0], [2 * area * middle, area * scale]]
+    np.testing.assert_allclose(found, expected, atol=0.01 * area * scale)
