@@ -137,6 +137,13 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
         remarks.append(f"The {channel} sites of the {rig.camera.pattern} mosaic were used.")
     elif len(rig.camera.sites) > 1:
         remarks.append(f"The pixels of {channel} were used, of {len(rig.camera.sites)} taps.")
+    darkest, black = int(np.argmin(dark.exposure)), rig.camera.at(channel).black_level
+    seen, scatter = float(dark.mean[darkest]), float(np.sqrt(dark.variance[darkest]))
+    if black is not None and abs(seen - black) > scatter:
+        remarks.append(
+            f"camera.black_level states {black:g} DN, but the darks have {seen:.4g} DN, which was "
+            "used here. Other calibrations of this rig subtract the stated one: correct it."
+        )
     stated = rig.camera.at(channel).clip_level
     if converter.clips_at is not None and converter.clips_at < stated - max(converter.step, 1.0):
         remarks.append(

@@ -462,3 +462,12 @@ def test_one_level_in_the_range_of_linearity_leaves_the_other_figures():
     assert abs(value - K) < 4 * error < 0.1
     assert np.isfinite(float(sheet.errors["system_gain"]))
     assert not np.isfinite(float(sheet.values["linearity_error_max"]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("stated", "named"), [(BLACK, False), (BLACK + 100, True)])
+def test_a_stated_black_level_that_the_darks_contradict_is_named(stated, named):
+    flats, darks = series(np.random.default_rng(8))
+    camera = noise.Camera(bits=12, black_level=stated)
+    found = noise.from_frames(flats, darks, list(EXPOSURES), camera=camera)
+    assert any("states 164 DN, but the darks have 64" in x for x in found.remarks) == named
