@@ -220,7 +220,7 @@ def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
     for word, found in (("dropped", certificate.dropped), ("kept", certificate.kept)):
         for effect in found:
             why = f"free; {effect.why}" if effect.free else effect.why
-            bound = "none" if math.isinf(effect.bound) else f"{effect.bound:.3g}"
+            bound = "not bounded" if math.isinf(effect.bound) else f"{effect.bound:.3g}"
             if certificate.unit == "relative" and math.isfinite(effect.bound):
                 bound = f"{100 * effect.bound:.2g} %" if effect.bound <= 1 else "> 100 %"
             numbers = bound, f"{effect.place:.2g}", f"{100 * effect.saves:.0f} %"
