@@ -2,12 +2,13 @@
 
     python tests/stability/table.py [--out docs/errors.md] [--only WORD] [--kept DIR]
 
-Each function of `registry/` that has an oracle is measured in float32 and float64: over its hard
-cases, and over points drawn from its domain (1e6 in float32, 300 where the oracle needs mpmath; a
-fifth of that in float64); 60 digits look at the worst again. Compositions are measured in float32
-against themselves in float64. About ten minutes of one core; `--compositions` adds those that take
-seconds to compile. `--kept` holds what has been measured, so that a killed run goes on, with a
-checksum of all results, which must not depend on the number of threads.
+Each function of `registry/` that has an oracle is measured in float32 and float64: at its hard
+cases, and at points drawn from its domain (1e6 in float32, 300 where the oracle needs mpmath; a
+fifth of that in float64). The worst points are measured again with 60 digits. Compositions in
+float32 are compared with themselves in float64. A run takes about ten minutes of one core.
+`--compositions` adds the compositions that take seconds to compile. `--kept` stores the
+measurements, so that a killed run continues, and a checksum of all results, which must not depend
+on the number of threads.
 """
 
 import argparse
@@ -46,17 +47,17 @@ place: the distance between neighbouring floating-point numbers at the true valu
   Where the oracle needs mpmath, there are {slow} and {few} points.
 - **worst, mean**: the largest and the mean error in ULP, in float32 and float64. The mean is taken
   against 64 binary digits (60 decimal digits where the oracle needs mpmath). The worst is taken
-  against 60 decimal digits, at the hard cases and at the three worst points. Where 64 binary digits
-  are too few for the mean in float64, it is left out.
+  against 60 decimal digits, at the hard cases and at the three worst points. The mean in float64 is
+  left out where 64 binary digits are too few for it.
 - **‡**: a larger error than at those points, found by a search: 32 hill climbs in units in the last
   place, from the worst of 200,000 points (`python tests/stability/searched.py`).
-- **†**: the errors are divided by the condition number 1 + Σ |x ∂f/∂x| / |f|. There the result is a
-  difference or an exponential of rounded numbers, and no formula is more accurate.
+- **†**: the errors are divided by the condition number 1 + Σ |x ∂f/∂x| / |f|. In these rows the
+  result is a difference or an exponential of rounded numbers, and no formula is more accurate.
 - **slope**: the largest relative error of a derivative over the hard cases, float32 / float64. It
   is relative to the largest slope with respect to the same argument, or to a hundredth of f / x
   where the note says so.
-- **jit, one**: the largest difference in ULP, in float32, between compiled and eager code at 32
-  points, and between `vmap` and a loop at 3 points.
+- **jit, one**: the largest differences in ULP, in float32. "jit" compares compiled with eager code
+  at 32 points, and "one" compares `vmap` with a loop at 3 points.
 - **bound**: the tests fail if an error exceeds this. {outside} Number of infinite or NaN
   results where the true one is finite: {non_finite} of {points:,} points; slopes: {endless}.
 - **points**: the domain of each argument in turn, as a range. Points are uniform in the logarithm,
@@ -67,8 +68,8 @@ place: the distance between neighbouring floating-point numbers at the true valu
 
 JAX publishes the errors of its elementary functions, at every float32 and at random float64
 numbers, on its page [Numerical accuracy](https://docs.jax.dev/en/latest/accuracy.html). The
-functions here call them. Where JAX's own error is larger than its neighbours', as for `log1p` in
-float64 near -0.4 (128 ULP), `core/_numerics.py` computes it otherwise.
+functions here call them. Some of them are much less accurate in one region than elsewhere, as JAX's
+`log1p` is in float64 near -0.4 (128 ULP). There `core/_numerics.py` uses another formula.
 
 ## Functions with an oracle
 
@@ -105,7 +106,8 @@ EVERY = """
 
 Functions of one variable were measured at each float32 of their domain, by `python
 tests/stability/every_float32.py --record`. This takes ten minutes of one core, and continues after
-an interruption with `--kept FOLDER`. The test suite repeats it for one number in some thousands.
+an interruption with `--kept FOLDER`. The test suite repeats this for about one number in some
+thousands.
 
 | function | numbers | worst, ULP | at | mean, ULP |
 | --- | --- | --- | --- | --- |
@@ -123,8 +125,9 @@ took 3 and 5 times as long and left errors of 6.5 and 2.3 units.
 - `fresnel_dielectric`, `fresnel_conductor`: squares of quotients of squares. A relative error of
   the refracted cosine counts four times, and one of the index contrast twice. For an index below 1
   the slope is infinite at the critical angle, and the rows are divided by the condition number.
-  At cos 0.98724 and index 0.16265 the polarisations change oppositely, each 117 times as fast as
-  the angle, their mean hardly at all: there a search finds 104 units, 6e-6 of the reflectance.
+  At a cosine of 0.98724 and an index of 0.16265, the reflectances of the two polarisations change
+  117 times as fast as the angle, in opposite directions, and their mean hardly changes. There a
+  search found an error of 104 ULP, 6e-6 of the reflectance.
 - `normal_distribution` of GGX: the square of a sum of squares of quotients.
 - `parallel_rectangles` in float32: three terms of similar size. Two of them are differences of
   angles, which use a series where they are small.

@@ -135,7 +135,7 @@ ENTRIES = [
         bound=105,
         conditioned=True,
         gradient=1e-3,
-        note="beside the critical angle",
+        note="near the critical angle",
     ),
     Entry(
         "brdf.fresnel.fresnel_conductor",
@@ -161,7 +161,7 @@ ENTRIES = [
         form="eta below 1",
         conditioned=True,
         gradient=1e-4,
-        note="beside the critical angle",
+        note="near the critical angle",
     ),
     Entry(
         "brdf.fresnel.fresnel_schlick",
@@ -235,7 +235,7 @@ ENTRIES = [
         form="v-cavity",
         conditioned=True,
         gradient=None,
-        note="the half vector's rounding among it; its slope is that of a direction",
+        note="includes the rounding of the half vector; the slope is along the sphere",
     ),
     Entry(
         "brdf.microfacet.half_vector",
@@ -244,7 +244,7 @@ ENTRIES = [
         (ABOVE, ABOVE),
         parts=("x", "y", "z"),
         conditioned=True,
-        note="x and y of opposite ones",
+        note="x and y, for opposite directions",
     ),
     Entry(
         "brdf.microfacet.facet_pdf",
@@ -254,7 +254,7 @@ ENTRIES = [
         conditioned=True,
         bound=8,
         gradient=1e-3,
-        note="the half vector of directions that all but cancel",
+        note="the half vector of directions that nearly cancel",
     ),
     Entry(
         "brdf.microfacet.clamped_roughness",
@@ -280,7 +280,7 @@ ENTRIES = [
         (NearTo(), NearTo(), Range(1, 50)),
         conditioned=True,
         gradient=None,
-        note=TAIL + "; directions count as of length 1",
+        note=TAIL + "; lengths of directions are taken as exactly 1",
     ),
     Entry(
         "brdf.gaussian_lobe.gaussian_lobe",
@@ -303,7 +303,7 @@ ENTRIES = [
         ),
         bound=8,
         gradient=None,
-        note="directions count as of length 1; the slope is that along the sphere",
+        note="lengths of directions are taken as exactly 1; the slope is along the sphere",
     ),
     Entry(
         "brdf.blinn.log_cos_half",
@@ -313,7 +313,7 @@ ENTRIES = [
         ((unit(1e-6, 0, 1), unit(-0.5e-6, 0, 1)),),
         conditioned=True,
         gradient=1e-4,
-        note="of directions whose sides all but cancel",
+        note="directions that nearly cancel",
     ),
     Entry(
         "brdf.blinn.normalisation",

@@ -222,7 +222,7 @@ class Lab:
 
 
 LAB = Lab()
-NEAR_GREY = "a difference near grey"
+NEAR_GREY = "a difference of near numbers, near grey"
 RGB_TO_XYZ = np.asarray(colour_data.rgb_to_xyz_matrix("sRGB"))
 ENTRIES = [
     Entry(
@@ -233,7 +233,7 @@ ENTRIES = [
         (*GREYS, *COLOURED),
         bound=10,
         form="L*",
-        note="just above the break the root loses what 16 takes of it",
+        note="cancellation just above the break, where 16 is subtracted from the root",
     ),
     Entry(
         "colour_spaces.cie_1976.xyz_to_lab",
@@ -254,7 +254,7 @@ ENTRIES = [
         ((np.array([1e-9, 0, 0]),), (np.array([8.0, 0, 0]),), (np.array([100.0, 0, 0]),)),
         parts=("X", "Y", "Z"),
         conditioned=True,
-        note="X and Z where a* or b* takes away the lightness",
+        note="X and Z where a* or b* cancels the lightness",
     ),
     Entry(
         "colour_spaces.cie_1976.xyz_to_luv",
@@ -291,7 +291,7 @@ ENTRIES = [
         parts=("X", "Y", "Z"),
         conditioned=True,
         gradient=None,
-        note="where u' or v' vanishes; colours outside the diagram of chromaticity among them",
+        note="where u' or v' vanishes, also for colours outside the chromaticity diagram",
     ),
     Entry(
         "colour_spaces.cie_1976.to_lch",
@@ -339,7 +339,7 @@ ENTRIES = [
         bound=10,
         conditioned=True,
         gradient=1e-3,
-        note="opposite hues decide a branch; among blues two differences cancel",
+        note="a branch changes at opposite hues; two differences cancel for blues",
     ),
     Entry(
         "colour_spaces.hexagon.rgb_to_hsv",
@@ -374,7 +374,7 @@ ENTRIES = [
         ((np.array([0.0, 1.0, 1.0]),), (np.array([0.5, 0.0, 1e-30]),)),
         parts=("R", "G", "B"),
         conditioned=True,
-        note="where saturation takes the value away",
+        note="where saturation cancels the value",
     ),
     Entry(
         "colour_spaces.hexagon.rgb_to_hsl",
@@ -385,7 +385,7 @@ ENTRIES = [
         turn=lambda m: 1,
         conditioned=True,
         gradient=1e-4,
-        note=NEAR_GREY + ", and the saturation near white",
+        note=NEAR_GREY + "; the saturation, near white",
     ),
     Entry(
         "colour_spaces.hexagon.rgb_to_hsl",
@@ -398,7 +398,7 @@ ENTRIES = [
         turn=lambda m: 1,
         conditioned=True,
         gradient=0.0001,
-        note=NEAR_GREY + ", and the saturation near white",
+        note=NEAR_GREY + "; the saturation, near white",
     ),
     Entry(
         "colour_spaces.hexagon.hsl_to_rgb",
@@ -408,7 +408,7 @@ ENTRIES = [
         bound=9.0,
         parts=("R", "G", "B"),
         conditioned=True,
-        note="where saturation takes the lightness away",
+        note="where saturation cancels the lightness",
     ),
     Entry(
         "colour_spaces.ycbcr.rgb_to_ycbcr",
@@ -426,7 +426,7 @@ ENTRIES = [
         (Columns(FRACTION),),
         parts=("R", "G", "B"),
         conditioned=True,
-        note="where the differences take the luma away",
+        note="where the differences cancel the luma",
     ),
     Entry(
         "colour_spaces.chromaticity.xyz_to_xyy",

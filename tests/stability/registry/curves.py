@@ -192,7 +192,7 @@ ENTRIES = [
         lambda m, x, s: x * m.power(m.c("2"), s),
         (Range(1e-10, 1e10), Range(-80, 80, log=False)),
         bound=2.5,
-        note="in float64 XLA's own exponential is 1.7 units off; in float32 2 hold",
+        note="XLA's exponential has an error of 1.7 ULP in float64; in float32 the bound of 2 holds",
     ),
     Entry(
         "point_ops.linear.exposure",
@@ -203,7 +203,7 @@ ENTRIES = [
         bound=2.5,
         gradient=None,
         form="faint",
-        note="2^stops, which is a slope, may be out of range",
+        note="2^stops, a slope, may be out of range",
     ),
     Entry(
         "point_ops.linear.exposure",
@@ -214,7 +214,7 @@ ENTRIES = [
         bound=2.5,
         gradient=None,
         form="bright",
-        note="2^stops, which is a slope, may be out of range",
+        note="2^stops, a slope, may be out of range",
     ),
     Entry(
         "point_ops.linear.gain_bias",
@@ -224,7 +224,7 @@ ENTRIES = [
         ((1.0, 1.0, -1.0), (0.5, 0.5, -0.25)),
         bound=2,
         conditioned=True,
-        note="a bias of the other sign cancels",
+        note="a bias of opposite sign cancels the signal",
     ),
     Entry(
         "point_ops.linear.contrast_brightness",
@@ -234,7 +234,7 @@ ENTRIES = [
         ((0.5, 2.0, 0.0), (0.0, 1.0, 0.0), (0.0, 2.0, 0.5)),
         bound=2,
         conditioned=True,
-        note="near the grey that gives 0; the pivot's 0.5 counts as rounded",
+        note="near the grey that gives 0; the condition number counts the pivot 0.5 as rounded",
     ),
     Entry(
         "point_ops.linear.blend",
@@ -289,7 +289,7 @@ ENTRIES = [
             (1e30, 1e30),
         ),
         bound=6.0,
-        note="a quotient of logarithms, which XLA knows to 2.5 units where 1 + x is rounded",
+        note="a quotient of logarithms, for which XLA has an error of 2.5 ULP where 1 + x is rounded",
     ),
     Entry(
         "point_ops.tone_mapping.with_luminance",
@@ -317,7 +317,7 @@ ENTRIES = [
         (FRACTION, FRACTION, FRACTION, FRACTION),
         ((1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 1.0, 1.0), (1.0, 1e-30, 1.0, 1.0)),
         parts=("colour", "alpha"),
-        note="with the products that make premultiplied layers",
+        note="includes the products that premultiply the layers",
     ),
     Entry(
         "matting.compositing.premultiply",

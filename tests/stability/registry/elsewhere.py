@@ -17,15 +17,15 @@ from . import every_entry
 from .composed import COMPOSED
 
 FILES = "read, check or write files and tables: numbers are stored, not computed"
-WORDS = "words, tables and pages made of results"
-FIGURES = "figures made of results"
+WORDS = "text, tables and pages made from results"
+FIGURES = "figures made from results"
 COMMANDS = "commands, and simulations that run other functions"
-CLOCK = "errors and times of other functions, measured where they run"
+CLOCK = "errors and times of other functions, measured while they run"
 BOUNDS = "bounds in float64, checked against pictures with and without each effect"
-CHOICES = "selects, arranges or decides; its numbers are whole, or those that went in"
+CHOICES = "selects, arranges or decides; its numbers are integers, or inputs unchanged"
 TABLES = "tables in float64, checked against SciPy, NumPy or closed forms"
 INTERPOLATED = "interpolated by JAX in the picture's dtype, checked against SciPy and Pillow"
-DRAWS = "draws, checked by their distribution; their parts stand in the table"
+DRAWS = "random draws, checked by their distribution; the table above has their parts"
 SOLVERS = "iterates to a tolerance of its own, checked against known optima and posteriors"
 STATISTICS = "statistics in float64, checked against simulations, closed forms and other packages"
 

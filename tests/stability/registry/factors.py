@@ -85,7 +85,7 @@ ENTRIES = [
         ),
         bound=9.0,
         gradient=2e-6,
-        note="near sides that are far smaller than the gap",
+        note="sides that are far smaller than the gap",
     ),
     Entry(
         "transport.radiosity.form_factors.perpendicular_rectangles",
@@ -105,7 +105,7 @@ ENTRIES = [
         bound=1700,
         precisions=("float32",),
         gradient=None,
-        note="1e-4 at 5 sizes, where nodes replace the contour",
+        note="1e-4 at a distance of 5 sizes, where nodes replace the contour integral",
     ),
     Entry(
         "transport.radiosity.form_factors.point_to_polygon",
@@ -117,7 +117,7 @@ ENTRIES = [
         form="nearer than 144 sizes",
         precisions=("float64",),
         gradient=None,
-        note="some 15 (d / s)^2 for a polygon of size s at distance d",
+        note="about 15 (d / s)^2 for a polygon of size s at distance d",
     ),
     Entry(
         "lights.polygon.rectangle_irradiance",
@@ -127,7 +127,7 @@ ENTRIES = [
         ((1.0, 1.0, 1.0),),
         bound=32,
         gradient=None,
-        note="a sum over edges, of which some cancel",
+        note="a sum over edges, some of which cancel",
     ),
     Entry(
         "lights.polygon.angle_over_sine",
@@ -137,6 +137,6 @@ ENTRIES = [
         ((1e-6, 1.0), (1.0, 0.0), (0.7071, 0.7071), (0.5, -0.8)),
         bound=7.0,
         gradient=1e-4,
-        note="with the square that makes its argument",
+        note="includes the square that is its argument",
     ),
 ]

@@ -121,7 +121,7 @@ ENTRIES = [
         bound=1e5,
         conditioned=True,
         of_digits=True,
-        note="in either tail; 1e-10 of itself where JAX's asymptotic series begins",
+        note="in either tail; a relative error of 1e-10 where JAX's asymptotic series begins",
     ),
     Entry(
         "fitting.inference.likelihoods.Gaussian.log_density",
@@ -204,7 +204,7 @@ ENTRIES = [
         ((1e7, 0.0), (31.5, 0.0), (32.5, 0.0), (1e-2, 30.0), (5e4, 3.0)),
         bound=50,
         of_digits=True,
-        note="at counts about the mean",
+        note="for counts near the mean",
     ),
     Entry(
         "fitting.poisson.log_poisson_tails",
@@ -217,7 +217,7 @@ ENTRIES = [
         conditioned=True,
         of_digits=True,
         gradient=3e-3,
-        note="of the incomplete gamma function; 1e-10 in float64 beyond 1e5 counts",
+        note="the incomplete gamma function; 1e-10 in float64 beyond 1e5 counts",
     ),
     Entry(
         "fitting.sensor_likelihoods.SensorCounts.log_density",

@@ -89,7 +89,7 @@ ENTRIES = [
         image,
         (FAR, FOCAL),
         ((0.1000001, 0.1), (1.0, 0.05), (1e30, 0.05), (0.05, 0.1)),
-        note="beside the focus it is exact: the difference of two near numbers is",
+        note="exact near the focus, because the difference of two near numbers is exact",
         gradient=1e-4,
     ),
     Entry(
@@ -192,7 +192,7 @@ ENTRIES = [
         conditioned=True,
         of_digits=True,
         gradient=None,
-        note="beside the dark rings; a square",
+        note="near the dark rings; a square",
     ),
     Entry(
         "optics.diffraction.diffraction_mtf",
@@ -203,7 +203,7 @@ ENTRIES = [
         conditioned=True,
         bound=8,
         gradient=1e-3,
-        note="beside the cut-off",
+        note="near the cut-off",
     ),
     Entry(
         "optics.overlap.overlap_of_discs",
@@ -214,7 +214,7 @@ ENTRIES = [
         conditioned=True,
         bound=8,
         gradient=1e-3,
-        note="where they just touch, or one all but holds the other",
+        note="where the regions just touch, or one nearly contains the other",
     ),
     Entry(
         "optics.irradiance.pixel_irradiance",
@@ -233,6 +233,6 @@ ENTRIES = [
         (Range(1e-6, 20.0),),
         ((0.0,), (1e-20,), (0.9999995,), (1.0000001,), (0.5,)),
         conditioned=True,
-        note="beside the zeros",
+        note="near the zeros",
     ),
 ]

@@ -151,7 +151,7 @@ ENTRIES = [
         ((3e-7, 1000.0), (1e-2, 6000.0), (5.5e-7, 1e6), (3e-7, 500.0)),
         bound=2,
         gradient=1e-4,
-        note="the slope beside the maximum, where it vanishes",
+        note="the slope near the maximum, where it vanishes",
     ),
     Entry(
         "spectra.daylight",
@@ -176,8 +176,8 @@ ENTRIES = [
         precisions=("float64",),
         conditioned=True,
         gradient=1e-4,
-        note="where a colour is cold or warm enough for a band to vanish, and what the rounding of "
-        "constants leaves",
+        note="where a colour is cold or warm enough for a band to vanish, and the rounding of "
+        "constants",
     ),
     Entry(
         "spectra.band_widths",
@@ -267,7 +267,7 @@ ENTRIES = [
         parts=("mean", "variance"),
         bound=8,
         of_digits=True,
-        note="relative, in the tail too",
+        note="relative, also in the tail",
     ),
     Entry(
         "sensor.moments.censored",
@@ -281,6 +281,6 @@ ENTRIES = [
         conditioned=True,
         of_digits=True,
         gradient=None,
-        note="noise as wide as the window or wider: 2e-4 of itself in float32",
+        note="noise at least as wide as the window: a relative error of 2e-4 in float32",
     ),
 ]

@@ -114,7 +114,7 @@ ENTRIES = [
         ((vec(1e-30, 1e-30, 2e-30),), (vec(1e30, 3e30, 1e30),), (vec(3e38, 3e38, 1e37),)),
         parts=("x", "y", "z"),
         of_quotient=0.01,
-        note="slopes of a component along its own axis are 1 less its square",
+        note="the slope of a component along its own axis is 1 minus its square",
         bound=5.0,
     ),
     Entry(
@@ -147,8 +147,8 @@ ENTRIES = [
         ((Z, unit(1e-5, 0, 1)), (Z, unit(0.6, 0, 0.8)), (Z, unit(1, 0, 1e-4))),
         conditioned=True,
         gradient=None,
-        note="lengths count as 1, whatever rounding has made of them: the slope of a direction is "
-        "that along the sphere",
+        note="lengths of directions are taken as exactly 1, in spite of rounding; the slope is along "
+        "the sphere",
     ),
     Entry(
         "geometry.hemisphere.cross",
@@ -159,7 +159,7 @@ ENTRIES = [
         parts=("x", "y", "z"),
         conditioned=True,
         gradient=1e-6,
-        note="of nearly parallel vectors",
+        note="nearly parallel vectors",
     ),
     Entry(
         "geometry.hemisphere.direction_at",
@@ -174,7 +174,7 @@ ENTRIES = [
         parts=("x", "y", "z"),
         conditioned=True,
         gradient=1e-4,
-        note="near the zeros of sine and cosine, and in the horizon",
+        note="near the zeros of sine and cosine, and at the horizon",
     ),
     Entry(
         "geometry.hemisphere.cosine_direction",
@@ -236,7 +236,7 @@ ENTRIES = [
         parts=("x", "y", "z"),
         conditioned=True,
         gradient=1e-4,
-        note="where the tangent turns away from x",
+        note="where the tangent is far from x",
     ),
     Entry(
         "geometry.rays.mirror_direction",
@@ -258,7 +258,7 @@ ENTRIES = [
         ((vec(0, 0, -1),),),
         bound=8,
         gradient=None,
-        note="the direction counts as of length 1: its own rounding shows",
+        note="the length of the direction is taken as exactly 1, so its rounding shows",
         conditioned=True,
     ),
     Entry(
@@ -279,6 +279,6 @@ ENTRIES = [
         (Unit(),),
         parts=tuple("012345678"),
         conditioned=True,
-        note="at the zeros of the quadratic ones",
+        note="near the zeros of the quadratic polynomials",
     ),
 ]
