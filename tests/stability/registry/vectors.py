@@ -147,8 +147,8 @@ ENTRIES = [
         ((Z, unit(1e-5, 0, 1)), (Z, unit(0.6, 0, 0.8)), (Z, unit(1, 0, 1e-4))),
         conditioned=True,
         gradient=None,
-        note="lengths of directions are taken as exactly 1, in spite of rounding; the slope is along "
-        "the sphere",
+        note="lengths of directions are taken as exactly 1, in spite of rounding; the slope is "
+        "along the sphere",
     ),
     Entry(
         "geometry.hemisphere.cross",
