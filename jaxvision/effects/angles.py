@@ -34,7 +34,9 @@ def toward_eye(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cos_seen(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest and the largest cosine at which a cell is seen, (c,), 0 from behind."""
+    """The smallest and the largest cosine between a cell's normal and the direction to the eye,
+    (c,); 0 from behind.
+    """
     wo, width = toward_eye(cells, eye)
     middle, slack = angle(cells.axis, wo), width + cells.spread
     return cosine(middle + slack), cosine(np.maximum(middle - slack, 0))

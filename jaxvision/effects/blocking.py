@@ -35,11 +35,11 @@ from .bodies import (
 from .cells import plane_between
 from .illumination import Source
 
-_ROUNDINGS = 4.0  # of a coordinate, by which what touches a plane may miss it
-_SAFELY = 32.0  # roundings in float64 of what must be apart
-_BEYOND = 4  # times the reach, where a light that is infinitely far away is taken to be
+_ROUNDINGS = 4.0  # relative rounding error of a coordinate, for shapes that touch a plane
+_SAFELY = 32.0  # float64 roundings by which disjoint bodies must be separated
+_BEYOND = 4  # distance, over the reach, at which a light at infinity is placed
 _AT_ONCE = 1 << 15
-_FACES = 2000  # of a mesh, up to which it is looked at whether it is convex
+_FACES = 2000  # faces of a mesh, up to which its convexity is tested
 
 
 def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> float:
@@ -79,7 +79,7 @@ def is_convex(shape: Ends[Shape]) -> bool:
 
 
 def certain(reach: float) -> float:
-    """m, the possible float64 error of sums of such large coordinates."""
+    """m, the largest float64 error of sums of coordinates up to `reach`."""
     return _SAFELY * float(np.finfo(np.float64).eps) * reach
 
 
@@ -240,7 +240,7 @@ def _separated(
         if not receiver.size:
             continue
         lit = swept(source, bodies, reach)
-        # first along fixed directions, then by search for what is left
+        # first along fixed directions, then by search for the remaining triples
         high, low = heights(lit, DIRECTIONS), -heights(bodies, -DIRECTIONS)
         clear = np.zeros(len(receiver), bool)
         for start in range(0, len(receiver), _AT_ONCE):

@@ -18,18 +18,18 @@ from ..core._bounds import SIGNS, Ends, box_about, numbers, once, unit
 from ..scene import Box, Disc, Plane, Quad, Sphere, TriangleMesh
 from ..scene.shapes import Shape
 
-_SIDES = 16  # of the polygon about a disc, 2 % wider
+_SIDES = 16  # sides of the polygon around a disc, which is 2 % wider
 _AXES = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 DIRECTIONS = _AXES / np.linalg.norm(_AXES, axis=1, keepdims=True)  # (26, 3)
 
-_STEPS = 48  # of Gilbert's algorithm
+_STEPS = 48  # steps of Gilbert's algorithm
 _AT_ONCE = 1 << 14  # pairs
 
 
 class Bodies(NamedTuple):
     """Many bodies, each the hull of p balls."""
 
-    points: np.ndarray  # (n, p, 3) m, a body of fewer repeats its last
+    points: np.ndarray  # (n, p, 3) m; a body with fewer balls repeats its last
     radii: np.ndarray  # (n, p) m
 
 
@@ -87,11 +87,11 @@ def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
         return None
     if isinstance(low, Box | Disc) and isinstance(
         high, Box | Disc
-    ):  # the largest, about each place where its middle may be
+    ):  # the largest sphere, at each possible centre
         middles = box_about(numbers(low.centre), numbers(high.centre))
         about = _POINTS[type(high)](high) - numbers(high.centre)
         points = (middles[:, None] + about).reshape(-1, 3)
-    else:  # corners are sums of fields, each least and largest with all of them
+    else:  # corners are sums of fields, so their extremes are at those of all fields
         points = box_about(*(_POINTS[type(end)](end) for end in shape))
     return points, np.zeros(len(points))
 

@@ -4,11 +4,11 @@ One more segment of the path applies T to the light, in the sup norm over each s
 
     T_i L = rho_i sum_j F_ij L_j + s_i sum_j G_ij L_j + m_i max L
 
-with rho of the body, s of the lobe, and m of a mirror or glass, which may pass on all of the
-brightest light. F_ij is the largest share of a body's light that can come from j. It is at most 1,
-at most (R / d)^2 for the bounding ball of j seen from i, and 0 if i is flat and j entirely behind
-it. A lobe may point toward j, whose solid angle is at most 2 pi (R / d)^2. Its share is G_ij =
-min(1, g_i F_ij) with g_i = 2 pi sup(f_r cos) / s_i. The shares of a row sum to at most 1, and are
+with reflectances rho of the body, s of the lobe, and m of a mirror or glass, which may show the
+brightest light of all. F_ij is the largest share of a body's light that can come from j. It is at
+most 1, at most (R / d)^2 for the bounding ball of j seen from i, and 0 if i is flat and j entirely
+behind it. A lobe may point toward j, whose solid angle is at most 2 pi (R / d)^2. Its share is G_ij
+= min(1, g_i F_ij) with g_i = 2 pi sup(f_r cos) / s_i. The shares of a row sum to at most 1, and are
 assigned to the brightest surfaces first. Emitted light is seen in paths of one segment, and the
 light that a surface reflects from a lamp in paths of two. The bound is sharp in open scenes with
 dark surfaces. In a bright closed room it is far too large, and its paths are kept.
@@ -29,11 +29,11 @@ from .illumination import times
 from .stages import Draft, Row
 from .sums import Sums, pictured, sent
 
-EMITTED = 1  # pieces of a path from what shines of its own: surface to eye
-DIRECT = 2  # pieces of a path of direct light: light to surface, surface to eye
-_EACH = 16  # pieces up to which paths may be cut to any number
-_SETTLED = 1e-12  # of a sum: what may be left of it when it is ended
-_MOST = 400  # pieces after which a sum that does not settle has no bound
+EMITTED = 1  # segments of a path from an emitter: surface to eye
+DIRECT = 2  # segments of a path of direct light: light to surface, surface to eye
+_EACH = 16  # segments up to which every path length is tried
+_SETTLED = 1e-12  # relative remainder at which a sum is truncated
+_MOST = 400  # segments after which a sum that has not converged has no bound
 
 
 def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
@@ -79,7 +79,7 @@ def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = ""
 class Transport(NamedTuple):
     """T of n surfaces; no units."""
 
-    # body, lobe, mirror: (n,) the most that each part reflects of what arrives from all sides
+    # body, lobe, mirror: (n,) the largest reflected share of light from all directions
     body: np.ndarray
     lobe: np.ndarray
     mirror: np.ndarray
@@ -106,8 +106,9 @@ class Transport(NamedTuple):
 
 
 class Onward:
-    """The map from the light that each cell sends at first to the largest light after all further
-    segments."""
+    """The map from the direct light that each cell reflects to the largest light after all further
+    segments.
+    """
 
     def __init__(self, sums: Sums, depth: int | None) -> None:
         self.sums, self.depth = sums, depth

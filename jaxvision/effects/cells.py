@@ -31,19 +31,20 @@ from ..scene.shapes import Shape
 from .bodies import Bodies, body_of, faces_of, heights, numbers, plane_of, unit
 from .boxes import corners
 
-_BUDGET = 6000  # cells of a scene
+_BUDGET = 6000  # largest number of cells of a scene
 _FINEST, _COARSEST = 12, 2  # cells along one side of a flat surface
-_NOT_FLAT = 1e-9  # rad, of a run of triangles, which need not lie in one plane
-_TRIANGLES = 400  # of a mesh that are cells of their own
+_NOT_FLAT = 1e-9  # rad, spread of the normals of a run of triangles, which need not be coplanar
+_TRIANGLES = 400  # triangles of a mesh, up to which each is its own cell
 
 
 class Cells(NamedTuple):
     """Parts of surfaces; c of them."""
 
     centre: np.ndarray  # (c, 3) m
-    radius: np.ndarray  # (c,) m, of a ball about it that holds the cell; inf for an endless one
+    # (c,) m, radius of a ball around it that contains the cell; inf for an endless one
+    radius: np.ndarray
     axis: np.ndarray  # (c, 3) unit, the middle of its normals
-    # (c,) rad, the most by which a normal differs from it; 0: flat; pi: any normal
+    # (c,) rad, largest angle of a normal to it; 0: flat; pi: any normal
     spread: np.ndarray
     surface: np.ndarray  # (c,) number of the surface
 
@@ -52,15 +53,16 @@ class Eye(NamedTuple):
     """The position and directions of a camera."""
 
     place: np.ndarray  # (3,) m, middle of the pinhole or lens
-    moves: float  # m, the farthest from it that a fit may move it
-    size: float  # m, the farthest from it that a ray may start: `moves` and the radius of the lens
+    moves: float  # m, the largest distance by which a fit may move it
+    # m, the largest distance of a ray's start from it: `moves` plus the radius of the lens
+    size: float
     rotation: np.ndarray  # (3, 3), rows right, down and forward
     # (k, 3) normals of the planes through `place` between which all rays that start there lie,
     # inward; for a parallel view with `offsets`, m
     planes: np.ndarray
     offsets: np.ndarray  # (k,) m
     parallel: bool  # whether all pixels look along the axis
-    everywhere: bool  # whether nothing is known of where it looks
+    everywhere: bool  # whether its viewing direction is unknown
 
 
 def eye_of(view: Ends[View]) -> Eye:
@@ -82,7 +84,7 @@ def eye_of(view: Ends[View]) -> Eye:
         planes, offsets = np.stack([right, -right, down, -down]), np.repeat(half, 2)
     else:
         slopes = half * float(sensor_vergence(low))
-        if isinstance(low, ThinLens):  # from the edge of the lens through the point in focus
+        if isinstance(low, ThinLens):  # a ray from the edge of the lens through the point in focus
             slopes = slopes + radius * float(focus_vergence(low))
         sides = [
             s * axis + k * forward

@@ -31,7 +31,8 @@ class Chain:
 
     rows: tuple[Row, ...]  # of all effects
     opening: float = 1.0  # W m^-2 per W m^-2 sr^-1, the largest gain of the lens
-    # from a change of irradiance, (bands,) W m^-2, and what is gone, to DN; None without a sensor
+    # from a change of irradiance, (bands,) W m^-2, and the names of dropped effects, to DN; None
+    # without a sensor
     dn: Callable[[np.ndarray, Gone], float] | None = None
     dark: float = 0.0  # DN rms of the noise in the dark
 
@@ -60,7 +61,7 @@ class Choice:
         self.gone: list[Row] = []
         self.bounds: dict[int, float] = {}
         self.barred: set[int] = set()
-        self.all_bands = ""  # why none of them can go
+        self.all_bands = ""  # why none of them can be dropped
         # what ordinary effects may change: half, where lights in order may take the rest
         many = start.depth is None and not free and _many(finished(records[0], start))
         self.allowed = goal.value / 2 if many else goal.value
@@ -87,13 +88,16 @@ class Choice:
         return found if found >= 0 else np.inf
 
     def decide(self) -> None:
-        """Drop what the tolerance allows: ordinary rows by bound per saved time, then ladders."""
+        """Drop what the tolerance allows: ordinary rows by bound per saved time, then the ladders,
+        groups of rows of which at most one is dropped.
+        """
         plain = [row for row in self.chain.rows if not row.ladder and row.effect.present]
         parties = [(row,) for row in plain if not row.together]
         joint = sorted((row for row in plain if row.together), key=lambda row: row.together)
         parties += [tuple(rows) for _, rows in groupby(joint, key=lambda row: row.together)]
         waiting, before = sorted(parties, key=self._price), -1
-        while len(self.gone) > before:  # what had to go first may have gone since
+        # an effect that had to be dropped first may have been dropped since
+        while len(self.gone) > before:
             before = len(self.gone)
             waiting = [party for party in waiting if not self._try(party)]
         ladders = sorted((row for row in self.chain.rows if row.ladder), key=lambda row: row.ladder)
@@ -180,7 +184,9 @@ class Choice:
         return both[0], both[1]
 
     def _take_bands(self, draft: Draft) -> bool:
-        """Whether a camera with a sensor can use fewer bands without cutting a free spectrum."""
+        """Whether a camera with a sensor can use fewer bands without removing bands of a free
+        spectrum.
+        """
         if any(_is_spectrum(name, *self.records) for name in self.free):
             self.all_bands = "a free spectrum has all of them"
             return False

@@ -38,26 +38,27 @@ class Factor(NamedTuple):
     """The factor by which a step magnifies a change."""
 
     value: float  # the factor, in the unit of the output per unit of the input; inf: there is none
-    why: str  # what it rests on, or why there is none
-    identity: bool = False  # whether the step changes no number at all
+    why: str  # reason for the factor, or for its absence
+    identity: bool = False  # whether the step is the identity
 
 
 def black_level(development: Development) -> Factor:
-    """A shift, with factor 1."""
+    """Black level: a shift, with factor 1."""
     return Factor(1.0, "a shift", float(_known(development.black_level)) == 0)
 
 
 def white_level(development: Development) -> Factor:
-    """1 / (white - black)."""
+    """White level: the factor is 1 / (white - black)."""
     black = 0.0 if development.black_level is None else float(development.black_level)
     span = float(_known(development.white_level)) - black
     return Factor(1 / span, "over the span from black to white", span == 1)
 
 
 def demosaicing(development: Development) -> Factor:
-    """Bilinear and normalised interpolation: means, 1. Malvar's filters: absolute sums of 20 / 8 at
-    most. Menon's method selects directions, so a small change may select the other one and there is
-    no bound."""
+    """Bilinear and normalised interpolation are means, with factor 1. Malvar's filters have
+    absolute sums of at most 20 / 8. Menon's method selects directions, so a small change may select
+    another one, and there is no bound.
+    """
     how = development.demosaicing
     assert how is not None
     match how.method:
@@ -98,7 +99,7 @@ def denoising(development: Development) -> Factor:
 
 
 def colour_matrix(development: Development) -> Factor:
-    """The largest sum of absolute values of a row."""
+    """The factor is the largest sum of absolute values of a row."""
     matrix = np.asarray(_known(development.colour_matrix), float)
     identity = np.array_equal(matrix, np.eye(3))
     return Factor(float(np.abs(matrix).sum(1).max()), "row sums of the matrix", identity)
@@ -138,7 +139,7 @@ def tone(development: Development) -> Factor:
 
 
 def sharpening(development: Development) -> Factor:
-    """f + a (f - g * f), where g has sum 1: 1 + 2 |a|."""
+    """The factor of f + a (f - g * f), where g has sum 1, is 1 + 2 |a|."""
     how = development.sharpening
     assert how is not None
     amount = abs(float(how.amount))
@@ -146,7 +147,7 @@ def sharpening(development: Development) -> Factor:
 
 
 def compression(development: Development) -> Factor:
-    """Rounded coefficients are discontinuous."""
+    """JPEG: rounding of coefficients is discontinuous, so there is no bound."""
     return Factor(INF, "JPEG rounds its coefficients: they jump")
 
 

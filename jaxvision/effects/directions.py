@@ -74,7 +74,9 @@ def _is_smooth(shape: Shape) -> bool:
 def _interreflection_bound(
     sums: Sums, onward: Onward, plain: np.ndarray, smooth: np.ndarray
 ) -> np.ndarray:
-    """(n, bands) the same for the light between surfaces."""
+    """(n, bands) W m^-2 sr^-1, the bound on this difference for light reflected between
+    surfaces.
+    """
     found = np.zeros_like(sums.own)
     if onward.depth is None:
         return found

@@ -37,7 +37,7 @@ def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
 def detected(sensor: Mapping[str, Any], photons: np.ndarray) -> float:
     """Photoelectrons in the pixel with the most of them, behind all filters."""
     electrons = photons
-    with np.errstate(invalid="ignore"):  # 0 of inf: nothing is known
+    with np.errstate(invalid="ignore"):  # 0 times inf: no bound is known
         for factor in (sensor["infrared_cut"], sensor["quantum_efficiency"]):
             electrons = electrons if factor is None else electrons * np.asarray(factor, float)
         if sensor["colour_filter"] is not None:
@@ -96,8 +96,9 @@ def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
 
 
 def kernel_slopes(kernel: Any) -> float:
-    """Half of the sum of |K_l - K_(l + neighbour)| over all offsets, in rows and in columns, per
-    electron."""
+    """Half of the sum of |K_l - K_(l + neighbour)| over all offsets l, for neighbours in rows and
+    in columns, per electron.
+    """
     rows, columns = (np.abs(np.arange(1 - n, n)) for n in np.shape(kernel))
     whole = np.pad(np.asarray(kernel, float)[np.ix_(rows, columns)], 1)
     return float(sum(np.abs(np.diff(whole, axis=axis)).sum() for axis in (0, 1))) / 2

@@ -22,7 +22,7 @@ from .cells import Cells
 from .illumination import source_of, times
 from .sums import Sums, geometry_of, lobe_sent, sent
 
-_NEAREST = 0.9  # of half the diagonal over the distance
+_NEAREST = 0.9  # largest ratio of half the diagonal to the distance
 
 
 def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
@@ -62,7 +62,7 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
     rough = np.array([np.any(own.plain) or own.grazing > 0 for own in sums.reflections])[of_cell]
     penumbra = sums.shaded[k]
     changed = np.where((rough | near | penumbra)[:, None], either, np.minimum(total, either))
-    # mirrors show what even a dark lamp hides
+    # even a dark lamp hides objects in a mirror
     mirrors = sums.mirrored[k] & (sums.k_mirror.max(1)[of_cell] > 0)
     changed = np.where(mirrors[:, None], np.inf, changed)
     return changed, small, "a rectangle as a place at its middle"
@@ -105,8 +105,9 @@ def _lobes(
     peak: np.ndarray,
     lamp: tuple[np.ndarray, np.ndarray, float],
 ) -> np.ndarray:
-    """(c, bands): a lobe's slope along the lamp, and its change through E; `either` bounds the
-    light of lobes under either light."""
+    """(c, bands): the change of the light of lobes, by their slope along the lamp and by the change
+    of E; `either` bounds this light under either lamp.
+    """
     q, d, rms = lamp
     slope = np.full(len(sums.reflections), np.inf)
     for i, own in enumerate(sums.reflections):

@@ -43,8 +43,9 @@ def source_of(light: Ends[Any]) -> Source:
 class Arrived(NamedTuple):
     """The light of a source on c cells, from each of its s positions."""
 
-    wi: np.ndarray | None  # (c, s, 3) unit, toward the middle of each place; None of a sky
-    width: np.ndarray  # (c, s) rad, by how much that varies
+    # (c, s, 3) unit, toward the middle of each light position; None for a sky
+    wi: np.ndarray | None
+    width: np.ndarray  # (c, s) rad, the variation of that direction over the cell
     cos_i: np.ndarray  # (c, s), the largest cosine of incidence
     # (c, s), the largest irradiance of a facing surface per unit of the source's spectrum
     e: np.ndarray
@@ -116,7 +117,7 @@ def _toward_places(
     wi, size = unit(apart), cells.radius[:, None] + source.size
     width = half_width(size, distance)
     flat = (cells.spread == 0)[:, None]
-    # above a flat cell: d^2 = height^2 + along^2, each at its least
+    # above a flat cell: d^2 = height^2 + along^2, with both at their minimum
     height = (apart * cells.axis[:, None]).sum(-1)
     along = np.sqrt(np.maximum(distance**2 - height**2, 0))
     lateral = np.maximum(along - np.where(np.isinf(size), along, size), 0)

@@ -31,8 +31,8 @@ def scene_rows(
     whole_paths: bool = False,
     caustics: bool = False,
 ) -> tuple[tuple[Row, ...], Arriving]:
-    """Return all rows of a scene between its two ends, at rest, and a bound on the light at the
-    camera.
+    """Return all rows of a scene between the two ends of its free parameters, at rest, and a bound
+    on the light at the camera.
 
     The sensor's exposure time and shutter determine the times of a motion, s. `depth` is the
     longest path; None: direct light. `estimates`: also estimate long paths with a small picture.
@@ -113,7 +113,7 @@ def _unique_rows(moments: Sequence[Sequence[Row]]) -> Iterator[Row]:
 
 
 def _most(rows: Sequence[Row]) -> Row:
-    """One row with the largest bound of all."""
+    """One row with the largest bound of all moments."""
     amount = np.max([row.amount for row in rows], axis=0)
     bound = float(np.max(amount))
     first = rows[0]

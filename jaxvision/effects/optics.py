@@ -28,9 +28,9 @@ from .pixel import INF, clean
 from .sampling import oversampling_row, samples_row, times
 from .stages import Arriving, Draft, Ends, OnSensor, Row
 
-_SHARES = 2e-5  # to which the shares of `airy_kernel` are good
-# Fields of the views that say where the camera stands and how much light there is: nothing can be
-# left out of them. Those of a lens's opening go with `view.defocus`.
+_SHARES = 2e-5  # accuracy of the shares of `airy_kernel`
+# Fields of the views that give the position of the camera and the amount of light, which cannot be
+# dropped. Fields of a lens's opening are dropped with `view.defocus`.
 GEOMETRY = {
     "position": "where the camera stands",
     "rotation": "where it looks",
@@ -245,7 +245,7 @@ def middle_pixel_share(width: np.ndarray) -> np.ndarray:
     from scipy.special import j0, j1
 
     nodes, weights = np.polynomial.legendre.leggauss(64)
-    r = np.hypot(0.5, nodes / 4 + 0.25)  # along half a side; there are eight
+    r = np.hypot(0.5, nodes / 4 + 0.25)  # along half a side of the pixel; there are eight
     x = np.pi * r / np.maximum(width, 1e-300)[..., None]
     leaving = (j0(x) ** 2 + j1(x) ** 2) / (2 * np.pi * r**2)
     return np.where(width > 0, 1 - 8 * (leaving * weights / 8).sum(-1), 1.0)

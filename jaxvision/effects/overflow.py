@@ -38,7 +38,7 @@ class Charge:
     """A random charge in electrons."""
 
     light: float  # expected electrons of light
-    dark: float  # expected electrons besides
+    dark: float  # other expected electrons
     prnu: float  # relative rms of the pixels' sensitivities
     hot: float  # electrons that a hot pixel has more on average; 0: no pixel is hot
     counting: Literal["none", "poisson", "gaussian"]  # "none": a charge is its expectation
@@ -80,7 +80,7 @@ def _log_tail(charge: Charge, level: float) -> np.ndarray:
             case "gaussian":
                 u = _SLOPES + _SLOPES**2 / 2
         log = u * (charge.light + charge.dark) + (u * charge.light * charge.prnu) ** 2 / 2
-        if charge.prnu > 0:  # a sensitivity below 0 counts as 0
+        if charge.prnu > 0:  # a sensitivity below 0 is taken as 0
             log = np.logaddexp(log, u * charge.dark + math.log(_below(charge.prnu) + 1e-300))
         if charge.hot > 0:
             room = 1 - u * charge.hot

@@ -55,7 +55,7 @@ from .overflow import Charge, Excess, excess
 from .stages import Ends, Gone
 
 INF = math.inf
-CHARGES = 1025  # at which a curve is looked at
+CHARGES = 1025  # points at which a curve is evaluated
 ASSUMED = (
     "Distances in DN are those of mean and rms: 2-Wasserstein where laws are Gaussian, a lower "
     "bound of it otherwise."
@@ -73,10 +73,11 @@ class Flood(NamedTuple):
 class Bound(NamedTuple):
     """The largest change by dropping an effect."""
 
-    dn: float  # DN, the distance at the top of this module; 0: it changes nothing; inf: not bounded
-    why: str  # what the bound rests on, or why there is none
-    rank: Rank = "bound"  # "bound", or "estimate" for what was tabulated instead of proved
-    rare: float = 0.0  # expected number of pixels that it changes, if it spares the others; 0: all
+    # DN, the distance defined at the top of this module; 0: it changes nothing; inf: no bound
+    dn: float
+    why: str  # reason for the bound, or for its absence
+    rank: Rank = "bound"  # "bound", or "estimate" if it was tabulated instead of proved
+    rare: float = 0.0  # expected number of pixels that it changes; 0: all pixels
 
 
 def clean(x: Any) -> float:
@@ -96,7 +97,7 @@ def growth(before: float, by: float) -> float:
 class Pixel:
     """A sensor without the dropped effects, and the largest light on any of its pixels."""
 
-    # the fields of the sensor at both ends, by name, None where they are gone
+    # the fields of the sensor at both ends, by name; None for dropped ones
     sensor: Ends[Mapping[str, Any]]
     irradiance: np.ndarray  # (bands,) W m^-2, the supremum over all pixels
     shape: tuple[int, int]  # (rows, columns) of the sensor
@@ -140,7 +141,7 @@ class Pixel:
 
     @cached_property
     def missing(self) -> float:
-        """Electrons that it removes from a pixel without light."""
+        """Electrons that a light offset removes from a pixel without light."""
         offset = self.sensor.low["light_offset"]
         below = offset is not None and not isinstance(offset, ShutterOffset) and np.min(offset) < 0
         return self.beside if below else 0.0
@@ -231,7 +232,7 @@ class Pixel:
 
     @cached_property
     def read_share(self) -> float:
-        """Smallest share of its charge with which a pixel of an evenly lit sensor is read."""
+        """Smallest share of its charge that is read from a pixel of an evenly lit sensor."""
         transfer = self.sensor.high["charge_transfer"]
         if transfer is None:
             return 1.0
@@ -241,7 +242,7 @@ class Pixel:
 
     @cached_property
     def quiet(self) -> float:
-        """Smallest variance of a pixel, referred to its charge: that of the darkest."""
+        """Smallest variance of a pixel, that of the darkest one, referred to its charge."""
         larger = (1 + self.high("conversion_prnu") ** 2) * self.grown**2
         return self.counted_dark + self.added() / larger
 
@@ -259,7 +260,9 @@ class Pixel:
 
     @cached_property
     def behind_own(self) -> float:
-        """The same for charge on which external effects act, including their largest factor."""
+        """DN per electron of arriving charge, including the largest factor of external effects on
+        charge.
+        """
         return self.behind_conversion * self.grown
 
     @cached_property

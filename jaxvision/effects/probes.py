@@ -22,7 +22,7 @@ from .bounces import DIRECT, pieces_row, shorter
 from .stages import QUICKLY, Row
 
 _SIDE, _PATHS = 16, 64
-_SETTLED = 4  # pieces from which light is taken to fall by one factor
+_SETTLED = 4  # segments from which the light is assumed to fall by a constant factor
 ASSUMED = "Light of more pieces than were probed falls by one factor at each further piece."
 
 

@@ -25,9 +25,9 @@ from .seconds import Advance, seconds_of
 from .sensor import sensor_stage
 from .stages import QUICKLY, Draft, Ends, Row
 
-_MOVED = "surfaces[", "shadows[", "ambient", "view."  # effects of what a motion may write
-WORTH = 0.03  # of the work, below which what changes nothing stays
-_PROBE = 16  # pixels along each side of the picture that finds the level
+_MOVED = "surfaces[", "shadows[", "ambient", "view."  # effects of fields that a motion may change
+WORTH = 0.03  # share of the work, below which an effect that changes nothing is kept
+_PROBE = 16  # pixels along each side of the picture from which the level is found
 _probe = jax.jit(render, compiler_options=QUICKLY)
 
 
@@ -80,7 +80,7 @@ def _chain_of(
     moments: int,
     **asked: Any,
 ) -> Chain:
-    """The rows, without bounds if a number is not finite or a map turns normals."""
+    """The rows, without bounds if a number is not finite or a map rotates normals."""
     refuse_tracers(scene, camera)
     if depth is not None and (depth < 1 or depth != int(depth)):
         raise InputError(
@@ -132,7 +132,7 @@ def inspect(
     time: bool = False,
     advance: Advance | None = None,
 ) -> tuple[Effect, ...]:
-    """Every effect of a scene and a camera, with a bound on its change of the picture.
+    """List every effect of a scene and a camera, with a bound on its change of the picture.
 
     Args:
         scene: surfaces and lights.
@@ -232,7 +232,7 @@ def prune(
     whole_paths: bool = False,
     caustics: bool = False,
 ) -> Pruned:
-    """A scene and a camera without the effects within a tolerance.
+    """Return a scene and a camera without the effects within a tolerance.
 
     Args:
         scene, camera, free, samples, motion, moments, depth: as in `inspect`. Free fields are never
@@ -389,7 +389,7 @@ def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> boo
             now = motion(*left, at)
             for row in choice.gone:
                 own = row.drop(own) if row.drop is not None else own
-        except Exception:  # of the caller's own function, for whatever reason
+        except Exception:  # an error of the caller's own function, for any reason
             return False
         if not same((finished(moved, own), own.camera.view), now):
             return False

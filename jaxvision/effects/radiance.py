@@ -36,15 +36,15 @@ from .sums import (
     sums_of,
 )
 
-# The share of a picture's work that goes with an effect, as the library's benchmarks measured it.
+# The share of a picture's computation that an effect takes, as measured by the benchmarks.
 _SAVES = {"light": 0.3, "shadows": 0.4, "lobe": 0.2, "extent": 0.9, "own": 0.02}
 
 
 def scene_stage(
     scene: Ends[Scene], view: Ends[View], *, depth: int | None = None, caustics: bool = False
 ) -> tuple[tuple[Row, ...], Arriving, Sums]:
-    """Return the rows of a scene between its two ends, a bound on the light at the camera, W m^-2
-    sr^-1, and the suprema for both.
+    """Return the rows of a scene between the two ends of its free parameters, a bound on the light
+    at the camera, W m^-2 sr^-1, and the suprema from which both follow.
 
     `depth` is the longest path, for interreflections; None: direct light, as in `render`.
     `caustics`: paths start at the lights, too.
@@ -172,7 +172,9 @@ def _without(records: tuple, k: int, value: Any = None) -> tuple:
 
 
 def shadows(sums: Sums, onward: Onward, k: int) -> Row:
-    """At most all light of the lamp on surfaces that may be shaded; 0 if none can be."""
+    """The effect of a lamp's shadows: at most all light of the lamp on surfaces that may be shaded;
+    0 if no surface can be shaded.
+    """
     count, whole = int(sums.blocked[k].sum()), sums.blocked[k].size
     amount = pictured(sums, sent(sums, k, only=sums.shaded[k]))
     why = f"{count} of {whole} pairs of receiver and occluder may block"
@@ -276,7 +278,7 @@ def _with(draft: Draft, i: int, **fields: Any) -> Draft:
 
 
 def lobe(sums: Sums, onward: Onward, i: int) -> Row:
-    """The light of the lobe; a Lambertian with the same k_d remains."""
+    """The effect of a lobe: all of its light. A Lambertian with the same k_d remains."""
     material, part = sums.surfaces[i].low.material, part_of(sums.cells, i)
     others = times(_size(sums.reflections[i].lobe) * sums.k_lobe[i], onward.of_lobe(i))
     lamp, around = (
@@ -303,7 +305,9 @@ def _is_plain_without_lobe(material: Material) -> bool:
 
 
 def interface(sums: Sums, onward: Onward, i: int) -> Row:
-    """Fresnel reflectance of facets: at most the gain of the lobe if they reflected everything."""
+    """The effect of the facets' Fresnel reflectance: at most the gain of the lobe if the facets
+    reflected all light.
+    """
     facets = sums.reflections[i].facets
     assert facets is not None
     full: list[Lobe | None] = [None] * len(sums.surfaces)

@@ -29,12 +29,12 @@ BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
     **sensor_charge.BOUNDS,
     **sensor_reading.BOUNDS,
 }
-# Fields whose row another stage gives.
+# Fields whose row is made by another stage.
 ELSEWHERE = {"shutter": "motion", "own": "each of its own, below"}
-# Fields that say what the numbers mean, which nothing can leave out.
+# Fields that define the meaning of the numbers, which cannot be dropped.
 SCALES = {"photon_conversion", "colour_filter", "exposure_time", "gain"}
 
-# Shares of the work of a picture that go with an effect: of 256 x 256 pixels under direct light.
+# Shares of a picture's computation that an effect takes, for 256 x 256 pixels under direct light.
 _SAVES = {
     "charge_transfer": 0.2,
     "shot_noise": 0.3,
@@ -108,7 +108,7 @@ def _response(pixel: Pixel, change: np.ndarray) -> float:
     ends = (
         end if isinstance(end["light_offset"], ShutterOffset) else dict(end, light_offset=None)
         for end in pixel.sensor
-    )  # photons beside the light do not change
+    )  # an offset of the light does not change
     moved = replace(pixel, sensor=Ends(*ends), irradiance=np.abs(change)).light
     return clean(pixel.moved(moved, patterned=True))
 

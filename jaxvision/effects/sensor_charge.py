@@ -19,10 +19,11 @@ from ..scene import (
 from .pixel import INF, Bound, Pixel, growth
 from .stages import Ends
 
-# 2-Wasserstein distances from a Poisson law, e-. Of the Gaussian of the same moments, tabulated
-# over means: the largest, at 0.86 e-; at many it is sqrt(1/12 + 1/18), of wholeness and skewness.
+# 2-Wasserstein distances from a Poisson law, e-. For the Gaussian with the same moments: the
+# largest in a table over means, at 0.86 e-. At many electrons it is sqrt(1/12 + 1/18), from
+# rounding to integers and from skewness.
 WHOLE = 0.4185
-# Of the draws by inversion: their distance in total variation, one electron each.
+# For the draws by inversion: their distance in total variation, times one electron.
 INVERSION = math.sqrt(1.4e-4)
 
 
@@ -150,8 +151,8 @@ BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
     },
     **{name: partial(charge_effects, name) for name in ("mixing", "nonlinearity")},
 }
-# What can take the place of a way of counting: the name of the effect, the kinds that have it, its
-# bound, and the kind without it.
+# Replacements for a counting method: the name of the effect, the kinds that have it, its bound, and
+# the kind without it.
 COUNTING = (
     ("exact", (PoissonShotNoise,), exact_counting, FastPoissonShotNoise),
     ("whole", (PoissonShotNoise, FastPoissonShotNoise), whole_electrons, GaussianShotNoise),

@@ -31,7 +31,7 @@ def exposure_time(pixel: Pixel) -> Bound:
 
 
 def light_offset(pixel: Pixel) -> Bound:
-    """Light that is added to the given light, or taken from it."""
+    """Light that is added to the given light, or subtracted from it."""
     beside = pixel.beside * pixel.smearing * pixel.pushing
     return Bound(pixel.moved(beside, patterned=True), f"{pixel.beside:.3g} e- beside the light")
 
@@ -100,7 +100,9 @@ def dead_pixels(pixel: Pixel) -> Bound:
 
 
 def dark_current(pixel: Pixel) -> Bound:
-    """Its electrons and their noise are dropped: in the dark sqrt(V) - sqrt(V - d)."""
+    """The electrons of the dark current and their noise are dropped: in the dark the rms changes by
+    sqrt(V) - sqrt(V - d).
+    """
     dark = pixel.dark
     rest = pixel.quiet - pixel.counted_dark
     most_quiet, cut = pixel.at_the_well(dark)
@@ -124,7 +126,8 @@ def _attenuator(pixel: Pixel, name: str, factor: float | np.ndarray, why: str) -
     """The light that a factor of at most 1 on each band removes. Other pixels become brighter."""
     ends = (dict(end, **{name: None}) for end in pixel.sensor)
     without = replace(pixel, sensor=Ends(*ends))
-    with np.errstate(invalid="ignore"):  # of inf nothing is known, though the factor be 1
+    # no bound is known if the light is inf, even if the factor is 1
+    with np.errstate(invalid="ignore"):
         taken = replace(without, irradiance=pixel.irradiance * (1 - factor)).light
     return Bound(without.moved(taken, patterned=True), why)
 

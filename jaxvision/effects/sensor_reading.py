@@ -19,7 +19,7 @@ from .electrons import read_out_variances
 from .overflow import excess
 from .pixel import INF, Bound, Pixel, growth
 
-# A Gaussian gain is taken to lie within so many standard deviations; the rest is added by itself.
+# Standard deviations within which a Gaussian gain is assumed; the tails are bounded separately.
 _WIDE = 9.0
 _BEYOND = 2.3e-19  # P(|g| > 9)
 
@@ -128,7 +128,7 @@ def _trap(pixel: Pixel) -> float:
 
 
 def _gaussian(pixel: Pixel) -> float:
-    """Variance of the Gaussian noise that every pixel has, e-^2."""
+    """Variance of the Gaussian noise of every pixel, e-^2."""
     variances = dict(pixel.variances.low)
     variances.pop("banding", None)
     read = pixel.sensor.low["read_noise"]

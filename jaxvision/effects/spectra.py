@@ -22,7 +22,7 @@ from .stages import Draft, Row
 from .sums import Sums
 
 _DECADES = 7  # residuals from 0.1 to 1e-7 of the picture, one row each
-_ROUNDING = 1e-15  # of each term, and so of each pixel, for each band
+_ROUNDING = 1e-15  # relative rounding error of each term, and so of each pixel, for each band
 
 
 def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
@@ -75,7 +75,8 @@ def _why_not(sums: Sums, direct: bool) -> str:
     return ""
 
 
-Terms = list[tuple[np.ndarray, np.ndarray]]  # (c, t) geometry, (t, bands) spectra; one a surface
+# (c, t) geometry and (t, bands) spectra, one pair for each surface
+Terms = list[tuple[np.ndarray, np.ndarray]]
 
 
 def _terms(sums: Sums) -> Terms:
@@ -86,7 +87,7 @@ def _terms(sums: Sums) -> Terms:
         part = np.arange(own.start, own.stop)[sums.seen[own]]
         if not part.size:
             continue
-        # Apart, as one may go, or be all that shows, without the other.
+        # Separate terms, because one may be dropped, or be the only visible one, without the other.
         geometry = [np.ones(part.size), np.ones(part.size)]
         spectra = [sums.emission[i], sums.ambient[i]]
         for k, spectrum in enumerate(sums.spectrum):
@@ -125,8 +126,10 @@ def _ladder(terms: Terms, bands: int) -> Iterator[tuple[np.ndarray, np.ndarray]]
 
 
 def _pivots(table: np.ndarray) -> np.ndarray:
-    """The columns in the order of pivoted QR: each the farthest from the span of those before. By
-    NumPy, for `scipy.linalg` takes longer to load than all bounds of a scene."""
+    """The columns in the order of pivoted QR: each is the farthest from the span of the previous
+    ones. This uses NumPy, because loading `scipy.linalg` takes longer than all bounds of a
+    scene.
+    """
     rest, order = table.astype(float), []
     for _ in range(table.shape[1]):
         size = (rest**2).sum(0)
@@ -190,8 +193,8 @@ def folded(camera: Camera, kept: np.ndarray, expand: np.ndarray) -> Camera | Non
     With w the electrons per unit of irradiance in a band before the filter, the transmission
     becomes (T w) @ expand / w for the kept bands.
 
-    The result is None if there is none: without a filter each band has its own raw numbers,
-    diffraction may differ between bands, and a transmission cannot be negative.
+    The result is None if there is no such camera: without a filter each band has its own raw
+    numbers, diffraction may differ between bands, and a transmission cannot be negative.
     """
     sensor, diffraction = camera.sensor, getattr(camera.view, "diffraction", None)
     filters = sensor.colour_filter

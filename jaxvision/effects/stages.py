@@ -30,7 +30,7 @@ from ..core._bounds import Ends as Ends
 from ..scene import AmbientLight, Camera, Light, Surface
 from .certificate import Effect
 
-# A small picture runs at once however it is compiled, and compiles in half the time so.
+# Without optimisation a small picture compiles in half the time, and still runs in an instant.
 QUICKLY = {"xla_backend_optimization_level": "0", "xla_llvm_disable_expensive_passes": "True"}
 
 
@@ -39,15 +39,15 @@ class Draft:
     """The scene and camera during pruning: lights and surfaces at their original indices, with None
     for dropped ones."""
 
-    surfaces: tuple[Surface, ...]  # all of them, those in `unmet` too
-    lights: tuple[Light | None, ...]  # each, or None where it was dropped
+    surfaces: tuple[Surface, ...]  # all surfaces, including those in `unmet`
+    lights: tuple[Light | None, ...]  # each light, or None where it was dropped
     shadowless: frozenset[int]  # numbers of the lights whose shadows were dropped
     ambient: AmbientLight | None
     camera: Camera  # view, sensor and development
     samples: Any = None  # `PixelSamples` or None
     motion: Any = None
-    moments: int | None = None  # of a motion, or None
-    depth: int | None = None  # pieces of a path, or None: direct light
+    moments: int | None = None  # number of moments of a motion, or None
+    depth: int | None = None  # segments of a path, or None: direct light
     bands: tuple[np.ndarray, np.ndarray] | None = None  # (kept bands, expand) or None
     unmet: frozenset[int] = frozenset()  # numbers of the surfaces that were dropped
     threshold: float | None = None  # W m^-2 sr^-1, as in `render`, before bands were dropped
@@ -66,31 +66,32 @@ Gone = frozenset[str]
 class Row:
     """An effect, the bound on its change, and the function that drops it."""
 
-    # name, reason, rank and place; its `bound` is the largest of `amount`, in its unit, which says
-    # what `amount` is: "W m^-2 sr^-1" or "W m^-2", (bands,); "DN", ()
+    # name, reason, rank and place; its `bound` is the largest of `amount`. Its unit is that of
+    # `amount`: "W m^-2 sr^-1" or "W m^-2", (bands,), or "DN", ()
     effect: Effect
-    # the bound, by band before the sensor; clipped at 0, inf where there is none
+    # the bound, for each band before the sensor; at least 0, inf where there is no bound
     amount: np.ndarray
-    # from a draft to one without the effect, by `dataclasses.replace`, so that every record's own
-    # checks run; None where nothing can be dropped
+    # returns a draft without the effect, by `dataclasses.replace`, so that the checks of every
+    # record run; None if the effect cannot be dropped
     drop: Drop | None
-    # where the bound depends on what went before: from the names of what is gone to what `amount`
-    # is then. None: `amount`, whatever went
+    # if the bound depends on earlier drops: a function from the names of dropped effects to
+    # `amount`; None if `amount` does not depend on them
     after: Callable[[Gone], float | np.ndarray] | None = None
-    assumes: str = ""  # what the bound rests on beside the records, a sentence; "" if nothing
-    saves: float = 0.05  # share of the picture's work that goes with it, by a declared table
-    # names of effects none of which may be gone when this one goes
+    assumes: str = ""  # an assumption of the bound, one sentence; "" if there is none
+    saves: float = 0.05  # share of the picture's computation that it takes, from a table
+    # names of effects that must all be present when this one is dropped
     instead_of: frozenset[str] = field(default_factory=frozenset)
-    # names of effects that must be gone before, such as a rim before the lens it sits on
+    # names of effects that must be dropped before, such as a rim before its lens
     needs: frozenset[str] = field(default_factory=frozenset)
-    # name of an effect that it belongs to, as a lamp's extent to the lamp: with that it goes too,
-    # at no further cost. "": of none
+    # name of the effect that it belongs to, such as the lamp for a lamp's extent: it is dropped
+    # with that effect, at no further cost; "" if there is none
     part_of: str = ""
-    together: str = ""  # rows with one such word are dropped all or not at all; "": on its own
-    # of rows with one such word, which stand in order of rising cost, at most one is dropped, the
-    # first that fits, when all others have been decided; "": an ordinary row
+    # rows with the same word here are dropped together or not at all; "": on its own
+    together: str = ""
+    # rows with the same word here are a ladder, in order of rising cost: at most one is dropped,
+    # the first that fits, after all ordinary rows; "": an ordinary row
     ladder: str = ""
-    grows: float = 1.0  # by how much it multiplies what others have changed, >= 1
+    grows: float = 1.0  # factor by which it magnifies the changes of other effects, >= 1
 
 
 class Arriving(NamedTuple):

@@ -24,13 +24,13 @@ from .reflection import Lobe, Reflection, fills, reflection_of
 from .stages import Ends
 from .umbra import covered, hidden, in_umbra, shaded
 
-_ROUNDING = 1e-6  # rad, by which a mirrored ray in float32 may miss its direction
+_ROUNDING = 1e-6  # rad, largest rounding error of a mirrored direction in float32
 
 
 class Sums(NamedTuple):
     """Upper bounds on the light of a scene with n surfaces, l lights and c cells."""
 
-    # surfaces, lights: the records between their two ends
+    # surfaces, lights: the records, each at the two ends of its free parameters
     surfaces: tuple[Ends[Surface], ...]
     lights: tuple[Ends[Light], ...]
     # sources, reflections: the bounds of each
@@ -42,30 +42,31 @@ class Sums(NamedTuple):
     # light's spectrum
     body: np.ndarray
     lobe: np.ndarray
-    # (l, c) as `lobe`, but toward any viewer, for light that goes on to other surfaces
+    # (l, c) as `lobe`, but toward any viewer, for light that continues to other surfaces
     lobe_around: np.ndarray
-    facing: np.ndarray  # (l, c) the suprema of E, of a facing surface
-    # (l, c) whether the cell, if it is of a mirror, may show the light to the eye
+    facing: np.ndarray  # (l, c) the suprema of E, for a facing surface
+    # (l, c) whether the cell, if it belongs to a mirror, may show the light to the eye
     mirrored: np.ndarray
-    # k_body, k_lobe, k_mirror: (n, bands), what multiplies them, and the reflectance of mirrors
+    # k_body, k_lobe, k_mirror: (n, bands), the factors of `body` and `lobe`, and the
+    # reflectance of mirrors
     k_body: np.ndarray
     k_lobe: np.ndarray
     k_mirror: np.ndarray
-    # emission, ambient: (n, bands) W m^-2 sr^-1, of each surface; reflected ambient light only
-    # where no light goes on from surface to surface, else 0
+    # emission, ambient: (n, bands) W m^-2 sr^-1, of each surface; reflected ambient light is 0 if
+    # light continues from surface to surface
     emission: np.ndarray
     ambient: np.ndarray
     spectrum: np.ndarray  # (l, bands) of each light
-    shown: np.ndarray  # (l, bands) W m^-2 sr^-1 where a pixel may look at the light itself, else 0
-    visible: np.ndarray  # (l,) whether it may
+    shown: np.ndarray  # (l, bands) W m^-2 sr^-1 if the light may be visible in a pixel, else 0
+    visible: np.ndarray  # (l,) whether the light may be visible
     blocked: np.ndarray  # (l, n, n) whether a surface (last) may shade a surface (middle)
-    # (l, c) whether anything may shade the cell; of direct light, where it is seen
+    # (l, c) whether anything may shade the cell; for direct light, only for visible cells
     shaded: np.ndarray
     dark: np.ndarray  # (l, c) whether the cell lies in full shadow
     searched: bool  # whether shadow rays are traced at all
     nearest: np.ndarray  # (l, n) m, lower bounds of the distances of lights and surfaces
-    eye: Eye  # where it is seen from
-    caustics: bool  # whether mirrors and glass gather light of lamps without size
+    eye: Eye  # the viewer
+    caustics: bool  # whether mirrors and glass may focus light of lamps without size
 
     @property
     def own(self) -> np.ndarray:
@@ -87,7 +88,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
     reflections = tuple(reflection_of(surface.of("material")) for surface in surfaces)
     cells = cells_of(surfaces, about=eye.place)
     facing = cos_seen(cells, eye)[1] > 0
-    if bounces:  # from within, too
+    if bounces:  # also from inside
         glass = [fills(surface.low.material) for surface in surfaces]
         facing |= np.array(glass, bool)[cells.surface]
     seen = facing & in_view(eye, bodies_of(cells))
@@ -226,7 +227,7 @@ def ambient_reflected(
 
 
 def value_of(record: Any, *names: str) -> Any:
-    """A field of a field of a record."""
+    """The value of a nested field of a record."""
     for name in names:
         record = getattr(record, name)
     return record

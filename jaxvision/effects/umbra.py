@@ -33,8 +33,9 @@ from .cells import Cells, Eye, bodies_of, has_faces_apart, part_of, plane_betwee
 from .illumination import Source
 from .stages import Ends
 
-_PAIRS = 60_000  # of cells and occluders; a scene of more is judged surface by surface
-_DEEP = 1e-4  # of its coordinates: what is no farther beyond an occluder is in its plane
+_PAIRS = 60_000  # pairs of cells and occluders; in larger scenes whole surfaces are tested
+# relative to its coordinates: a cell at most this far beyond an occluder is in its plane
+_DEEP = 1e-4
 _SEARCHED = 2000  # pairs for which the best separating direction is searched
 
 

@@ -22,7 +22,8 @@ from .illumination import Source
 from .stages import Draft, Ends, Row
 from .sums import Sums
 
-_LEVEL = 1e-9  # cosine, of a direction along which the cone rises in spite of rounding
+# smallest cosine at which the cone certainly rises along a direction, in spite of rounding
+_LEVEL = 1e-9
 
 
 def unmet_rows(scene: Ends[Scene], sums: Sums) -> Iterator[Row]:
@@ -83,7 +84,8 @@ def _edges(eye: Eye) -> np.ndarray:
     forward = eye.rotation[2]
     if eye.parallel:
         return forward[None]
-    right, down = (eye.planes[[i, i + 1]] for i in (1, 3))  # after the forward one: two pairs
+    # the planes after the forward one, in two pairs
+    right, down = (eye.planes[[i, i + 1]] for i in (1, 3))
     found = [np.cross(a, b) for a in right for b in down]
     ahead = np.stack([d if d @ forward > 0 else -d for d in found])
     return ahead / np.linalg.norm(ahead, axis=1, keepdims=True)

@@ -192,7 +192,7 @@ ENTRIES = [
         lambda m, x, s: x * m.power(m.c("2"), s),
         (Range(1e-10, 1e10), Range(-80, 80, log=False)),
         bound=2.5,
-        note="XLA's exponential has an error of 1.7 ULP in float64; in float32 the bound of 2 holds",
+        note="XLA's exponential has an error of 1.7 ULP in float64; in float32 2 are enough",
     ),
     Entry(
         "point_ops.linear.exposure",
@@ -289,7 +289,7 @@ ENTRIES = [
             (1e30, 1e30),
         ),
         bound=6.0,
-        note="a quotient of logarithms, for which XLA has an error of 2.5 ULP where 1 + x is rounded",
+        note="a quotient of logarithms; XLA has an error of 2.5 ULP where 1 + x is rounded",
     ),
     Entry(
         "point_ops.tone_mapping.with_luminance",
