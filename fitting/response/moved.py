@@ -46,7 +46,7 @@ def moved_exposures(
     home = places[middle]
     apart = np.hypot(*(places - home).T)
     near = {}
-    for i in np.flatnonzero((apart > 0) & (apart < LEAST)):
+    for i in np.flatnonzero((apart > 0) & (apart < LEAST)).tolist():
         down, right = _shift(smooth[middle], smooth[i], full_scale)
         if 0 < np.hypot(down, right) < LEAST and not (down % cell[0] or right % cell[1]):
             near[names[i]] = int(down), int(right)

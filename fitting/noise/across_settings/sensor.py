@@ -97,8 +97,12 @@ def write_sensor_of_sites_at(
 
 def _nearest(calibration: CameraCalibration, factor: float) -> PhotonTransfer:
     """The flats and darks of the measured gain nearest to a gain factor."""
-    lit = [one for one in calibration.frames if isinstance(one.frames, PhotonTransfer)]
-    return min(lit, key=lambda one: abs(np.log(one.setting.gain_factor / factor))).frames
+    lit = [
+        (abs(np.log(one.setting.gain_factor / factor)), one.frames)
+        for one in calibration.frames
+        if isinstance(one.frames, PhotonTransfer)
+    ]
+    return min(lit, key=lambda pair: pair[0])[1]
 
 
 def _within(known: list[float | None], asked: float | None, word: str) -> float | None:
