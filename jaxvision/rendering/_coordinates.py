@@ -22,8 +22,8 @@ class Coordinates(eqx.Module):
 
 
 def coordinates(shape: Shape, point: Vec, primitive: Int[Array, ""] | None) -> Coordinates:
-    """The coordinates of a point, m, of a `Quad`, a `Sphere`, or the numbered triangle of a mesh; 0
-    for other shapes."""
+    """Return the texture coordinates of a point, m, of a `Quad`, a `Sphere`, or the triangle
+    `primitive` of a mesh; 0 for other shapes."""
     match shape:
         case Quad():
             corner, one, other = (as_vec(x) for x in (shape.corner, shape.edge_u, shape.edge_v))
@@ -54,7 +54,8 @@ def coordinates(shape: Shape, point: Vec, primitive: Int[Array, ""] | None) -> C
 
 
 def _flat(point: Vec, a: Vec, edge_b: Vec, edge_c: Vec, corners) -> Coordinates:
-    """Coordinates that are affine in a plane, by their values at a, a + edge_b and a + edge_c."""
+    """Return coordinates that are affine in a plane. `corners`: for u and for v, the values at a,
+    a + edge_b and a + edge_c."""
     area = cross(edge_b, edge_c)
     inverse = divide(1, dot(area, area), where=dot(area, area) > 0)
     to_b, to_c = inverse * cross(edge_c, area), inverse * cross(area, edge_b)

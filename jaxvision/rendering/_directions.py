@@ -1,7 +1,7 @@
-"""The light of one source, sampled by directions from it and from the material, and the radiance
-from a direction.
+"""Multiple importance sampling of one light, by directions drawn from the light and from the
+material; and the radiance that arrives from a direction.
 
-Directions in the frame of a surface are `Vec`s. A `Place` has the occluders; None: there are none.
+Directions in the frame of a surface are `Vec`s. A `Place` contains the occluders; None means none.
 """
 
 import jax.numpy as jnp
@@ -19,13 +19,13 @@ from .shadows import Place, clear
 
 
 def local_viewer(normal: Direction, wo: Direction, tangent: Vector | None) -> tuple[Frame, Vec]:
-    """The frame of a surface point, and the viewer in it."""
+    """Return the frame of a surface point, and the direction to the viewer in this frame."""
     frame = local_frame(normal, tangent=tangent)
     return frame, as_vec(to_local(frame, wo))
 
 
 def world_direction(frame: Frame, wi: Vec, like: Vector) -> Vector:
-    """A local direction in the world, as an array or a `Vec`, like `like`."""
+    """Convert a local direction to world coordinates, as an array or a `Vec`, like `like`."""
     world = to_world(frame, wi)
     return as_array(world) if isinstance(like, Array) else world
 
@@ -40,8 +40,8 @@ def balanced(
     of_material: Float[Array, "3"],
     place: Place | None,
 ) -> Colour:
-    """One direction from the light and one from the material, each divided by the sum of both
-    densities. The mean over uniform numbers is the radiance, W m^-2 sr^-1."""
+    """Draw one direction from the light and one from the material, and divide the light of each by
+    the sum of both densities. The mean over uniform numbers is the radiance, W m^-2 sr^-1."""
 
     def weighed(wi: Vec) -> Colour:
         world = world_direction(frame, wi, point)
@@ -55,12 +55,12 @@ def balanced(
 
 
 def arriving_from(light: Light, point: Vector, wi: Direction, place: Place | None) -> Colour:
-    """Radiance, W m^-2 sr^-1, at the point from `wi`, 0 if the way is blocked."""
+    """Return the radiance, W m^-2 sr^-1, that arrives at the point from `wi`; 0 if blocked."""
     ahead = seen(light, Ray(point, wi))
     passes = None if place is None else clear(place, wi, ahead.distance)
     return where_clear(passes, ahead.radiance)
 
 
 def where_clear(condition: Bool[Array, ""] | None, value: Array) -> Array:
-    """The value where the condition is true, else 0; without a condition the value."""
+    """Return the value where the condition is true, else 0. None counts as true."""
     return value if condition is None else jnp.where(condition, value, 0)

@@ -1,5 +1,5 @@
-"""The common number of bands of several spectra, from the result shapes of each kind of material
-and light. Nothing here has a unit."""
+"""Find the number of bands that all spectra of a scene share, from the result shape of each type of
+material and light."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -18,8 +18,8 @@ from ..scene import Light, Material
 def band_count(
     materials: Iterable[Material], lights: Iterable[Light], *, spectra: Iterable[jax.Array] = ()
 ) -> int:
-    """The common number of bands, no unit. A neutral spectrum, with one band, goes with any number;
-    other differences raise `ValueError`."""
+    """Return the common number of bands. A neutral spectrum has one band and fits any number; other
+    differences raise `ValueError`."""
     reflected = [(type(own).__name__, _reflected(own)) for own in _one_each(materials)]
     emitted = [_emitted(light) for light in _one_each(lights)]
     emitted += [spectrum.shape[-1] for spectrum in spectra]
@@ -34,7 +34,7 @@ def band_count(
 
 
 def _one_each(records: Iterable[Any]) -> Iterable[Any]:
-    """One record of each structure."""
+    """Return one record of each structure."""
     return {str(jax.tree.map(jnp.shape, record)): record for record in records}.values()
 
 

@@ -1,4 +1,4 @@
-"""From scene and view to radiance: direct light along each ray of a camera.
+"""Render a scene by direct light: the radiance along each ray of a camera.
 
 Radiance in W m^-2 sr^-1, lengths in m.
 """
@@ -60,19 +60,19 @@ _LARGEST = 256  # numbers in an array of a material that are gathered by each pi
 
 
 def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colour:
-    """Radiance of direct light that arrives along one ray, against its direction.
+    """Compute the radiance of direct light that arrives along one ray, against its direction.
 
     The ray sees the nearest surface or extended light; a ray that meets neither sees the
     environments, or black. The radiance of a surface is its emission plus the reflected light of
     the lights. Emissive surfaces do not illuminate other surfaces here; in `transport` they do.
-    Materials of one kind are shaded by one piece of code, and shadows are traced once for all
-    kinds.
+    All materials of one type share one piece of compiled code, and shadows are traced once for all
+    types.
 
     Args:
         scene: `Scene.occluders` selects the surfaces that block light, `Scene.rules` the sampling
             rules of single lights.
         ray: origin (3,) m, direction (3,) unit length.
-        rule: of the samples of extended lights without a rule of their own.
+        rule: sampling rule for extended lights without a rule of their own.
 
     Returns:
         (bands,) W m^-2 sr^-1.
@@ -91,15 +91,16 @@ class SortedScene(eqx.Module):
     """The shapes of a scene prepared for many rays; lengths in m."""
 
     shapes: Sorted  # of all surfaces
-    # those that may block light; None: none, or a single shape that cannot
+    # the shapes that may block light; None if there are none, or a single shape that cannot
     occluders: Sorted | None
-    varied: Varied | None = None  # the surfaces that maps vary
-    materials: tuple[Material, ...] | None = None  # of all surfaces, where maps have summed areas
+    varied: Varied | None = None  # the surfaces with maps
+    # of all surfaces, with summed-area tables for maps; None for the scene's own materials
+    materials: tuple[Material, ...] | None = None
 
 
 def sorted_scene(scene: Scene, *, wide: bool = False) -> SortedScene:
-    """The shapes of a scene sorted once for all rays, and its maps prepared, with `wide` for rays
-    as wide as a pixel; lengths in m."""
+    """Sort the shapes of a scene once for all rays, and prepare its maps. With `wide`, maps are
+    averaged over rays as wide as a pixel. Lengths in m."""
     shapes = sorted_shapes([surface.shape for surface in scene.surfaces])
     varied, materials = varied_surfaces(scene), None
     if wide and varied is not None:
@@ -197,7 +198,7 @@ def _reflected(
 
 
 def can_shade(surfaces: Sequence[Surface]) -> bool:
-    """Whether light can be blocked at all (no unit).
+    """Whether any surface can block light.
 
     A single convex shape shades only its own back.
     """
@@ -223,7 +224,7 @@ def _facing(
 
 
 def _of_surface(emissions: list[Colour | None], index: Int[Array, ""]) -> Colour:
-    """The emission of the surface of that index, W m^-2 sr^-1; 0 if it has none."""
+    """Return the emission of the surface with this index, W m^-2 sr^-1; 0 if it has none."""
     known = next(emission for emission in emissions if emission is not None)
     table = jnp.stack([jnp.zeros_like(known) if e is None else e for e in emissions])
     return jnp.where(index >= 0, table[jnp.maximum(index, 0)], 0)
@@ -236,7 +237,7 @@ def direct_along(
 
     Args:
         scene: as in `radiance_along`.
-        rule: of the samples of extended lights without a rule of their own; a random rule draws
+        rule: sampling rule for extended lights without a rule of their own; a random rule draws
             anew for each pixel and sample.
         wide: whether the rays are a `PixelRay` each, over which maps are averaged.
         threshold: as in `render`.
@@ -336,9 +337,9 @@ def render(
     says which edges count. The picture itself does not depend on `edges`.
 
     Without `samples`, each `Map` is averaged over the footprint of the pixel, by an exact integral
-    over a box in its coordinates. That is the mean of the radiance for a reflectance; for other
-    numbers, such as a roughness, it is the radiance of the mean. With `samples`, each ray takes a
-    map's values where it meets the surface.
+    over a box in its coordinates. For a reflectance this gives the mean radiance. For other
+    quantities, such as a roughness, it gives the radiance for their mean value. With `samples`,
+    each ray uses the map's value at the point where it meets the surface.
 
     On CPUs with 512-bit vectors, `jax.jit(render, compiler_options={"xla_cpu_prefer_vector_width":
     "512"})` takes about three quarters of the time.
@@ -365,8 +366,8 @@ def render(
     Returns:
         (h, w, bands) W m^-2 sr^-1.
 
-    Warns of a shape so far from the origin that rounding in its dtype deforms it; so do the other
-    integrators. Those that follow reflected light warn of a surface that reflects more than it
+    All integrators warn of a shape so far from the origin that rounding in its dtype deforms it.
+    Integrators that follow reflected light also warn of a surface that reflects more than it
     receives.
 
     Raises:

@@ -1,15 +1,16 @@
-"""The share of a picture's derivative that moving edges have: outlines of shapes and lamps, and
-shadows.
+"""The part of a picture's derivative that comes from moving edges: outlines of shapes and lamps,
+and edges of shadows.
 
-A pixel is the mean of the radiance L over its square. Where a place theta moves a curve on which L
-jumps, the derivative of that mean has, besides the mean of dL / d theta,
+A pixel is the mean of the radiance L over its square. If a parameter theta moves a curve on which L
+jumps, the derivative of that mean contains, besides the mean of dL / d theta,
 
     sum of (L_behind - L_ahead) (dp / d theta . n) ds
 
-over the part of the curve p in the pixel, with its normal n from behind to ahead. Here the curves
-are known in closed form: the outlines of shapes as a camera or a lamp sees them. The curve p(t) is
-differentiated in theta at equal t, and the jump is measured by rays a little to each side. A lamp
-with a size is a sum of lamps at one place: each node of its outlines has its own place of the lamp.
+over the part of the curve p in the pixel. ds is an element of the curve, and its normal n points
+from behind to ahead. Here the curves are known in closed form: the outlines of shapes as a camera
+or a lamp sees them. The curve p(t) is differentiated with respect to theta at fixed t, and the jump
+is measured by rays a little to each side. A lamp with a size is treated as a sum of point lamps:
+each node on an outline uses another point of the lamp.
 
 Source: Li, Aittala, Durand, Lehtinen, "Differentiable Monte Carlo Ray Tracing through Edge
 Sampling", ACM TOG 37(6) (2018), with edges chosen by their length in the picture.
@@ -72,28 +73,29 @@ from ..scene import (
     View,
 )
 
-_CELLS = 64  # of a curve, by whose lengths in the picture its nodes are placed
-_PIECES = 8  # of the short straight stretch about a node, each of which lies in one pixel
-_OF_AREA = 4  # times as many nodes for lamps with a size
-_BESIDE = 1e-3  # of the size of a shape, from its outline to the rays that find where light goes on
-_SEEN_BESIDE = 1e-2  # pixels, from a shadow's edge to the rays that show on which surface it is
-_SIDES = np.array([-1.0, 1.0])  # of an edge: behind and ahead of it, in its normal's direction
-_TURNS = 6  # of Newton's method
+_CELLS = 64  # pieces of a curve; nodes are distributed by their lengths in the picture
+_PIECES = 8  # parts of the short straight stretch about a node; each adds to one pixel
+_OF_AREA = 4  # factor for the number of nodes if the lamp has a size
+_BESIDE = 1e-3  # distance from an outline to the rays that pass the shape, in sizes of the shape
+_SEEN_BESIDE = 1e-2  # distance, in pixels, from a shadow's edge to rays that find its surface
+_SIDES = np.array([-1.0, 1.0])  # behind and ahead of an edge, in the direction of its normal
+_TURNS = 6  # iterations of Newton's method
 _STRAIGHT, _RING, _LIMB, _HORIZON = range(4)
-# of each kind, in sizes of the shape: from the edge to what a ray beside it meets of the shape
+# For each type of curve, in sizes of the shape: the largest distance along a ray beside the edge
+# from the edge to the shape
 _NEAR = (1e-2, 1e-2, 0.5, np.inf)
-# Steps of Kronecker sequences in four dimensions: two of a lens, two of a lamp
+# Steps of a Kronecker sequence in four dimensions, two for the lens and two for the lamp
 _STEPS = np.array([0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101])
 
 
 class Edges(Shown):
     """Moving edges in the derivatives of `render`, which are otherwise neglected.
 
-    The derivative is that of pixels whose radiance is averaged over their squares, also with one
-    ray a pixel. It has the outlines of spheres, discs, quads, boxes and rectangular lamps, the
-    horizon of a plane, and the shadows of these shapes under lamps of all kinds. It neglects the
-    outlines of triangle meshes, lines where two surfaces cut each other, the outlines of other
-    lamps, and the shadow that a surface casts on itself.
+    It is the derivative of pixels whose radiance is averaged over their squares, even with one ray
+    per pixel. It includes the outlines of spheres, discs, quads, boxes and rectangular lamps, the
+    horizon of a plane, and the shadows of these shapes under lamps of all types. It neglects the
+    outlines of triangle meshes, lines where two surfaces intersect, the outlines of other lamps,
+    and the shadow that a surface casts on itself.
 
     For scenes of a sphere, a disc, a quad and a box of 2 to 4 pixels on a floor under a point lamp,
     the derivative along a random direction differed from central differences by 0.3 % (camera),
@@ -102,20 +104,20 @@ class Edges(Shown):
     lens with `samples`, the derivatives of the sum and the middle of a blurred disc are within 1 %.
 
     The cost grows with the sides of the picture, not with its area or its samples. For four shapes
-    on a floor in 64 x 64 pixels, a gradient took 2.2 times as long with 16 samples a pixel, and 4
-    to 10 times as long with one. Compiling it takes half a minute to a minute more.
+    on a floor in 64 x 64 pixels, edges made a gradient 2.2 times slower with 16 samples per pixel,
+    and 4 to 10 times slower with one. Compiling it takes half a minute to a minute more.
 
     Attributes:
-        nodes: static, rays to each side of an edge for each pixel that it crosses, >= 1. It counts
-            for edges that are together as long as the picture's border; where they are longer, the
-            same number of rays is spread over them.
+        nodes: static, rays on each side of an edge for each pixel that it crosses, >= 1, if all
+            edges together are as long as the picture's border. The total number of rays is fixed,
+            so longer edges get fewer rays per pixel.
 
     Raises:
-        ValueError: for fewer nodes.
+        ValueError: for fewer than one node.
 
     Example:
-        A white disc of 3 m radius before black, in a picture of 100 m^2: its mean is
-        pi r^2 / 100, with the derivative 2 pi r / 100 in r, which is .1885.
+        A white disc of radius r = 3 m fills part of a black picture of 100 m^2. The mean is
+        pi r^2 / 100, and its derivative with respect to r is 2 pi r / 100 = .1885.
 
         >>> def mean(radius):
         ...     lamp = jv.Surface(jv.Disc([0, 0, 5], [0, 0, -1], radius), jv.Lambert([0.0]), [1.0])
@@ -146,7 +148,7 @@ class Curves(eqx.Module):
 
 
 def _curves(outlined: Sequence[tuple[int, Shape | RectangleLight]]) -> Curves:
-    """The curves of numbered shapes."""
+    """Return the outlines of shapes, given with the indices of their surfaces."""
     found: list[tuple[Any, ...]] = []
     for number, shape in outlined:
         match shape:
@@ -179,22 +181,22 @@ def _curves(outlined: Sequence[tuple[int, Shape | RectangleLight]]) -> Curves:
 
 
 class Eye(eqx.Module):
-    """A place from which outlines are seen, (3,) m, or a direction toward it at infinity."""
+    """A point from which outlines are seen, (3,) m, or the direction toward a point at infinity."""
 
     place: Float[Array, "3"]
     at_infinity: bool = eqx.field(static=True)
 
     def direction(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
-        """The unit direction from a point toward it."""
+        """Return the unit direction from a point toward the eye."""
         return self.place if self.at_infinity else as_array(normalize(self.place - point))
 
     def distance(self, point: Float[Array, "3"]) -> Array:
-        """() m from a point."""
+        """Return the distance from a point to the eye, () m."""
         return 0 * point[0] + jnp.inf if self.at_infinity else norm(self.place - point)
 
 
 def _curve_point(curve: Curves, t: Scalar, eye: Eye) -> Float[Array, "3"]:
-    """The point of one curve at t in [0, 1], m."""
+    """Return the point of one curve at t in [0, 1], m."""
     away = 0 * curve.radius
     if not eye.at_infinity:
         away = jnp.minimum(divide(curve.radius, norm(eye.place - curve.start)), 1)
@@ -213,14 +215,15 @@ def _curve_point(curve: Curves, t: Scalar, eye: Eye) -> Float[Array, "3"]:
 def _beside(
     curve: Curves, t: Scalar, eye: Eye, side: float = 1.0, lifted: Any = 1.0
 ) -> tuple[Array, Array]:
-    """A point a little outside of an outline, and a little from it toward the eye, m."""
+    """Return a point a little outside an outline, and that point moved a little toward the eye,
+    m."""
     away = _curve_point(curve, t, eye) - curve.centre
     point = curve.centre + (1 + side * _BESIDE) * away
     return point, point + lifted * _BESIDE * norm(away) * eye.direction(point)
 
 
 def _reaches(point: Float[Array, "3"], eye: Eye, blocking: Sorted) -> Array:
-    """Whether nothing lies between a point and an eye."""
+    """Whether nothing blocks the line from a point to an eye."""
     return ~occluded(point, 0 * point, eye.direction(point), eye.distance(point), blocking)
 
 
@@ -234,8 +237,8 @@ def _eye(view: View, u: Float[Array, "2"] | None) -> Eye:
 def _imaged(
     view: View, point: Float[Array, "3"], u: Float[Array, "2"] | None
 ) -> tuple[Float[Array, "2"], Array]:
-    """The position in the picture of a point seen through a place of the lens, and whether it is in
-    front of the camera."""
+    """Return the position in the picture of a point that is seen through one point of the lens, and
+    whether it is in front of the camera."""
     forward = view.rotation[2]
     ahead = dot(forward, point - view.position) > 0
     ahead = ahead & jnp.all(jnp.isfinite(point))
@@ -259,8 +262,9 @@ def _imaged(
 
 
 def _lengths(view: View, ends: Array, ahead: Array, shown: Array) -> Float[Array, " cells"]:
-    """The lengths in pixels of the cells of a curve, straight between `ends` (cells + 1, 2), within
-    the picture and a pixel around it. What seems hidden counts a twentieth."""
+    """Return the lengths, in pixels, of the cells of a curve within the picture and a pixel around
+    it. Cells are straight between `ends`, (cells + 1, 2). Cells that seem hidden get a twentieth of
+    their length."""
     begin, way = ends[:-1], ends[1:] - ends[:-1]
     way = jnp.where(jnp.abs(way) < 1e-9, 1e-9, way)
     far = jnp.array([[size + 0.5 for size in view.resolution]], begin.dtype)
@@ -273,9 +277,10 @@ def _lengths(view: View, ends: Array, ahead: Array, shown: Array) -> Float[Array
 
 
 def _spread(lengths: Float[Array, "curves cells"], count: int) -> tuple[Array, Array, Array, Array]:
-    """Nodes at equal distances along curves, whose cells have these lengths: (curve, cell, place in
-    it from 0 to 1, share of the cell that the node stands for), (count,) each. No node stands for
-    parts of two curves, which would err at the corners of a shape."""
+    """Place nodes at equal distances along curves whose cells have these lengths. Return for each
+    node the curve, the cell, the position in the cell from 0 to 1, and the share of the cell that
+    the node represents, (count,) each. No node represents parts of two curves, because that would
+    be wrong at the corners of a shape."""
     whole = lengths.sum(axis=1)
     ends = jnp.cumsum(whole)
     last = jnp.round(count * (ends / or_one(ends[-1]))).astype(jnp.int32)
@@ -296,7 +301,7 @@ def _row(tree: Any, index: Array) -> Any:
 
 
 def _across(tangent: Float[Array, "2"]) -> Float[Array, "2"]:
-    """The unit normal of a curve with this tangent."""
+    """Return the unit normal of a curve with this tangent."""
     normal = jnp.stack([-tangent[1], tangent[0]])
     return divide(normal, safe_sqrt((normal * normal).sum()))
 
@@ -304,8 +309,9 @@ def _across(tangent: Float[Array, "2"]) -> Float[Array, "2"]:
 def _integral(
     view: View, place: Array, stretch: Array, velocity: Array, use: Array, jump: Array
 ) -> Image:
-    """The area that each stretch (n, 2) of a curve about its place (n, 2) sweeps toward its normal,
-    times the jump (n, bands) of the radiance there, spread along the stretch in the picture."""
+    """Return the picture to which each stretch (n, 2) of a curve adds the area that it sweeps
+    toward its normal, times the jump (n, bands) of the radiance. The sum is spread along the
+    stretch, whose middle is `place` (n, 2)."""
     use = use & jnp.all(jnp.isfinite(jnp.concatenate([place, stretch], axis=1)), axis=1)
     swept = velocity[:, 1] * stretch[:, 0] - velocity[:, 0] * stretch[:, 1]
     value = jnp.where(use, swept, 0)[:, None] * jump / _PIECES
@@ -320,7 +326,7 @@ def _integral(
     return flat.at[number].add(each, mode="drop").reshape(height, width, -1)
 
 
-# (scene, ray, its encounter, number of the node) -> all radiance along the ray, W m^-2 sr^-1
+# (scene, ray, its encounter, index of the node) -> the whole radiance along the ray, W m^-2 sr^-1
 Seen = Callable[[Scene, Ray, Encounter, Array], Colour]
 # (scene, ray, its encounter and hit, light) -> radiance by that light alone, W m^-2 sr^-1
 Under = Callable[[Scene, Ray, Encounter, Hit, Incident], Colour]
@@ -337,8 +343,9 @@ def moving_edges(
     bands: int,
     sampled: bool,
 ) -> Image:
-    """A picture of zeros, (h, w, bands), whose derivative is that of moving edges. `sampled`:
-    whether rays are spread over a lens. `rules`: of the lamps, None where none casts shadows."""
+    """Return a picture of zeros, (h, w, bands), whose derivative is that of moving edges.
+    `sampled`: whether rays are spread over a lens. `rules`: one for each lamp; None if nothing
+    casts shadows."""
     if any(isinstance(surface.shape, TriangleMesh) for surface in scene.surfaces):
         warn_caller("render: edges has no outlines of triangle meshes, which are neglected.")
     moving, rest = eqx.partition((scene, view), _can_move(scene, view))
@@ -404,7 +411,7 @@ def _outline_integral(
     *,
     sampled: bool,
 ) -> Image:
-    """The derivative of outlines that the camera sees, along `motion`."""
+    """Return the derivative, along `motion`, that comes from outlines seen by the camera."""
     scene, view = again(moving)
     dtype, count = view.pixel_pitch.dtype, edges.nodes * 2 * sum(view.resolution)
     lens = _lattice(count, dtype)[:, :2] if sampled and isinstance(view, ThinLens) else None
@@ -453,8 +460,8 @@ def _outline_integral(
             return ray, met.shape, seen(scene, ray, met, number), ends
 
         rays, met, radiance, ends = jax.vmap(beside)(jnp.asarray(_SIDES, dtype))
-        use = (curve.shape < 0) | jnp.any(ends)  # the shape ends there, in front of all others
-        # where two shapes end in one edge, it is among the outlines of both
+        use = (curve.shape < 0) | jnp.any(ends)  # the shape has an edge there, in front of others
+        # an edge that two shapes share is an outline of both, so each counts half
         through = jax.vmap(lambda ray, other: meets(ray, shapes, other))(rays, met[::-1])
         both = jnp.all(met >= 0) & (met[0] != met[1]) & ~jnp.any(through)
         return jnp.where(use, jnp.where(both, 0.5, 1.0), 0.0) * (radiance[0] - radiance[1])
@@ -475,7 +482,8 @@ def _shadow_integral(
     *,
     sampled: bool,
 ) -> Image:
-    """The derivative of the shadows of one group of equal lamps, along `motion`."""
+    """Return the derivative, along `motion`, that comes from shadows under one group of lamps of
+    equal structure."""
     scene, view = again(moving)
     curves = _curves(_blocking_outlines(scene))
     members, lamps, rule = lights_by_rule(scene.lights, rules)[which]
@@ -490,7 +498,7 @@ def _shadow_integral(
     lens = lattice[:, :2] if sampled and isinstance(view, ThinLens) else None
 
     def eye_of(lamp: Light, point: Array, u: Array) -> Eye:
-        """The place of a lamp that a point sees by the numbers `u`."""
+        """Return the point of a lamp that a point sees for the uniform numbers `u`."""
         arriving = incident_sample(lamp, rule, point, u, jnp.ones((), dtype))
         toward = as_array(arriving.direction)
         if arriving.distance is None:
@@ -504,14 +512,15 @@ def _shadow_integral(
     def cast(
         point: Array, eye: Eye, met: Encounter, u: Array | None, again: tuple[Sorted, View]
     ) -> tuple[Array, Array, Array]:
-        """Where the shadow of a point is seen in the picture, whether it is, and the shadow, m."""
+        """Return where the shadow of a point is in the picture, whether it is visible, and the
+        position of the shadow, m."""
         hit = hit_shape(Ray(point, -eye.direction(point)), again[0], met)
         shadow = as_array(hit.point)
         place, ahead = _imaged(again[1], shadow, u)
         return place, ahead & (hit.distance < jnp.inf), shadow
 
     def cells(lamp: Light, curve: Curves, u: Array) -> Array:
-        """Lengths of the cells of one curve in the picture."""
+        """Return the lengths in the picture of the cells of one curve's shadow."""
         eye = eye_of(lamp, curve.centre, u)
 
         def end(t: Array) -> tuple[Array, Array, Array]:
@@ -524,7 +533,7 @@ def _shadow_integral(
     some = lattice[:4, 2:] if extended else lattice[:1, 2:]
     each = jax.vmap(jax.vmap(jax.vmap(cells, (None, None, 0)), (None, 0, None)), (0, None, None))
     lengths = each(lamps, curves, some).mean(2).reshape(-1, _CELLS)
-    if extended:  # a curve that these places of the lamp do not show may be seen from others
+    if extended:  # a curve that casts no shadow from these points of the lamp may do so from others
         lengths = lengths + 0.2 * lengths.mean()
     number, cell, within, share = jax.lax.stop_gradient(_spread(lengths, count))
     t, step = (cell.astype(dtype) + within) / _CELLS, share / _CELLS
@@ -546,7 +555,7 @@ def _shadow_integral(
         ray, across = view_ray(view, at[0], at[1], u=u), _across(tangent)
         hit = hit_shape(ray, shapes, met)
         seen = as_array(hit.point)
-        # the camera sees the receiver there, on both sides
+        # the camera must see the receiving surface on both sides of the shadow's edge
         use = ahead & (met.shape >= 0) & (met.shape != curve.shape)
         use = use & (norm(shadow - seen) < 1e-3 * norm(seen - as_array(ray.origin)))
 
@@ -555,13 +564,13 @@ def _shadow_integral(
 
         there = jax.vmap(beside)(_SEEN_BESIDE * jnp.asarray(_SIDES, dtype))
         use = use & jnp.all(there == met.shape)
-        # the lamp shines past the shape, which ends there on the side of the lamp; the second start
-        # leaves a box where its surface is lit, but not where it is in the box's own shadow
+        # The lamp must shine past the outline, on both sides of it. The ray from `inside` is free
+        # if the box's surface is lit there, and blocked if it lies in the box's own shadow.
         outside = _beside(curve, t, eye)[1]
         inside = _beside(curve, t, eye, -0.1, jnp.where(curve.flat, 1.0, 10.0))[1]
         starts = jnp.stack([outside, jnp.where(curve.kind == _LIMB, outside, inside)])
         use = use & jnp.all(jax.vmap(lambda start: _reaches(start, eye, blocking))(starts))
-        # the light of that place of the lamp, for a unit of the numbers `of_lamp`
+        # the light from that point of the lamp, per unit of the uniform numbers `of_lamp`
         own, arriving = of_lamp, incident_sample(lamp, rule, seen, of_lamp, jnp.ones((), dtype))
         if extended and not eye.at_infinity:
             toward = eye.direction(seen)
@@ -585,7 +594,7 @@ def _shadow_integral(
             lamp: Light, curve: Curves, t: Array, u: Array | None, met: Encounter, at: Any, own: Any
         ) -> Array:
             point = curve.centre
-            if extended:  # from the fixed ray of the camera, by the same numbers of the lamp
+            if extended:  # the point on the camera's fixed ray; the lamp keeps its uniform numbers
                 point = as_array(hit_shape(view_ray(view, *at, u=u), shapes, met).point)
             eye = eye_of(lamp, point, own)
             return cast(_curve_point(curve, t, eye), eye, met, u, (shapes, view))[0]
@@ -601,8 +610,8 @@ def _shadow_integral(
 def _same_direction(
     direction: Callable[[Array], Array], wanted: Array, start: Float[Array, "2"]
 ) -> Float[Array, "2"]:
-    """The numbers, (2,) in the unit square, with a wanted direction, by Gauss and Newton; `start`
-    where there are none."""
+    """Find the numbers, (2,) in the unit square, that give the `wanted` direction, by the
+    Gauss-Newton method; return `start` if there are none."""
 
     def missing(u: Array) -> Array:
         return direction(u) - wanted
@@ -618,26 +627,28 @@ def _same_direction(
 
 
 def _seen_outlines(scene: Scene) -> Sequence[tuple[int, Shape | RectangleLight]]:
-    """The shapes with outlines for a camera, with the numbers of their surfaces; -1 for a lamp."""
+    """Return the shapes whose outlines a camera can see, with the indices of their surfaces; -1 for
+    a lamp."""
     shapes = [surface.shape for surface in scene.surfaces]
     lamps = [(-1, light) for light in scene.lights if isinstance(light, RectangleLight)]
     return [(i, s) for i, s in enumerate(shapes) if not isinstance(s, TriangleMesh)] + lamps
 
 
 def _blocking_outlines(scene: Scene) -> Sequence[tuple[int, Shape]]:
-    """The shapes with outlines for a lamp; a plane has none."""
+    """Return the shapes that have an outline as seen from a lamp; a plane has none."""
     numbers = range(len(scene.surfaces)) if scene.occluders is None else scene.occluders
     own = [(i, scene.surfaces[i].shape) for i in numbers]
     return [(i, shape) for i, shape in own if not isinstance(shape, Plane | TriangleMesh)]
 
 
 def _lattice(count: int, dtype: Any) -> Float[Array, "count 4"]:
-    """Evenly spread points of the unit cube of four dimensions."""
+    """Return evenly spread points of the four-dimensional unit cube."""
     return jnp.asarray((np.arange(count)[:, None] + 0.5) * _STEPS % 1, dtype)
 
 
 def _aside(view: View) -> float:
-    """Pixels from an edge to the rays that measure the jump across it: above rounding, and near
-    enough for the limb of a sphere, where the radiance changes like a square root."""
+    """Return the distance, in pixels, from an edge to the rays that measure the jump across it. It
+    exceeds rounding errors, and is small enough for the limb of a sphere, where the radiance
+    changes like a square root."""
     eps = float(jnp.finfo(view.pixel_pitch.dtype).eps)
     return max(16 * eps * max(view.resolution), 0.3 * eps**0.5)

@@ -55,7 +55,8 @@ def hemisphere_radiance(
     polar: int = 32,
     azimuths: int = 64,
 ) -> Estimate:
-    """The integral over the hemisphere by Gauss-Legendre in cos(theta) times the trapezium rule.
+    """Integrate over the hemisphere by Gauss-Legendre nodes in cos(theta) times the trapezium rule
+    in the azimuth phi.
 
     Args:
         material: of the surface.
@@ -68,12 +69,12 @@ def hemisphere_radiance(
         azimuths: static, nodes in phi, >= 2.
 
     Returns:
-        The integral. Its error is the difference to the rule of half as many nodes along each axis.
-        That is far above the true error for smooth light and surfaces, and close to it for light
-        with edges. It misses a lobe or a light that falls between all nodes, such as a mirror.
+        The integral. Its error is the difference from the result with half as many nodes along each
+        axis. It is far above the true error for smooth light and surfaces, and close to it for
+        light with edges. Neither rule sees a lobe or a light between all nodes, such as a mirror's.
 
     Raises:
-        ValueError: for fewer than 2 nodes either way.
+        ValueError: for fewer than 2 nodes along an axis.
 
     Example:
         A Lambert surface of albedo 0.5 under radiance 1 from everywhere reflects 0.5.
@@ -114,7 +115,7 @@ def sampled_radiance(
     samples: int,
     tangent: Vector | None = None,
 ) -> Estimate:
-    """The integral over the hemisphere by random directions from the material's sampler.
+    """Estimate the integral over the hemisphere by random directions from the material's sampler.
 
     Args:
         key: random key.
@@ -130,7 +131,8 @@ def sampled_radiance(
         ValueError: for fewer than 2 samples.
 
     Example:
-        Directions drawn in proportion to the cosine meet even light without scatter.
+        For directions drawn in proportion to the cosine, uniform light gives samples without
+        scatter.
 
         >>> up, grey = jnp.array([0.0, 0.0, 1.0]), jv.Lambert([0.5 / np.pi])
         >>> key, even = jax.random.key(0), lambda wi: jnp.ones(1)

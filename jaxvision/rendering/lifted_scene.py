@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..scene import Map, Scene
 from ..spectra import rgb_to_reflectance
 
-# of materials and of the interfaces that they hold: reflectances, or k_d in sr^-1
+# fields of materials and of their interfaces that are reflectances, or k_d in sr^-1
 _REFLECTANCES = {
     *("diffuse", "specular", "ambient", "reflectance", "f0"),
     *("body_spectrum", "interface_spectrum"),
@@ -110,7 +110,7 @@ def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str =
 
 
 def _neutral(place: str, value: Array) -> Array:
-    """(..., 1), the value that all three bands share."""
+    """Return the value that all three bands share, (..., 1)."""
     if not is_known(value) or bool((value != value[..., :1]).any()):
         raise InputError(
             f"{place} differs from band to band, and RGB does not tell its spectrum; give it at "

@@ -28,9 +28,9 @@ def render_light_field(
         scene: behind the aperture.
         aperture, focal: two parallel windows, corners in m; each ray passes through one point of
             both.
-        resolution: samples (s, t, u, v), s and t on the aperture; the outermost lie on the windows'
-            rims, and the single sample of an axis of length 1 at its start.
-        rule: of the samples of extended lights without a rule of their own; a random rule draws
+        resolution: numbers of samples (s, t, u, v), s and t on the aperture. The outermost samples
+            lie on the rims of the windows. An axis with one sample has it at its start.
+        rule: sampling rule for extended lights without a rule of their own; a random rule draws
             anew for each ray.
 
     Returns:

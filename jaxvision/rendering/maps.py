@@ -1,11 +1,12 @@
-"""Materials that vary over a surface, taken at one point or averaged over the footprint of a pixel.
+"""Materials that vary over a surface, at one point or averaged over the footprint of a pixel.
 
 Between the centres of texels a map is bilinear. The footprint is a box in texture coordinates, with
-sides along u and v. It has the variances of the parallelogram onto which the pixel's rays project,
-and is that parallelogram where its sides lie along u and v. The integral over the box is exact. A
-box over an axis covers parts of two texels at each end, and whole texels between. The sums of whole
-texels are differences of a summed-area table (Crow, SIGGRAPH 1984), kept as two numbers each, so
-that differences of large sums lose no digits. For ONE point; the caller vmaps. Lengths in metres.
+sides along u and v. It has the variances along u and v of the parallelogram onto which the pixel's
+rays project, and equals this parallelogram if its sides lie along u and v. The integral over the
+box is exact. Along an axis, the box covers parts of two texels at each end, and whole texels
+between. The sums of whole texels are differences of a summed-area table (Crow, SIGGRAPH 1984). Each
+entry is stored as two numbers, so that differences of large sums lose no digits. For ONE point; the
+caller vmaps. Lengths in metres.
 """
 
 from typing import Any
@@ -31,9 +32,9 @@ _WIDEST = 2.0**20  # texels; a wider box is cut to it
 
 
 class Summed(Varying):
-    """A map with its summed-area table. `values`, `uv`, `wrap`: the map's. `mean`: (...) of its
-    values, taken off before summing. `high`, `low`: (rows + 1, columns + 1, ...) whose sum is the
-    table: entry (i, j) sums the texels above i and left of j."""
+    """A map with its summed-area table. `values`, `uv`, `wrap`: as in the map. `mean`: (...) of its
+    values, subtracted before summing. `high`, `low`: (rows + 1, columns + 1, ...); their sum is the
+    table, whose entry (i, j) sums the texels above row i and left of column j."""
 
     values: Array
     uv: Array | None
@@ -44,8 +45,8 @@ class Summed(Varying):
 
 
 class Varied(eqx.Module):
-    """The surfaces of a scene that maps vary: their shapes, their normals or None, and their
-    numbers."""
+    """The surfaces of a scene that have maps: their shapes, their normal maps or None, and their
+    indices."""
 
     shapes: tuple[Shape, ...]
     normals: tuple[Any, ...]
@@ -53,9 +54,9 @@ class Varied(eqx.Module):
 
 
 class Patch(eqx.Module):
-    """The piece of a surface that a ray meets. `point`: m. `own`: the shape's coordinates.
-    `tilted`: unit shading normal of a map, or None. `steps`: m along the surface from one pixel to
-    the next row and column; None for a point."""
+    """The piece of a surface that a ray meets. `point`: m. `own`: texture coordinates of the shape.
+    `tilted`: unit shading normal from a map, or None. `steps`: m along the surface from one pixel
+    to the next row and column; None for a point without extent."""
 
     point: Vec
     own: Coordinates
@@ -70,7 +71,7 @@ class Patch(eqx.Module):
 def material_at(
     material: Material, uv: Float[Array, "2"], *, width: Float[Array, "2"] | None = None
 ) -> Material:
-    """Return a material at one place of its surface, with plain numbers in place of maps.
+    """Evaluate a material at one point of its surface, with plain numbers in place of maps.
 
     Args:
         material: any material, with or without maps.
@@ -104,13 +105,13 @@ def material_at(
 
 
 def at_patch(record: Any, patch: Patch) -> Any:
-    """A record with numbers in place of its maps, in their units; each map is `Summed` where the
-    patch has steps."""
+    """Replace the maps of a record by their values at a patch. If the patch has steps, each map
+    must be `Summed`."""
     return replace_maps(record, lambda own: _value(own, patch))
 
 
 def _value(own: Any, patch: Patch) -> Array:
-    """The value of one map at a patch, in the unit of its values."""
+    """Return the value of one map at a patch, in the map's unit."""
     here = _coordinates(own.uv, patch)
     rows, columns = own.values.shape[:2]
     if patch.steps is None or not isinstance(own, Summed):
@@ -130,7 +131,8 @@ def _value(own: Any, patch: Patch) -> Array:
 
 
 def _coordinates(uv: Array | None, patch: Patch) -> Coordinates:
-    """The coordinates of a map: those of the shape, or as its `uv` maps them or the world to it."""
+    """Return the coordinates of a map: those of the shape if `uv` is None, else the affine image
+    under `uv` of the shape's coordinates, or of the point in the world for a `uv` of (2, 4)."""
     own = patch.own
     if uv is None:
         return own
@@ -146,9 +148,10 @@ def _coordinates(uv: Array | None, patch: Patch) -> Coordinates:
 def _between(
     place: Scalar, count: int, wrap: str
 ) -> tuple[tuple[Int[Array, ""], Int[Array, ""]], Scalar]:
-    """The two texels around a place, in maps from the border, and the share of the second."""
+    """Return the two texels around a position, and the weight of the second. The position is in
+    units of the map's width from its border."""
     x = (place - jnp.floor(place) if wrap == "repeat" else place) * count - 0.5
-    x = jnp.clip(x, -0.5, count - 0.5)  # beyond it "clamp" continues the border, as does NaN
+    x = jnp.clip(x, -0.5, count - 0.5)  # beyond the map, "clamp" continues the border
     first = jnp.floor(x)
     k = first.astype(jnp.int32)
     if wrap == "repeat":
@@ -159,12 +162,13 @@ def _between(
 def _pieces(
     place: Scalar, width: Scalar, count: int, wrap: str
 ) -> tuple[Int[Array, "6"], Float[Array, "5"]]:
-    """The six texel borders that divide a box over one axis into five pieces, and the weight of
-    each piece's texels in the mean over the box. `width`: in maps."""
+    """Return the six texel borders that divide a box along one axis into five pieces, and the
+    weight of each piece's texels in the mean over the box. `place`, `width`: in units of the map's
+    width."""
     if wrap == "repeat":
         place, half = place - jnp.floor(place), jnp.clip(width * count, _NARROWEST, _WIDEST) / 2
         start, length = place * count - 0.5 - half, 2 * half
-    else:  # the box ends at the border; texels are counted from one that continues it
+    else:  # the box ends at the map's border; texel 0 is a copy of the border texel outside
         low = jnp.clip(place * count - 0.5 - width * count / 2, -0.5, count - 0.5 - _NARROWEST)
         high = jnp.clip(place * count - 0.5 + width * count / 2, -0.5, count - 0.5)
         start, length = low + 1, jnp.maximum(high - low, _NARROWEST)
@@ -174,7 +178,8 @@ def _pieces(
     last = jnp.floor(end)
 
     def share(i: Scalar | float) -> Scalar:
-        """The integral over the box of the hat of texel i, counted from the first."""
+        """Return the integral over the box of the hat function of texel i, counted from the
+        first."""
         a, b = jnp.clip(begin, i - 1, i), jnp.clip(end, i - 1, i)
         c, d = jnp.clip(begin, i, i + 1), jnp.clip(end, i, i + 1)
         return (b - a) * ((a + b) / 2 - i + 1) + (d - c) * (i + 1 - (c + d) / 2)
@@ -186,20 +191,22 @@ def _pieces(
 
 
 def _sums(table: Array, rows: Int[Array, "6"], columns: Int[Array, "6"]) -> Array:
-    """(5, 5, ...) the sums of the texels in the pieces of a box, from a table."""
+    """Return the sums of the texels in the pieces of a box, (5, 5, ...), from a summed-area
+    table."""
     height, width = (size - 1 for size in table.shape[:2])
     i, j = jnp.append(rows % height, height), jnp.append(columns % width, width)
     part = table.at[i[:, None], j].get(mode="promise_in_bounds")
     for axis, borders in enumerate((rows, columns)):
         part = jnp.moveaxis(part, axis, 0)
         turns = jnp.diff(borders // (height, width)[axis]).astype(part.dtype)
-        whole = turns.reshape(-1, *(1,) * (part.ndim - 1)) * part[6][None]  # of the maps in between
+        # the sum over whole repetitions of the map inside a piece
+        whole = turns.reshape(-1, *(1,) * (part.ndim - 1)) * part[6][None]
         part = jnp.moveaxis(jnp.diff(part[:6], axis=0) + whole, 0, axis)
     return part
 
 
 def summed(own: Map) -> Summed:
-    """A map with its summed-area table, in the unit of its values."""
+    """Compute the summed-area table of a map, in the unit of its values."""
     values = own.values
     mean = jax.lax.stop_gradient(values.mean(axis=(0, 1), keepdims=True))
     rest = values - mean
@@ -215,7 +222,8 @@ def summed(own: Map) -> Summed:
 
 
 def _sum_of_pairs(a: tuple[Array, Array], b: tuple[Array, Array]) -> tuple[Array, Array]:
-    """The sum of two numbers, each given as two of which the second is the rounding of the first.
+    """Add two numbers, each given as a pair (value, rounding error).
+
 
     Source: Dekker, Numerische Mathematik 18 (1971)."""
     high = a[0] + b[0]
@@ -229,7 +237,7 @@ def _sum_of_pairs(a: tuple[Array, Array], b: tuple[Array, Array]) -> tuple[Array
 
 
 def varied_surfaces(scene: Scene) -> Varied | None:
-    """The surfaces of a scene that maps vary, lengths in m; None where there are none."""
+    """Return the surfaces of a scene that have maps, lengths in m; None if there are none."""
     found = [i for i, own in enumerate(scene.surfaces) if any(True for _ in maps_of(own))]
     if not found:
         return None
@@ -245,7 +253,8 @@ def patch_of(
     *,
     seen: PixelRay | None = None,
 ) -> Patch:
-    """The patch of a hit on one of the numbered surfaces; `seen` gives it the size of a pixel."""
+    """Return the patch of a hit on one of the surfaces with maps; `seen` gives it the size of a
+    pixel."""
     steps = None
     if seen is not None:
         steps = _step(seen.ray, seen.by_row, hit), _step(seen.ray, seen.by_column, hit)
@@ -263,12 +272,12 @@ def patch_of(
         if normals is not None:
             x, y, z = _value(normals, Patch(point, here, None, steps))
             along = _coordinates(normals.uv, Patch(point, here, None, None))
-            # of growing u with v unchanged, along the surface
+            # the direction along the surface in which u grows and v is constant
             way = cross(along.along_v, hit.normal)
             way = way * jnp.where(dot(way, along.along_u) < 0, -1, 1)
             right = as_vec(normalize(way - dot(way, shading) * shading))
             up = cross(shading, right)
-            if isinstance(shape, TriangleMesh):  # whose charts may be mirrored
+            if isinstance(shape, TriangleMesh):  # texture coordinates of meshes may be mirrored
                 up = up * jnp.where(dot(up, along.along_v) > 0, -1, 1)
             found = as_vec(normalize(x * right + y * up + z * shading))
             tilted = where(surface == number, found, tilted)
@@ -279,7 +288,7 @@ def patch_of(
 
 
 def _step(ray: Ray, change: Ray, hit: Hit) -> Vec:
-    """The step along the surface, m, from one pixel to the next."""
+    """Return the step along the surface, m, from one pixel to the next."""
     distance = jnp.where(hit.distance < jnp.inf, hit.distance, 0)
     aside = change.origin + distance * change.direction
     slope = dot(hit.normal, ray.direction)

@@ -28,17 +28,18 @@ from ..optics import view_ray
 from ..point_ops import srgb_encode
 from ..scene import ThinLens, View
 
-# Rays at once: cores share each loop over a block, which must be long beside the start of a task.
+# Rays at once. The cores share each loop over a block, so that the loop must take much longer than
+# the start of a task.
 BLOCK = 65536
-WHITE = 0.99  # quantile of the radiance that a notebook shows white
+WHITE = 0.99  # quantile of the radiance that a notebook shows as white
 
-# From a block of rays, of components (n,), and their samples, of pixels (n,), to radiance in
-# W m^-2 sr^-1: (n, bands), or one (n,) for each band.
+# A function from a block of rays, components (n,), and their samples, of pixels (n,), to the
+# radiance in W m^-2 sr^-1: one array (n, bands), or a tuple of (n,) for each band.
 Along = Callable[[Any, Stream], Any]
 
 
 class PixelRay(eqx.Module):
-    """The ray of a pixel, and its derivatives by row and column, per pixel."""
+    """The ray of a pixel, and its derivatives with respect to row and column, per pixel."""
 
     ray: Ray
     by_row: Ray
@@ -85,7 +86,7 @@ class Traced(Shown):
             no sample meets a rare bright path, and inf for one sample.
 
     Example:
-        No path of this room differs from another, so that their mean has no error.
+        All paths in this room give the same radiance, so their mean has no error.
 
         >>> grey = jv.Lambert([0.5 / np.pi])
         >>> wall = jv.Surface(jv.Sphere([0, 0, 0], 1), grey, [0.5], two_sided=True)
@@ -101,14 +102,14 @@ class Traced(Shown):
 
     @property
     def relative_error(self) -> Scalar:
-        """The rms standard error over the rms radiance, of all finite numbers, as the command
-        `jaxvision render` prints it. Four times the samples halve it."""
+        """The RMS of the standard error divided by the RMS of the radiance, over all finite values,
+        as the command `jaxvision render` prints it. Four times as many samples halve it."""
         known = jnp.isfinite(self.radiance) & jnp.isfinite(self.error)
         light, error = (jnp.where(known, x, 0) for x in (self.radiance, self.error))
         return safe_sqrt(divide(jnp.sum(error**2), jnp.sum(light**2)))
 
     def _repr_html_(self) -> str:
-        """The picture for a notebook, if it is an image, with the table."""
+        """Return the table for a notebook, with a picture if the radiance is an image."""
         table = super()._repr_html_()
         if not is_known(self.radiance) or not np.size(self.radiance) or self.radiance.ndim < 3:
             return table
@@ -116,8 +117,8 @@ class Traced(Shown):
 
 
 def _encoded(radiance: Spectrum) -> np.ndarray:
-    """Return a picture (h, w, 1 or 3) of the first in a batch, with white at the 99th percentile.
-    For other numbers of bands than three it is their mean."""
+    """Return a picture (h, w, 1 or 3) of the first image in a batch, with white at the 99th
+    percentile. If there are not three bands, it shows their mean."""
     seen = np.asarray(radiance, float).reshape(-1, *radiance.shape[-3:])[0]
     if seen.shape[2] != 3:
         seen = seen.mean(axis=2, keepdims=True)
@@ -137,7 +138,7 @@ def photograph(
     several: bool = True,
     wide: bool = False,
 ) -> Traced:
-    """The values of a view's pixels.
+    """Compute the radiance of a view's pixels.
 
     Args:
         along: function from a block of rays to radiance.
@@ -150,7 +151,7 @@ def photograph(
             pixel keeps; everything else is recomputed, block by block.
         several: whether a device with enough memory computes several samples of each pixel at once,
             by `vmap` of `along`.
-        wide: whether `along` takes a `PixelRay` for each pixel; of one ray per pixel.
+        wide: whether `along` takes a `PixelRay` for each pixel; only for one ray per pixel.
 
     Returns:
         (n, bands), or (h, w, bands) for the whole picture, in W m^-2 sr^-1.
@@ -202,7 +203,7 @@ def photograph(
 
 
 def each(along: Callable[[Any, Stream], Any]) -> Along:
-    """A function of a block of rays from the function of one ray.
+    """Turn a function of one ray into a function of a block of rays.
 
     Args:
         along: function from one ray and its sample to radiance, W m^-2 sr^-1.
@@ -221,7 +222,7 @@ def each(along: Callable[[Any, Stream], Any]) -> Along:
 
 
 def numbers_of(stream: Stream) -> tuple[Array, ...]:
-    """The identity of a sample.
+    """Return the numbers that identify a sample.
 
     Args:
         stream: the sample.
@@ -235,7 +236,7 @@ def numbers_of(stream: Stream) -> tuple[Array, ...]:
 
 @takes_numbers
 def sample_ray(view: View, row: Scalar, column: Scalar, stream: Stream) -> Ray:
-    """The ray of one sample of a pixel.
+    """Return the ray of one sample of a pixel.
 
     It uses two random numbers, and two more for the position on a lens.
 
@@ -290,11 +291,12 @@ def in_blocks(
 def mean_of_samples(
     sample: Callable[[Word], Any], count: int, *, first: int | Word = 0, room: int = 1
 ) -> tuple[Any, Any]:
-    """The mean of samples and its standard error, in their unit. They are computed in sequence or,
-    if there is `room` for several, that many at once.
+    """Return the mean of samples and its standard error, in their unit. The samples are computed
+    one after the other, or up to `room` at once.
 
-    Source: Chan, Golub and LeVeque, The American Statistician 37(3) (1983), of groups of equal
-    size; of single samples it is Welford's, Technometrics 4(3) (1962). No sum of squares cancels.
+    Source: Chan, Golub and LeVeque, The American Statistician 37(3) (1983), for groups of equal
+    size; for single samples Welford, Technometrics 4(3) (1962). Neither subtracts large sums of
+    squares from each other.
     """
     sample = jax.jit(sample, inline=True)  # traced once for its shapes and the loop
     each = max(n for n in range(1, min(room, count) + 1) if count % n == 0)
@@ -337,8 +339,8 @@ def mean_of_samples(
 
 
 def check_lens(view: View) -> None:
-    """`ValueError` for a thin lens with a finite, known f-number, if one ray per pixel would show
-    it as a pinhole, with everything in focus."""
+    """Raise `ValueError` for a thin lens with a finite, known f-number. One ray per pixel would
+    show it as a pinhole, with everything in focus."""
     if isinstance(view, ThinLens) and is_known(view.f_number) and np.isfinite(view.f_number):
         raise ValueError(
             "a ThinLens defocuses by rays spread over its aperture: give samples, or use a Pinhole "

@@ -25,14 +25,14 @@ from ..scene import (
     View,
 )
 
-_ROUNDING = 1e-6  # of a length in float32
+_ROUNDING = 1e-6  # relative rounding error of a length in float32
 
 
 def scene_problems(
     scene: Scene, view: View, surfaces: Sequence[str], lights: Sequence[str]
 ) -> list[str]:
-    """One finding for each problem of a scene, which begins with the name of the surface or light;
-    none for a valid scene.
+    """Return one finding for each problem of a scene; none for a valid scene. A finding begins with
+    the name of the surface or light.
 
     Findings cover the problems of each shape (`geometry.problems`, except positions far from the
     origin); closed meshes turned inside out; emitters without area and lights without direction; a
@@ -88,8 +88,8 @@ def scene_problems(
 
 
 def idle_lamps(scene: Scene, *, lights: Sequence[str] | None = None) -> list[str]:
-    """One finding for each lamp that lights no surface, regardless of occlusion. It begins with the
-    lamp's name or its index in the scene.
+    """Return one finding for each lamp that lights no surface, regardless of occlusion. A finding
+    begins with the lamp's name or its index in the scene.
 
     A lamp is idle if it is black, if all surfaces lie behind a flat lamp, or if all of them show it
     their back. Ambient light is idle if no material has an ambient reflectance. Skies, light fields
@@ -139,7 +139,7 @@ def reflects_ambient(scene: Scene) -> bool:
 
 
 def _front(light: Light) -> tuple[np.ndarray, np.ndarray] | None:
-    """A point of a flat lamp and its emission direction; None for all others."""
+    """Return a point of a flat lamp and its emission direction; None for other lamps."""
     match light:
         case SmallLight():
             return _array(light.position), _array(light.normal)
@@ -156,14 +156,14 @@ def _reaches(shape: Shape, point: np.ndarray, normal: np.ndarray) -> bool:
         size = np.linalg.norm(shape.normal) * np.linalg.norm(normal)
         return bool(across > _ROUNDING * size or (_array(shape.point) - point) @ normal > 0)
     corners = np.stack(_corners_around(shape))
-    if isinstance(shape, Sphere | Disc):  # the whole ball, of which those are six points
+    if isinstance(shape, Sphere | Disc):  # the whole ball; `corners` has only some points of it
         centre, radius = _array(shape.centre), float(shape.radius)
         return bool((centre - point) @ normal > -radius * np.linalg.norm(normal))
     return bool(((corners - point) @ normal > 0).any())
 
 
 def _plane_of(shape: object) -> tuple[np.ndarray, np.ndarray] | None:
-    """A point, m, and the normal, of any length, of a flat shape; None for others."""
+    """Return a point, m, and the normal, of any length, of a flat shape; None for other shapes."""
     match shape:
         case Plane():
             return _array(shape.point), _array(shape.normal)
@@ -176,8 +176,8 @@ def _plane_of(shape: object) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _faces(surface: Surface, places: Sequence[np.ndarray], far: bool) -> bool:
-    """Whether any part of a surface faces one of a lamp's positions in m, or with `far`
-    directions."""
+    """Whether any part of a surface faces one of a lamp's `places`: positions in m, or directions
+    if `far`."""
     if (flat := _plane_of(surface.shape)) is None:
         return True
     start, normal = flat
@@ -187,8 +187,8 @@ def _faces(surface: Surface, places: Sequence[np.ndarray], far: bool) -> bool:
 
 
 def lost_numbers(exact: object, kept: object) -> list[str]:
-    """One finding for each field whose numbers become infinite, or all zero, in the dtype of
-    `kept`."""
+    """Return one finding for each field of `exact` whose numbers become infinite, or all zero, in
+    the dtype of `kept`."""
     found = []
     fields = jax.tree_util.tree_leaves_with_path(exact)
     for (place, before), after in zip(fields, map(np.asarray, jax.tree.leaves(kept)), strict=True):
@@ -209,7 +209,7 @@ def lost_numbers(exact: object, kept: object) -> list[str]:
 def is_inside(shape: Shape, point: np.ndarray) -> bool:
     """Return whether a point, (3,) m, is inside a closed shape.
 
-    A mesh counts as closed around the point where its triangles together cover most of all
+    A mesh counts as closed around the point if its triangles together cover more than half of all
     directions.
 
     Source:
@@ -237,11 +237,12 @@ def is_inside(shape: Shape, point: np.ndarray) -> bool:
 
 
 def _is_inside_out(shape: Shape) -> bool:
-    """Whether a mesh whose every edge has two triangles encloses a negative volume."""
+    """Whether a mesh is closed (each edge belongs to two triangles) and encloses a negative
+    volume."""
     if not isinstance(shape, TriangleMesh):
         return False
     corners = _corners(shape)
-    # by position, since files repeat a vertex where its texture or its normal jumps
+    # merge vertices by position: files repeat a vertex if its texture or its normal jumps there
     _, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     faces = faces.reshape(-1, 3)
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
@@ -253,7 +254,7 @@ def _is_inside_out(shape: Shape) -> bool:
 
 
 def _places(light: Light) -> list[np.ndarray]:
-    """Points of a light: its position, or its corners."""
+    """Return points of a light: its position, or its corners; none for other lights."""
     match light:
         case PointLight() | SmallLight():
             return [_array(light.position)]
@@ -264,7 +265,7 @@ def _places(light: Light) -> list[np.ndarray]:
 
 
 def _corners_around(shape: Shape) -> list[np.ndarray]:
-    """The outermost points of a shape in m; none for a plane."""
+    """Return points on the boundary of a shape, or its corners, in m; none for a plane."""
     match shape:
         case Sphere() | Disc():
             axes = np.eye(3)

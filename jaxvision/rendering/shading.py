@@ -2,10 +2,11 @@
 
     L(wo) = k_a L_a + sum_i E_i S(wi_i, wo)
 
-E_i is the irradiance of a facing surface from source i, and S the material's shading. For a BRDF, S
-is f_r cos+. Phong and the Gaussian lobe follow the textbook, without a cosine on the specular term
-(Szeliski, Computer Vision, section 2.2.2). Radiance in W m^-2 sr^-1, lengths in m. Direct light
-only. For ONE point: the caller vmaps.
+E_i is the irradiance from source i of a surface that faces it, S the material's shading, k_a its
+ambient reflectance and L_a the ambient radiance. For a BRDF f_r, S is f_r max(cos(theta_i), 0).
+Phong and the Gaussian lobe follow the textbook, without a cosine on the specular term (Szeliski,
+Computer Vision, section 2.2.2). Radiance in W m^-2 sr^-1, lengths in m. Direct light only. For ONE
+point: the caller vmaps.
 """
 
 from collections.abc import Callable, Sequence
@@ -52,8 +53,8 @@ class Lighting(eqx.Module):
     point: Vector  # (3,) m
     ambient: AmbientLight | None  # light from everywhere, or None
     place: Place | None  # the point and what may block light, or None where nothing does
-    # what comes through of each light, as `shadows.visibility` finds it, or None where nothing
-    # blocks
+    # which samples of each light reach the point, from `shadows.visibility`; None if nothing can
+    # block light
     visible: Visible | None
     # () each, whether a light was traced from any of the rays computed at once; None: all were
     traced: tuple[Bool[Array, ""], ...] | None = None
@@ -92,8 +93,8 @@ def outgoing_radiance(
             with a sun, needs `Balanced` (`lights.rules` has the figures).
         occluders: the shapes that block light, the surface's own included if it can; None or an
             empty sequence for none, without shadow rays.
-        leaving: offset of shadow rays from the surface, for an interpolated `normal` or a surface
-            of known size; None for an offset along `normal`.
+        leaving: offset of shadow rays from the surface, needed for an interpolated `normal` or a
+            surface of known size; None for an offset along `normal`.
 
     Returns:
         (bands,) W m^-2 sr^-1.
@@ -125,9 +126,9 @@ def lighting(
     rule: Rule | Sequence[Rule] = DEFAULT_RULE,
     occluders: Shapes | None = None,
 ) -> Lighting:
-    """The light on one point of a surface, m, including shadows, except for shadow rays whose
-    direction depends on the material. It is the input of `reflected_radiance` for any number of
-    materials."""
+    """Collect the light on one point of a surface, m, including shadows, except for shadow rays
+    whose direction depends on the material. The result is the input of `reflected_radiance` for any
+    number of materials."""
     rules = rule_of_each(lights, rule)
     place = visible = None
     if occluders is not None and (ready := sorted_shapes(occluders)).size is not None:
@@ -166,8 +167,8 @@ def reflected_bands(
 ) -> Bands:
     """`reflected_radiance` band by band, W m^-2 sr^-1.
 
-    The samples of one light, and more than eight lights at one place, are a loop over one piece of
-    code. Up to eight lights at one place are summed in one pass over the rays.
+    The samples of one light are summed by a loop, and so are more than eight lights without size.
+    Up to eight lights without size are summed in one pass over the rays.
     """
     frame, viewer = local_viewer(normal, wo, tangent)
     point, dtype = light.point, common_dtype(material, light, normal, wo)
@@ -186,7 +187,7 @@ def reflected_bands(
         source, visible, traced = item
         paired = rule if can_be_seen(source) and isinstance(rule, Balanced) else None
         own = None
-        if paired is not None:  # a direction from the material beside each one from the light
+        if paired is not None:  # one direction from the material for each one from the light
             key = jax.random.fold_in(paired.key, 0)
             own = jax.random.uniform(key, (paired.samples, 3), dtype)
 
@@ -215,7 +216,9 @@ def reflected_bands(
     for members, group, rule in lights_by_rule(light.lights, light.rules):
         passes = [None if light.visible is None else light.visible[i] for i in members]
         if can_be_seen(light.lights[members[0]]) or len(members) > UNROLLED:
-            known = [flags for flags in passes if flags is not None]  # of all members, or of none
+            known = [
+                flags for flags in passes if flags is not None
+            ]  # those of all members, or none
             flags = jnp.stack(known) if known else None
             traced = None
             if light.traced is not None:
@@ -235,7 +238,7 @@ def reflected_bands(
 
 
 def _seen_along(light: Lighting, direction: Vec) -> Colour:
-    """Radiance of the extended light that a mirror shows, W m^-2 sr^-1."""
+    """Return the radiance of the extended light that a mirror shows, W m^-2 sr^-1."""
     ahead = nearest_seen(light.lights, Ray(light.point, direction))
     passes = None if light.place is None else clear(light.place, direction, ahead.distance)
     return where_clear(passes, ahead.radiance)

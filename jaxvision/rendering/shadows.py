@@ -31,10 +31,12 @@ from ..lights import (
 )
 from ..scene import Light
 
-DEFAULT_RULE = Quadrature(8)  # 1e-5 off a quarter of its side below a square light
+# Its error is 1e-5 at a distance of a quarter of the side below a square light.
+DEFAULT_RULE = Quadrature(8)
 
-TRACED = "traced"  # what a search among all shapes found: few bytes, and expensive to find again
-UNROLLED = 8  # lights at one place, each of its own code; of more, a loop over one piece of code
+# marks results of a search among all shapes, which are small and expensive to recompute
+TRACED = "traced"
+UNROLLED = 8  # up to so many lights without size are unrolled; more are summed by a loop
 
 Visible = tuple[Bool[Array, " _"] | None, ...]
 
@@ -44,7 +46,7 @@ class Leaving(Shown):
 
     Attributes:
         normal: (3,) unit length, of the surface itself, not interpolated.
-        size: () m, as `geometry.Hit.size`; None for that of the largest shape.
+        size: () m, as `geometry.Hit.size`; None for the size of the largest shape.
 
     Example:
         >>> up, roof = jnp.array([0.0, 0.0, 1.0]), jv.Disc([0, 0, 2], [0, 0, 1], 1)
@@ -58,7 +60,7 @@ class Leaving(Shown):
 
 
 class Place(Shown):
-    """A point of a surface and the possible occluders of its lights.
+    """A point of a surface and the shapes that may block its light.
 
     Attributes:
         point: (3,) m.
@@ -86,7 +88,7 @@ def visibility(
     *,
     rule: Rule | Sequence[Rule] = DEFAULT_RULE,
 ) -> Visible:
-    """The samples of each light that reach a point. No gradient.
+    """Find which samples of each light reach a point. The result has no gradient.
 
     Args:
         lights: any number of sources.
@@ -96,8 +98,8 @@ def visibility(
         rule: sampling rule of extended lights, one for all or one for each light.
 
     Returns:
-        (samples,) for each light, no unit: one for a light without size; None for an extended light
-        under `Balanced`, whose rays depend on the material.
+        For each light, (samples,) whether each sample reaches the point. A light without size has
+        one sample. None for an extended light under `Balanced`, whose rays depend on the material.
 
     Example:
         >>> up, roof = jnp.array([0.0, 0.0, 1.0]), jv.Disc([0, 0, 2], [0, 0, 1], 1)
@@ -182,7 +184,7 @@ def samples_that_reach(place: Place, rule: Rule, light: Light) -> Bool[Array, " 
 
 
 def _light_comes_through(place: Place, light: Light) -> Bool[Array, ""]:
-    """Whether a light at one place reaches the point, in one loop over the rays."""
+    """Whether a light without size reaches the point, computed in one loop over all rays."""
     arriving, leaving = incident(light, place.point), place.leaving
     return ~blocked(
         place.point,

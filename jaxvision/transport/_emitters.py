@@ -1,10 +1,10 @@
-"""Emitters (lights and emissive surfaces) as paths find them: by next-event estimation or by
+"""Emitters (lights and emissive surfaces), which a path finds by next-event estimation or by
 hitting them.
 
 Next-event estimation picks one emitter uniformly, and a direction toward it. BRDF sampling may hit
-an emitter by chance. Both estimate the same integral, in which a light has no body: shadow rays and
-paths pass lights. Only a ray from the camera, directly or via mirrors and glass, stops at the
-nearest light. An emissive surface is a surface and blocks rays. Radiance in W m^-2 sr^-1, lengths
+an emitter by chance. Both estimate the same integral, in which lights block nothing: shadow rays
+and paths pass through them. Only a ray from the camera, directly or via mirrors and glass, stops at
+the nearest light. An emissive surface blocks rays. Radiance in W m^-2 sr^-1, lengths
 in m, densities in sr^-1. For ONE point or ray; the caller vmaps.
 """
 
@@ -41,7 +41,7 @@ from ..lights import (
 from ..scene import Light, Scene, Shape
 
 Strategy = Literal["lights", "surfaces", "balance", "power"]
-LARGEST = 256  # numbers in an array of a record that are gathered by each ray
+LARGEST = 256  # arrays of at most so many numbers are indexed by each ray
 
 
 class Emissive(eqx.Module):
@@ -69,7 +69,8 @@ class Toward(eqx.Module):
 
 class Emitters(eqx.Module):
     """The emitters of a scene, sorted once. `groups`: the emitters that can be sampled, stacked by
-    structure. `members`: static, their numbers. `lights`: lights that a ray can intersect.
+    structure. `members`: static, indices of the emitters of each group. `lights`: lights that a ray
+    can intersect.
     `emission`: (surfaces, bands) W m^-2 sr^-1 of each surface; None without emissive surfaces.
     `area`: (surfaces,) m^2, inf for an infinite surface. `two_sided`: (surfaces,). `count`: static,
     the number of emitters that can be sampled. `endless`: static, whether an infinite surface is
@@ -121,8 +122,8 @@ def emitters_of(scene: Scene) -> Emitters:
 
 
 def toward_emitter(emitters: Emitters, point: Vec, u: Float[Array, "3"]) -> Toward:
-    """One emitter, selected by u_2, and a direction toward it from `point`, m, by u_0 and u_1,
-    uniform in [0, 1). The irradiance, W m^-2, is an estimate for all emitters."""
+    """Select one emitter by u_2, and a direction toward it from `point`, m, by u_0 and u_1, all
+    uniform in [0, 1). The irradiance, W m^-2, estimates the sum over all emitters."""
 
     def toward(emitter: Light | Emissive) -> Toward:
         if isinstance(emitter, Emissive):
@@ -135,7 +136,7 @@ def toward_emitter(emitters: Emitters, point: Vec, u: Float[Array, "3"]) -> Towa
 
 
 def apply_to_drawn(emitters: Emitters, u: Scalar, function: Callable[[Any], Tree]) -> Tree:
-    """`function` applied to the emitter that `u`, uniform in [0, 1), selects."""
+    """Apply `function` to the emitter that `u`, uniform in [0, 1), selects."""
     count = emitters.count
     index = jnp.minimum((u * count).astype(jnp.int32), count - 1)
     found = call_member(emitters.members, emitters.groups, index, function)
@@ -169,7 +170,8 @@ def _toward_surface(emitter: Emissive, point: Vec, u: Float[Array, "2"]) -> Towa
     cosine = -dot(place.normal, direction)
     cosine = jnp.where(emitter.two_sided, jnp.abs(cosine), jnp.maximum(cosine, 0))
     solid_angle = whole * cosine * nearness * nearness
-    # as far above the emitter as a ray that leaves it starts: at a slant, so much farther
+    # The shadow ray ends as high above the emitter as a ray that leaves it would start. Along a
+    # slanted ray this height is a longer distance.
     own = offset_length(emitter.size + distance) * reciprocal(cosine)
     return Toward(
         direction,
@@ -188,9 +190,9 @@ def toward_each(
     shine: Callable[[Toward], Colour],
     bands: int,
 ) -> Colour:
-    """The sum over all emitters of `shine`, (bands,) W m^-2 sr^-1 for one direction toward an
-    emitter, at `point`, m. Each emitter is sampled by its rule, whose weights are included in its
-    irradiances."""
+    """Sum `shine` over all emitters, seen from `point`, m. `shine` maps one direction toward an
+    emitter to (bands,) W m^-2 sr^-1. Each emitter is sampled by its rule, and its irradiances
+    include the weights of the rule."""
     dtype = point.x.dtype
 
     def of_emitter(
@@ -276,7 +278,7 @@ def _shining_surface(
 ) -> tuple[Bool[Array, ""], Scalar]:
     """Whether a ray meets an emissive side of a surface, and the density, sr^-1, with which light
     sampling would have drawn this direction."""
-    assert emitters.area is not None  # of what has emission
+    assert emitters.area is not None  # given if any surface emits
     met = jnp.maximum(surface, 0)
     facing = jnp.where(emitters.two_sided[met], jnp.abs(cosine), cosine)
     shines = (surface >= 0) & (facing > 0)
@@ -294,10 +296,10 @@ def transmitted(absorption: Colour | None, distance: Scalar) -> Colour:
 
 
 def chance_weight(strategy: Strategy, by_chance: Scalar, on_purpose: Scalar) -> Scalar:
-    """Weight, no unit, of a direction that BRDF sampling found, given both densities, sr^-1. It and
-    `purpose_weight` sum to 1."""
+    """Return the weight, no unit, of a direction drawn by BRDF sampling. `by_chance`, `on_purpose`:
+    its densities, sr^-1, under BRDF and light sampling. It and `purpose_weight` sum to 1."""
     match strategy:
-        case "lights":  # counts only what cannot be drawn
+        case "lights":  # only emitters that light sampling cannot draw
             return jnp.where(jnp.isinf(by_chance) | (on_purpose <= 0), 1, 0).astype(by_chance.dtype)
         case "surfaces":
             return jnp.ones_like(by_chance)
@@ -305,8 +307,9 @@ def chance_weight(strategy: Strategy, by_chance: Scalar, on_purpose: Scalar) -> 
 
 
 def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar | None) -> Scalar:
-    """Weight, no unit, of a direction that light sampling drew, given both densities, sr^-1. A
-    light at one place has density inf and is found in no other way."""
+    """Return the weight, no unit, of a direction drawn by light sampling. `on_purpose`,
+    `by_chance`: its densities, sr^-1, under light and BRDF sampling. A light without size has
+    density inf, because only light sampling finds it."""
     match strategy:
         case "lights":
             return jnp.ones_like(on_purpose)
@@ -317,8 +320,9 @@ def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar | N
 
 
 def _heuristic(strategy: Strategy, own: Scalar, other: Scalar) -> Scalar:
-    """p / (p + q), or the same with squares (Veach and Guibas, SIGGRAPH 1995), computed without
-    squares or infinities: 1 / (1 + (q / p)^n). It is a constant for gradients."""
+    """Return p / (p + q), or p^2 / (p^2 + q^2), with p = `own` and q = `other` (Veach and Guibas,
+    SIGGRAPH 1995). The form 1 / (1 + (q / p)^n) does not overflow. Gradients treat it as a
+    constant."""
     own, other = jax.lax.stop_gradient((own, other))
     ratio = divide(other, own, otherwise=jnp.inf)
     return 1 / (1 + (ratio if strategy == "balance" else ratio * ratio))

@@ -1,5 +1,5 @@
-"""Warnings of scenes for which interreflections have no correct picture: materials that reflect
-more than they receive, and shapes that rounding deforms.
+"""Warn of scenes whose interreflections cannot be computed correctly, because a material reflects
+more than it receives or rounding deforms a shape.
 
 A `diffuse` above 1 / pi is accepted for a single reflection, because a fit may use any unit of
 light. With several reflections it is wrong in every unit.
@@ -20,7 +20,7 @@ from ..core._warnings import warn_caller
 from ..geometry.checks import warn_if_coarse
 from ..scene import Material, Scene
 
-_ROUNDING = 1e-4  # of an albedo of 1, and of its quadrature
+_ROUNDING = 1e-4  # allows for rounding of an albedo of 1, and for errors of its quadrature
 
 
 def warn_of_scene(scene: Scene) -> None:
@@ -42,7 +42,8 @@ def warn_of_scene(scene: Scene) -> None:
 
 
 def _reflected(material: Material) -> float:
-    """The largest albedo of any band along the normal; it is a bound if it is at most 1."""
+    """Return the largest albedo of any band along the normal, or an upper bound of it if the bound
+    is at most 1."""
     found = suprema(Ends(material, material))
     most = np.pi * found.body
     if found.lobe is not None:

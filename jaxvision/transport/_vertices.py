@@ -1,8 +1,8 @@
 """Vertices of a path: the surface that a ray hits, and the direction in which it continues.
 
 Directions are unit and point away from the surface: `back` is the direction in which the ray came.
-For radiance from the eye and light from a source a vertex is the same, except for the factor that
-`carries` selects. With S the material's shading, f_r cos(theta_i) of a BRDF,
+Paths from the eye and paths from a source use the same vertices. Only the factor of a reflection
+differs, as `carries` selects. With S the material's shading (f_r cos(theta_i) for a BRDF), it is
 
     radiance   S(wi = onward, wo = back)
     light      S(wi = back, wo = onward) cos(onward) / cos(back)
@@ -44,15 +44,17 @@ from ..rendering.maps import Patch, Varied, at_patch, patch_of, shading_normal, 
 from ..scene import Material, Scene
 from ._emitters import LARGEST, Emitters, emitters_of
 
-SEARCHED = "searched"  # results of a search among all shapes: a gradient stores them, see `paths`
+# marks results of a search among all shapes, which a gradient stores, see `paths`
+SEARCHED = "searched"
 
 
 class Surfaces(eqx.Module):
     """The surfaces of a scene, sorted once. `materials`: stacked by structure. `members`: static,
-    their numbers. `turns`: (surfaces,) whether the normal is flipped toward the viewer. `filled`:
-    (surfaces,) whether it bounds a body, as glass does. `absorption`: (surfaces, bands) m^-1 of the
-    body behind each, or None if all are clear. `bodies`: else, each body separately, and their
-    numbers. `varied`: the surfaces that maps vary, or None. `splits`: static, whether a ray splits
+    indices of the surfaces of each stack. `turns`: (surfaces,) whether the normal is flipped toward
+    the viewer. `filled`: (surfaces,) whether the surface bounds a body, as glass does.
+    `absorption`: (surfaces, bands) m^-1 of the body behind each surface, or None if all bodies are
+    clear. `bodies`, `body_numbers`: each body separately, and the index of its surface; empty if
+    all are clear. `varied`: the surfaces with maps, or None. `splits`: static, whether a ray splits
     in two at some surface."""
 
     shapes: Sorted
@@ -68,8 +70,8 @@ class Surfaces(eqx.Module):
 
 
 class Met(eqx.Module):
-    """`surface`: () number of the surface that was hit, -1 for none. `hit`: the intersection, in
-    m. `patch`: where maps are taken; None in a scene without maps."""
+    """The first surface on a ray. `surface`: () its index, -1 for none. `hit`: the intersection, in
+    m. `patch`: the place where maps are evaluated; None in a scene without maps."""
 
     surface: Int[Array, ""]
     hit: Hit
@@ -77,8 +79,8 @@ class Met(eqx.Module):
 
 
 class Onward(eqx.Module):
-    """The continuation of a path. `direction`: unit. `weight`: (bands,), reflected share over
-    density, no unit. `density`: () sr^-1, inf at a mirror or glass."""
+    """The continuation of a path. `direction`: unit. `weight`: (bands,), the reflection factor
+    divided by the density, no unit. `density`: () sr^-1, inf at a mirror or glass."""
 
     direction: Vec
     weight: Bands
@@ -86,9 +88,9 @@ class Onward(eqx.Module):
 
 
 class Vertex(eqx.Module):
-    """The result of one vertex. `shaded`: (bands,), sr^-1 toward the requested direction.
-    `density`: () sr^-1, the density with which the path would continue there; None if no weight
-    needs it. `onward`: the actual continuation."""
+    """The result of one vertex. `shaded`: (bands,), sr^-1, the shading for the requested direction.
+    `density`: () sr^-1, with which BRDF sampling would draw that direction; None if no weight needs
+    it. `onward`: the actual continuation."""
 
     shaded: Bands
     density: Scalar | None
@@ -138,12 +140,12 @@ def meet(surfaces: Surfaces, ray: Ray) -> Met:
 
 
 def _here(material: Material, met: Met) -> Material:
-    """A material at the point that was met."""
+    """Return a material with its maps evaluated at the point that the ray met."""
     return material if met.patch is None else at_patch(material, met.patch)
 
 
 def hidden(surfaces: Surfaces, met: Met, direction: Vec, distance: Scalar) -> Bool[Array, ""]:
-    """Whether a surface blocks the unit direction from a point on another surface, up to a distance
+    """Whether a surface blocks the ray from the point `met` in a unit direction, up to a distance
     in m."""
     hit = met.hit
     way = hit.point, hit.normal, direction, distance
@@ -165,9 +167,9 @@ def vertex(
     """Shade the surface toward `asked`, and draw the continuation of the path by `u`, uniform in
     [0, 1). `back`, `asked`: unit, world. All is 0 if the surface is seen from behind.
 
-    Gradients treat the drawn direction and its density as constants. They are then right for every
-    parameter of a material, although other parameters would draw another direction. `weighed`:
-    static; without it the density toward `asked` is not computed and is None.
+    Gradients treat the drawn direction and its density as constants. This is right for every
+    parameter of a material, although a changed parameter would draw another direction. `weighed`:
+    static; if False, the density toward `asked` is not computed and is None.
     """
     frame, viewer, light, flat = _seen_from(surfaces, met, back, asked)
     chosen = None
@@ -185,7 +187,7 @@ def vertex(
         )
         chosen = here if chosen is None else select(among, here, chosen)
     assert chosen is not None  # a scene has at least one surface
-    # stored; otherwise XLA draws it again for every use
+    # `fuse` stores the direction; otherwise XLA would draw it again for every use
     world = fuse(as_vec(to_world(frame, chosen.onward.direction)))
     return eqx.tree_at(lambda v: v.onward.direction, chosen, world)
 
@@ -205,8 +207,8 @@ def shaded_toward(surfaces: Surfaces, met: Met, back: Vec, asked: Vec, *, bands:
 
 
 class Branches(eqx.Module):
-    """The two continuations at a mirror or glass, with weights (bands,), no unit, 0 if there is
-    none. `mirrored`, `refracted`: unit, world."""
+    """The two continuations at a mirror or glass. `mirrored`, `refracted`: unit, world. The weights
+    are (bands,), no unit, and 0 for a continuation that does not exist."""
 
     mirrored: Vec
     refracted: Vec
@@ -215,8 +217,8 @@ class Branches(eqx.Module):
 
 
 def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches:
-    """What a ray that travels along -`back`, unit, world, sees by reflection and refraction at the
-    surface that it met."""
+    """Return the reflected and the refracted continuation of a ray at the surface that it met.
+    `back`: unit, world, against the ray."""
     frame, viewer, _, flat = _seen_from(surfaces, met, back, back)
     mirrored = refracted = jnp.zeros(bands, back.x.dtype)
     up = down = viewer
@@ -235,9 +237,9 @@ def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches
 def _seen_from(
     surfaces: Surfaces, met: Met, back: Vec, asked: Vec
 ) -> tuple[Frame, Vec, Vec, Vec | None]:
-    """The frame about the shading normal, flipped toward the viewer for two-sided surfaces, with
-    two directions and the geometric normal in it; None for the latter if the two normals are
-    equal."""
+    """Return the frame about the shading normal, then `back`, `asked` and the geometric normal in
+    this frame. The normals of a two-sided surface are flipped toward the viewer. The geometric
+    normal is None if it equals the shading normal."""
     hit = met.hit
     turned = surfaces.turns[jnp.maximum(met.surface, 0)] & (dot(hit.normal, back) < 0)
     side = jnp.where(turned, -1, 1).astype(back.x.dtype)
@@ -267,7 +269,7 @@ def _vertex(
     bands: int,
     weighed: bool,
 ) -> Vertex:
-    """`vertex` in the local frame, of one material."""
+    """Do what `vertex` does, in the local frame and for one material."""
     zero, everywhere = jnp.zeros_like(back.z), jnp.full_like(back.z, jnp.inf)
     if is_delta(material):
         onward, weight = draw_way(_specular(material, back, flat), u[2], carries=carries)
@@ -309,8 +311,8 @@ def _transfer(
 
 
 def _specular(material: Material, back: Vec, flat: Vec | None) -> Specular:
-    """The continuations at a mirror or glass, local. They use the geometric normal if the shading
-    normal would put one of them on the wrong side."""
+    """Return the continuations at a mirror or glass, local. The geometric normal replaces the
+    shading normal if that would put a continuation on the wrong side of the surface."""
     ways = brdf.specular(material, back)
     if flat is None:
         return ways
@@ -328,16 +330,16 @@ def _specular(material: Material, back: Vec, flat: Vec | None) -> Specular:
 
 
 def leave(met: Met, ray: Ray, direction: Vec, goes: Bool[Array, ""]) -> Ray:
-    """The ray that continues from a hit along a unit direction. A path that has ended keeps its old
-    ray, so that its hits stay finite."""
+    """Return the ray that continues from a hit along a unit direction. Where `goes` is False the
+    path has ended and keeps its old ray, so that its hits stay finite."""
     hit = met.hit
     origin = offset_origin(hit.point, hit.normal, direction, size=hit.size)
     return Ray(where(goes, origin, ray.origin), where(goes, direction, ray.direction))
 
 
 def absorption_around(surfaces: Surfaces, ray: Ray, *, bands: int) -> Colour | None:
-    """Absorption, (bands,) m^-1, of the innermost glass body around a ray's origin; 0 outside all;
-    None if no body absorbs."""
+    """Return the absorption, (bands,) m^-1, of the innermost glass body around a ray's origin. It
+    is 0 outside all bodies, and None if no body absorbs."""
     if surfaces.absorption is None:
         return None
     around, ray = jnp.zeros(bands, ray.origin.x.dtype), jax.lax.stop_gradient(ray)

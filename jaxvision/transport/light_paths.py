@@ -3,10 +3,10 @@
 Flux leaves an emitter and is reflected by surfaces. At each surface the light toward the camera's
 pinhole is added to the pixel that sees it (Arvo, "Backward Ray Tracing", SIGGRAPH 1986 course 12;
 Veach, 1997, section 10.3). Light tracing finds caustics efficiently: light that mirrors and glass
-focus on another surface, which a path from the eye finds once in a million. A lamp may be a point.
-It cannot find light that mirrors and glass send directly to the pinhole, because only one direction
-reaches it. They are black in the picture, and `paths` shows them. Radiance in W m^-2 sr^-1, flux in
-W, lengths in m.
+focus on another surface, which a path from the eye finds about once in a million. A lamp may be a
+point. Light tracing cannot find light that mirrors and glass send directly to the pinhole, because
+only one direction reaches it. So mirrors and glass are black in the picture; `paths` shows them.
+Radiance in W m^-2 sr^-1, flux in W, lengths in m.
 """
 
 import equinox as eqx
@@ -50,8 +50,8 @@ class _Arrival(eqx.Module):
     """The view of a vertex from the camera.
 
     `toward`: unit, to the camera. `distance`: () m. `row`, `column`: () pixels, fractional.
-    `response`: () m^-2, radiance of the pixel per flux and per sr^-1 of the reflection; 0 outside
-    the picture.
+    `response`: () m^-2, radiance of the pixel for unit flux and a reflection of 1 sr^-1; 0 for a
+    vertex behind the camera.
     """
 
     toward: Vec
@@ -150,7 +150,7 @@ def _with_sources(
 def _light_path(
     world: World, ball: Ball | None, view: View, stream: Stream, depth: int
 ) -> tuple[Int[Array, " pieces"], Float[Array, "pieces bands"]]:
-    """(pixel numbers, radiance) of all vertices of one path."""
+    """Return the pixel index and the radiance for each vertex of one path."""
     dtype = view.pixel_pitch.dtype
     start, more = uniforms(stream, 0, dtype), uniforms(stream, 1, dtype)
     light = _emitted(world.emitters, ball, jnp.append(start, more[0]))
@@ -178,7 +178,7 @@ def _light_path(
         at = fuse(at)
         dark = hidden(world.surfaces, met, arrival.toward, arrival.distance)
         reaches = ~dark & (arrival.response > 0) & (met.surface >= 0)
-        if world.emitters.lights:  # a light in front hides what lies behind it
+        if world.emitters.lights:  # a light between vertex and camera hides the vertex
             camera = Ray(met.hit.point + arrival.distance * arrival.toward, -arrival.toward)
             reaches &= ~(nearest_seen(world.emitters.lights, camera).distance < arrival.distance)
         response = arrival.response * transmitted(absorption, arrival.distance)
@@ -201,13 +201,13 @@ def _light_path(
 
 
 def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
-    """The pixel in which a camera sees a point, m, through a point of its lens selected by `u`,
-    uniform in [0, 1).
+    """Return the pixel in which a camera sees a point, m, through the point of its lens that `u`,
+    uniform in [0, 1), selects.
 
     Let dw = p^2 cos^3(theta) / z^2 be the solid angle of a pixel of side p on a plane z behind the
-    pinhole. Flux that a surface sends to the pinhole by f_r cos(theta_r) / d^2 gives the pixel the
-    radiance, a mean over dw, f_r cos(theta_r) / (d^2 dw). It is the inverse of `optics.view_ray`,
-    and a lens needs the same uniform numbers.
+    pinhole. A vertex at distance d reflects unit flux to the pinhole as the irradiance f_r
+    cos(theta_r) / d^2. The pixel's radiance is its mean over dw, f_r cos(theta_r) / (d^2 dw). This
+    function inverts `optics.view_ray`, and a lens needs the same uniform numbers in both.
     """
     right, down, forward = (as_vec(axis) for axis in view.rotation)
     rows, columns = view.resolution
@@ -235,7 +235,7 @@ def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
         area = distortion_area(view.distortion, x, y)
         x, y = distort(view.distortion, x, y)
     side = view.pixel_pitch * sensor_vergence(view)
-    # cos^3 = (depth / distance)^3, of which distance^2 goes with 1 / d^2
+    # 1 / cos^3 = (distance / depth)^3, of which 1 / d^2 cancels two factors `distance`
     response = area * distance * nearness**3 / (side * side)
     inverse = divide(1, distance, ahead)
     return _Arrival(
@@ -244,9 +244,9 @@ def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
 
 
 def _emitted(emitters: Emitters, around: Ball | None, u: Float[Array, "5"]) -> Emitted:
-    """Draw a ray from one emitter, selected by u_4. u_0 and u_1 give its point, and u_2 and u_3 its
-    direction, all uniform in [0, 1). Its flux, W, is an estimate for all emitters. `around`: a
-    sphere around the scene."""
+    """Draw a ray from one emitter, which u_4 selects. u_0 and u_1 give the ray's origin, and u_2
+    and u_3 its direction, all uniform in [0, 1). Its flux, W, estimates that of all emitters.
+    `around`: a sphere around the scene."""
 
     def ray(emitter: Light | Emissive) -> Emitted:
         if isinstance(emitter, Emissive):

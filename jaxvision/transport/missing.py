@@ -4,9 +4,9 @@ Each integrator finds these paths, written from the lamp to the eye. L is a lamp
 lamp without (a point or a direction), D a surface with a BRDF, S a mirror or glass, and E the eye.
 S* means any number of S, and S+ one or more.
 
-    direct      L D E and P D E, L E, L S E by an opaque mirror, and ambient light; glass is black
+    direct      L D E, P D E, L E, L S E if S is an opaque mirror, and ambient light; glass is black
                 and casts shadows
-    rays        the same, and (L | P) D S* E, L S* E
+    rays        the same without ambient light, and (L | P) D S* E, L S* E
     path        all paths of L; those of P whose first surface is a D
     light       all paths whose last surface is a D, and L E
     radiosity   all paths of D alone; it refuses S
@@ -58,12 +58,14 @@ from ._vertices import Surfaces, branches, leave, meet, surfaces_of
 from .ray_tree import DEFAULT_RULE as RULE_OF_RAYS
 
 Integrator = Literal["direct", "rays", "path", "light", "radiosity"]
-RARE = 1e-3  # share of paths that find a lamp by chance; below, few pictures have enough of them
-MISSED = 0.1  # of an environment's largest irradiance; a smooth sky's is off by less
-_ROWS = 64  # of an environment whose pixels are summed as they are; of fewer, places between
-_FACES = 24  # of mirrors and glass in a row that are counted
-_SIDE = 24  # rays along each side of the picture that are followed to count them
-_NAMED = 3  # objects that a sentence names
+RARE = 1e-3  # a lamp is reported if a smaller share of paths hits it by chance
+# An error of irradiance is reported above this fraction of the environment's largest irradiance; a
+# smooth sky stays below.
+MISSED = 0.1
+_ROWS = 64  # an environment with fewer rows is interpolated to at least so many
+_FACES = 24  # largest number of successive mirror and glass faces that are counted
+_SIDE = 24  # rays along each side of the picture that are followed to count the faces
+_NAMED = 3  # largest number of objects that a sentence names
 
 
 def missing_light(
@@ -77,7 +79,7 @@ def missing_light(
     surfaces: Sequence[str] | None = None,
     lights: Sequence[str] | None = None,
 ) -> list[str]:
-    """One sentence for each kind of light of a scene that an integrator neglects.
+    """Return one sentence for each kind of light of a scene that an integrator neglects.
 
     `path` misses light of lamps without a size (points, directions) via mirrors and glass. `direct`
     and `rays` miss light that mirrors and glass cast onto other surfaces, and `light` misses
@@ -94,20 +96,20 @@ def missing_light(
         integrator: "direct" (`render`), "rays" (`ray_traced`), "path" (`path_traced`), "light"
             (`light_traced`) or "radiosity".
         depth: largest number of segments of a path (no unit); for "rays" number of rays of the
-            tree. With `view` it is compared with the number of glass faces and mirrors in a row.
-            None omits this check.
+            tree. With `view` it is compared with the number of glass faces and mirrors that a ray
+            meets in succession. None omits this check.
         rule: of the samples of lights without a rule of their own, for "direct", "rays" and
             "radiosity"; None for the integrator's default.
-        samples: of "path", for each pixel. With it a sentence about light that is rarely sampled
-            says in how many pixels that is; only their standard errors include this light. None:
-            the sentence states the probability alone.
-        view: of the camera; None assumes that it sees every mirror and glass.
+        samples: paths of each pixel, for "path". With it, a sentence about rarely sampled light
+            says which share of the pixels samples it; the standard errors of all other pixels omit
+            this light. None: the sentence states the probability alone.
+        view: the camera; None assumes that it sees every mirror and glass.
         surfaces: name of each surface; None for their indices in the scene.
         lights: name of each light; None for their indices in the scene.
 
     Returns:
-        The sentences, each with an integrator that includes the light if there is one; empty where
-        no light is missing.
+        The sentences. Each names an integrator that includes the light, if there is one. The list
+        is empty if no light is missing.
 
     Example:
         >>> floor = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), jv.Lambert([0.2]))
@@ -206,7 +208,7 @@ def missing_light(
 
 
 def _cure(placed: Sequence[str], sized: Sequence[str]) -> str:
-    """The remedy for light that mirrors and glass cast onto other surfaces."""
+    """Return the advice about light that mirrors and glass cast onto other surfaces."""
     if not placed:
         return "Set integrator = 'path', which has it."
     of_sized = f"For that of {_list(sized)} set integrator = 'path'. " if sized else ""
@@ -218,7 +220,7 @@ def _cure(placed: Sequence[str], sized: Sequence[str]) -> str:
 
 
 def _list(names: Sequence[str]) -> str:
-    """Names in the form for the end of a sentence."""
+    """Join names with commas and "and", for use in a sentence."""
     if len(names) > _NAMED + 1:
         names = [*names[:_NAMED], f"{len(names) - _NAMED} more"]
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
@@ -231,7 +233,8 @@ def _emits(surface: Surface) -> bool:
 def _between_directions(
     name: str, light: EnvironmentMap, rule: Quadrature, integrator: Integrator
 ) -> list[str]:
-    """A sentence if a quadrature misses much of an environment's light, or overestimates it."""
+    """Return a sentence if a quadrature finds far too little or too much light of an
+    environment."""
     power = np.asarray(light.radiance, float).mean(axis=-1)
     rows, columns = (size * -(-_ROWS // power.shape[0]) for size in power.shape)
     edges = np.cos(np.linspace(0, np.pi, rows + 1))
@@ -277,7 +280,7 @@ def _too_narrow(
     own: Sequence[tuple[str, Surface]],
     integrator: Integrator,
 ) -> list[str]:
-    """A sentence for each surface with a lobe narrower than the spacing of a quadrature's
+    """Return a sentence for each surface whose lobe is narrower than the spacing of a quadrature's
     samples."""
     found = []
     for surface_name, surface in own:
@@ -287,7 +290,7 @@ def _too_narrow(
         match light:
             case RectangleLight():
                 angle, wide = _angle(light, surface.shape), width
-            case EnvironmentMap():  # light from all sides: three widths apart are as good
+            case EnvironmentMap():  # light from all sides: a spacing of three widths suffices
                 angle, wide = np.pi, 3 * width
             case _:
                 return []
@@ -303,10 +306,11 @@ def _too_narrow(
 
 
 def _lobe(material: Material) -> tuple[float, float]:
-    """Widths of the narrowest lobe, rad, in both directions; pi if it is broad or unknown.
+    """Return the widths of the narrowest lobe, rad, in both directions; pi if it is broad or
+    unknown.
 
-    A facet lobe has 2 alpha; the others have the width of equal half maximum. The lobe of measured
-    data is searched in the data.
+    The width of a facet lobe is 2 alpha. Any other lobe has the width of the facet lobe with the
+    same half maximum. The lobe of measured data is searched in the data.
     """
     if any(True for _ in maps_of(material)):
         return min(_lobe(replace_maps(material, end)) for end in ENDS)
@@ -331,8 +335,8 @@ def _lobe(material: Material) -> tuple[float, float]:
 
 
 def _lobe_of_table(material: Material) -> tuple[float, float]:
-    """`_lobe` of measured data, about the mirror direction of light at 0.6 rad: the full width at
-    half maximum. It counts as broad if it reflects less than a hundredth."""
+    """Return the widths of `_lobe` for measured data, from the half maximum about the mirror
+    direction of light at 0.6 rad. A lobe that reflects less than a hundredth counts as broad."""
     away = np.concatenate([[0], np.geomspace(1e-4, 1, 80)])
     light = np.array([-np.sin(0.6), 0, np.cos(0.6)])
     along = np.stack([np.sin(0.6 - away), 0 * away, np.cos(0.6 - away)], -1)
@@ -351,8 +355,8 @@ def _lobe_of_table(material: Material) -> tuple[float, float]:
 
 
 def _angle(light: RectangleLight, shape: Shape) -> float:
-    """Rad, the longer side of a lamp as seen from the middle of a surface, or from half its
-    depth."""
+    """Return the angle, rad, of the longer side of a lamp as seen from the middle of a surface, or
+    from half the surface's depth if that is farther."""
     corner, u, v = (np.asarray(x, float) for x in (light.corner, light.edge_u, light.edge_v))
     middle = corner + (u + v) / 2
     if isinstance(shape, Plane):
@@ -391,8 +395,7 @@ def _rarely_in_lobe(
 
 
 def _rare(light: str, faces: str, chance: float, samples: int | None) -> str:
-    """The missing part of a mean is light that no sample of the pixel has hit. The standard error
-    does not include it."""
+    """Return the sentence about light that a path meets only with a small probability `chance`."""
     shown = "Few samples show noise or nothing, and errors that are too small."
     if samples is not None:
         meets = -np.expm1(samples * np.log1p(-chance))
@@ -410,8 +413,8 @@ def _rare(light: str, faces: str, chance: float, samples: int | None) -> str:
 def _arriving(
     light: EnvironmentMap, places: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """World directions of positions in the unit square, and the mean over bands of the light from
-    each, W m^-2."""
+    """Return the world directions of positions in the unit square, and the irradiance from each,
+    W m^-2, averaged over the bands."""
     sent = _nodes(light, jnp.asarray(places, light.radiance.dtype))
     amounts = np.asarray(sent.irradiance, float).mean(axis=-1) * weights
     return np.asarray(as_array(sent.direction), float), amounts
@@ -429,7 +432,7 @@ def _rarely_found(
     faces: str,
     samples: int | None,
 ) -> list[str]:
-    """A sentence for each lamp with a size that paths via mirrors and glass hardly ever hit."""
+    """Return a sentence for each lamp with a size that paths via mirrors and glass rarely hit."""
     matt = [surface for _, surface in own if not is_delta(surface.material)]
     chances = [
         (name, _chance(light, matt)) for name, light in zip(lamps, scene.lights, strict=True)
@@ -443,7 +446,7 @@ def _rarely_found(
 
 
 def _chance(light: Light, matt: Sequence[Surface]) -> float:
-    """The largest share of paths from a matt surface that hit a light; 1 if unknown."""
+    """Return the largest share of paths from a matt surface that hit a light; 1 if unknown."""
     match light:
         case RectangleLight():
             corner, u, v = (
@@ -452,7 +455,7 @@ def _chance(light: Light, matt: Sequence[Surface]) -> float:
             area = float(np.linalg.norm(np.cross(u, v)))
             corners = np.stack([corner, corner + u, corner + v, corner + u + v])
             return _share(area, corners, matt)
-        case EnvironmentMap():  # the least solid angle that half of its light comes from
+        case EnvironmentMap():  # the smallest solid angle that sends half of its light
             density, rows = np.asarray(light.density, float), light.density.shape[0]
             edges = np.cos(np.linspace(0, np.pi, rows + 1))
             solid = np.repeat((edges[:-1] - edges[1:])[:, None], density.shape[1], 1)
@@ -465,8 +468,8 @@ def _chance(light: Light, matt: Sequence[Surface]) -> float:
 
 
 def _share(area: float, corners: np.ndarray, matt: Sequence[Surface]) -> float:
-    """area / (pi d^2), at most 1, with d from the nearest matt surface's bounding box to that of
-    the corners."""
+    """Return area / (pi d^2), at most 1. d is the distance between the bounding box of the corners
+    and that of the nearest matt surface."""
     nearest = np.inf
     low, high = corners.min(axis=0), corners.max(axis=0)
     for surface in matt:
@@ -510,7 +513,7 @@ def _corners(shape: Shape) -> np.ndarray:
 
 
 def _open_edges(surface: Surface) -> int:
-    """Edges of a mesh that belong to one triangle only."""
+    """Count the edges of a mesh that belong to one triangle only."""
     if not isinstance(surface.shape, TriangleMesh):
         return 0
     corners = np.asarray(surface.shape.vertices)[np.asarray(surface.shape.faces)].reshape(-1, 3)
@@ -524,10 +527,10 @@ def _open_edges(surface: Surface) -> int:
 def _cut_short(
     integrator: Integrator, depth: int, faces: str, before: np.ndarray, behind: np.ndarray
 ) -> list[str]:
-    """A warning if several mirrors and glass surfaces in a row need more path segments than `depth`
-    allows."""
+    """Return a warning if successive mirrors and glass surfaces need more path segments than
+    `depth` allows."""
     match integrator:
-        case "path":  # to the surface, to the lamp, and a piece for each face between
+        case "path":  # to the surface, to the lamp, and one segment for each face between
             needed = before + 2 + np.where(behind >= 0, behind, 0)
         case "rays":
             needed = before + 1
@@ -561,9 +564,9 @@ def _grid(view: View) -> tuple[Array, Array]:
 def _counted(
     scene: Scene, view: View, rows: Float[Array, " n"], columns: Float[Array, " n"]
 ) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
-    """The number of faces of mirrors and glass that a pixel's ray meets before another surface; and
-    the largest number of glass faces on the straight line from there to a lamp, -1 if every lamp is
-    hidden."""
+    """Return, for each pixel, the number of mirror and glass faces that its ray meets before
+    another surface, and the largest number of glass faces on the straight line from that surface to
+    a lamp (-1 if every lamp is hidden)."""
     surfaces = surfaces_of(scene)
     turning = jnp.asarray([is_delta(surface.material) for surface in scene.surfaces])
     glass = jnp.asarray([is_body(surface.material) for surface in scene.surfaces])
@@ -598,8 +601,9 @@ def _counted(
 def _followed(
     surfaces: Surfaces, ray: Ray, distance: Array, through: Array, *, bent: bool
 ) -> tuple[Ray, Array, Int[Array, ""]]:
-    """The ray after all surfaces of `through` in a row within a distance, m, on its brighter
-    continuation or straight on; the remaining distance, and their number."""
+    """Follow a ray through successive surfaces of `through`, within a distance in m. It takes the
+    brighter continuation if `bent`, otherwise it goes straight on. Return the last ray, the
+    remaining distance, and the number of surfaces passed."""
 
     def step(state: tuple[Ray, Array, Array], _: None) -> tuple[tuple[Ray, Array, Array], None]:
         ray, left, count = state

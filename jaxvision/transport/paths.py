@@ -60,8 +60,8 @@ from ._vertices import (
     world_of,
 )
 
-# Pieces of a path of which a gradient keeps all that it needs, up to 400 bytes a ray and piece: of
-# more, it computes them again.
+# Up to this number of segments, a gradient stores everything that it needs, up to 400 bytes per ray
+# and segment. For longer paths it computes the segments again.
 _KEPT = 8
 
 
@@ -78,14 +78,15 @@ class Paths(Shown):
             fastest, and as good for diffuse surfaces under lamps that are not large. "surfaces": by
             surface samples only, except for lights without size.
         roulette: index of the vertex (0 is the first) from which a path ends at random, with a
-            probability of 1 less its weight; None for never. With it the path loop ends with the
-            last path: unbiased at any `depth`, but without reverse-mode gradients.
+            probability of 1 minus its weight; None for never. It adds no bias at any `depth`, and
+            the loop stops when all paths have ended. There are no reverse-mode gradients then.
 
     Raises:
         ValueError: for a count below its lower limit or an unknown strategy.
 
     Example:
-        A closed room of albedo 0.5 that shines 0.5 shows 0.5 + 0.5 x 0.5 at depth 2, and 1 at last.
+        A closed room of albedo 0.5 emits 0.5. It shows 0.5 + 0.5 x 0.5 at depth 2, and 1 in the
+        limit of large depths.
 
         >>> grey = jv.Lambert([0.5 / np.pi])
         >>> wall = jv.Surface(jv.Sphere([0, 0, 0], 1), grey, [0.5], two_sided=True)
@@ -149,13 +150,13 @@ def _walk(
     depth: Array | None = None,
     of_each: Callable[[Callable[..., Any]], Callable[..., Any]] = lambda function: function,
 ) -> tuple[Scalars, ...]:
-    """Compute the radiance of one path, or with `jax.vmap` as `of_each` of one path for each ray
-    and pixel of arrays. `vmap` of the whole loop would trace its body several times to find the
+    """Compute the radiance of one path. With `jax.vmap` as `of_each`, compute one path for each ray
+    and pixel of arrays; `vmap` of the whole loop would trace its body several times to find the
     batched values."""
     method = _simplest(world, method)
 
     def begun(ray: Ray, pixel: Word) -> _Path:
-        # a per-path zero: where a caller uses `vmap`, all is batched from the start
+        # a zero that depends on the path, so that under `vmap` the whole state is batched at once
         zero = (0 * pixel).astype(ray.origin.x.dtype)
         return _Path(
             ray,
@@ -199,8 +200,8 @@ def _walk(
 
 
 def _simplest(world: World, method: Paths) -> Paths:
-    """The simplest sufficient method: if no ray can hit an emitter, every weight is 1 and densities
-    are not needed."""
+    """Return the simplest sufficient method: if no ray can hit an emitter, every weight is 1 and
+    densities are not needed."""
     if world.emitters.lights or world.emitters.emission is not None:
         return method
     return dataclasses.replace(method, strategy="lights")
@@ -215,7 +216,7 @@ def _has_chance_only(world: World) -> bool:
 
 
 def _look(world: World, path: _Path, method: Paths) -> tuple[_Path, Met]:
-    """The path with the emission that its ray hits, and the surface hit."""
+    """Add the emission that the path's ray hits. Return the path and the surface that it hits."""
     met = meet(world.surfaces, path.ray)
     found, ends = shining_ahead(
         world.emitters,
@@ -299,7 +300,7 @@ def path_radiance(key: Key, scene: Scene, ray: Ray, *, method: Paths) -> Traced:
         (bands,) W m^-2 sr^-1, and the standard error.
 
     Example:
-        A closed room of albedo 0.5 that shines 0.5 W m^-2 sr^-1, seen by two pieces of path.
+        A closed room of albedo 0.5 emits 0.5 W m^-2 sr^-1, and is seen by paths of two segments.
 
         >>> grey = jv.Lambert([0.5 / np.pi])
         >>> wall = jv.Surface(jv.Sphere([0, 0, 0], 1), grey, [0.5], two_sided=True)
@@ -324,13 +325,13 @@ def _path_radiance(key: Key, scene: Scene, ray: Ray, method: Paths) -> Traced:
 
 
 def path_along(scene: Scene, method: Paths, *, depth: Array | None = None) -> Along:
-    """One path for each ray of `photograph`.
+    """Return the function that computes one path for each ray of `photograph`.
 
     Args:
         scene: any scene; `Scene.ambient` is not added.
         method: settings of the paths; `samples` is ignored.
-        depth: (), replaces the method's: a whole number of segments >= 2 that may be traced, so
-            that one program serves any depth; without reverse-mode gradients.
+        depth: () whole number of segments, >= 2, which replaces the method's. It may be traced, so
+            that one program serves any depth; then there are no reverse-mode gradients.
 
     Returns:
         A function from a block of rays to the radiance of their paths, W m^-2 sr^-1.
@@ -350,7 +351,7 @@ def path_traced_pixels(
     method: Paths,
     first_sample: int = 0,
 ) -> Traced:
-    """Some pixels of a picture.
+    """Compute some pixels of the picture of `path_traced`.
 
     Args:
         key: random key.
@@ -389,7 +390,7 @@ def _traced_pixels(
 
 @takes_numbers
 def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
-    """The picture in radiance.
+    """Render the radiance picture by path tracing.
 
     Light of points and directions that mirrors or glass cast onto other surfaces is missing, and no
     error estimate shows it: `transport.missing_light` names it. Derivatives with respect to
@@ -405,7 +406,7 @@ def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
         (h, w, bands) W m^-2 sr^-1, and the standard error.
 
     Example:
-        A closed sphere of albedo 0.5 that shines 0.5 W m^-2 sr^-1 everywhere holds radiance 1.
+        A closed sphere of albedo 0.5 that emits 0.5 W m^-2 sr^-1 everywhere shows radiance 1.
 
         >>> grey = jv.Lambert([0.5 / np.pi])
         >>> wall = jv.Surface(jv.Sphere([0, 0, 0], 1), grey, [0.5], two_sided=True)

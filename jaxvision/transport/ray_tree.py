@@ -1,11 +1,11 @@
-"""Deterministic ray tracing: direct light, also seen in mirrors and through glass.
+"""Deterministic ray tracing of direct light, including its views in mirrors and through glass.
 
 Source: Whitted, "An Improved Illumination Model for Shaded Display", CACM 23(6) (1980). A ray
 splits in two at glass, so the tree has up to 2^n rays after n surfaces, most of which carry almost
 no light. Here pending rays are stored in a pool, and the ray with the largest weight is traced
-next. This gives the best `rays` rays of the tree, at any depth. The rays that remain in the pool
-count as black. Caustics and light between diffuse surfaces are missing; `paths` and `light_paths`
-include them. Radiance in W m^-2 sr^-1, lengths in m.
+next. So the `rays` rays of largest weight are traced, at any depth. The rays that remain in the
+pool count as black. Caustics and light between diffuse surfaces are missing; `paths` and
+`light_paths` include them. Radiance in W m^-2 sr^-1, lengths in m.
 
 Each traced ray costs one intersection, and one shadow ray for each node of each light (order^2 for
 a rectangle, twice that for an environment). Most pixels trace one ray, and pixels that see a mirror
@@ -45,7 +45,7 @@ from ._vertices import (
 
 DEFAULT_RULE = Quadrature(4)
 Rules = tuple[Quadrature, ...]
-_BLOCK = 512  # rays that a processor follows, or skips, together
+_BLOCK = 512  # rays that are traced, or skipped, together
 
 
 class _Tree(eqx.Module):
@@ -69,7 +69,7 @@ def ray_tree_radiance(
         ray: origin (3,) m, direction (3,) unit length.
         rays: static, number of rays of the tree, >= 1. In a scene without glass the tree has no
             branches, and this is the number of mirrors in a row plus one.
-        rule: of the samples of emitters where they light a surface; a light may have its own in
+        rule: sampling rule for the emitters that light a surface; a light may have its own in
             `Scene.rules`.
 
     Returns:
@@ -103,7 +103,7 @@ def _ray_tree(scene: Scene, ray: Ray, rays: int, rule: Quadrature) -> Colour:
 def ray_tree_radiances(
     scene: Scene, along: Ray, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
 ) -> Float[Array, "n bands"]:
-    """`ray_tree_radiance` for many rays; faster than one by one if few of them meet mirrors or
+    """Return `ray_tree_radiance` for many rays; faster than ray by ray if few rays meet mirrors or
     glass.
 
     Args:
@@ -167,7 +167,7 @@ def _follow_living(
 
 
 def _followed(world: World, rays: int) -> int:
-    """The maximum number of rays of a tree; one if no material continues a ray."""
+    """Return the largest number of rays of a tree: 1 if the scene has no mirror and no glass."""
     check_count("rays", rays, 1)
     return rays if any(map(is_delta, world.surfaces.materials)) else 1
 
@@ -186,7 +186,7 @@ def _rules(scene: Scene, world: World, rule: Quadrature) -> Rules:
 
 
 def _planted(world: World, ray: Ray, rays: int) -> _Tree:
-    """A tree with one ray, and slots for further rays."""
+    """Return a tree with one ray, and empty slots for further rays."""
     slots = rays + 1 if world.surfaces.splits else 1
     dtype = ray.origin.x.dtype
     dark = jnp.zeros((slots, world.bands), dtype)
@@ -201,7 +201,7 @@ def _planted(world: World, ray: Ray, rays: int) -> _Tree:
 
 
 def _follow(world: World, rules: Rules, k: Array, tree: _Tree) -> _Tree:
-    """The tree after tracing its ray of the largest weight, its `k`-th."""
+    """Trace the pending ray of largest weight, as the tree's `k`-th ray. Return the new tree."""
     slots, dtype = len(tree.weight), tree.weight.dtype
     next_one = jnp.argmax(jax.lax.stop_gradient(tree.weight).max(axis=1))
     ray = Ray(tree.origin[next_one], tree.direction[next_one])
@@ -259,7 +259,7 @@ def _direct(world: World, met: Met, back: Vec, absorption: Colour | None, rules:
 
 
 def ray_tree_along(scene: Scene, *, rays: int, rule: Quadrature = DEFAULT_RULE) -> Along:
-    """`ray_tree_radiances` for the rays of `photograph`.
+    """Return `ray_tree_radiances` as a function of the rays of `photograph`.
 
     Args:
         scene, rays, rule: as in `ray_tree_radiance`.
@@ -279,7 +279,7 @@ def ray_traced(
     rule: Quadrature = DEFAULT_RULE,
     samples: PixelSamples | None = None,
 ) -> Image:
-    """The picture in radiance by ray trees.
+    """Render the radiance picture by ray trees.
 
     Light that mirrors and glass send to other surfaces is missing, so objects behind a window are
     dark: `transport.missing_light` names it.
@@ -288,7 +288,7 @@ def ray_traced(
         scene: any scene; `Scene.ambient` is not added.
         view: any view; a thin lens needs `samples` for defocus.
         rays: static, >= 1, number of rays of each tree.
-        rule: of the samples of emitters where they light a surface.
+        rule: sampling rule for the emitters that light a surface.
         samples: rays of each pixel, whose mean is taken; None for one ray through each pixel's
             centre.
 
@@ -300,7 +300,7 @@ def ray_traced(
             without samples, unless its f_number is inf or traced.
 
     Example:
-        A lamp in a mirror that reflects nine tenths.
+        A lamp is seen in a mirror that reflects nine tenths.
 
         >>> lamp = jv.Surface(jv.Disc([0, 0, 9], [0, 0, -1], 1), jv.Lambert([0.0]), [2.0])
         >>> mirror = jv.Surface(jv.Disc([0, 0, 0], [0, 0, 1], 1), jv.Mirror([0.9]))
@@ -323,5 +323,5 @@ def _ray_traced(
     scene: Scene, view: View, rays: int, rule: Quadrature, samples: PixelSamples | None
 ) -> Image:
     along = ray_tree_along(scene, rays=rays, rule=rule)
-    # `vmap` would follow the blocks that have no ray left
+    # under `vmap`, blocks without pending rays would be traced too
     return photograph(along, view, samples, several=False).radiance

@@ -1,7 +1,7 @@
 """Radiosity: diffuse surfaces divided into patches, and the light that they exchange.
 
-plan = plan_patches(scene, size=0.1)          how many patches: settled first, outside `jit`
-table = form_factor_table(scene, plan)        who sees whom: once, for fixed geometry
+plan = plan_patches(scene, size=0.1)          chooses the number of patches, outside `jit`
+table = form_factor_table(scene, plan)        form factors, computed once for fixed geometry
 solution = radiosity(scene, plan, table=table)
 image = radiosity_image(scene, plan, solution, view)
 """

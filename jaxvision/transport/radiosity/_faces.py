@@ -22,7 +22,7 @@ _AXES = ((2, 1), (1, 2), (0, 2), (2, 0), (1, 0), (0, 1))
 
 
 def lengths(shape: Shape) -> list[tuple[float, float]]:
-    """For each part, its extent along each of its two axes, m."""
+    """Return the extent of each part of a shape along its two axes, m."""
     match shape:
         case Quad():
             u, v = (float(np.linalg.norm(edge)) for edge in (shape.edge_u, shape.edge_v))
@@ -66,7 +66,7 @@ def face_point(shape: Shape, part: int, u: Scalars, v: Scalars) -> Vec:
 
 
 def side(shape: Quad | Box, part: int) -> tuple[Array, Array, Array]:
-    """A side of a shape as a parallelogram: its corner and edges, (3,) m."""
+    """Return one side of a shape as a parallelogram: its corner and two edges, (3,) m each."""
     if isinstance(shape, Quad):
         return shape.corner, shape.edge_u, shape.edge_v
     axes = [as_array(axis) for axis in _half_sides(shape)]

@@ -39,7 +39,8 @@ class Plan(Shown):
 
     Attributes:
         faces: all faces, surface by surface; static.
-        split: each patch, which emits, consists of split^2 elements, which receive; static, >= 1.
+        split: each patch, which sends light, consists of split^2 elements, which receive it;
+            static, >= 1.
 
     Raises:
         ValueError: for a split below 1.
@@ -53,14 +54,14 @@ class Plan(Shown):
 
 
 def offsets_of(plan: Plan, *, split: int = 1) -> np.ndarray:
-    """The number of each face's first cell if every patch has split^2 cells, followed by the number
-    of all cells: (faces + 1,) whole numbers, no unit."""
+    """Return the index of each face's first cell if every patch has split^2 cells, followed by the
+    total number of cells: (faces + 1,) whole numbers, no unit."""
     sizes = [face.rows * face.columns * split**2 for face in plan.faces]
     return np.cumsum([0, *sizes])
 
 
 def parents_of(plan: Plan) -> np.ndarray:
-    """The patch of each element, (elements,) whole numbers, no unit."""
+    """Return the index of the patch to which each element belongs, (elements,), no unit."""
     firsts = offsets_of(plan)
     of_faces = [
         first + parents_in(face, plan.split)
@@ -70,13 +71,14 @@ def parents_of(plan: Plan) -> np.ndarray:
 
 
 def parents_in(face: Face, split: int) -> np.ndarray:
-    """The patch of each cell of one face, relative to the first patch of the face."""
+    """For each grid cell of one face, return the index of its patch, counted from the face's first
+    patch."""
     rows, columns = (np.arange(count * split) // split for count in (face.rows, face.columns))
     return (rows[:, None] * face.columns + columns).reshape(-1)
 
 
 def refined(plan: Plan, split: int) -> Plan:
-    """The plan whose patches are the elements of `plan`, each with split^2 elements; no unit."""
+    """Return the plan whose patches are the elements of `plan`. Each has split^2 elements."""
     faces = [
         face._replace(rows=face.rows * plan.split, columns=face.columns * plan.split)
         for face in plan.faces
@@ -85,13 +87,14 @@ def refined(plan: Plan, split: int) -> Plan:
 
 
 def surfaces_of(plan: Plan, *, split: int = 1) -> np.ndarray:
-    """The surface of each cell if every patch has split^2 cells, (cells,) whole numbers, no
+    """Return the index of each cell's surface if every patch has split^2 cells, (cells,), no
     unit."""
     return np.repeat([face.surface for face in plan.faces], np.diff(offsets_of(plan, split=split)))
 
 
 def borders(count: int, graded: bool) -> np.ndarray:
-    """The borders of `count` cells of [0, 1]; graded ones narrow toward both ends."""
+    """Return the borders of `count` cells that divide [0, 1]; graded cells narrow toward both
+    ends."""
     t = np.linspace(0, 1, count + 1)
     return (1 - np.cos(np.pi * t)) / 2 if graded else t
 
@@ -99,13 +102,13 @@ def borders(count: int, graded: bool) -> np.ndarray:
 def around_place(
     plan: Plan, covered: Bool[Array, " elements"], face: Int[Array, ""], u: Scalar, v: Scalar
 ) -> tuple[Int[Array, " 4"], Float[Array, " 4"]]:
-    """The element at a position of a face and three neighbours, with bilinear weights that sum to
-    1, or 0 if all are covered; no unit.
+    """Return the element at a position (u, v) of a face and three neighbours, with their bilinear
+    weights, no unit. The weights sum to 1, or to 0 if all four elements are covered.
 
-    The neighbours lie on the side of the position. If these are `covered`, or the face ends, the
-    opposite ones are used and the weights extrapolate by at most half a cell. Cells wrap around
-    discs and spheres. If the position's own element is covered, the uncovered neighbours share its
-    weight.
+    The neighbours are those nearest to the position. If these are `covered`, or the face ends, the
+    opposite neighbours are used and the weights extrapolate by at most half a cell. The cells of
+    discs and spheres continue around the axis. If the position's own element is covered, the
+    uncovered neighbours share its weight.
     """
     firsts = offsets_of(plan, split=plan.split)[:-1]
     counts = [(f.rows * plan.split, f.columns * plan.split) for f in plan.faces]

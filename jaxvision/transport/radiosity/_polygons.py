@@ -1,4 +1,4 @@
-"""The form factor from a point to a polygon, near and far. For ONE pair; lengths in m."""
+"""The form factor from a point to a near or a far polygon. For ONE pair; lengths in m."""
 
 from collections.abc import Iterable, Sequence
 from typing import TypeVar
@@ -22,7 +22,7 @@ FAR = 5.0
 
 
 def is_far(point: Vec, corners: Polygon, *, reach: float = FAR) -> Bool[Array, ""]:
-    """Whether the polygon, corners in m, is farther from the point than `reach` times its size."""
+    """Whether the point is farther from the polygon, corners in m, than `reach` polygon sizes."""
     a, b, c, d = (corner - point for corner in corners)
     four, one, other = a + b + c + d, c - a, d - b
     square = jnp.maximum(dot(one, one), dot(other, other)) / 2
@@ -30,7 +30,7 @@ def is_far(point: Vec, corners: Polygon, *, reach: float = FAR) -> Bool[Array, "
 
 
 def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
-    """`point_to_polygon` by the contour integral alone, m."""
+    """Return the form factor of `point_to_polygon` by the contour integral alone; lengths in m."""
     around = [corner - point for corner in corners]
     scale = 1 / largest_coordinate(around)
     around = fuse([corner * scale for corner in around])
@@ -43,8 +43,9 @@ def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
 
 
 def far_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
-    """`point_to_polygon` by 2 x 2 Gauss-Legendre nodes on the bilinear patch of the corners, m. The
-    relative error is about .03 (s / d)^4 for a polygon of size s at distance d."""
+    """Return the form factor of `point_to_polygon` by 2 x 2 Gauss-Legendre nodes on the bilinear
+    patch of the corners, m. The relative error is about .03 (s / d)^4 for a polygon of size s at
+    distance d."""
     total = jnp.zeros_like(point.x)
     for s, t, weight in square_places(2, total.dtype):
         place, area = polygon_point(corners, s, t)
@@ -56,8 +57,8 @@ def far_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
 
 
 def polygon_point(corners: Polygon, s: Scalar, t: Scalar) -> tuple[Vec, Vec]:
-    """The point of the bilinear patch of the corners, m, at a position of the unit square, and its
-    vector area per unit of the square, m^2."""
+    """Return the point, m, of the bilinear patch of the corners at (s, t) in the unit square, and
+    the patch's vector area there per unit area of the square, m^2."""
     a, b, c, d = corners
     twist = (c - d) - (b - a)
     along, across = (b - a) + t * twist, (d - a) + s * twist
@@ -65,8 +66,8 @@ def polygon_point(corners: Polygon, s: Scalar, t: Scalar) -> tuple[Vec, Vec]:
 
 
 def bilinear(corners: Sequence[Value], s: Scalar, t: Scalar) -> Value:
-    """Bilinear interpolation, at a position of the unit square, of the values at its four corners,
-    in their unit."""
+    """Interpolate the values at the four corners of the unit square bilinearly to (s, t), in their
+    unit."""
     a, b, c, d = corners
     return a + s * (b - a) + t * ((d - a) + s * ((c - d) - (b - a)))
 

@@ -1,7 +1,7 @@
-"""The receiving parts of the elements of a plan: the parts that no other body covers.
+"""The parts of a plan's elements that receive light, because no other body covers them.
 
-Each element is divided into parts once more, and its direct irradiance is the mean over these. If
-the edge of a shadow crosses an element, only its lit part counts. Lengths in m.
+Each element is divided once more, into parts. Its direct irradiance is the mean over its parts, so
+that an element with a shadow edge gets its lit share. Lengths in m.
 """
 
 import equinox as eqx
@@ -17,13 +17,13 @@ from ...scene import Scene
 from ._grid import Plan, refined
 from .patches import Patches, by_patch, patches_at
 
-_PARTS = 2  # of an element, along each side
-_LEAST = 1e-3  # of an element, far less than a part is
+_PARTS = 2  # parts along each side of an element
+_LEAST = 1e-3  # fraction of an element's area, far smaller than a part
 
 
 class Receivers(eqx.Module):
-    """`patches`: all patches of the plan. `elements`, `parts`: covered ones have no area. A partly
-    covered element has the area of the uncovered part, and its centre is uncovered."""
+    """The patches of a plan, their elements and parts. Covered elements and parts have no area. A
+    partly covered element has the area of its uncovered part, and its centre is uncovered."""
 
     patches: Patches
     elements: Patches
@@ -31,18 +31,20 @@ class Receivers(eqx.Module):
 
 
 def receivers_of(scene: Scene, plan: Plan, shapes: Sorted) -> Receivers:
-    """The patches of a plan, their elements and the parts of those; lengths in m. `shapes`: of the
-    scene's surfaces."""
+    """Return the patches of a plan, their elements, and the parts of the elements; lengths in m.
+    `shapes`: the shapes of the scene."""
     splits = (1, plan.split, plan.split * _PARTS)
     patches, elements, parts = patches_at(scene, plan, splits)
     covered = _covered(scene, parts, shapes)
     uncovered = 1 - mean_of_parts(covered[:, None].astype(parts.area.dtype), parts, plan)[:, 0]
-    # a mean of ones may round to less than 1, and no part would be left to define a centre
+    # A mean of ones may round to less than 1. Then the element would count as partly open although
+    # no part is open.
     uncovered = jnp.where(uncovered > _LEAST, uncovered, 0)
     uncovered = jnp.where(uncovered < 1 - _LEAST, uncovered, 1)
     parts = eqx.tree_at(lambda p: p.area, parts, jnp.where(covered, 0, parts.area))
-    # The middle of an L is outside it where a body's corner reaches past the element's own middle:
-    # of three open parts of four the one across from the body is taken, of fewer their middle.
+    # If three of four parts are open, the mean of their centres may lie inside the covering body.
+    # Then the centre is moved to the part opposite the body. With one or two open parts the mean is
+    # used.
     middle = as_vec(mean_of_parts(as_array(parts.centre), parts, plan))
     partly = (uncovered > 0) & (uncovered < 1)
     away = divide(uncovered, jnp.minimum(uncovered, 1 - uncovered), partly, uncovered)
@@ -58,12 +60,13 @@ def receivers_of(scene: Scene, plan: Plan, shapes: Sorted) -> Receivers:
 def mean_of_parts(
     values: Float[Array, "parts n"], parts: Patches, plan: Plan
 ) -> Float[Array, "elements n"]:
-    """The mean over the parts of each element, in the unit of the values."""
+    """Return the mean of the values over the parts of each element, in their unit."""
     return by_patch(values, parts, refined(plan, _PARTS))
 
 
 def _covered(scene: Scene, patches: Patches, shapes: Sorted) -> Bool[Array, " patches"]:
-    """Whether the surface in front of a patch shows its back, as seen from inside a body."""
+    """Whether a ray along each patch's normal meets the back of a surface, so that the patch lies
+    inside a body."""
     two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
 
     def at(point: Vec, normal: Vec) -> Bool[Array, ""]:

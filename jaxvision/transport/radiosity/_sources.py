@@ -1,4 +1,4 @@
-"""Tables of the surfaces of a scene, and the direct light of its lights.
+"""Tables of the reflectances and emissions of a scene's surfaces, and direct light from its lights.
 
 Emission in W m^-2 sr^-1, irradiance in W m^-2, lengths in m.
 """
@@ -26,13 +26,13 @@ Table = Float[Array, "surfaces bands"]
 
 
 def diffuse_of(scene: Scene, like: Array) -> Table:
-    """`Lambert.diffuse` of all surfaces, sr^-1, broadcast to the bands of `like`."""
+    """Return `Lambert.diffuse` of all surfaces, sr^-1, broadcast to the bands of `like`."""
     materials = [surface.material for surface in scene.surfaces]  # `plan_patches` refuses others
     return _stacked([m.diffuse for m in materials if isinstance(m, Lambert)], like)
 
 
 def emission_of(scene: Scene, like: Array) -> Table:
-    """Emission of all surfaces (0 for those without), broadcast to the bands of `like`."""
+    """Return the emission of each surface (0 if it has none), broadcast to the bands of `like`."""
     nothing = jnp.zeros(1, like.dtype)
     values = [surface.emission for surface in scene.surfaces]
     return _stacked([nothing if value is None else value for value in values], like)
@@ -56,8 +56,8 @@ def largest_of(shapes: Sorted) -> Scalar:
 
 
 def sources_of(scene: Scene, size: Scalar) -> list[Light]:
-    """The lights, and emissive quads as rectangles slightly above their surfaces. `size`: m, the
-    largest coordinate of all shapes."""
+    """Return the lights of a scene, and its emissive quads as rectangular lights slightly above
+    their surfaces. `size`: m, the largest coordinate of all shapes."""
     lights = list(scene.lights)
     for surface in scene.surfaces:
         if surface.emission is None or not isinstance(surface.shape, Quad):
@@ -74,9 +74,9 @@ def sources_of(scene: Scene, size: Scalar) -> list[Light]:
 def irradiance_at(
     lights: Sequence[Light], shapes: Shapes, point: Vec, normal: Vec, rules: Sequence[Rule]
 ) -> Colour:
-    """Direct irradiance of one point, (bands,), with shadows. For a rectangle it is the exact
-    contour integral times the visible share by its rule. The rule matters only in penumbras, where
-    visibility has no gradient."""
+    """Return the direct irradiance of one point, (bands,), with shadows. For a rectangle it is the
+    exact contour integral times the visible share, which the sampling rule estimates. The rule
+    matters only in penumbras, where visibility has no gradient."""
     total = jnp.zeros(1, point.x.dtype)
     for _, group, rule in lights_by_rule(lights, rules):
 
@@ -95,7 +95,7 @@ def irradiance_at(
 def _sum_nodes(
     light: Light, shapes: Shapes, point: Vec, normal: Vec, rule: Rule
 ) -> tuple[Colour, Colour]:
-    """The sums over the nodes of a light, (without occlusion, with shadows)."""
+    """Return two sums of irradiance over the nodes of a light: without shadows, and with them."""
     dtype = point.x.dtype
 
     def node_sum(node: tuple[Array, Array]) -> tuple[Colour, Colour]:

@@ -6,10 +6,10 @@ from jaxtyping import Float
 
 from ._grid import Plan, parents_of, surfaces_of
 
-# In a closed room the mean of the row sums of form factors is 1, within the errors of quadrature
-# and shadow rays of single elements divided by the root of their number.
+# In a closed room the row sums of form factors have mean 1. Quadrature and shadow rays give each
+# element an error, which the mean divides by the square root of the number of elements.
 _CLOSED = 2e-3
-_BESIDE = 0.5  # an element that sees less of the scene than this is outside any room
+_BESIDE = 0.5  # an element whose row sum is smaller counts as outside any room
 
 
 def trapping_surface(
@@ -17,8 +17,8 @@ def trapping_surface(
     albedo: Float[np.ndarray, "surfaces bands"],
     plan: Plan,
 ) -> int | None:
-    """The first surface whose light is reflected only between white surfaces in some band, in a
-    room from which less than 2e-3 of it escapes.
+    """Return the first surface whose light is reflected, in some band, only between white surfaces
+    of a room from which less than 2e-3 of the light escapes.
 
     Args:
         table: (elements, patches) form factors, no unit.

@@ -1,4 +1,4 @@
-"""The table of form factors between the patches of a scene, and its two laws (closure and
+"""The table of form factors between the patches of a scene, and two checks of it (closure and
 reciprocity).
 
 A row of the table belongs to a receiving element, and a column to a sending patch. An entry is F
@@ -35,7 +35,9 @@ from ._receivers import receivers_of
 from ._sources import largest_of, shapes_of
 from .patches import Patches
 
-TILE = 128  # elements by patches at once: what is not needed for any of them is skipped
+# The table is computed in tiles of TILE elements by TILE patches. A step that no pair of a tile
+# needs is skipped.
+TILE = 128
 Tile = tuple[Float[Array, "*tiles lengths n"], Int[Array, "*tiles numbers n"]]
 Numbered = tuple[Patches, Int[Array, "..."]]
 
@@ -54,7 +56,7 @@ def form_factor_table(
         scene: the scene of the plan.
         plan: from `plan_patches`.
         rays: static, >= 1: number of shadow rays that determine how much of a patch an element
-            sees. They end at points spread over the patch, differently for each pair, so that a
+            sees. The rays end at points spread over the patch, differently for each pair, so that a
             patch that is split into elements uses split^2 `rays` rays for each other patch. The
             relative error of a half-blocked factor is about 1 / sqrt(rays), and averages out over
             patches.
@@ -91,11 +93,11 @@ def exchanged(
     rays: int = 1,
     elements: Int[Array, " rows"] | None = None,
 ) -> Float[Array, "rows bands"]:
-    """The irradiance of each element from all patches: `form_factor_table(...) @ sent`. Only `TILE`
-    by `TILE` factors are in memory at a time, and they are recomputed in each call.
+    """Return the irradiance of each element from all patches, `form_factor_table(...) @ sent`. Only
+    `TILE` by `TILE` factors are in memory at a time. Each call recomputes all factors.
 
-    Use it if the table is too large for memory. The sum over patches is taken tile by tile, so it
-    equals the table's up to rounding.
+    Use it if the table is too large for memory. The sum over patches is taken tile by tile, so the
+    result equals that of the table up to rounding.
 
     Args:
         scene, plan, rays, elements: as in `form_factor_table`.
@@ -127,7 +129,7 @@ def _exchanged(
             leaving, senders = part
             return total + of.factors(receivers, senders) @ leaving, None
 
-        # like the receivers, also in what differs from device to device
+        # made from the receivers, so that it varies over devices in the same way
         none = jnp.zeros_like(receivers[0], shape=(TILE, sent.shape[1]), dtype=sent.dtype)
         return jax.lax.scan(arriving, none, (light, of.senders))[0]
 
@@ -136,8 +138,8 @@ def _exchanged(
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Elements and patches in tiles, their numbers, and the factors between two tiles, (TILE,
-    TILE)."""
+    """Elements and patches in tiles, the numbers of elements and of patches, and the function that
+    computes the factors between two tiles, (TILE, TILE)."""
 
     receivers: Tile
     senders: Tile
@@ -183,9 +185,9 @@ def _pairs_of(scene: Scene, plan: Plan, rays: int, elements: Array | None) -> _P
 
 
 def _in_tiles(patches: Patches, numbers: Int[Array, " patches"]) -> Tile:
-    """Patches and their numbers, tile by tile; the last patch is repeated to fill the last tile.
-    All real numbers are in one array and all whole numbers in another, because each separate array
-    adds to the compiled code."""
+    """Divide patches and their indices into tiles; the last patch is repeated to fill the last
+    tile. All real numbers are in one array and all whole numbers in another, because each separate
+    array adds to the compiled code."""
     count = len(patches.area)
     tiles = np.minimum(np.arange(-(-count // TILE) * TILE), count - 1).reshape(-1, TILE)
     leaves = jax.tree.leaves(patches)
@@ -196,7 +198,7 @@ def _in_tiles(patches: Patches, numbers: Int[Array, " patches"]) -> Tile:
 
 
 def _unpacked(tile: Tile, like: Patches) -> Numbered:
-    """The patches of a tile, in the structure of the given ones, and their numbers."""
+    """Return the patches of a tile, in the structure of `like`, and their indices."""
     rows = [iter(array) for array in tile]
     leaves, structure = jax.tree.flatten(like)
     of_kind = [next(rows[not jnp.issubdtype(leaf.dtype, jnp.floating)]) for leaf in leaves]
@@ -221,21 +223,21 @@ def _near_factor(receiver: Numbered, sender: Numbered) -> Scalar:
     return near_factor(element.centre, element.normal, patch.corners)
 
 
-_TRIES = 6  # all of them miss a patch half below the horizon once in 2^6 times
+_TRIES = 6  # for a patch that is half below the horizon, all fail with probability 2^-6
 _SEED = np.array([0x9E3779B9, 0x7F4A7C15], np.uint32)
 
 
 def _visible_part(
     element: Patches, patch: Patches, stream: Stream, rays: int, shapes: Sorted
 ) -> Scalar:
-    """The fraction of unblocked rays from the centre of an element to positions of a patch, m."""
+    """Return the fraction of unblocked rays from the centre of an element to points of a patch."""
     start = element.centre + element.bulge * element.normal
     size = 4 * largest_of(shapes)
     shift = uniforms(stream, 0, element.area.dtype)[:2]
 
     def ray(k: Int[Array, ""], seen: Scalar) -> Scalar:
         target = _place_above(element, patch, shift, k)
-        # aimed above the patch, or it would itself be met by a ray whose start has been moved
+        # aim slightly above the patch; otherwise the ray, whose start is offset, could hit it
         toward = offset_origin(target, patch.normal, patch.normal, size=size) - start
         distance = norm(toward)
         direction = toward * reciprocal(distance)
@@ -248,9 +250,9 @@ def _visible_part(
 def _place_above(
     element: Patches, patch: Patches, shift: Float[Array, "2"], ray: Int[Array, ""]
 ) -> Vec:
-    """A position of a patch, m, for the ray of that number: above the horizon of the element if one
-    of `_TRIES` positions is. The factor counts only the part above the horizon, so the visible
-    fraction must as well."""
+    """Return the point of a patch, m, at which ray number `ray` aims. It lies above the horizon of
+    the element if one of `_TRIES` points does. The form factor counts only the part of the patch
+    above the horizon, so the visible fraction must do the same."""
     above = [dot(element.normal, corner - element.centre) for corner in patch.corners]
     rise = patch.bulge * dot(element.normal, patch.normal)
 
@@ -268,7 +270,7 @@ def _place_above(
 
 @takes_numbers
 def closure_error(table: Float[Array, "n patches"]) -> Float[Array, " n"]:
-    """The deviation of the sum of each row from 1.
+    """Return the sum of each row of a table of form factors, minus 1.
 
     Args:
         table: (n, patches), no unit.
@@ -289,7 +291,7 @@ def closure_error(table: Float[Array, "n patches"]) -> Float[Array, " n"]:
 def reciprocity_error(
     table: Float[Array, "patches patches"], area: Float[Array, " patches"]
 ) -> Float[Array, "patches patches"]:
-    """A_i F_ij - A_j F_ji, which is 0 for exact factors.
+    """Return A_i F_ij - A_j F_ji for areas A and form factors F; it is 0 for exact factors.
 
     Args:
         table: (patches, patches), no unit.

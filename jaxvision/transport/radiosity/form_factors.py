@@ -3,9 +3,10 @@
     F_ij = 1 / A_i integral over A_i and A_j of cos_i cos_j / (pi d^2)
 
 There are closed forms for rectangles with sides parallel to common axes, the contour integral for a
-polygon seen from a point, and quadrature over one of two polygons. Lengths are in m, exchange areas
-A_i F_ij in m^2, and form factors have no unit. There is no occlusion. Closed forms are exact to
-rounding and reciprocal. Each other function states its error. For ONE pair: the caller vmaps.
+polygon seen from a point, and quadrature over one of two polygons. d is the distance between two
+points of the surfaces. Lengths are in m, exchange areas A_i F_ij in m^2, and form factors have no
+unit. Occlusion is ignored. Closed forms are exact to rounding and reciprocal. Each other function
+states its error. For ONE pair: the caller vmaps.
 """
 
 from functools import partial
@@ -34,14 +35,14 @@ from ...core._vector import Vec, as_vec
 from ...lights import square_nodes
 from ._polygons import Polygon, far_factor, is_far, near_factor, polygon_point
 
-_LARGEST = 1e8  # side over distance: its square is far from overflow in float32
+_LARGEST = 1e8  # largest ratio of side to distance, whose square does not overflow in float32
 
 
 @takes_numbers
 def parallel_rectangles(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
-    """F between two equal rectangles that face each other.
+    """Return the form factor F between two equal rectangles that face each other.
 
-    It is a sum of positive terms and keeps full precision down to the sizes below.
+    F is a sum of positive terms and keeps full precision down to the sizes below.
 
     Args:
         width, height: () m each, of both rectangles; sides beyond 1e8 gaps count as 1e8.
@@ -71,8 +72,8 @@ def _facing(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
 
 @_facing.defjvp
 def _facing_jvp(primals, tangents):
-    """It uses t = x dF / d ln x, which is bounded and free of cancellation, unlike the derivative
-    of the quotient."""
+    """Differentiate `_facing` by means of t = x dF / d ln x, which is bounded and free of
+    cancellation, unlike the derivative of the quotient."""
     (width, height, gap), (d_width, d_height, d_gap) = primals, tangents
     x, y = (_ratio(side, gap) for side in (width, height))
     of_width, of_height = _steepness(x, y), _steepness(y, x)
@@ -82,9 +83,9 @@ def _facing_jvp(primals, tangents):
 
 
 def _steepness(x: Scalars, y: Scalars) -> Scalars:
-    """x^2 times the derivative with respect to x of the form factor of `parallel_rectangles`, with
-    s^2 = 1 + x^2: 2 / pi (arctan(y) - arctan(y / s) / s - ln[(1 + x^2)(1 + y^2) / (1 + x^2 + y^2)]
-    / 2 y)"""
+    """Return x^2 dF / dx for the form factor F of `parallel_rectangles`, with x and y the sides
+    over the gap and s^2 = 1 + x^2: 2 / pi (arctan(y) - arctan(y / s) / s - ln[(1 + x^2)(1 + y^2) /
+    (1 + x^2 + y^2)] / 2 y)"""
     square = x * x
     s = jnp.sqrt(1 + square)
     longer = square / (1 + s)  # s - 1
@@ -95,15 +96,15 @@ def _steepness(x: Scalars, y: Scalars) -> Scalars:
 
 @takes_numbers
 def perpendicular_rectangles(edge: Scalar, width: Scalar, other: Scalar) -> Scalar:
-    """F between two rectangles that meet at a right angle in a common edge.
+    """Return the form factor F between two rectangles that meet at a right angle in a common edge.
 
-    The terms are arranged without cancellation for any ratio of the sides. By symmetry `width` F =
-    `other` F'.
+    The terms are arranged without cancellation for any ratio of the sides. By reciprocity `width` F
+    = `other` F', with F' the form factor in the opposite direction.
 
     Args:
         edge: () m, the common edge; sides beyond 1e8 edges count as 1e8.
         width: () m, the other side of the emitting rectangle.
-        other: () m, that of the receiving rectangle.
+        other: () m, the other side of the receiving rectangle.
 
     Returns:
         () in [0, 0.5], no unit; 0 for a width below 3e-10 edges in float32, 1e-77 in float64.
@@ -123,9 +124,10 @@ def _meeting(edge: Scalar, width: Scalar, other: Scalar) -> Scalar:
 
 @_meeting.defjvp
 def _meeting_jvp(primals, tangents):
-    """The derivative with respect to ln h as in `_rise`, to ln of the edge from the logarithms of
-    `_hinged`, and to ln w as minus both, because F depends on ratios only. All terms have the same
-    sign in each sum, so nothing cancels."""
+    """Differentiate `_meeting`. The derivative with respect to ln h comes from `_rise`, that with
+    respect to the logarithm of the edge from the logarithms of `_hinged`. That with respect to ln w
+    is minus the sum of both, because F depends on ratios only. All terms of a sum have the same
+    sign, so nothing cancels."""
     (edge, width, other), (d_edge, d_width, d_other) = primals, tangents
     w, h = (_ratio(side, edge) for side in (width, other))
     w2, h2 = w * w, h * h
@@ -139,7 +141,8 @@ def _meeting_jvp(primals, tangents):
 
 
 def _rise(h: Scalars, w: Scalars) -> Scalars:
-    """The derivative of `_hinged` with respect to h: acot(h) - h acot(S) / S + h ln(1 - c) / 2."""
+    """Return the derivative of `_hinged` with respect to h, acot(h) - h acot(S) / S + h ln(1 - c) /
+    2, in the symbols given there."""
     s = safe_sqrt(w * w + h * h)
     longer = w * divide(w, s + h, s > 0)  # S - h
     angle = arctan2(jnp.ones_like(s), s)
@@ -154,19 +157,20 @@ def _ratio(side: Scalars, unit: Scalars) -> Scalars:
 
 
 def _opposed(x: Scalars, y: Scalars) -> Scalars:
-    """ln[(1 + x^2)(1 + y^2) / (1 + x^2 + y^2)] / 2 + x d(x, y) + y d(y, x), each term >= 0."""
+    """Return ln[(1 + x^2)(1 + y^2) / (1 + x^2 + y^2)] / 2 + x g(x, y) + y g(y, x) with g from
+    `_gain`; each term is >= 0."""
     area = x * y
     return log1p(area * (area / (1 + x * x + y * y))) / 2 + x * _gain(x, y) + y * _gain(y, x)
 
 
-_NEAR = 0.3  # below it a series has the digits that the difference of two angles loses
-_TERMS = 7, 16  # of it, in float32 and in float64
+_NEAR = 0.3  # below it, a series replaces the difference of two angles, which loses digits
+_TERMS = 7, 16  # terms of the series in float32 and in float64
 
 
 def _gain(x: Scalars, y: Scalars) -> Scalars:
     """s arctan(x / s) - arctan(x) with s = sqrt(1 + y^2), for x >= 0. The difference of the two
-    angles is computed as one angle, and s - 1 as a quotient. For a small x it is the sum over j >=
-    0 of
+    angles is computed as one angle, and s - 1 as a quotient. For a small x the result is the sum
+    over j >= 0 of
 
         x^3 (1 - s^-2) (-x^2)^j (1 + s^-2 + ... + s^-2j) / (2 j + 3).
     """
@@ -185,7 +189,9 @@ def _gain(x: Scalars, y: Scalars) -> Scalars:
 
 
 def _hinged(w: Scalars, h: Scalars) -> Scalars:
-    """pi W F of C-14, symmetric in its arguments. With S = sqrt(w^2 + h^2), the shorter side w,
+    """Return pi w F of Howell's C-14, which is symmetric in w and h. With w the shorter side,
+    S^2 = w^2 + h^2, a = w^2 h^2 / (1 + S^2), b = h^2 / (S^2 (1 + w^2)) and c = w^2 / (S^2 (1 +
+    h^2)), it is
 
     w acot(w) + h acot(h) - S acot(S)
         + [ln(1 + a) + w^2 ln(1 - b) + h^2 ln(1 - c)] / 4.
@@ -209,7 +215,7 @@ def _log_of_side(w: Scalars, h: Scalars) -> Scalars:
 
 
 def _log_remaining(lost: Scalars, remaining: Scalars) -> Scalars:
-    """log(1 - lost), where 1 - lost = remaining; the more precise of the two is used."""
+    """Return log(1 - lost) = log(remaining), from the more precise of the two arguments."""
     small = lost < 0.5
     return jnp.where(small, log1p(-jnp.minimum(lost, 0.75)), safe_log(remaining))
 
@@ -218,12 +224,13 @@ def _log_remaining(lost: Scalars, remaining: Scalars) -> Scalars:
 def parallel_exchange(
     first: Float[Array, "2 2"], second: Float[Array, "2 2"], gap: Scalar
 ) -> Scalar:
-    """A_1 F_12 = A_2 F_21 between rectangles in parallel planes, front to front, with sides along
-    the axes x and y.
+    """Return A_1 F_12 = A_2 F_21 between rectangles in parallel planes that face each other, with
+    sides along the axes x and y.
 
-    It uses second differences of the function behind C-11. They lose precision if a rectangle is
-    small compared with the other or with the distance. Then Gauss-Legendre nodes of the smaller one
-    are used with the contour or the nodes of the other. The errors were measured for 400 random
+    The result is a sum of second differences of the function behind Howell's C-11. These lose
+    precision if a rectangle is small compared with the other or with the distance. Then
+    Gauss-Legendre nodes of the smaller rectangle are used, with the contour or the nodes of the
+    other. The errors were measured for 400 random
     pairs, each at most ten times as long as wide and one up to 1000 times as large as the other.
     Factors above 1e-3 had relative errors of at most 4e-4 in float32 and 2e-10 in float64, and nine
     of ten of at most 3e-6 and 1e-12. Strips of a thousandth of their length have larger errors.
@@ -249,11 +256,11 @@ def parallel_exchange(
 
 @takes_numbers
 def perpendicular_exchange(first: Float[Array, "2 2"], second: Float[Array, "2 2"]) -> Scalar:
-    """A_1 F_12 = A_2 F_21 between rectangles in planes that meet at a right angle, with sides along
-    the line in which the planes meet and across it.
+    """Return A_1 F_12 = A_2 F_21 between rectangles in planes that meet at a right angle, with
+    sides along the line in which the planes meet and across it.
 
-    It uses differences of the function behind C-14, or nodes, and is as accurate as
-    `parallel_exchange`.
+    The result is a sum of differences of the function behind Howell's C-14, or uses Gauss-Legendre
+    nodes. It is as accurate as `parallel_exchange`.
 
     Args:
         first, second: (2, 2) m, rows along the common line and away from it, columns start and end
@@ -273,7 +280,7 @@ def perpendicular_exchange(first: Float[Array, "2 2"], second: Float[Array, "2 2
     terms = signs * (along * along)[None, None] * rises / (2 * jnp.pi)
     level = jnp.zeros_like(first[0, 0])
     floor = _corners(first, level, upward=True)
-    # x, away and up of the wall: that of a floor, turned about the line
+    # corners of the wall: those of a floor, rotated about the common line
     a, b, c, d = (Vec(p.x, p.z, p.y) for p in _corners(second, level, upward=False))
     return _surest(terms, first, second, (floor, (a, b, c, d)))
 
@@ -304,10 +311,10 @@ def _corners(sides: Float[Array, "2 2"], z: Scalar, *, upward: bool) -> Polygon:
 
 
 def _surest(terms: Array, first: Array, second: Array, corners: tuple[Polygon, Polygon]) -> Scalar:
-    """Return the result with the smallest error, m^2. The candidates are the sum of the terms,
-    which has rounding errors; the contour integral of one rectangle, seen from nodes of the smaller
-    one; and nodes of both, whose terms are positive. Nodes are not used if they are farther apart
-    than the rectangles."""
+    """Return the candidate with the smallest error, m^2. The candidates are the sum of the terms,
+    which has rounding errors; the contour integral of the larger rectangle, seen from nodes of the
+    smaller one; and nodes of both, whose terms are positive. Nodes are not used if their spacing is
+    larger than the distance between the rectangles."""
     smaller = _area(first) <= _area(second)
     small, large = (
         jax.tree.map(partial(jnp.where, which), *corners) for which in (smaller, ~smaller)
@@ -335,7 +342,7 @@ def _longest(corners: Polygon) -> Scalar:
 
 
 def _clearance(first: Polygon, second: Polygon) -> Scalar:
-    """The distance, m, between the bounding boxes of two polygons."""
+    """Return the distance, m, between the bounding boxes of two polygons."""
     gaps = []
     for axis in ("x", "y", "z"):
         one, other = (jnp.stack([getattr(p, axis) for p in c]) for c in (first, second))
@@ -345,12 +352,13 @@ def _clearance(first: Polygon, second: Polygon) -> Scalar:
 
 
 def _extrapolate(before: Scalar, last: Scalar) -> Scalar:
-    """Extrapolation of two steps toward a limit as a geometric series, if they decrease."""
+    """Return the step after `before` and `last`, extrapolated as a geometric series; at most
+    `last`."""
     return last * jnp.minimum(divide(last, before, before > 0), 1)
 
 
 def _gauss_exchange(first: Polygon, second: Polygon, order: int) -> Scalar:
-    """The exchange, m^2, at `order`^4 Gauss-Legendre nodes."""
+    """Return the exchange area A_1 F_12, m^2, from `order`^4 pairs of Gauss-Legendre nodes."""
     nodes, weights = square_nodes(order)
     s, t = jnp.asarray(nodes, first[0].x.dtype).T
     (place, patch), (other, facing) = (
@@ -378,12 +386,13 @@ class Exchange(Shown):
 
 
 def point_to_polygon(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
-    """F from a surface element to a polygon.
+    """Return the form factor F from a surface element to a polygon.
 
-    It is Lambert's contour integral, exact for flat convex polygons. Its relative rounding error is
+    F is Lambert's contour integral, exact for flat convex polygons. Its relative rounding error is
     some 15 eps (d / s)^2 for a polygon of size s at distance d. Beyond 5 sizes in float32 and 144
-    in float64 the 2 x 2 Gauss-Legendre nodes of `far_factor`, with an error of about .03 (s / d)^4,
-    are more accurate and replace it. The largest error is 1e-4 and 1e-10.
+    in float64, the 2 x 2 Gauss-Legendre nodes of `far_factor` are more accurate and replace it;
+    their error is about .03 (s / d)^4. The largest relative error is 1e-4 in float32 and 1e-10 in
+    float64.
 
     Args:
         point: (3,) m, the element.
@@ -401,18 +410,18 @@ def point_to_polygon(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
 
 
 def polygon_to_polygon(first: Polygon, second: Polygon, *, order: int = 4) -> Exchange:
-    """F from one flat convex polygon to another.
+    """Return the form factor F from one flat convex polygon to another.
 
-    It evaluates the contour integral over the second at `order`^2 Gauss-Legendre nodes of the
-    first.
+    The contour integral over the second polygon is evaluated at `order`^2 Gauss-Legendre nodes of
+    the first.
 
     Args:
         first, second: corners as in `point_to_polygon`, m.
         order: static, >= 2.
 
     Returns:
-        The factor, no unit. Its error is the difference to one order less: far above the true error
-        for polygons apart, close to it where they touch.
+        The factor, no unit. Its error is the difference from the result of the next lower order.
+        It is far above the true error for distant polygons, and close to it where they touch.
 
     Raises:
         ValueError: for an order below 2.

@@ -55,7 +55,7 @@ from ._sources import (
 )
 from .solution import DEFAULT_RULE, Solution
 
-_LARGEST = 256  # numbers in an array of a shape that are gathered by each pixel
+_LARGEST = 256  # arrays of at most so many numbers are indexed by each pixel
 
 
 def radiosity_along(
@@ -72,12 +72,13 @@ def radiosity_along(
     Args:
         scene, plan, solution: a scene with its own plan and solution.
         ray: origin (3,) m, direction (3,) unit length.
-        rule: of the samples of extended lights without a rule of their own, see
+        rule: sampling rule for extended lights without a rule of their own, see
             `direct_irradiance`.
-        gather: rule of the rays that collect indirect light at the point; None interpolates it
-            between the surrounding elements. With it contacts and creases are as sharp as the
-            pixels, with noise of about 0.7 / sqrt(rays) of the indirect light. For another point,
-            `lights.rule_for` draws both `rule` and `gather` anew.
+        gather: sampling rule for the rays that collect indirect light at the point; None
+            interpolates indirect light between the surrounding elements. Rays show contacts and
+            creases as sharply as the pixels allow, with noise of about 0.7 / sqrt(rays) of the
+            indirect light. For another point, `lights.rule_for` draws both `rule` and `gather`
+            anew.
 
     Returns:
         (bands,) W m^-2 sr^-1.
@@ -102,7 +103,7 @@ def radiosity_rays(
     rule: Rule = DEFAULT_RULE,
     gather: MonteCarlo | None = None,
 ) -> Along:
-    """`radiosity_along` for the rays of `photograph`.
+    """Return `radiosity_along` as a function of the rays of `photograph`.
 
     Args:
         scene, plan, solution, rule, gather: as in `radiosity_along`; random rules draw anew for
@@ -132,7 +133,7 @@ def radiosity_image(
     samples: PixelSamples | None = None,
     gather: MonteCarlo | None = None,
 ) -> Image:
-    """The picture of a solved scene.
+    """Render the radiance picture of a scene from its radiosity solution.
 
     Args:
         scene, plan, solution, rule, gather: as in `radiosity_along`; random rules draw anew for
@@ -169,9 +170,9 @@ def _image(
 
 
 class _Enclosure(NamedTuple):
-    """A solved scene in the form for rays, computed once for all of them.
+    """A solved scene, prepared once for all rays.
 
-    `groups`: its shapes by structure. `sources`: its lights and the quads that emit. `diffuse`
+    `groups`: the shapes by structure. `sources`: the lights and the quads that emit. `diffuse`
     sr^-1, `emission` W m^-2 sr^-1 and `two_sided`: for each surface.
     """
 
@@ -296,5 +297,5 @@ def _around(
 
 
 def _interpolated(values: Float[Array, "elements bands"], met: _Met) -> Colour:
-    """A spectrum interpolated between elements; extrapolation is limited to values >= 0."""
+    """Interpolate spectra between the elements around a hit; negative results become 0."""
     return jnp.maximum((met.weights[:, None] * values[met.around]).sum(axis=0), 0)

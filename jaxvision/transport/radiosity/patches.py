@@ -54,9 +54,9 @@ class Patches(Shown):
 
 
 def plan_patches(scene: Scene, *, size: float, split: int = 2, graded: bool = False) -> Plan:
-    """A plan whose patches are no longer than a given size.
+    """Divide the surfaces of a scene into patches no longer than a given size.
 
-    It needs known numbers: call it before `jit`, for which the plan is static.
+    It needs concrete numbers, so call it outside `jit`. A jitted function takes the plan as static.
 
     Args:
         scene: bounded surfaces of `Lambert` material.
@@ -120,7 +120,7 @@ def _check_surface(number: int, surface: Surface) -> None:
 
 
 def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
-    """The geometry of a plan's patches, differentiable with respect to the shapes.
+    """Compute the geometry of a plan's patches, differentiable with respect to the shapes.
 
     Args:
         scene: the scene of the plan.
@@ -134,7 +134,7 @@ def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
 
 
 def patches_at(scene: Scene, plan: Plan, splits: Sequence[int]) -> list[Patches]:
-    """`patches_of` for several splits, m, compiled as one piece of code."""
+    """Return `patches_of` for each of several splits, lengths in m, compiled as one program."""
     return _patches_at(scene, plan, tuple(splits))
 
 
@@ -154,7 +154,8 @@ def _patches_at(scene: Scene, plan: Plan, splits: tuple[int, ...]) -> list[Patch
 
 
 def _measured(scene: Scene, plan: Plan, splits: Sequence[int]) -> Float[Array, "20 cells"]:
-    """The fields of `Patches` with lengths, in order, for all splits."""
+    """Return the real-valued fields of `Patches`, one row each in order, for the cells of all
+    splits."""
     corners, bulge = _cut(scene, plan, splits)
     a, b, c, d = corners
     halves = [cross(b - a, c - a), cross(c - a, d - a)]
@@ -196,7 +197,7 @@ def by_patch(
     Returns:
         (patches, n) in the unit of `values`; 0 for a patch without area.
     """
-    if plan.split == 1:  # rows of a table stay on the devices that share it out
+    if plan.split == 1:  # leaves the rows of a sharded table on their devices
         return jnp.where(elements.area[:, None] > 0, values, 0)
     of_patch, count = jnp.asarray(parents_of(plan)), int(offsets_of(plan)[-1])
     weighted = jnp.concatenate([values, jnp.ones_like(values[:, :1])], axis=1)
@@ -209,8 +210,8 @@ Cells = tuple[tuple[Vec, Vec, Vec, Vec], Array]  # corners and bulge
 
 
 def _cut(scene: Scene, plan: Plan, splits: Sequence[int]) -> Cells:
-    """The cells of all faces, for each split: all parallelograms together as one piece of code, and
-    each other face by itself."""
+    """Return the cells of all faces, for each split. All parallelograms are computed together, to
+    shorten the compiled code, and every other face by itself."""
     shapes = [scene.surfaces[face.surface].shape for face in plan.faces]
     straight = np.array([isinstance(shape, Quad | Box) for shape in shapes] * len(splits))
     counts = np.concatenate([np.diff(offsets_of(plan, split=split)) for split in splits])
@@ -232,7 +233,7 @@ def _cut(scene: Scene, plan: Plan, splits: Sequence[int]) -> Cells:
 
 
 def _straight_cells(faces: Sequence[tuple[Face, Quad | Box]], splits: Sequence[int]) -> Cells:
-    """Corners and bulge (0) of the cells of quads and box sides."""
+    """Return the corners and the bulge (0) of the cells of quads and box sides."""
     sides = jnp.stack([row for face, shape in faces for row in side(shape, face.part)])
     sides = sides.reshape(len(faces), 9)
     places, owner = [], []
@@ -252,9 +253,9 @@ def _straight_cells(faces: Sequence[tuple[Face, Quad | Box]], splits: Sequence[i
 
 
 def _cells(shape: Shape, face: Face, split: int) -> tuple[tuple[Vec, Vec, Vec, Vec], Array]:
-    """Corners and bulge of a face's cells, row by row."""
+    """Return the corners and the bulge of a face's cells, row by row."""
     dtype = jax.tree.leaves(shape)[0].dtype
-    curved = isinstance(shape, Sphere | Disc)  # cut into flat patches first, and these split
+    curved = isinstance(shape, Sphere | Disc)  # cut into flat patches, which are then split
     once = 1 if curved else split
     u, v = (
         jnp.asarray(borders(count * once, face.graded), dtype)
@@ -285,6 +286,7 @@ def _cells(shape: Shape, face: Face, split: int) -> tuple[tuple[Vec, Vec, Vec, V
 
 
 def _between(count: int, split: int) -> np.ndarray:
-    """The matrix that interpolates count + 1 numbers linearly to split steps between neighbours."""
+    """Return the matrix that interpolates count + 1 numbers linearly, with `split` steps between
+    neighbours."""
     places = np.arange(count * split + 1) / split
     return np.maximum(1 - np.abs(places[:, None] - np.arange(count + 1)), 0)

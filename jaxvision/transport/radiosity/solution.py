@@ -1,4 +1,4 @@
-"""From a scene to its radiosity.
+"""Compute the radiosity of a scene.
 
 Irradiance and radiosity in W m^-2, lengths in m. Lights of any kind and emissive quads illuminate
 the elements directly, with shadows. Patches then exchange the reflected light.
@@ -60,23 +60,23 @@ def radiosity(
     method: str = "direct",
     rays: int = 1,
 ) -> Solution:
-    """The light that a scene's patches exchange.
+    """Compute the light that a scene's patches exchange.
 
     A quad emits as a `RectangleLight`, any other surface patch by patch. The ambient term is a
-    substitute for interreflections and ignored here.
+    substitute for interreflections and is ignored here.
 
     Args:
         scene: bounded surfaces of `Lambert` material, and any lights.
         plan: from `plan_patches`.
-        table: (elements, patches) from `form_factor_table`, for fixed geometry under changing
-            colours. Or, for more patches than the table has memory for (method "iterative"), a
-            function from the radiosity of patches, (patches, bands), to the irradiance of elements,
-            (elements, bands), both W m^-2, such as `exchanged` of this scene and plan. None
-            computes it.
-        rule: of the samples of extended lights without a rule of their own, see
+        table: (elements, patches) from `form_factor_table`; give it if only colours change. If the
+            table is too large for memory, give a function from the radiosity of patches, (patches,
+            bands), to the irradiance of elements, (elements, bands), both W m^-2, such as
+            `exchanged` of this scene and plan, with the method "iterative". None computes the
+            table.
+        rule: sampling rule for extended lights without a rule of their own, see
             `direct_irradiance`.
         method: static, see `solve_radiosity`.
-        rays: static, shadow rays for each pair, where the table is computed here.
+        rays: static, shadow rays for each pair, used if the table is computed here.
 
     Returns:
         Radiosity and irradiance, W m^-2.
@@ -85,7 +85,7 @@ def radiosity(
         ValueError: for a scene without surfaces, an unknown method, or a method that needs a table
             where a function is given.
     """
-    # a function of the caller's may give something else at each call: no program is kept of it
+    # A function given by the caller may change from call to call, so it is not compiled and cached.
     warn_of_scene(scene)
     solve = _solved if callable(table) else _solved_by_table
     return solve(scene, plan, table, rule, method, rays)
@@ -131,13 +131,13 @@ _solved_by_table = one_program(_solved)
 def direct_irradiance(
     scene: Scene, elements: Patches, *, rule: Rule = DEFAULT_RULE
 ) -> Float[Array, "elements bands"]:
-    """Irradiance of each element directly from lights and emissive quads, with shadows.
+    """Compute the irradiance of each element directly from lights and emissive quads, with shadows.
 
     Args:
         scene: surfaces and lights.
         elements: from `patches_of`.
-        rule: of the samples that determine partial shadows. Unblocked rectangles are exact under
-            any rule.
+        rule: sampling rule that determines partial shadows. Light from unblocked rectangles is
+            exact under any rule.
 
     Returns:
         (elements, bands) W m^-2.

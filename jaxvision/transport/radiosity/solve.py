@@ -27,7 +27,7 @@ PatchSpectra = Float[Array, "patches bands"]
 Table = Float[Array, "patches patches"]
 Product = Callable[[PatchSpectra], PatchSpectra]
 print_by_name(globals(), "PatchSpectra", "Table")
-_ALBEDO = Range(0, 1 + 1e-4, nan=True)  # pi k_d, rounded; above 1 there is no solution
+_ALBEDO = Range(0, 1 + 1e-4, nan=True)  # pi k_d may round to just above 1; larger has no solution
 # radiosity, unshot, shots, and whether to go on
 State = tuple[PatchSpectra, PatchSpectra, Int[Array, ""], Bool[Array, ""]]
 
@@ -43,19 +43,18 @@ def solve_radiosity(
     tolerance: float = 1e-4,
     limit: int = 1_000_000,
 ) -> PatchSpectra:
-    """Solve B = M + rho E + rho F B for B, band by band.
+    """Solve B = M + rho E + rho F B for the radiosity B, band by band.
 
     High albedos amplify rounding errors: in a closed room of albedo rho they grow by 1 / (1 - rho).
     In float32, at albedo .999, "direct" and "iterative" are within 3e-4 of the brightest patch.
     "progressive" is not suitable there: with 294 patches it reaches its limit of shots with an
-    error of 1e-3 in float64, and 4e-3 in float32 with the rounding of that many shots. If all
-    albedos are 1 in a closed room, there is no solution, and each method returns large numbers of
-    either sign. Gradients of all three methods are those of the exact solution, from the transposed
-    equation.
+    error of 1e-3 in float64, and of 4e-3 in float32, where each shot adds rounding. If all albedos
+    are 1 in a closed room, there is no solution, and each method returns large numbers of either
+    sign. All three methods have the gradients of the exact solution, from the transposed equation.
 
     Args:
         table: (patches, patches) form factors F, no unit; or, for "iterative", a function that
-            multiplies it by (patches, bands), as `exchanged` does without storing it.
+            multiplies F by (patches, bands), as `exchanged` does without storing F.
         albedo: (patches, bands) rho in [0, 1], no unit.
         sent: (patches, bands) M + rho E, W m^-2.
         method: static. "direct": LU, exact to rounding, at a cost of patches^3. "iterative": GMRES,
@@ -111,7 +110,7 @@ def _solve_by_lineax(
         if method == "direct":
             matrix = jnp.eye(len(b), dtype=table.dtype) - rho[:, None] * table
             operator = lineax.MatrixLinearOperator(matrix)
-        else:  # all bands by one table, of which no copy is made
+        else:  # all bands use the same table, without a copy
             operator = lineax.FunctionLinearOperator(lambda x: x - rho * (table @ x), structure)
         # float32 may not reach the tolerance; its best result is then the answer
         return scale * lineax.linear_solve(operator, b / scale, solver, throw=False).value
@@ -120,9 +119,9 @@ def _solve_by_lineax(
 
 
 def _gmres(tolerance: float) -> "lineax.GMRES":
-    """GMRES for numbers up to 1, with an absolute tolerance, because dark patches would never meet
-    a relative one. It stops only at restarts: with 8 steps between two it takes 19 to 28 products,
-    with 20 steps 43."""
+    """Return GMRES for radiosities scaled to a maximum of 1. The tolerance is absolute, because
+    dark patches would never meet a relative one. GMRES stops only at restarts: with 8 steps between
+    restarts it takes 19 to 28 products with the table, with 20 steps 43."""
     import lineax
 
     return lineax.GMRES(rtol=0.0, atol=tolerance, restart=8, stagnation_iters=4)
@@ -131,7 +130,8 @@ def _gmres(tolerance: float) -> "lineax.GMRES":
 def _without_table(
     product: Product, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float
 ) -> PatchSpectra:
-    """GMRES for all bands together, so that each factor is computed once for all."""
+    """Solve by GMRES for all bands together, so that each form factor is computed only once for all
+    bands."""
     import lineax
 
     structure = jax.ShapeDtypeStruct(sent.shape, sent.dtype)
@@ -143,8 +143,8 @@ def _without_table(
 @takes_numbers
 @in_range(albedo=_ALBEDO)
 def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int) -> PatchSpectra:
-    """B after a number of reflections: the first terms of the Neumann series, as in a path tracer
-    of that depth.
+    """Return B after a number of reflections: the first terms of the Neumann series, as in a path
+    tracer of that depth.
 
     Args:
         table, albedo, sent: as in `solve_radiosity`.
@@ -174,10 +174,11 @@ def shoot(
     tolerance: float = 1e-4,
     limit: int = 10_000,
 ) -> tuple[PatchSpectra, PatchSpectra]:
-    """Progressive refinement: the brightest unshot patch sends its light to all others, repeatedly.
+    """Solve by progressive refinement: repeatedly, the patch with the brightest unshot light sends
+    it to all others.
 
-    This is Southwell relaxation without areas. The number of shots depends on the values, so it has
-    no reverse-mode gradient; `solve_radiosity` has one.
+    This is Southwell relaxation without areas. The number of shots depends on the values, so there
+    is no reverse-mode gradient; `solve_radiosity` has one.
 
     Args:
         table, albedo, sent: as in `solve_radiosity`.
@@ -224,13 +225,13 @@ _BOUNCES = 16
 
 
 def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
-    """Return a bound on the light that all reflections of light of at most 1 add to a patch;
-    infinite if they do not decrease.
+    """Return an upper bound on the light that all reflections add to a patch, for unshot light of
+    at most 1. It is infinite if the reflections do not decrease.
 
     If w - rho F w >= 1 - s > 0 everywhere, then |(I - rho F)^-1 b| <= w / (1 - s) max |b|, because
     rho F is not negative. The Neumann series w = 1 + rho F + ... + (rho F)^n applied to ones has s
-    = max (rho F)^(n + 1). For n = 0 this is 1 / (1 - largest row sum). It is sharp for large n,
-    when single rows of an inexact table may sum to more than 1.
+    = max (rho F)^(n + 1). For n = 0 this is 1 / (1 - largest row sum). For large n the bound is
+    tight, even if single rows of an inexact table sum to more than 1.
     """
 
     def once(_: Int[Array, ""], state: tuple[PatchSpectra, PatchSpectra]) -> tuple:
@@ -271,8 +272,8 @@ def ambient_estimate(
 def _progressive(
     table: Table, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float, limit: int
 ) -> PatchSpectra:
-    """`shoot` with the gradient of the exact solution: the transposed equation is solved in the
-    same way."""
+    """Solve by `shoot`, with the gradient of the exact solution: the transposed equation is solved
+    in the same way."""
 
     def transport(b: PatchSpectra) -> PatchSpectra:
         return b - albedo * (table @ b)
@@ -281,7 +282,7 @@ def _progressive(
         return shoot(table, albedo, b, tolerance=tolerance, limit=limit)[0]
 
     def backward(_: object, b: PatchSpectra) -> PatchSpectra:
-        # x of x = b + F^T rho x, by way of y = rho x
+        # solve x = b + F^T rho x by substituting y = rho x
         y, _ = shoot(table.T, albedo, albedo * b, tolerance=tolerance, limit=limit)
         return b + table.T @ y
 
