@@ -55,8 +55,8 @@ from .shadows import (
     visible_in_order,
 )
 
-TOGETHER = 256  # rays whose lights are taken in one order
-_LARGEST = 256  # numbers in an array of a material that are gathered by each pixel
+TOGETHER = 256  # rays that trace the lights in the same order
+_LARGEST = 256  # arrays of at most so many numbers are indexed by each pixel
 
 
 def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colour:
@@ -115,20 +115,21 @@ def sorted_scene(scene: Scene, *, wide: bool = False) -> SortedScene:
 
 
 class Met(eqx.Module):
-    """The place of a surface that a ray meets; lengths in m."""
+    """The point where a ray meets a surface; lengths in m."""
 
     ray: Ray
     encounter: Encounter
     hit: Hit
-    patch: Patch | None  # of the maps there
-    normal: Vec  # that shades
+    patch: Patch | None  # where maps are evaluated; None without maps
+    normal: Vec  # the shading normal
     leaving: Leaving
 
 
 def _met(
     scene: Scene, shapes: SortedScene, seen: Ray | PixelRay, known: Encounter | None = None
 ) -> Met:
-    """What a ray meets. `known`: its encounter, if it was searched before."""
+    """Find the point where a ray meets a surface. `known`: the ray's encounter, if it was found
+    before."""
     wide = seen if isinstance(seen, PixelRay) else None
     ray = seen.ray if isinstance(seen, PixelRay) else seen
     encounter = known or checkpoint_name(nearest_shape(ray, shapes.shapes), TRACED)
@@ -146,7 +147,7 @@ def _along(
     rules: tuple[Rule, ...],
     known: Encounter | None = None,
 ) -> Colour:
-    """`radiance_along` for one of many rays, with sorted shapes; `known` as for `_met`."""
+    """Compute `radiance_along` for one of many rays, with sorted shapes; `known` as for `_met`."""
     met = _met(scene, shapes, seen, known)
     light = lighting(
         scene.lights,
@@ -160,7 +161,8 @@ def _along(
 
 
 def _seen(scene: Scene, shapes: SortedScene, met: Met, light: Lighting) -> Colour:
-    """What a ray sees where its surface has this light, W m^-2 sr^-1."""
+    """Return the radiance along a ray, W m^-2 sr^-1, given the light on the surface that it
+    meets."""
     ray, encounter = met.ray, met.encounter
     radiance = _reflected(scene, light, ray, encounter, met.normal, met.patch, shapes.materials)
     emissions = [surface.emission for surface in scene.surfaces]
@@ -184,9 +186,9 @@ def _reflected(
     materials: Sequence[Material] | None = None,
     reflected: Callable[..., Array] = reflected_radiance,
 ) -> Colour | Scalar:
-    """The light that the surface of an encounter reflects against the ray, W m^-2 sr^-1.
-    `materials`: of all surfaces, with prepared maps; None for the scene's own. `reflected` of a
-    material, its light, the normal and the direction of the viewer."""
+    """Return the radiance that the encountered surface reflects against the ray, W m^-2 sr^-1.
+    `materials`: of all surfaces, with prepared maps; None for the scene's own. `reflected` is
+    called with a material, its light, the normal and the direction of the viewer."""
     radiance = jnp.zeros((), ray.origin.x.dtype)
     materials = materials or [surface.material for surface in scene.surfaces]
     for members, group in group_by_structure(materials, largest=_LARGEST):
@@ -233,13 +235,13 @@ def _of_surface(emissions: list[Colour | None], index: Int[Array, ""]) -> Colour
 def direct_along(
     scene: Scene, rule: Rule, *, wide: bool = False, threshold: Scalar | float | None = None
 ) -> Along:
-    """`radiance_along` for the rays of `photograph`.
+    """Return `radiance_along` as a function of the rays of `photograph`.
 
     Args:
         scene: as in `radiance_along`.
         rule: sampling rule for extended lights without a rule of their own; a random rule draws
             anew for each pixel and sample.
-        wide: whether the rays are a `PixelRay` each, over which maps are averaged.
+        wide: whether each ray is a `PixelRay`, over whose width maps are averaged.
         threshold: as in `render`.
 
     Returns:
@@ -256,7 +258,7 @@ def direct_along(
 
 
 def _in_order(scene: Scene, shapes: SortedScene, rule: Rule, threshold: Scalar | float) -> Along:
-    """`direct_along` with a threshold, for `TOGETHER` rays at once."""
+    """Return `direct_along` with a threshold, for blocks of `TOGETHER` rays."""
     groups = [
         (members, group)
         for members, group, own in lights_by_rule(scene.lights, rules_of(scene, rule))
@@ -355,13 +357,13 @@ def render(
         samples: rays of each pixel, whose mean is taken; None for one ray through each pixel's
             centre.
         edges: moving edges in derivatives; None neglects them.
-        threshold: W m^-2 sr^-1 that each pixel may lack; None: nothing. For every 256 pixels of a
-            row, the shadow rays go to the lights in order of the most that each can show there. The
-            last lights, which together show no pixel more than the threshold, are left out. At 1 %
-            of the brightest pixel, a street of 100 lamps and 60 houses in 256 x 256 pixels takes 5
-            % of the shadow rays, and a sixth of the time of one core. It does not pay for few
-            lights or few shapes. Lights under the rule `Balanced` are all traced. `effects.prune`
-            finds the threshold of a tolerance.
+        threshold: W m^-2 sr^-1, largest radiance that each pixel may lose; None loses nothing. For
+            every 256 successive pixels, lights are traced in order of the largest radiance that
+            each can add there. The last lights, which together add at most the threshold to any of
+            these pixels, are omitted. With a threshold of 1 % of the brightest pixel, a street of
+            100 lamps and 60 houses in 256 x 256 pixels needs 5 % of the shadow rays, and a sixth of
+            the time on one core. With few lights or few shapes it saves no time. Lights under the
+            rule `Balanced` are all traced. `effects.prune` finds the threshold for a tolerance.
 
     Returns:
         (h, w, bands) W m^-2 sr^-1.

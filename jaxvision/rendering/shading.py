@@ -216,9 +216,7 @@ def reflected_bands(
     for members, group, rule in lights_by_rule(light.lights, light.rules):
         passes = [None if light.visible is None else light.visible[i] for i in members]
         if can_be_seen(light.lights[members[0]]) or len(members) > UNROLLED:
-            known = [
-                flags for flags in passes if flags is not None
-            ]  # those of all members, or none
+            known = [flags for flags in passes if flags is not None]  # of all members, or of none
             flags = jnp.stack(known) if known else None
             traced = None
             if light.traced is not None:

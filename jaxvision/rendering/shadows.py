@@ -131,27 +131,27 @@ def visible_in_order(
     reached: Callable[[Light], Bool[Array, "rays samples"]],
     threshold: Scalar,
 ) -> tuple[Bool[Array, "lights rays samples"], Bool[Array, " lights"]]:
-    """Trace the shadow rays of stacked lights in order of the largest radiance that each shows to
-    any of some rays, until the others show each ray less than a threshold.
+    """Trace the shadow rays of stacked lights in order of the largest radiance that each light can
+    add to any ray of a group, until the remaining lights together add at most a threshold.
 
     Source: Ward, "Adaptive Shadow Testing for Ray Tracing", Proc. 2nd Eurographics Workshop on
-    Rendering (1991). There the order is that of each ray.
+    Rendering (1991), where each ray has its own order.
 
     Args:
         group: stacked lights.
-        shown: from a light to its radiance without shadows for each ray, (rays,) W m^-2 sr^-1, an
-            upper bound of what it shows.
-        reached: from a light to the samples of it that reach the point of each ray.
+        shown: function from a light to the radiance that it adds to each ray without shadows,
+            (rays,) W m^-2 sr^-1, an upper bound.
+        reached: function from a light to whether each of its samples reaches the point of each ray.
         threshold: () W m^-2 sr^-1.
 
     Returns:
-        Which samples reach each point, False of lights that were not traced; and whether each light
-        was traced. No gradient.
+        Whether each sample reaches each point, False for lights that were not traced; and whether
+        each light was traced. No gradient.
     """
     group, threshold = jax.lax.stop_gradient((group, threshold))
     radiance = jax.lax.stop_gradient(jax.vmap(shown)(group))
     most = radiance.max(axis=1)
-    order = jnp.argsort(jnp.where(jnp.isnan(most), jnp.inf, most))  # the brightest last
+    order = jnp.argsort(jnp.where(jnp.isnan(most), jnp.inf, most))  # the brightest light last
 
     def add(rest: Array, number: Array) -> tuple[Array, Array]:
         rest = rest + radiance[number]
@@ -173,7 +173,7 @@ def visible_in_order(
 
 
 def samples_that_reach(place: Place, rule: Rule, light: Light) -> Bool[Array, " _"]:
-    """Which samples of a light reach the point, (samples,), no unit."""
+    """Return whether each sample of a light reaches the point, (samples,)."""
 
     def of_node(node: tuple[Array, Array]) -> Bool[Array, ""]:
         arriving = incident_sample(light, rule, place.point, *node)
