@@ -1,5 +1,5 @@
-"""Photographs of a glossy sphere, simulated in NumPy, and the position of the truth in their
-fits."""
+"""Photographs of a glossy sphere, simulated in NumPy as means over pixels, and the position of the
+truth in their fits."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,6 +17,8 @@ from ..rig import Camera, SphereGeometry
 from .simulations import places_in
 
 SIZE, RADIUS, WHITE = 28, 13.0, 3000.0  # pixels, pixels, DN
+# of a pixel, along each side
+PARTS, WEIGHTS = np.polynomial.legendre.leggauss(5)
 GAIN, BITS = 0.25, 12  # DN per electron
 NAMES = ("diffuse", "specular", "exponent")
 WIDEST = 60.0  # degrees between lights and view
@@ -58,16 +60,17 @@ class Sphere:
         return self.shaded(directions(self.lights))
 
     def shaded(self, wi: np.ndarray) -> np.ndarray:
-        """(lights, h, w) DN above black under lights in these unit directions."""
-        row, column = np.mgrid[:SIZE, :SIZE] - (SIZE - 1) / 2
-        x, y = column / RADIUS, -row / RADIUS
+        """(lights, h, w) DN above black, means over the pixels, for lights in these directions."""
+        across = (np.arange(SIZE)[:, None] + PARTS / 2).ravel() - (SIZE - 1) / 2
+        x, y = np.meshgrid(across / RADIUS, -across / RADIUS)
         z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
         normals = np.where((z > 0)[..., None], np.stack([x, y, z], axis=-1), 0)
         diffuse, specular, exponent = self.truth
         cosine = np.einsum("hwc,lc->lhw", normals, wi)
         mirrored = 2 * cosine * normals[..., 2] - wi[:, None, None, 2]
         shaded = diffuse * cosine + specular * np.maximum(mirrored, 0) ** exponent
-        return WHITE * np.where(cosine > 0, shaded, 0)
+        parts = np.where(cosine > 0, shaded, 0).reshape(-1, SIZE, len(PARTS), SIZE, len(PARTS))
+        return WHITE / 4 * np.einsum("lhiwj,i,j->lhw", parts, WEIGHTS, WEIGHTS)
 
     @cached_property
     def observed(self) -> tuple[Photographs, Selection, Grouping]:

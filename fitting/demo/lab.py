@@ -25,6 +25,7 @@ from jaxvision.development import to_integers
 from jaxvision.files.images import replaced_on_success, write_image
 from jaxvision.lights import DirectionalLight, PointLight
 from jaxvision.optics import look_at
+from jaxvision.rendering import PixelSamples
 from jaxvision.scene import (
     AmbientLight,
     Camera,
@@ -49,6 +50,7 @@ FLAT_SIZE, STACK_SIZE, SPHERE_SIZE = (240, 320), (96, 128), (128, 128)
 FLAT_EXPOSURES = np.round(np.linspace(5e-4, 2.45e-2, 25), 6)  # 1.08 times saturation at the end
 STACK_EXPOSURES = tuple(float(2.0**stop) for stop in range(-11, -2))
 SPATIAL_FRAMES = 16
+RAYS = 64  # of a pixel of the sphere, which is the mean over its area
 RED_GREEN_BLUE = ("red", "green", "blue")
 
 
@@ -102,10 +104,13 @@ def _flat_frame(bench: _Bench, photon_rate: jax.Array, frame: jax.Array, *, shap
     return raw_image(key, bench.sensor, field, die_key=bench.die_key)
 
 
-@jax.jit
-def _picture(bench: _Bench, scene: Scene, camera: Camera, frame: jax.Array) -> Any:
+@partial(jax.jit, static_argnames="rays")
+def _picture(
+    bench: _Bench, scene: Scene, camera: Camera, frame: jax.Array, *, rays: int | None = None
+) -> Any:
     key = jax.random.fold_in(bench.frame_key, frame)
-    return capture(key, scene, camera, die_key=bench.die_key)
+    samples = None if rays is None else PixelSamples(jax.random.fold_in(key, rays), rays)
+    return capture(key, scene, camera, die_key=bench.die_key, samples=samples)
 
 
 def simulate_lab(folder: Path, *, seed: int = 0, progress: Progress | None = None) -> Truth:
@@ -261,7 +266,8 @@ def _sphere_under_lights(folder: Path, film: _Film, truth: Truth, bench: _Bench)
     for i, direction in enumerate(sphere_lights()):
         light = DirectionalLight(direction, jnp.full(3, white / per_photon))
         camera = Camera(view, _exposed(bench, exposure).sensor)
-        taken = _picture(bench, Scene((ball,), (light,)), camera, jnp.asarray(film.next))
+        scene, frame = Scene((ball,), (light,)), jnp.asarray(film.next)
+        taken = _picture(bench, scene, camera, frame, rays=RAYS)
         name = f"light_{i:02d}.tif"
         film.write(folder / name, np.asarray(taken.raw, np.uint16))
         entries.append(

@@ -2,10 +2,11 @@
 
 A cell of n pixels has a count, a mean and a scatter. The likelihood of pixels with equal signals
 needs no more. Signals within a cell differ a little, so a reference model near the best one is
-subtracted first. The mean of its pixels, less its value at their mean geometry, is added to the
-prediction of the cell, and the scatter is taken about the reference. At the reference, cells and
-pixels agree; away from it, they differ by the curvature of the model within a cell. Cells are
-therefore wide where an image is smooth, and divided at its highlight and at an end of the scale.
+subtracted first, as the mean over the area of each pixel. The mean of its pixels, less its value at
+their mean geometry, is added to the prediction of the cell, and the scatter is taken about the
+reference. At the reference, cells and pixels agree; away from it, they differ by the curvature of
+the model within a cell. Cells are therefore wide where an image is smooth, and divided at its
+highlight and at an end of the scale.
 
 A cell counts in an image if all of its pixels are lit and away from both ends of the scale. The
 reference decides this, because a selection by measured numbers would depend on their noise.
@@ -13,16 +14,19 @@ Measured numbers far from both ends count as well, because a wrong reference wou
 them.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxvision import Vec
 
-from ..reflectance.from_images.read import Photographs
+from ..inference.parameters import names
+from ..reflectance.from_images.read import WEIGHTS, Photographs
 from ..reflectance.from_images.signal import (
     Form,
     Geometry,
@@ -30,6 +34,7 @@ from ..reflectance.from_images.signal import (
     local_geometry,
     signal,
     stored,
+    surface_parameters,
     unit_lobe,
 )
 from ..reflectance.models import has_lobe, shape_of
@@ -155,9 +160,13 @@ def reduce_images(
     deviations. `within` is the (images, cells) count of cells that may be used; None allows all."""
     observation, channel, form = grid.observation, grid.channel, grid.form
     count, mean, scatter, offset = (np.zeros(grid.count.shape) for _ in range(4))
+    surface = tuple(names(surface_parameters(form)))
     left = np.zeros(grid.cell.shape)
     white = jnp.asarray(observation.white)
-    at_cells = np.asarray(_pixel_moments(reference, form, grid.geometry, white)[4])
+    middle = jax.tree.map(lambda of_cells: of_cells[None], grid.geometry)
+    at_cells = np.asarray(_pixel_moments(reference, form, middle, white, np.ones(1))[4])
+    at_middle = _slopes(surface, reference, form, middle, white, np.ones(1))
+    slopes = {name: np.zeros(grid.count.shape) for name in surface}
     for i, (light, cell, pixels) in enumerate(zip(grid.lights, grid.cell, grid.count, strict=True)):
         expected, usable = pixels_at(observation, channel, int(light), reference, form)
         allowed = pixels if within is None else within[i]
@@ -169,6 +178,10 @@ def reduce_images(
         of_model = _means(np.where(whole[cell], expected, 0), cell, pixels)
         mean[i] = of_cell + of_model
         offset[i] = np.where(whole, of_model - at_cells[i], 0)
+        seen, weights = _points(observation, channel, int(light))
+        for name, own in _slopes(surface, reference, form, seen, white, weights).items():
+            more = _means(np.asarray(own)[0], cell, pixels) - np.asarray(at_middle[name])[i]
+            slopes[name][i] = np.where(whole, more, 0)
         scatter[i] = np.bincount(cell, left[i] ** 2, len(pixels))
     above = (at_cells + offset - float(reference["black_level"])) / observation.white
     level = np.maximum(above, DARKEST) * grid.patch / np.maximum(grid.count, 1)
@@ -180,8 +193,10 @@ def reduce_images(
                 of_cells = np.bincount(grid.cell[0], left[i] * left[j], grid.count.shape[1])
                 products[:, i, j] = products[:, j, i] = of_cells
         products = jnp.asarray(products)
+    offset = offset - sum(float(reference[name]) * own for name, own in slopes.items())
     arrays = (jnp.asarray(a) for a in (count, mean, scatter, offset, level))
-    return replace(Cells(grid.geometry, *arrays), products=products)
+    slopes = jax.tree.map(jnp.asarray, slopes)
+    return Cells(grid.geometry, *arrays, products=products, slopes=slopes)
 
 
 def image_geometry(
@@ -199,8 +214,8 @@ def pixels_at(
     """Return (pixels,) expected DN in one image, and the mask of pixels away from both ends of
     the scale and from the partly lit outline. A pixel qualifies by its expected number, or by a
     measured number that is twice as far from both ends, which leaves no doubt."""
-    white, geometry = observation.white, image_geometry(observation, channel, light)
-    found = _pixel_moments(values, form, geometry, jnp.asarray(white))
+    white, (geometry, weights) = observation.white, _points(observation, channel, light)
+    found = _pixel_moments(values, form, geometry, jnp.asarray(white), weights)
     expected, x, variance, noise, _ = (np.asarray(a)[0] for a in found)
     foot = x if "gamma" in values else x + float(values["black_level"])
     below = expected + CLEAR * np.sqrt(variance) < observation.clip
@@ -214,12 +229,30 @@ def pixels_at(
     return expected, clear & (observation.cosine[light] > SMALLEST_COSINE)
 
 
+def _points(observation: Photographs, channel: int, light: int) -> tuple[Geometry, np.ndarray]:
+    """(points, 1, pixels) geometry in one image, over which a pixel is the mean with weights."""
+    parts = [image_geometry(one, channel, light) for one in observation.points]
+    weights = np.ones(1) if observation.within is None else WEIGHTS
+    return jax.tree.map(lambda *own: jnp.stack(own), *parts), weights
+
+
+@eqx.filter_jit
+def _slopes(surface: tuple[str, ...], values: Values, *of: Any) -> Values:
+    """Derivatives of E[DN] of X, as of `_pixel_moments`, by the surface's natural values."""
+
+    def mean_of(own: Values) -> Array:
+        return _pixel_moments(values | own, *of)[4]
+
+    return jax.jacfwd(mean_of)({name: values[name] for name in surface})
+
+
 @eqx.filter_jit
 def _pixel_moments(
-    values: Values, form: Form, geometry: Geometry, white: Array
+    values: Values, form: Form, geometry: Geometry, white: Array, weights: np.ndarray
 ) -> tuple[Array, ...]:
-    """E[DN] of a signal of at least its noise, X, Var[DN], the deviation of X, and E[DN] of X."""
-    x = signal(values, form, geometry)
+    """E[DN] of a signal of at least its noise, X, Var[DN], the deviation of X, and E[DN] of X. X is
+    the mean over the first axis of the geometry."""
+    x = jnp.tensordot(weights, signal(values, form, geometry), 1)
     gain = values["system_gain"]
     noise = jnp.sqrt(gain * x + (gain * values["read_noise"]) ** 2)
     mean, variance, _ = stored(values, jnp.maximum(x, noise) if "gamma" in values else x, white)

@@ -197,7 +197,7 @@ def first_reflectance(
     chosen = select(observation, held_out=False, form=form)
     every = -(-len(chosen.light) // MOST_AT_START)
     chosen = Selection(chosen.light[::every], chosen.pixel[::every])
-    samples = View(observation, channel, chosen).samples(form)
+    samples = View(replace(observation, within=None), channel, chosen).samples(form)
     found, vector = project(average(samples, cells_of(observation, chosen)))
     space = parameter_space(found.form)
     start = dict(zip(names(space), natural_numbers(space, vector).tolist(), strict=True))

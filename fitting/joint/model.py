@@ -29,7 +29,7 @@ A value that is known exactly is not a parameter, and an error that the rig does
 traced.
 """
 
-from dataclasses import replace
+from dataclasses import field, replace
 
 import equinox as eqx
 import jax
@@ -150,12 +150,13 @@ class Cells(eqx.Module):
     # sum of squared deviations from the mean, less what the reference model varies by within the
     # cell, DN^2
     scatter: Table
-    # DN by which the mean over the pixels of the reference model differs from its value at their
-    # mean geometry
+    # DN by which the mean over the pixels of a model near the reference differs from its value at
+    # their mean geometry, for natural values of 0, and its `slopes`
     offset: Table
     level: Table  # D P / (n W), positive
     # as `scatter`, of two images; None where pixels are alike
     products: Float[Array, "cells images images"] | None = None
+    slopes: dict[str, Table] = field(default_factory=dict)  # DN, by the parameter's name
 
 
 class JointData(eqx.Module):
@@ -231,7 +232,7 @@ def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
     if "misfit" in values:
         misfit = values["misfit"] * data.white * jnp.sqrt(MISFIT_AT * cells.level)
     return Prediction(
-        mean=mean + cells.offset,
+        mean=mean + cells.offset + sum(values[name] * own for name, own in cells.slopes.items()),
         variance=variance,
         relative=slope * x,
         image_errors=jnp.stack(errors, axis=1) if errors else None,

@@ -1,6 +1,6 @@
 """A joint fit's predictions of single pixels, with the standard deviation of their numbers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -50,11 +50,13 @@ def predict(
     """
     channel = measurement.channels.index(fit.channel)
     expected, usable = pixels_at(measurement, channel, light, fit.values, fit.form)
+    points = replace(measurement, within=None)
+    more = expected - pixels_at(points, channel, light, fit.values, fit.form)[0]
     zero = jnp.zeros((1, len(usable)))
     above = (expected - float(fit.values["black_level"])) / measurement.white
     pixels = Cells(  # each its own cell
         image_geometry(measurement, channel, light, turns=fit.grid.turns),
-        *(jnp.asarray(usable[None], zero.dtype), zero, zero, zero),
+        *(jnp.asarray(usable[None], zero.dtype), zero, zero, jnp.asarray(more[None])),
         jnp.asarray(np.maximum(above, DARKEST)[None]),
     )
     scales = scatter_scales(measurement)

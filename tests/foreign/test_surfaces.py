@@ -381,12 +381,3 @@ def test_equal_images_have_no_normals(level, noise, said):
     found = reflectance.photometric_stereo(images, lights)
     assert any("No pixel has a normal" in sentence for sentence in found.findings) == bool(said)
     assert said is None or (said in str(found) and np.isnan(found.albedo).all())
-
-
-@pytest.mark.parametrize("width", [2.0, 2.9, 8.0])
-def test_a_pixel_lowers_the_peak_of_a_highlight_by_its_second_moment(width):
-    """A Gaussian of variance s^2 averaged over squares of variance 1/12, on a diffuse ramp."""
-    x, y = np.mgrid[-40:41, -40:41]
-    lobe = np.exp(-(x**2 + y**2) / (2 * width**2))
-    lowered, term = of_images.lost_in_pixels(1 + 0.01 * x + lobe, lobe)
-    np.testing.assert_allclose(-lowered / term, 1 / (12 * width**2 + 1), rtol=0.3)

@@ -75,8 +75,9 @@ def photographs(rng, *, model="phong", truth=PHONG, white=WHITE, clip=4095.0, li
 
 
 def observe(folder, frames, *, white=WHITE, camera=CAMERA, **options):
+    """Of pixels that are points, as `shade` computes them."""
     write_rig(folder, frames, DIRECTIONS, [white], radius=RADIUS, camera=camera, **options)
-    return read_reflectance_observation(folder)
+    return dataclasses.replace(read_reflectance_observation(folder), within=None)
 
 
 def with_frames(observation, frames):

@@ -107,18 +107,18 @@ def test_a_turned_light_is_turned_back(fitted, about):
 
 
 def test_lights_are_as_uncertain_as_their_images_show(fitted):
-    """Off by almost four times what its rig says, a light is turned, and counts as that uncertain;
+    """Off by four times what its rig says, a light is turned, and counts as that uncertain;
     by ten times, lights stay, and no highlight is told."""
     observation, fit = fitted
-    wrong, known = turned_by_hand(observation, 5e-3, 0), np.zeros(5)
-    known[2] = 5e-3
+    wrong, known = turned_by_hand(observation, 0.01, 0), np.zeros(5)
+    known[2] = 0.01
     told = fit(**wrong, uncertain={"direction_sd": known})
     assert told.turned.followed
     assert told.turned.widened == 1
-    wide = fit(**wrong, uncertain={"direction_sd": known / 3.8})
+    wide = fit(**wrong, uncertain={"direction_sd": known / 4})
     assert wide.turned.followed
     assert wide.turned.widened > 1
-    np.testing.assert_allclose(wide.turned.turns / 3.8, told.turned.turns, atol=0.05)
+    np.testing.assert_allclose(wide.turned.turns / 4, told.turned.turns, atol=0.05)
     error = np.sqrt(np.diagonal(told.robustness.covariance))
     wider = np.sqrt(np.diagonal(wide.robustness.covariance))
     np.testing.assert_allclose(wider / error, 1, atol=0.1)

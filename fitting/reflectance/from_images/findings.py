@@ -4,12 +4,10 @@ The joint calibration shares the entries on the images and the search, and adds 
 sensor."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from scipy.special import stdtrit
 
 from ...inference.diagnostics import listed
@@ -21,7 +19,7 @@ from ..models import LABELS, facet_sentence
 from ..names import CLEAR, MODELS
 from .calibration import ReflectanceCalibration, mean_residual, open_parameters, residual_of_images
 from .comparison import equally_good, surpassed_by
-from .fit import ChannelFit, lights_as_fitted, predicted_image
+from .fit import ChannelFit
 from .shading_check import contradictions
 
 NOTABLE_RESIDUAL = 0.02  # of the mean signal, in one part of the object
@@ -33,7 +31,6 @@ FEWEST_SHADOWED = 100
 FEW_FREEDOM = 5.0  # below: Student's 95 % intervals are a third wider than Gaussian ones
 CALM = 0.5  # chi-square per degree of freedom below which the stated noise is too large
 HOPELESS = 2.0  # relative misfit from which a fit describes nothing
-STEP, PEAK = 1e-2, 0.8  # of ln k_s for a derivative; of a highlight, the part that is its peak
 FEWEST_IMAGES = 4  # whose factors show a scatter
 TEXTURED = 0.7  # of the misfit: what a mean over all lights leaves of that of a pixel's own
 COLOURED = 3.0  # standard errors between channels from which a highlight is called coloured
@@ -89,42 +86,6 @@ def _calm(of: OfChannel) -> Numbers | None:
     if chi_square is None or of[1].spread.relative is not None or chi_square >= CALM:
         return None
     return {"chi": chi_square}
-
-
-def _points(of: OfChannel) -> Numbers | None:
-    """A finding if pixels are so large that their mean over a highlight is notably below the value
-    at their centre, which the fit takes them for."""
-    calibration, fit = of
-    posterior, labels = calibration.posteriors.get(fit.channel), [p.name for p in fit.space]
-    if posterior is None or "specular" not in labels:
-        return None
-    place, observation = labels.index("specular"), lights_as_fitted(calibration.observation, fit)
-    brighter = replace(fit, vector=fit.vector + STEP * (np.arange(len(labels)) == place))
-    lowered, lobe = np.zeros(2)
-    for light in np.flatnonzero(~observation.held_out).tolist():
-        image, other = np.full((2, *observation.shape), np.nan)
-        image[observation.rows, observation.columns] = predicted_image(observation, fit, light)
-        other[observation.rows, observation.columns] = predicted_image(observation, brighter, light)
-        own, term = lost_in_pixels(image, (other - image) / STEP)
-        lowered, lobe = lowered + own, lobe + term
-    error = float(np.sqrt(posterior.covariance[place, place]))
-    share = -lowered / lobe if lobe > 0 else 0.0
-    if not share > error:
-        return None
-    return {"share": format_percent(share, decimals=1), "times": share / error}
-
-
-def lost_in_pixels(
-    image: Float[np.ndarray, "h w"], highlight: Float[np.ndarray, "h w"]
-) -> tuple[float, float]:
-    """What the means over the pixels of an image's highlight add to the values at their centres,
-    and the highlight there, both summed over its brightest part."""
-    bent = np.zeros_like(image)
-    for axis in (0, 1):
-        bent += np.gradient(np.gradient(image, axis=axis), axis=axis)
-    top = highlight > PEAK * np.nanmax(highlight)
-    top &= np.isfinite(bent)
-    return float(bent[top].sum() / 24), float(highlight[top].sum())
 
 
 def _lights(fit: ChannelFit) -> int:
@@ -422,14 +383,6 @@ OF_CHANNEL = (
         _calm,
         "Residuals are smaller than the stated noise (chi-square per degree of freedom {chi:.2g}):"
         " check camera.gain and camera.read_noise.",
-    ),
-    Finding(
-        "pixels are points",
-        _points,
-        "A pixel is taken for a point. If it is a mean over its area, as a camera's is, it is"
-        " {share} lower at the peak of a highlight of this width, and k_s is too low by about as"
-        " much ({times:.2g} standard errors). Photographs in which the object is larger are less"
-        " so.",
     ),
     Finding(
         "unjudged",

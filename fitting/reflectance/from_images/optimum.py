@@ -41,6 +41,7 @@ from .samples import (
     cost_and_information,
     predict,
     saturated_only,
+    with_offset,
 )
 from .signal import (
     Matrix,
@@ -54,6 +55,8 @@ from .signal import (
 
 GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
 NEARBY = 2.0  # of log parameters: weights move an optimum less, unless the data leave it open
+LINEAR = 0.02  # of log parameters: means over the pixels' areas are linear within
+MOST_ROUNDS = 3  # of such means
 REACH = 1.0  # half width of the bounded search, in log parameters
 TOLERANCE = 1e-7  # fall in cost that a further step may promise
 MOST_STEPS = 300  # of the bounded search
@@ -186,7 +189,13 @@ def best(samples: Samples, grouping: Grouping, sensor: Spread | None) -> Optimum
     own = replace(samples, form=cells.form)
     if samples.form.free_gamma:  # the encodings that were tried lie apart
         first = minimise_samples(first, [cells]).vector
-    return weighed_and_fitted(first, own, grouping, sensor)
+    found = weighed_and_fitted(first, own, grouping, sensor)
+    for _ in range(MOST_ROUNDS if samples.points else 0):
+        moved = np.abs(found.vector - first).max()
+        if moved < LINEAR or moved > NEARBY:
+            break
+        first, found = found.vector, weighed_and_fitted(found.vector, own, grouping, sensor)
+    return found
 
 
 def weighed(
@@ -205,12 +214,15 @@ def weighed(
 def weighed_and_fitted(
     first: Vector, samples: Samples, grouping: Grouping, sensor: Spread | None
 ) -> Optimum:
-    """Return the optimum near a first vector, whose residuals give the weights. The optimum of
-    cells and saturated samples, if it is nearby, saves all but the last two steps of the search."""
+    """Return the optimum near a first vector, whose residuals give the weights, and about which the
+    means over the pixels' areas are linear. The optimum of cells and saturated samples, if it is
+    nearby, saves all but the last two steps of the search."""
     samples, spread, weights, prediction = weighed(first, samples, sensor)
+    samples = with_offset(samples, prediction) if samples.points else samples
     cells, saturated = average(samples, grouping, exact_at=prediction), saturated_only(samples)
     near = minimise_samples(first, [cells] if saturated is None else [cells, saturated])
-    nearby = near.converged and np.abs(near.vector - first).max() < NEARBY
+    open_ = not has_lobe(samples.form.model)  # a matt surface's roughness, where it has none
+    nearby = near.converged and (open_ or np.abs(near.vector - first).max() < NEARBY)
     return Optimum(samples, spread, weights, *optimum(near.vector if nearby else first, samples))
 
 

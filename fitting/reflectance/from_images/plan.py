@@ -107,6 +107,7 @@ def _all_around(rigs: Photographs) -> tuple[Photographs, list[str]]:
         cosine=cosine,
         mirror_angle=mirror_angle,
         held_out=np.zeros(count, bool),
+        reach=np.zeros(count),
     )
     return new, described
 

@@ -10,6 +10,7 @@ direction is the same everywhere. Angles are radians, digital numbers as stored.
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import equinox as eqx
@@ -61,6 +62,10 @@ from ...rig import (
 )
 
 VIEW = (0.0, 0.0, 1.0)
+# pixels to the right of and below the centre, and weights: with these the mean of polynomials of
+# the third degree is that over the area of a pixel, and so is that of the fourth power of distance
+POINTS = np.array([[0, -1, 1, -1, 1], [0, -1, -1, 1, 1]]) * np.sqrt(7 / 60)
+WEIGHTS = np.array([8, 5, 5, 5, 5]) / 28
 PURPOSE: Purpose = "a reflectance calibration"
 HOLD_OUT_EVERY = 4  # lights kept for testing where the rig names none: every fourth
 FEWEST_LIGHTS_TO_SPLIT = 4
@@ -127,6 +132,9 @@ class Photographs:
         gamma_sd: standard deviation of the encoding exponent; 0 where exact.
         levels: of the uniform frames of each channel; None without any, or where none are
             requested.
+        within: (points, pixels, 3) unit normals at `POINTS` of each pixel; None where pixels count
+            as points.
+        reach: (lights,) m, by which the surface moves with its normal; 0 for distant lights.
     """
 
     channels: tuple[str, ...]
@@ -155,6 +163,22 @@ class Photographs:
     black_sd: float = 0.0
     gamma_sd: float = 0.0
     levels: tuple[UniformLevels, ...] | None = None
+    within: Float[np.ndarray, "points pixels 3"] | None = None
+    reach: Float[np.ndarray, " lights"] = field(default_factory=lambda: np.zeros(1))
+
+    @cached_property
+    def points(self) -> tuple["Photographs", ...]:
+        """The same with the normals and lights at `POINTS` of each pixel."""
+        if self.within is None:
+            return (self,)
+        to_light, lit, found = self.wi / np.sqrt(self.falloff)[..., None], {}, []
+        for normals in self.within:
+            if self.reach.any():
+                toward = to_light - self.reach[:, None, None] * (normals - self.normals)
+                distance = np.linalg.norm(toward, axis=-1)
+                lit = {"wi": toward / distance[..., None], "falloff": distance**-2.0}
+            found.append(replace(self, normals=normals, within=None, **lit))
+        return tuple(found)
 
     @property
     def saturated(self) -> Bool[np.ndarray, "channels lights pixels"]:
@@ -164,14 +188,15 @@ class Photographs:
         """The same of some pixels."""
         own = {name: getattr(self, name)[some] for name in ("normals", "rows", "columns")}
         seen = {n: getattr(self, n)[:, some] for n in ("wi", "cosine", "mirror_angle", "falloff")}
-        return replace(self, **own, **seen, dn=self.dn[..., some])
+        within = None if self.within is None else self.within[:, some]
+        return replace(self, **own, **seen, dn=self.dn[..., some], within=within)
 
     def of_lights(self, kept: Bool[np.ndarray, " lights"]) -> "Photographs":
         """The same of some lights."""
-        own = {n: getattr(self, n)[kept] for n in ("wi", "cosine", "mirror_angle", "falloff")}
+        names = "wi", "cosine", "mirror_angle", "falloff", "reach"
         return replace(
             self,
-            **own,
+            **{name: getattr(self, name)[kept] for name in names},
             files=tuple(name for name, stays in zip(self.files, kept, strict=True) if stays),
             dn=self.dn[:, kept],
             intensity=self.intensity[:, kept],
@@ -218,8 +243,8 @@ def read_reflectance_observation(
     if named is not None:
         mask = read_mask(rig.path(named), rig.camera, shape=shape, load=load)
     useless = [f"The mask {named} leaves out no pixel; it has no effect."]
-    rows, columns, normals = _surface(rig, rig.geometry, shape, mask, load, channel)
-    wi, falloff = _light_field(rig, normals)
+    rows, columns, normals, within = _surface(rig, rig.geometry, shape, mask, load, channel)
+    wi, falloff, reach = _light_field(rig, normals)
     cosine, mirror_angle = angles(normals, wi)
     camera = one_site(rig.camera)
     black = camera.black_level or 0.0
@@ -262,6 +287,8 @@ def read_reflectance_observation(
         },
         black_sd=camera.black_sd or 0.0,
         gamma_sd=camera.gamma_sd or 0.0,
+        within=within,
+        reach=reach,
     )
     _refuse_unusable(rig, observation)
     if rig.covariance is not None:
@@ -363,15 +390,17 @@ def _surface(
     mask: np.ndarray | None,
     load: Load,
     channel: str,
-) -> tuple[Int[np.ndarray, " pixels"], Int[np.ndarray, " pixels"], Float[np.ndarray, "pixels 3"]]:
-    """Rows, columns and unit normals of the pixels that show the object."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, columns and unit normals of the pixels that show the object, and normals at `POINTS`
+    inside them."""
     if geometry.sphere is not None:
-        normals, seen = _sphere_normals(geometry.sphere, shape, rig.camera)
+        normals, seen = _sphere_normals(geometry.sphere, rig.camera, *np.indices(shape))
     else:
         assert geometry.normals is not None
         normals, seen = _stored_normals(rig, geometry.normals, shape, mask, load)
     if mask is not None:
         seen = seen & mask
+    smooth = np.where(seen[..., None], normals, np.nan)
     if channel:
         seen = seen & pixels_of_colour(rig.camera, shape, channel)
     rows, columns = np.nonzero(seen)
@@ -380,19 +409,39 @@ def _surface(
             f"{rig.folder}: mask and geometry leave {len(rows)} pixels of the object; {PURPOSE} "
             f"needs at least {FEWEST_PIXELS}, so check the mask, the sphere and the image size."
         )
-    return rows, columns, normals[rows, columns]
+    if geometry.sphere is not None:
+        places = rows + POINTS[1, :, None], columns + POINTS[0, :, None]
+        within = _sphere_normals(geometry.sphere, rig.camera, *places)[0]
+    else:
+        within = _normals_within(smooth, rows, columns)
+    return rows, columns, normals[rows, columns], within
 
 
 def _sphere_normals(
-    sphere: SphereGeometry, shape: tuple[int, int], camera: Camera
-) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-    """Normals of an orthographic sphere, without pixels that its outline may cross."""
+    sphere: SphereGeometry, camera: Camera, row: np.ndarray, column: np.ndarray
+) -> tuple[Float[np.ndarray, "... 3"], Bool[np.ndarray, "..."]]:
+    """Normals of an orthographic sphere, and which pixels its outline does not cross."""
     top, left = (camera.region or (0, 0))[:2]
-    row, column = np.indices(shape, dtype=np.float64) + np.reshape((top, left), (2, 1, 1))
-    x = (column - sphere.centre[0]) / sphere.radius
-    y = (sphere.centre[1] - row) / sphere.radius
+    x = (column + left - sphere.centre[0]) / sphere.radius
+    y = (sphere.centre[1] - row - top) / sphere.radius
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     return np.stack([x, y, z], axis=-1), np.hypot(x, y) < 1 - 1 / sphere.radius
+
+
+def _normals_within(
+    image: Float[np.ndarray, "h w 3"],
+    rows: Int[np.ndarray, " pixels"],
+    columns: Int[np.ndarray, " pixels"],
+) -> Float[np.ndarray, "points pixels 3"]:
+    """Unit normals at `POINTS` of pixels, by parabolas through the neighbours' on both sides; equal
+    along a row or column without these, as where they are NaN."""
+    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    found = own = image[rows, columns]
+    for place, down, across in zip(POINTS[..., None, None], (0, 1), (1, 0), strict=True):
+        before, after = (padded[rows + 1 + s * down, columns + 1 + s * across] for s in (-1, 1))
+        more = place * (after - before) / 2 + place**2 * (after + before - 2 * own) / 2
+        found = found + np.where(np.isfinite(more), more, 0)
+    return found / np.linalg.norm(found, axis=-1, keepdims=True)
 
 
 def _stored_normals(
@@ -427,20 +476,22 @@ def _stored_normals(
 
 def _light_field(
     rig: Rig, normals: Float[np.ndarray, "pixels 3"]
-) -> tuple[Float[np.ndarray, "lights pixels 3"], Float[np.ndarray, "lights pixels"]]:
-    """Unit vectors toward each light and the falloff of its intensity, at every pixel."""
-    directions, falloffs = [], []
-    for light in rig.light:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit vectors toward each light, (lights, pixels, 3), the (lights, pixels) falloff of its
+    intensity, and its (lights,) reach."""
+    directions, falloffs, reach = [], [], np.zeros(len(rig.light))
+    for i, light in enumerate(rig.light):
         if light.direction is not None:
             unit = np.asarray(light.direction) / np.linalg.norm(light.direction)
             directions.append(np.broadcast_to(unit, normals.shape))
             falloffs.append(np.ones(len(normals)))
             continue
-        toward = np.asarray(light.position) - _radius_in_metres(rig, light) * normals
+        reach[i] = _radius_in_metres(rig, light)
+        toward = np.asarray(light.position) - reach[i] * normals
         distance = np.linalg.norm(toward, axis=-1)
         directions.append(toward / distance[:, None])
         falloffs.append(distance**-2.0)
-    return np.stack(directions), np.stack(falloffs)
+    return np.stack(directions), np.stack(falloffs), reach
 
 
 def _radius_in_metres(rig: Rig, light: Light) -> float:

@@ -33,7 +33,7 @@ from scipy.special import erfcx, log_ndtr
 from ...inference import tails
 from ...inference.parameters import names, to_natural
 from ..models import has_lobe, shape_of
-from .read import VIEW, Photographs
+from .read import VIEW, WEIGHTS, Photographs
 from .signal import (
     Form,
     Geometry,
@@ -58,7 +58,7 @@ class Samples(eqx.Module):
     """Lit pixels of one channel, or cells of similar pixels: arrays of NumPy or of JAX."""
 
     form: Form = eqx.field(static=True)
-    geometry: Geometry
+    geometry: Geometry  # at the centres of pixels
     dn: Float[Any, " samples"]  # DN
     # DN; a cell of equal pixels is one sample of smaller deviation
     deviation: Float[Any, " samples"]
@@ -67,9 +67,11 @@ class Samples(eqx.Module):
     white: Float[Any, ""]  # DN of full scale above black
     clip: Float[Any, ""]  # DN from which a pixel is saturated
     gamma: Float[Any, ""] | None  # known encoding; None for linear files or where it is free
-    # DN added to a cell's prediction: by how much the mean over its pixels differs from the value
-    # at their mean geometry
-    offset: Float[Any, " samples"] | None = None
+    # DN added to a prediction, at a vector of zeros, and its slopes: by how much the mean over the
+    # area of a pixel, or over the pixels of a cell, differs from the value at the middle
+    offset: Float[Any, "1+parameters samples"] | None = None
+    # at `POINTS` of pixels, over which a prediction is the mean; none for values at the middle
+    points: tuple[Geometry, ...] = ()
 
 
 # ---------------------------------------------------------------- pixels
@@ -119,15 +121,21 @@ class View:
     def _samples(self) -> Samples:
         """What the fits of all forms share."""
         seen, light, pixel = self.observation, self.selection.light, self.selection.pixel
-        dn, falloff = seen.dn[self.channel, light, pixel], seen.falloff[light, pixel]
-        normals, wi = seen.normals[pixel], seen.wi[light, pixel]
-        cosine = np.einsum("sc,sc->s", normals, wi)
-        irradiance = seen.intensity[self.channel, light] * falloff
+        dn = seen.dn[self.channel, light, pixel]
+
+        def geometry_of(seen: Photographs) -> Geometry:
+            normals, wi = seen.normals[pixel], seen.wi[light, pixel]
+            irradiance = seen.intensity[self.channel, light] * seen.falloff[light, pixel]
+            return in_plane(
+                np.einsum("sc,sc->s", normals, wi), normals @ VIEW, wi @ VIEW, irradiance
+            )
+
         # all channels have limits where one clips, so that they share programs
         clips = any((one[light, pixel] >= seen.clip).any() for one in seen.dn)
         return Samples(
             form=Form("lambert"),
-            geometry=in_plane(cosine, normals @ VIEW, wi @ VIEW, irradiance),
+            geometry=geometry_of(seen),
+            points=() if seen.within is None else tuple(map(geometry_of, seen.points)),
             dn=dn,
             deviation=np.ones_like(dn),
             saturated=dn >= seen.clip if clips else None,
@@ -191,17 +199,20 @@ class Prediction:
 def predict(vector: Vector, samples: Samples) -> Prediction:
     """Predict samples at an unconstrained vector."""
     vector = np.asarray(vector, np.float64)
-    form, geometry = samples.form, samples.geometry
+    form, seen = samples.form, [(samples.geometry, 1.0)]
+    if samples.points:
+        seen = list(zip(samples.points, WEIGHTS, strict=True))
     known = names(parameter_space(form))
     natural = dict(zip(known, np.exp(vector), strict=True))
-    light, cosine = np.asarray(geometry.irradiance), np.asarray(geometry.wi.z)
-    of_signal, bend, shape = np.zeros((len(vector), cosine.size)), None, None
+    of_signal, bend, shape = np.zeros((len(vector), samples.dn.size)), None, None
     if form.model == "lambert" or has_lobe(form.model):
-        of_signal[0] = natural["diffuse"] * light * np.maximum(cosine, 0)
+        body = sum(weight * g.irradiance * np.maximum(g.wi.z, 0) for g, weight in seen)
+        of_signal[0] = natural["diffuse"] * body
     if form.model != "lambert":
         shape = int(has_lobe(form.model)), known.index(shape_of(form.model).name)
-        unit = lobe_with_slopes(form, vector[shape[1]], geometry)
-        of_signal[shape[0]], of_signal[shape[1]], bend = np.exp(vector[shape[0]]) * light * unit
+        at = vector[shape[1]]
+        lobe = sum(weight * g.irradiance * lobe_with_slopes(form, at, g) for g, weight in seen)
+        of_signal[shape[0]], of_signal[shape[1]], bend = np.exp(vector[shape[0]]) * lobe
     if form.ambient:
         of_signal[known.index("ambient")] = natural["ambient"]
     amplitudes = [i for i, name in enumerate(known) if name in ("diffuse", "specular", "ambient")]
@@ -215,10 +226,13 @@ def predict(vector: Vector, samples: Samples) -> Prediction:
         if form.free_gamma:
             slopes[-1] = encoding[3]
     dn = dn + samples.black
+    if samples.offset is not None:
+        dn = dn + samples.offset[0] + vector @ samples.offset[1:]
+        slopes = slopes + samples.offset[1:]
     return Prediction(
         vector=vector,
         signal=signal,
-        dn=dn if samples.offset is None else dn + samples.offset,
+        dn=dn,
         slope=encoding_slope(signal, white, gamma),
         slopes=slopes,
         of_signal=of_signal,
@@ -294,7 +308,7 @@ def log_likelihoods(vector: Float[Array, " parameters"], samples: Samples) -> Ar
     x = signal(values, samples.form, samples.geometry)
     predicted = samples.black + encoded(x, samples.white, gamma)
     if samples.offset is not None:
-        predicted = predicted + samples.offset
+        predicted = predicted + samples.offset[0] + vector @ samples.offset[1:]
     z = (predicted - samples.dn) / samples.deviation
     gaussian = -z * z / 2 - jnp.log(samples.deviation) - float(np.log(2 * np.pi)) / 2
     if samples.saturated is None:
@@ -370,10 +384,23 @@ def average(samples: Samples, grouping: Grouping, *, exact_at: Prediction | None
         dn=mean(samples.dn),
         deviation=np.where(filled, 1 / np.sqrt(whole), UNCERTAIN),
         saturated=None,
+        offset=None,
+        points=(),
     )
     if exact_at is None:
         return cells
-    return replace(cells, offset=mean(exact_at.dn) - predict(exact_at.vector, cells).dn)
+    means = replace(exact_at, dn=mean(exact_at.dn), slopes=np.stack([*map(mean, exact_at.slopes)]))
+    return with_offset(cells, means)
+
+
+def with_offset(samples: Samples, exact: Prediction) -> Samples:
+    """Return the samples whose prediction at the middle is corrected to an exact one of the same
+    samples, to first order about its vector."""
+    samples = replace(samples, points=(), offset=None)
+    middle = predict(exact.vector, samples)
+    slopes = exact.slopes - middle.slopes
+    at_zero = exact.dn - middle.dn - exact.vector @ slopes
+    return replace(samples, offset=np.vstack([at_zero, slopes]))
 
 
 def saturated_only(samples: Samples) -> Samples | None:
@@ -391,6 +418,7 @@ def saturated_only(samples: Samples) -> Samples | None:
     return replace(
         samples,
         geometry=jax.tree.map(lambda x: x[at], samples.geometry),
+        offset=None if samples.offset is None else samples.offset[:, at],
         dn=samples.dn[at],
         deviation=np.where(real, samples.deviation[at], UNCERTAIN),
         saturated=real,
