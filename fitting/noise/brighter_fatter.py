@@ -57,7 +57,7 @@ def fitted_area_changes(
     """The closed form of Astier et al. (2019) fitted to the covariances of all levels."""
     if not tell_of_neighbours(measurement):
         return None
-    found, variances = above_dark(measurement.bright, measurement.dark)
+    found, variances, _ = above_dark(measurement.bright, measurement.dark)
     bright = slice(0, len(usable))
     mu, step = electrons_and_steps(fit)
     scale = step[bright, None, None] ** 2
@@ -138,7 +138,7 @@ def mixed_shares(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
     """The distribution of the variance that mixing takes from a pixel over the covariances."""
     if not tell_of_neighbours(measurement):
         return shares_of(np.zeros(0), np.zeros((0,) * 3), np.zeros((0,) * 3))
-    found, variances = above_dark(measurement.bright, measurement.dark)
+    found, variances, _ = above_dark(measurement.bright, measurement.dark)
     return shares_of(signal_of(measurement)[usable], found[usable], variances[usable])
 
 

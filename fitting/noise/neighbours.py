@@ -8,7 +8,8 @@ minus the variance of the frames' means, as for the variance C_00. Independent p
 within s^2 / sqrt((L - 1) pairs). The brighter-fatter effect (Antilogus 2014, Astier 2019) gives
 a_ij x^2 at a signal of x DN, to first order, with a_ij per electron. Mixing after the counting
 gives a term in proportion to x. Covariances that all frames have, such as row noise, are subtracted
-with the darks.
+with the darks. The noise r^2 of h rows adds r^2 (r^2 + 2 s^2 / w) / (h (L - 1)) to the sampling
+variance of C_ij, and twice that of C_0j.
 """
 
 from itertools import product
@@ -21,12 +22,12 @@ from jaxtyping import Array, Float
 
 from .levels import REACH, Levels, PhotonTransfer, shot_of, signal_of
 from .live_pixels import LivePixels
-from .shared import believed_lines
+from .shared import temporal_lines
 
 PERIOD = 32  # pixels after which the sensor of the series repeats itself
 TERMS = 20  # the next is below 1e-10 up to a_00 mu = -1
 
-SURE = 4.5  # standard errors by which nearest neighbours covary: once in 70,000 without
+SURE = 3.6  # standard errors by which nearest neighbours covary: one in 1,000 cameras without
 
 Lags = Float[np.ndarray, "lags lags"]
 
@@ -69,12 +70,14 @@ class Neighbours:
 
     def _sums(self, x: np.ndarray) -> Lags:
         """Sum of x_p x_q over the pairs of pixels at each offset; 0 beyond a small frame."""
-        (h, w), (rows, columns) = x.shape, self._reach
-        found = np.zeros((REACH + 1, REACH + 1))
+        rows, columns = self._reach
+        width, found = x.shape[1] + columns, np.zeros((REACH + 1, REACH + 1))
+        beside = np.zeros((len(x), width))  # zeros beside the frame
+        beside[:, : x.shape[1]] = x
+        flat = beside.ravel()
         for i, j in product(range(rows + 1), range(columns + 1)):
-            ends = [(x[: h - i, : w - j], x[i:, j:]), (x[: h - i, j:], x[i:, : w - j])]
-            sums = [np.einsum("ij,ij->", *both) for both in (ends if i and j else ends[:1])]
-            found[i, j] = np.sum(sums)
+            for apart in {i * width + j, abs(i * width - j)}:
+                found[i, j] += flat[: flat.size - apart] @ flat[apart:]
         return found
 
 
@@ -94,49 +97,68 @@ def pairs(shape: Float[np.ndarray, "2"], pixels: float) -> Lags:
     return np.outer(rows, columns) * np.where(both, 2, 1) * live**2
 
 
-def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances of bright levels minus those of the darks."""
+def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Covariances of bright levels minus those of the darks, the sampling variances of each, and
+    those of their sums over all neighbours."""
     assert bright.covariances is not None
     assert bright.shared is not None
     assert dark.covariances is not None
-    size = pairs(np.asarray(bright.shared.shape), float(bright.pixels))
+    assert dark.shared is not None
+    shape = np.asarray(bright.shared.shape)
+    size, reach = pairs(shape, float(bright.pixels)), np.arange(REACH + 1)
+    of_dark = dark.shared, np.asarray(dark.variance), np.asarray(dark.frames)
+    lines = [temporal_lines(*of_dark, axis) for axis in (0, 1)]
 
-    def chance(levels: Levels) -> np.ndarray:
+    def chance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
         freedom = np.asarray(levels.frames) - 1
-        covariances = np.asarray(levels.covariances)
-        total = np.asarray(levels.variance) + np.sum(covariances * copies(), axis=(1, 2))
-        widest = np.maximum(np.asarray(levels.variance), total)
-        return (widest**2 / freedom)[:, None, None] / size
+        covariances, own = np.asarray(levels.covariances), np.asarray(levels.variance)
+        widest = np.maximum(own, own + np.sum(covariances * copies(), axis=(1, 2)))
+        each = (widest**2 / freedom)[:, None, None] / size
+        total = np.sum(each * copies() ** 2, axis=(1, 2))
+        for axis, line in enumerate(lines):
+            if not line.believed:
+                continue
+            # All offsets of as many rows see the same products of the rows' noise, and of 0 rows
+            # their squares.
+            product = line.variance * (line.variance + 2 * own / shape[1 - axis])
+            product = product / shape[axis] / freedom
+            twice = np.expand_dims(np.where(reach, 1.0, 2.0), 1 - axis)
+            each = each + product[:, None, None] * twice
+            total = total + product * (2 * (2 * REACH) ** 2 + REACH * (4 * REACH + 2) ** 2)
+        return each, total
 
     varying = np.asarray(dark.variance) > 0  # identical frames hold no information
-    weight = 1 / chance(dark)[varying]
-    common = np.sum(weight * np.asarray(dark.covariances)[varying], axis=0) / weight.sum(axis=0)
-    return np.asarray(bright.covariances) - common, chance(bright) + 1 / weight.sum(axis=0)
+    unlit, unlit_total = (1 / one[varying] for one in chance(dark))
+    common = np.sum(unlit * np.asarray(dark.covariances)[varying], axis=0) / unlit.sum(axis=0)
+    each, total = chance(bright)
+    above = np.asarray(bright.covariances) - common
+    return above, each + 1 / unlit.sum(axis=0), total + 1 / unlit_total.sum()
 
 
 def tell_of_neighbours(measurement: PhotonTransfer) -> bool:
-    """Whether covariances are known and come from pixels. Noise shared by rows or columns, and
-    flicker, also covary, more strongly than charges do, and differ between frames.
+    """Whether covariances are known and come from pixels. Flicker also covaries, more strongly than
+    charges do, and differs between frames.
     """
     bright, dark = measurement.bright, measurement.dark
-    if bright.covariances is None or dark.covariances is None or bright.flicker is not None:
-        return False
-    return not believed_lines(dark.shared, dark.variance, dark.frames)
+    known = bright.covariances is not None and dark.covariances is not None
+    return known and bright.flicker is None
 
 
 def are_significant(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
-    """Whether nearest neighbours covary significantly, in proportion to the variance. The sum over
-    all neighbours, which a fit explains, is less precise.
+    """Whether nearest neighbours covary significantly along rows, along columns or along both, in
+    proportion to the signal's variance (mixing) or to its square (repulsion). The sum over all
+    neighbours, which a fit explains, is less precise.
     """
     if not tell_of_neighbours(measurement):
         return False
-    found, variances = above_dark(measurement.bright, measurement.dark)
+    found, variances, _ = above_dark(measurement.bright, measurement.dark)
     shot = shot_of(measurement)[usable]
-    nearest = ((0, 1), (1, 0))
-    along = np.array([found[usable, i, j] for i, j in nearest])
-    weight = shot / np.array([variances[usable, i, j] for i, j in nearest])
-    strength = np.sum(weight * along, axis=1) / np.sqrt(np.sum(weight * shot, axis=1))
-    return bool(np.any(np.abs(strength) > SURE))
+    shapes = np.array([shot, shot**2])[:, None]
+    along, errors = (np.array([x[usable, 0, 1], x[usable, 1, 0]]) for x in (found, variances))
+    sums = np.sum(shapes * along / errors, axis=-1)
+    information = np.sum(shapes**2 / errors, axis=-1)
+    both = np.sum(sums, axis=1) / np.sqrt(np.sum(information, axis=1))
+    return bool(max(np.abs(sums / np.sqrt(information)).max(), np.abs(both).max()) > SURE)
 
 
 def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> NeighbourData:
@@ -145,10 +167,9 @@ def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> Neighbour
     terms = jnp.asarray(variance_terms(measured_shape(measurement, usable)))
     if not tell_of_neighbours(measurement):
         return NeighbourData(terms)
-    found, variances = above_dark(bright, dark)
+    found, _, variances = above_dark(bright, dark)
     total = np.sum(found * copies(), axis=(1, 2))[usable]
-    square = (np.asarray(bright.variance)[usable] + np.maximum(total, 0)) ** 2
-    spread = np.sum(variances * copies() ** 2, axis=(1, 2))[usable] / square
+    spread = variances[usable] / (np.asarray(bright.variance)[usable] + np.maximum(total, 0)) ** 2
     darks = np.zeros(dark.mean.size)
     return NeighbourData(
         terms,
@@ -172,7 +193,7 @@ def measured_shape(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
     """a_ij / a_00 of a camera."""
     if not tell_of_neighbours(measurement):
         return nearest()
-    found, variances = above_dark(measurement.bright, measurement.dark)
+    found, variances, _ = above_dark(measurement.bright, measurement.dark)
     return shape_of(signal_of(measurement)[usable], found[usable], variances[usable])
 
 

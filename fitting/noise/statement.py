@@ -443,9 +443,14 @@ def choose_model(
 
 
 def _reduced(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFit:
-    """The fit without the candidates that fail the criterion, with the weakest dropped first."""
+    """The fit without the candidates that fail the criterion, with the weakest dropped first. If
+    nearest neighbours covary significantly, the stronger form of sharing stays, however uncertain
+    its size: without it, the gain would be wrong by more than its error."""
     while True:
         there = [one for one in fit.problem.candidates if one.name not in fit.without]
+        forms = [one for one in there if one.parameter in SHARING]
+        if sharing and len(forms) == 1:
+            there.remove(forms[0])
         optimum = fit.optimum
         ratios = squared_ratios(fit.space, optimum.vector, optimum.information, there)
         prices = {one.name: _price(fit, one, sharing) for one in there}
@@ -458,9 +463,9 @@ def _reduced(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFi
 def _price(fit: LikelihoodFit, candidate: Candidate, sharing: bool) -> float:
     """The squared Wald ratio that a candidate needs. Mixing or repulsion of neighbours changes the
     gain by as many standard errors. It needs the ratio of one in a thousand cameras, or one in
-    twenty if nearest neighbours significantly covary and one of the two forms is present. The
-    scatter of m lights about a curve of q terms is underestimated by (m - q) / m and uncertain, so
-    a term of the curve must then pass Fisher's F test."""
+    twenty beside the other form if nearest neighbours covary significantly. The scatter of m lights
+    about a curve of q terms is underestimated by (m - q) / m and uncertain, so a term of the curve
+    must then pass Fisher's F test."""
     count, scatter = float(observations(fit.problem)), None
     if sharing and candidate.parameter in SHARING:
         count = 1.0

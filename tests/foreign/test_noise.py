@@ -359,7 +359,7 @@ def test_a_lamp_that_flickers_between_frames_is_no_capacitance_and_no_amplifier(
     )
     assert measured.bright.left_out == ()
     assert periodic_structure(measured, linear_levels(measured)) == ()
-    found, variances = above_dark(measured.bright, measured.dark)
+    found, variances, _ = above_dark(measured.bright, measured.dark)
     shares = np.sum(found * copies(), axis=(1, 2))
     errors = np.sqrt(np.sum(variances * copies() ** 2, axis=(1, 2)))
     assert np.abs(shares / errors).max() < 4
