@@ -1,12 +1,13 @@
 """A calibrated camera as a sensor for predictions: the best fit, and draws."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 from scipy.optimize import root_scalar
 from scipy.special import ndtr
 
@@ -133,6 +134,18 @@ class Numbers(eqx.Module):
     def of(self, name: str) -> Float[np.ndarray, " draws"]:
         """The values of one parameter."""
         return self.natural[:, self.about.labels.index(name)]
+
+    def having(self, told: dict[str, Float[np.ndarray, " draws"]]) -> "Numbers":
+        """The numbers with these parameters in place of their own."""
+        natural = self.natural.copy()
+        for name, values in told.items():
+            natural[:, self.about.labels.index(name)] = values
+        return replace(self, natural=natural)
+
+    def at(self, rows: Int[np.ndarray, " draws"]) -> "Numbers":
+        """The numbers of some draws."""
+        beside = {name: one[rows] for name, one in self.beside.items()}
+        return replace(self, natural=self.natural[rows], beside=beside)
 
 
 def drawn_numbers(

@@ -223,8 +223,7 @@ def of_tap(sensor: Sensor, tap: int) -> Sensor:
 def _shuffled(numbers: Numbers, seed: int, count: int) -> Numbers:
     """Draws in another order, so that draws of two taps from one seed are independent."""
     order = np.concatenate([[0], 1 + np.random.default_rng(seed).permutation(count - 1)])
-    beside = {name: drawn[order] for name, drawn in numbers.beside.items()}
-    return Numbers(numbers.about, numbers.natural[order], beside)
+    return numbers.at(order)
 
 
 def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]]:

@@ -20,7 +20,7 @@ from ..prediction.predict import Prediction, levels_kept_out, reread, scatters
 from ..prediction.section import explanations
 from ..settings import Setting
 from .calibration import CameraCalibration
-from .sensor import sensor_at
+from .sensor import sensor_without
 from .setting import estimates_from_calibration
 from .statement import fitted
 
@@ -44,17 +44,19 @@ def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
     told = [lit.get(setting, before) for setting, before in every]
     shared = fitted(calibration.settings, told, seed=calibration.posterior.seed)
     camera = replace(calibration, fit=shared)
-    return tuple(_predicted(camera, setting, own, apart) for setting, own, apart in parts)
+    left_out = {setting: apart for setting, _, apart in parts}
+    return tuple(_predicted(camera, setting, own, left_out) for setting, own, _ in parts)
 
 
 def _predicted(
     camera: CameraCalibration,
     setting: Setting,
     own: NoiseCalibration,
-    apart: Bool[np.ndarray, " levels"] | None,
+    left_out: dict[Setting, Bool[np.ndarray, " levels"] | None],
 ) -> Prediction:
-    errors = scatters(own)
-    best, draws = sensor_at(camera, gain=setting.gain, temperature=setting.temperature)
+    errors, apart = scatters(own), left_out[setting]
+    at = {"gain": setting.gain, "temperature": setting.temperature}
+    best, draws = sensor_without(camera, left_out, **at)
     best, drawn = reread(best, draws)
     at = {"shown": apart, "fitted": apart is None, **errors}
     found = compare(best, drawn, own.measurement, own.usable, **at)

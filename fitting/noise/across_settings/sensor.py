@@ -1,6 +1,16 @@
-"""A calibrated camera as a sensor at any gain and temperature in its range."""
+"""A calibrated camera as a sensor at any gain and temperature in its range.
 
-from collections.abc import Mapping
+What the settings share (gain, efficiency, read noise, dark current, fixed pattern) follows from the
+fit over all of them. The other effects are those of the nearest setting with flats, whose own fit
+is conditioned on what the settings share: with own draws (s, r), of covariance C, and a draw s* of
+all settings, r becomes r + C_rs C_ss^-1 (s* - s).
+
+Source:
+    Journel & Huijbregts, "Mining Geostatistics", 1978, section VII.A (Matheron's conditioning).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -8,21 +18,31 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Bool, Float
 
-from jaxvision import ArrheniusDarkCurrent, PoissonShotNoise, Sensor
+from jaxvision import ArrheniusDarkCurrent, Sensor
 from jaxvision.errors import InputError
 from jaxvision.files.cameras import write_sensor
 
+from ...inference.parameters import to_natural, to_unconstrained
 from ...inference.precision import double_precision
 from ...inference.problem import values_from
 from ...rig import Camera
 from ..levels import Levels, PhotonTransfer
-from ..sensor import DRAWS, bits_of, codes_in_words
+from ..sensor import (
+    DRAWS,
+    Numbers,
+    best_and_draws,
+    codes_in_words,
+    drawn_numbers,
+    full_well,
+    mode_without,
+    sensors_of,
+)
 from ..settings import Setting
 from ..sites import joined_sensors
 from .calibration import CameraCalibration
-from .statement import figures
+from .statement import Figures, figures
 
 
 @double_precision
@@ -37,10 +57,12 @@ def sensor_at(
     Between two measured gains, ln K is linear in the logarithm of the stated gain. So are the black
     level and the logarithm of a read noise without a law. Dark current follows its law of
     temperature (`ArrheniusDarkCurrent`) if there is one. Otherwise it is interpolated linearly
-    between the temperatures. Fixed patterns and full well have the values of the best fit in every
-    draw. The exposure is the median of the flats' exposures, so light is a rate in photons per
-    pixel and second. If the numbers of the nearest measured gain are multiples of a step, as
-    left-aligned ones are, the sensor gives the converter's own codes.
+    between the temperatures. Compression, light offset, mixing, the brighter-fatter effect and
+    noise of rows, columns and frames are those of the nearest setting with flats, in electrons.
+    A full well is that of a setting whose converter does not end first. Fixed patterns have the
+    values of the best fit in every draw. The exposure is the median of the flats' exposures, so
+    light is a rate in photons per pixel and second. If the numbers of the nearest setting are
+    multiples of a step, as left-aligned ones are, the sensor gives the converter's own codes.
 
     Args:
         calibration: of the camera.
@@ -54,19 +76,173 @@ def sensor_at(
         InputError: for a gain or a temperature outside the measured range, and for more electrons
             than photons.
     """
+    return sensor_without(calibration, {}, gain=gain, temperature=temperature)
+
+
+def sensor_without(
+    calibration: CameraCalibration,
+    left_out: Mapping[Setting, Bool[np.ndarray, " levels"] | None],
+    *,
+    gain: float | None,
+    temperature: float | None,
+) -> tuple[Sensor, Sensor]:
+    """As `sensor_at`, where the settings' own fits leave out some of their levels."""
     if calibration.is_impossible:
         raise InputError("More electrons are counted than photons arrive; correct the photons.")
-    stated = _within([s.gain for s in calibration.settings], gain, "gain")
-    warmth = _within([s.temperature for s in calibration.settings], temperature, "temperature")
-    unit = calibration.settings[0].gain_unit
-    factor = Setting(stated, unit).gain_factor
-    posterior = calibration.posterior
+    settings, posterior = calibration.settings, calibration.posterior
+    stated = _within([s.gain for s in settings], gain, "gain")
+    warmth = _within([s.temperature for s in settings], temperature, "temperature")
+    factor = Setting(stated, settings[0].gain_unit).gain_factor
+    weights = _weights(settings, factor, warmth)
     rows = np.linspace(0, len(posterior.samples) - 1, min(DRAWS, len(posterior.samples)))
     drawn = np.concatenate([posterior.mode[None], posterior.samples[rows.astype(int)]])
-    every = eqx.filter_jit(jax.vmap(partial(_sensor, calibration, factor, warmth)))(
-        jnp.asarray(drawn)
+    problem = calibration.fit.fit.problem
+    values = jax.vmap(partial(values_from, problem))(jnp.asarray(drawn))
+    at = jax.vmap(lambda own: figures(own, problem.inputs))(values)
+    at = jax.tree.map(np.asarray, at)
+    calibrations = {i: one for i, one in enumerate(calibration.calibrations) if one is not None}
+    nearest = min(calibrations, key=lambda i: _distance(settings[i], factor, warmth))
+    numbers = {
+        i: _given_all(calibration, i, at, left_out.get(settings[i]))
+        for i in calibrations
+        if i == nearest or weights[i]
+    }
+    black = sum(
+        weights[i] * _black_level(calibration, i, at, numbers.get(i))
+        for i in np.flatnonzero(weights).tolist()
     )
-    return jax.tree.map(lambda x: x[0], every), jax.tree.map(lambda x: x[1:], every)
+    if "variance_before_gain" in values:
+        behind = values["variance_behind_gain"] * np.exp(-2 * at.log_gain @ weights)
+        read = values["variance_before_gain"] + behind
+    else:
+        read = np.exp(np.log(at.read_variance) @ weights)
+    here = numbers[nearest]
+    told = {"black_level": black, "read_noise": np.sqrt(np.maximum(read, 0))}
+    if at.log_efficiency is not None:
+        told["responsivity"] = here.of("system_gain") * np.exp(at.log_efficiency @ weights)
+    every = sensors_of(here.having(told))
+    same = np.ones_like(black)
+    lit = [one.frames for one in calibration.frames if isinstance(one.frames, PhotonTransfer)]
+    exposures = np.concatenate([np.asarray(one.bright.exposure) for one in lit])
+    shared = {"exposure_time": np.median(exposures)} | _pattern(calibration)
+    if "full_well" not in here.beside:  # the converter's range ends first
+        wells = {i: full_well(one) for i, one in calibrations.items()}
+        filled = [w[0] / np.exp(at.log_gain[0, i]) for i, w in wells.items() if w is not None]
+        if filled:
+            shared["full_well"] = np.median(filled)
+    shared = {name: value * same for name, value in shared.items()}
+    shared["gain"] = every.gain * np.exp(at.log_gain @ weights) / here.of("system_gain")
+    law = None
+    if "activation_energy" in values:
+        energy = jnp.maximum(values["activation_energy"], 0)
+        law = values["dark_current"], warmth * same, calibration.fit.reference * same, energy
+    elif at.dark_current is not None:
+        shared["dark_current"] = np.maximum(at.dark_current @ weights, 0)
+    return best_and_draws(eqx.filter_vmap(_sensor)(every, shared, law))
+
+
+def _sensor(own: Sensor, shared: dict[str, Array], law: tuple[Array, ...] | None) -> Sensor:
+    """One draw of a setting's own sensor with the fields that the settings share."""
+    if law is not None:
+        current, warmth, reference, energy = law
+        current = ArrheniusDarkCurrent(
+            current, warmth, reference_temperature=reference, activation_energy=energy
+        )
+        return replace(own, **shared, dark_current=current)
+    return replace(own, **{"dark_current": None} | shared)
+
+
+def _weights(
+    settings: Sequence[Setting], factor: float, warmth: float | None
+) -> Float[np.ndarray, " settings"]:
+    """The weight of each setting where figures are interpolated linearly over temperature at each
+    measured gain, then over the logarithm of the gain."""
+    log_factor = np.log([s.gain_factor for s in settings])
+    kelvin = np.array([s.temperature or 1.0 for s in settings])
+    every, gains = np.eye(len(settings)), np.unique(log_factor)
+
+    def between(x: float, places: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        return np.array([np.interp(x, places, column) for column in rows.T])
+
+    at_gains = []
+    for one in gains:
+        own = np.flatnonzero(log_factor == one)
+        own = own[np.argsort(kelvin[own])]
+        at_gains.append(between(warmth or 1.0, kelvin[own], every[own]))
+    return between(np.log(factor), gains, np.array(at_gains))
+
+
+def _distance(setting: Setting, factor: float, warmth: float | None) -> tuple[float, float]:
+    """By gain first, then by temperature."""
+    by_gain = abs(float(np.log(setting.gain_factor / factor)))
+    return by_gain, abs((setting.temperature or 0.0) - (warmth or 0.0))
+
+
+def _given_all(
+    calibration: CameraCalibration,
+    i: int,
+    at: Figures,
+    left_out: Bool[np.ndarray, " levels"] | None,
+) -> Numbers:
+    """The parameters of one setting's own fit, given what all settings determine."""
+    own, told = calibration.calibrations[i], calibration.fit.by_setting[i].names
+    assert own is not None
+    numbers, covariance = drawn_numbers(own, left_out=left_out), own.posterior.covariance
+    if left_out is not None:
+        covariance = mode_without(own, left_out)[1]
+    gain, dark = at.log_gain[:, i], at.dark_current
+    shared = {
+        "system_gain": gain,
+        "responsivity": gain if at.log_efficiency is None else gain + at.log_efficiency[:, i],
+        "read_noise": np.log(np.maximum(at.read_variance[:, i], np.finfo(float).tiny)) / 2,
+        "dark_current": gain if dark is None else dark[:, i],
+    }
+    space, count = own.posterior.space, len(gain) - 1
+    place = [numbers.about.labels.index(name) for name in told]
+    drawn = 1 + np.linspace(0, len(numbers.natural) - 2, count).astype(int)
+    numbers = numbers.at(np.concatenate([[0], drawn]))
+    vectors = np.asarray(to_unconstrained(space, jnp.asarray(numbers.natural)))
+    missed = np.stack([shared[name] for name in told], axis=1) - vectors[:, place]
+    slope = np.linalg.solve(covariance[np.ix_(place, place)], covariance[place])
+    natural = np.asarray(to_natural(space, jnp.asarray(vectors + missed @ slope)))
+    return replace(numbers, natural=natural)
+
+
+def _black_level(
+    calibration: CameraCalibration, i: int, at: Figures, numbers: Numbers | None
+) -> Float[np.ndarray, " draws"]:
+    """DN without dark current: of the setting's own fit, or of all its darks where it has no
+    flats."""
+    frames = calibration.frames[i].frames
+    darks = frames if isinstance(frames, Levels) else frames.dark
+    weight = np.asarray(darks.frames) / np.asarray(darks.variance)
+    mean, exposure = (
+        float(np.average(np.asarray(one), weights=weight)) for one in (darks.mean, darks.exposure)
+    )
+    black = np.full(len(at.log_gain), mean)
+    if numbers is not None:
+        black = numbers.of("black_level")
+        exposure *= "dark_current" not in numbers.about.labels
+    if at.dark_current is None:
+        return black
+    return black - np.exp(at.log_gain[:, i]) * at.dark_current[:, i] * exposure
+
+
+def _pattern(calibration: CameraCalibration) -> dict[str, float]:
+    """Fixed pattern, averaged over the settings, as fields of a sensor."""
+    found = {}
+    for name in ("dsnu", "prnu"):
+        pooled = getattr(calibration, name)
+        if pooled is None or not (pooled.serves and pooled.significant):
+            continue
+        own, rows, columns = (*(part.variance for part in pooled.parts), 0.0, 0.0, 0.0)[:3]
+        if name == "prnu":  # no field for the gains of rows
+            own, rows = own + rows, 0.0
+        total = own + rows + columns
+        for field, part in ((name, own), (f"row_{name}", rows), (f"column_{name}", columns)):
+            if part > 0:
+                found[field] = float(np.sqrt(pooled.value * part / total))
+    return found
 
 
 def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Path) -> None:
@@ -117,77 +293,3 @@ def _within(known: list[float | None], asked: float | None, word: str) -> float 
         )
         raise InputError(f"{word} = {asked:g} is out of range: {told}.")
     return asked
-
-
-def _sensor(
-    calibration: CameraCalibration, factor: float, warmth: float | None, natural: Array
-) -> Sensor:
-    """The sensor for parameters in natural units, at a gain factor and a temperature in K."""
-    problem = calibration.fit.fit.problem
-    values = values_from(problem, natural)
-    at = figures(values, problem.inputs)
-    log_factor = np.log([s.gain_factor for s in calibration.settings])
-    kelvin = np.array([s.temperature or 1.0 for s in calibration.settings])
-
-    def between(values: Array) -> Array:
-        """Interpolate linearly over temperature at each measured gain, then over the logarithm of
-        the gain."""
-        at_gains = []
-        for one in np.unique(log_factor):
-            own = np.flatnonzero(log_factor == one)
-            own = own[np.argsort(kelvin[own])]
-            at_gains.append(jnp.interp(warmth or 1.0, kelvin[own], values[own]))
-        places = jnp.asarray(np.unique(log_factor))
-        return jnp.interp(np.log(factor), places, jnp.stack(at_gains))
-
-    gain = jnp.exp(between(at.log_gain))
-    if "variance_before_gain" in values:
-        variance = values["variance_before_gain"] + values["variance_behind_gain"] / gain**2
-    else:
-        variance = jnp.exp(between(jnp.log(at.read_variance)))
-    frames = [one.frames for one in calibration.frames]
-    darks = [one if isinstance(one, Levels) else one.dark for one in frames]
-    lit = [one for one in frames if isinstance(one, PhotonTransfer)]
-    scale, converter = lit[0].full_scale, _nearest(calibration, factor).converter
-    step = converter.step or 1.0
-    shortest = [jnp.argmin(one.exposure) for one in darks]
-    black = jnp.stack([one.mean[i] for one, i in zip(darks, shortest, strict=True)])
-    if at.dark_current is not None:
-        times = jnp.stack([one.exposure[i] for one, i in zip(darks, shortest, strict=True)])
-        black = black - jnp.exp(at.log_gain) * at.dark_current * times
-    dark = None
-    if "activation_energy" in values:
-        dark = ArrheniusDarkCurrent(
-            values["dark_current"], warmth, reference_temperature=calibration.fit.reference,
-            activation_energy=jnp.maximum(values["activation_energy"], 0),
-        )  # fmt: skip
-    elif at.dark_current is not None:
-        dark = jnp.maximum(between(at.dark_current), 0)
-    well, dsnu, prnu = (
-        None if one is None or not one.serves else one.value
-        for one in (
-            calibration.full_well,
-            *(
-                one if one and one.significant else None
-                for one in (calibration.dsnu, calibration.prnu)
-            ),
-        )
-    )
-    efficiency, above = None, 1.0
-    if at.log_efficiency is not None:  # no more than an electron for each photon
-        efficiency = jnp.exp(between(at.log_efficiency))
-        above = jnp.maximum(efficiency, 1.0)
-        efficiency = efficiency / above
-    return Sensor(
-        shot_noise=PoissonShotNoise(),
-        exposure_time=jnp.median(jnp.concatenate([one.bright.exposure for one in lit])),
-        quantum_efficiency=efficiency,
-        read_noise=jnp.sqrt(jnp.maximum(variance, 0)) / above,
-        dark_current=dark,
-        full_well=well,
-        gain=gain * above / step,
-        offset=(between(black) - converter.origin) / step,
-        dsnu=None if dsnu is None else np.sqrt(dsnu),
-        prnu=None if prnu is None else np.sqrt(prnu),
-        bits=None if scale is None else bits_of(scale, converter),
-    )
