@@ -97,17 +97,23 @@ def _independent_chains_in_words(posterior: Posterior, name: str, effective: flo
     return f"{told}."
 
 
-def cost_in_words(posteriors: Iterable[Posterior], seconds: float, *, typed: bool = False) -> str:
+def cost_in_words(
+    posteriors: Iterable[Posterior],
+    seconds: float,
+    *,
+    typed: bool = False,
+    argument: str = "posterior",
+) -> str:
     """The error of a fit's approximations, in standard errors, its time in s, and the next cheaper
-    and better settings in one sentence. `typed`: as options of a command. A cubic or quartic term
-    that is m at two standard deviations moves the 97.5 % point by .73 m or .84 m (Cornish and
-    Fisher's expansion)."""
+    and better settings in one sentence. `typed`: as options of a command; else `argument` of the
+    function takes them. A cubic or quartic term that is m at two standard deviations moves the
+    97.5 % point by .73 m or .84 m (Cornish and Fisher's expansion)."""
     every = list(posteriors)
     if not every:
         return ""
     worst = max(every, key=lambda one: np.nan_to_num(_error_of_end(one), nan=np.inf))
     error, draws = _error_of_end(worst), worst.draws.shape[1]
-    exact = "--mcmc" if typed else "posterior=Emcee()"
+    exact = "--mcmc" if typed else f"{argument}=Emcee()"
     others = {
         "Laplace": f"{exact} draws from the posterior itself",
         "importance sampling": f"{exact} is the next better setting",

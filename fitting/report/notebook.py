@@ -1,11 +1,15 @@
 """The display of a calibration in notebooks and by `print`: estimates with intervals, and
 findings."""
 
+from dataclasses import replace
 from functools import cached_property
 from html import escape
 from importlib import import_module
 
+import numpy as np
+
 from ..inference.precision import double_precision
+from ..inference.trust import cost_in_words
 from .section import Section
 from .sentences import said_once
 from .sheet import Cell, sheet
@@ -22,18 +26,24 @@ class ShownInNotebooks:
         return _section_of(self)
 
     def _repr_html_(self) -> str:
-        return section_html(self.section)
+        return section_html(_with_cost(self.section))
 
     def __repr__(self) -> str:
         from .console import section_text  # rich, which no calibration needs
 
-        return section_text(self.section)
+        return section_text(_with_cost(self.section))
 
 
 @double_precision
 def _section_of(calibration: ShownInNotebooks) -> Section:
     module = import_module(type(calibration).__module__.rpartition(".")[0] + ".section")
     return module.section(calibration)
+
+
+def _with_cost(section: Section) -> Section:
+    """The section with the error of the fit's approximations and the next settings."""
+    cost = cost_in_words(section.posteriors.values(), np.nan, argument="sampling")
+    return replace(section, findings=(*section.findings, cost)) if cost else section
 
 
 def section_html(section: Section) -> str:
