@@ -232,8 +232,10 @@ def converter_in_words(converter: Converter, full_scale: float | None) -> list[s
 
 def _sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """The sum of two arrays of counts that begin at 0."""
-    size = max(one.size, other.size)
-    return np.pad(one, (0, size - one.size)) + np.pad(other, (0, size - other.size))
+    small, large = sorted((one, other), key=len)
+    found = large.copy()
+    found[: small.size] += small
+    return found
 
 
 def _counted(parts: Sequence[Any]) -> Float[np.ndarray, "2 values"]:

@@ -44,6 +44,7 @@ class ComparedLevels:
     ) -> None:
         self.frames, self.light, self.black = frames, light, black
         self.odd: list[OddFrames] = []
+        self._pixel_noise: dict[tuple, float] = {}  # of levels with these frames
         own = [self.pixel_noise(level) for level in range(len(frames))]
         apart = [a.mean - b.mean for level in frames for a, b in pairwise(level)]
         self.wander = usual_size(apart) / float(np.sqrt(2))  # DN, of a frame's mean
@@ -57,6 +58,13 @@ class ComparedLevels:
         frames = self.frames[level]
         if len(frames) < 2:
             return 0.0
+        known = level, lines, *(frame.name for frame in frames)
+        if known not in self._pixel_noise:
+            self._pixel_noise[known] = self._noise_of_pairs(level, lines)
+        return self._pixel_noise[known]
+
+    def _noise_of_pairs(self, level: int, lines: bool) -> float:
+        frames = self.frames[level]
         alike = scaled_to_one_mean(frames, None if self.black is None else float(self.black[level]))
         fields = [a - b for a, b in pairwise(alike)]
         variances = [trimmed_variance(f if lines else without_lines(f)) for f in fields]
@@ -143,9 +151,11 @@ def _noise_of_levels(
 
 def trimmed_variance(residuals: np.ndarray) -> float:
     """Variance about the mean without the largest squares."""
-    squares = np.sort((residuals - np.median(residuals)).ravel().astype(float) ** 2)
-    kept = squares if squares.size < FEWEST_TRIMMED else squares[: int(TRIMMED * squares.size)]
-    return float(kept.mean())
+    squares = (residuals - np.median(residuals)).ravel().astype(float) ** 2
+    if squares.size >= FEWEST_TRIMMED:
+        count = int(TRIMMED * squares.size)
+        squares = np.partition(squares, count)[:count]
+    return float(squares.mean())
 
 
 def without_lines(field: np.ndarray) -> np.ndarray:

@@ -256,7 +256,7 @@ def saturated_level(measurement: PhotonTransfer) -> int | None:
 def saturation_index(levels: Levels) -> int | None:
     """The standard's saturation point."""
     variance = np.asarray(levels.variance)
-    degrees = np.asarray(levels.pixels * (levels.frames - 1))
+    degrees = float(levels.pixels) * (np.asarray(levels.frames) - 1)
     peak = int(np.argmax(variance))
     behind = variance[peak + 1 :]
     if not behind.size:
@@ -285,7 +285,7 @@ def _first_converter(measurement: PhotonTransfer) -> np.ndarray:
     bright, top = measurement.bright, measurement.converter.coarse_from
     if top is None:
         return np.ones(bright.mean.shape, bool)
-    return np.asarray(bright.mean + CLEAR_OF_CLIPPING * np.sqrt(bright.variance)) < top
+    return np.asarray(bright.mean) + CLEAR_OF_CLIPPING * np.sqrt(np.asarray(bright.variance)) < top
 
 
 def rounding_step(amounts: np.ndarray) -> float:

@@ -12,6 +12,7 @@ with a tail, as from few electrons, multiplied electrons or warm pixels, is cont
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -117,6 +118,13 @@ MOST_COVERED = 0.5  # share of the pixels in rows and columns at a border that l
 SHOWN = 6  # rows, columns or pixels that are listed
 
 
+def line_products(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
+    """Sums of the products of neighbours, by row of those below, by column of those beside."""
+    below = np.einsum("ij,ij->i", x[:-1], x[1:])
+    beside = np.einsum("ij,ij->j", x[:, :-1], x[:, 1:])
+    return below, beside
+
+
 class LivePixels:
     """The mask of valid pixels of a frame, (h, w), and means over them."""
 
@@ -124,6 +132,11 @@ class LivePixels:
         self.mask, self.count = mask, int(mask.sum())
         self._all = self.count == mask.size
         self._of_line = [mask.sum(axis=1), mask.sum(axis=0)]
+
+    @cached_property
+    def pairs_by_line(self) -> tuple[np.ndarray, np.ndarray]:
+        """Neighbouring pixels that are both valid, as `line_products` sums them."""
+        return line_products(self.mask.astype(float))
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -9,9 +9,10 @@ or halves differ, a common K is not the gain of any pixel.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.special import fdtrc, ndtr, stdtr
 
 from ..inference.formatting import format_number
@@ -63,20 +64,27 @@ def residues(
         return found
     for own, plane in zip(found, (average, temporal), strict=True):
         rows, columns = (live.line_means(plane, axis) for axis in (0, 1))
-        cell = [
-            _mean(plane[i::CELL, j::CELL], live.mask[i::CELL, j::CELL])
-            for i in range(CELL)
-            for j in range(CELL)
-        ]
+        cell = _quotient(_cell_sums(live.only(plane)), _cell_sums(live.mask))
         own[:3, :RESIDUES] = _modulo(rows, RESIDUES), _modulo(columns, RESIDUES), cell
         if min(average.shape) >= 2 * LONGER:
             own[3:] = _modulo(rows, LONGER), _modulo(columns, LONGER)
     return found
 
 
-def _modulo(lines: np.ndarray, count: int) -> list[float]:
-    every = (lines[i::count] for i in range(count))
-    return [_mean(own, np.isfinite(own)) for own in every]
+def _modulo(lines: np.ndarray, count: int) -> np.ndarray:
+    place, known = np.arange(len(lines)) % count, np.isfinite(lines)
+    sums = np.bincount(place, np.where(known, lines, 0.0), count)
+    return _quotient(sums, np.bincount(place, known, count))
+
+
+def _cell_sums(plane: np.ndarray) -> np.ndarray:
+    rows = np.array([plane[i::CELL].sum(axis=0) for i in range(CELL)])
+    return np.array([rows[:, j::CELL].sum(axis=1) for j in range(CELL)]).T.ravel()
+
+
+def _quotient(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Means; NaN where nothing was counted."""
+    return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
 
 
 def _mean(values: np.ndarray, count: np.ndarray) -> float:
@@ -93,9 +101,7 @@ def quarters(
     """
     (h, w), found = average.shape, np.full((2, 8), np.nan)
     if min(h, w) > 1:
-        row, column = np.ogrid[:h, :w]
-        distance = (row - (h - 1) / 2) ** 2 + (column - (w - 1) / 2) ** 2
-        inner = distance <= np.median(distance)
+        inner = _inner_half(h, w)
         for own, plane in zip(found, (average, temporal), strict=True):
             places = [
                 (i, j)
@@ -107,6 +113,13 @@ def quarters(
         for i, axis in enumerate((1, 0)):
             found[:, 6 + i] = _step(live.line_means(average, axis))
     return found
+
+
+@lru_cache(maxsize=1)
+def _inner_half(h: int, w: int) -> Bool[np.ndarray, "h w"]:
+    row, column = np.ogrid[:h, :w]
+    distance = (row - (h - 1) / 2) ** 2 + (column - (w - 1) / 2) ** 2
+    return distance <= np.median(distance)
 
 
 def _step(lines: np.ndarray) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from scipy.fft import dctn
 
 from ..frame_checks.frame import listed
 from .levels import PhotonTransfer, shot_of, signal_of
-from .live_pixels import LivePixels
+from .live_pixels import LivePixels, line_products
 
 BLOCK = 8  # pixels of a side
 SURE = 6.0  # standard errors
@@ -39,20 +39,12 @@ def block_products(
     """Mean product of a pixel and the next below (to the right), by row (column) modulo 8."""
     found = np.full((2, BLOCK), np.nan)
     if min(deviation.shape) >= 2 * BLOCK:
-        for own, products, pairs in zip(
-            found, _line_products(deviation), _line_products(live.mask.astype(float)), strict=True
-        ):
+        lines = zip(found, line_products(deviation), live.pairs_by_line, strict=True)
+        for own, products, pairs in lines:
             own[:] = [
                 products[i::BLOCK].sum() / max(pairs[i::BLOCK].sum(), 1.0) for i in range(BLOCK)
             ]
     return found
-
-
-def _line_products(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
-    """Sums of the products of neighbours, by row of those below, by column of those beside."""
-    below = np.einsum("ij,ij->i", x[:-1], x[1:])
-    beside = np.einsum("ij,ij->j", x[:, :-1], x[:, 1:])
-    return below, beside
 
 
 def combs(

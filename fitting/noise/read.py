@@ -4,7 +4,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -160,8 +160,8 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
     found = PhotonTransfer(
         bright=bright,
         dark=dark,
-        dark_of=jnp.argmin(gap, axis=1),
-        light_step=jnp.asarray(rounding_step(np.asarray(bright.light)) if all(known) else 0.0),
+        dark_of=jnp.asarray(np.argmin(gap, axis=1)),
+        light_step=_array(rounding_step(np.asarray(bright.light)) if all(known) else 0.0),
         photons_known=all(known),
         full_scale=_full_scale(stated, converter),
         remarks=tuple(remarks),
@@ -205,6 +205,7 @@ class _Source:
         load: function that reads an image from its path.
         live: (h, w) true where a pixel is used; None for all.
         codes: collects the values that occur.
+        live_of: the valid pixels of frames of each size.
     """
 
     rig: Rig
@@ -212,6 +213,7 @@ class _Source:
     load: Load
     live: np.ndarray | None
     codes: Codes
+    live_of: dict[tuple[int, ...], LivePixels] = field(default_factory=dict)
 
     def plane(self, name: str) -> np.ndarray:
         """(h, w) DN of a frame."""
@@ -219,9 +221,13 @@ class _Source:
 
     def pixels(self, shape: tuple[int, ...]) -> LivePixels:
         """The valid pixels of a frame of this size."""
-        if self.live is None or self.live.shape != shape:
-            return LivePixels(np.ones(shape, bool))
-        return LivePixels(self.live)
+        known = self.live_of.get(shape)
+        if known is None:
+            mask = self.live
+            if mask is None or mask.shape != shape:
+                mask = np.ones(shape, bool)
+            known = self.live_of[shape] = LivePixels(mask)
+        return known
 
 
 def _dead(
@@ -289,11 +295,11 @@ def _light(rig: Rig, flat: Flat) -> float | None:
     return float(photon_rate(irradiance, wavelength, area)[0]) * flat.exposure
 
 
-def _gaps(bright: Levels, dark: Levels) -> Float[Array, "levels darks"]:
+def _gaps(bright: Levels, dark: Levels) -> Float[np.ndarray, "levels darks"]:
     """The relative difference of each dark's exposure from each flat's."""
-    longest = jnp.maximum(jnp.max(bright.exposure), jnp.max(dark.exposure))
-    scale = jnp.where(bright.exposure > 0, bright.exposure, jnp.where(longest > 0, longest, 1.0))
-    return jnp.abs(dark.exposure[None, :] - bright.exposure[:, None]) / scale[:, None]
+    lit, unlit = np.asarray(bright.exposure), np.asarray(dark.exposure)
+    scale = np.where(lit > 0, lit, max(lit.max(), unlit.max()) or 1.0)
+    return np.abs(unlit[None, :] - lit[:, None]) / scale[:, None]
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[OddFrames]], list[str]]:
@@ -365,26 +371,31 @@ def _reduced(
     mean, variance, spatial, frames, trend = np.array([row[:5] for row in rows], float).T
     # In a mosaic the nearest sites of one colour are two pixels apart.
     adjacent = rig.camera.cell == (1, 1) and min(shape) > 2 * REACH
-    covariances = jnp.asarray([row.covariances for row in rows]) if adjacent else None
+    covariances = _array([row.covariances for row in rows]) if adjacent else None
     levels = Levels(
         light=jnp.asarray(amounts[there]),
         exposure=jnp.asarray(times[there]),
         mean=jnp.asarray(mean),
         variance=jnp.asarray(variance),
         frames=jnp.asarray(frames),
-        pixels=jnp.asarray(float(live.count)),
+        pixels=_array(float(live.count)),
         spatial_variance=jnp.asarray(spatial),
         shared=shared_variance(of_lines, shape),
         covariances=covariances,
-        residues=jnp.asarray([row.residues for row in rows]),
-        quarters=jnp.asarray([row.quarters for row in rows]),
-        local_pattern=jnp.asarray([row.local_pattern for row in rows]),
-        blocks=jnp.asarray([row.blocks for row in rows]) if adjacent else None,
-        combs=jnp.asarray([row.combs for row in rows]) if adjacent else None,
+        residues=_array([row.residues for row in rows]),
+        quarters=_array([row.quarters for row in rows]),
+        local_pattern=_array([row.local_pattern for row in rows]),
+        blocks=_array([row.blocks for row in rows]) if adjacent else None,
+        combs=_array([row.combs for row in rows]) if adjacent else None,
         left_out=(*(one.sentence for one in gone), *_hits_in_words(rows, dark is None)),
         trend=jnp.asarray(trend),
     )
     return levels, [row.shown for row in rows]
+
+
+def _array(values: Any) -> Array:
+    """Numbers for a record. JAX compiles a program for each list that it joins."""
+    return jnp.asarray(np.asarray(values))
 
 
 def _hits_in_words(levels: Sequence[LevelStatistics], unlit: bool) -> list[str]:

@@ -46,7 +46,7 @@ def shared_variance(
 ) -> SharedVariance:
     """The record of the shared variances from `Moments` at each level."""
     rows, columns, fixed_rows, fixed_columns, frames = (jnp.asarray(row) for row in of_levels)
-    size = jnp.asarray(shape, float)
+    size = jnp.asarray(np.asarray(shape, float))
     return SharedVariance(rows, columns, fixed_rows, fixed_columns, frames, size)
 
 

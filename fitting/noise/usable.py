@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from jaxvision.errors import InputError
@@ -21,7 +21,7 @@ MOST_OFF_BLACK = 0.1  # of the least signal; less changes no gain by more
 def check(file: Path, measurement: PhotonTransfer) -> None:
     """Refuse a measurement without photon transfer; `file` is its source in the message."""
     try:
-        _check(file, measurement)
+        _check(file, jax.tree.map(np.asarray, measurement))
     except InputError as error:
         left_out = (*measurement.bright.left_out, *measurement.dark.left_out)
         raise InputError(" ".join([str(error), *left_out[:3]])) from None
@@ -30,15 +30,15 @@ def check(file: Path, measurement: PhotonTransfer) -> None:
 def _check(file: Path, measurement: PhotonTransfer) -> None:
     bright, dark = measurement.bright, measurement.dark
     for name, levels in (("flat", bright), ("dark", dark)):
-        if bool(jnp.any(levels.exposure < 0)):
+        if bool(np.any(levels.exposure < 0)):
             raise InputError(f"{file}: a {name} has a negative exposure; give it in seconds.")
-        if bool(jnp.any(levels.frames < 2)):
+        if bool(np.any(levels.frames < 2)):
             raise InputError(f"{file}: a {name} level has one frame; a variance needs two or more.")
-        if bool(jnp.any(levels.variance < 0)):
+        if bool(np.any(levels.variance < 0)):
             raise InputError(f"{file}: a {name} level has a negative variance; check its column.")
-    if not bool(jnp.any(bright.exposure > 0)):
+    if not bool(np.any(bright.exposure > 0)):
         raise InputError(f"{file}: no flat has a positive exposure; give it in seconds.")
-    if bool(jnp.any(bright.light < 0)):
+    if bool(np.any(bright.light < 0)):
         raise InputError(f"{file}: a flat has negative light; correct its photons.")
     if measurement.photons_known and float(bright.light.max()) > MOST_PHOTONS:
         raise InputError(
@@ -65,18 +65,18 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
             "does not grow with it, as after a tone curve (gamma, sRGB). No gain follows from such "
             "frames; give raw, linear ones."
         )
-    if bool(jnp.all(dark.variance == 0)):
+    if bool(np.all(dark.variance == 0)):
         raise InputError(
             f"{file}: no dark varies from frame to frame (mean {float(dark.mean.max()):g} DN), so "
             "black is clipped, the frames are copies, or compression (JPEG) removed their noise; "
             "raise the camera's black level and give independent raw frames."
         )
-    if bool(jnp.all(bright.variance == 0)):
+    if bool(np.all(bright.variance == 0)):
         raise InputError(
             f"{file}: no flat varies from frame to frame, so all are saturated or copies of one; "
             "give independent frames at lower light."
         )
-    if signal_of(measurement).max() < 3 * float(jnp.sqrt(dark.variance.max() / bright.pixels)):
+    if signal_of(measurement).max() < 3 * float(np.sqrt(dark.variance.max() / bright.pixels)):
         raise InputError(f"{file}: the flats are as dark as the darks; give more light.")
     if _most_shot_noise(measurement) < SEEN:
         raise InputError(
@@ -144,8 +144,8 @@ def _most_shot_noise(measurement: PhotonTransfer) -> float:
     """The largest excess of a level's variance over that of its darks, in standard errors."""
     bright, dark = measurement.bright, measurement.dark
     there = dark.variance[measurement.dark_of]
-    errors = jnp.hypot(
-        bright.variance * jnp.sqrt(2 / (bright.pixels * (bright.frames - 1))),
-        there * jnp.sqrt(2 / (dark.pixels * (dark.frames - 1)))[measurement.dark_of],
+    errors = np.hypot(
+        bright.variance * np.sqrt(2 / (bright.pixels * (bright.frames - 1))),
+        there * np.sqrt(2 / (dark.pixels * (dark.frames - 1)))[measurement.dark_of],
     )
-    return float(jnp.max((bright.variance - there) / errors))
+    return float(np.max((bright.variance - there) / errors))
