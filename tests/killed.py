@@ -27,14 +27,34 @@ from pathlib import Path
 import numpy as np
 from fuzz.seeds import TABLE
 
+from jaxvision.files.images import write_image
+
 JOBS = {
     "render": "jaxvision render cornell_box --resolution 12,12 --samples 1 --tile 20 "
     "--out out/box.exr",
     "chain": "fitting noise levels.csv --mcmc --walkers 16 --steps 1000 --out out",
     "report": "fitting noise levels.csv --out out",
+    "taps": "fitting noise rig --mcmc --walkers 16 --steps 3000 --out out",
 }
 AT_ONCE = 2.0  # s from Ctrl-C to the end
-PASSING = re.compile(rb"\d{4}-\d\d-\d\d \d\d:\d\d UTC")  # when a report was made
+# when a report was made, and how long it took
+PASSING = re.compile(rb"\d{4}-\d\d-\d\d \d\d:\d\d UTC|The fit took \S+ s")
+
+
+def write_rig_of_two_taps(folder: Path) -> None:
+    """Flats of even and odd columns with gains of .25 and .32 DN/e-, which the rig does not
+    state."""
+    folder.mkdir()
+    rng, gain = np.random.default_rng(0), np.where(np.arange(64) % 2, 0.32, 0.25)
+    text = "[camera]\nbits = 12\n"
+    for i, photons in enumerate([0.0, *np.linspace(1000, 16_000, 8)]):
+        names = [f"{i}_{j}.tif" for j in range(4)]
+        for name in names:
+            electrons = rng.poisson(photons / 2, (64, 64)) + 5 * rng.standard_normal((64, 64))
+            write_image(folder / name, np.round(64 + gain * electrons).astype(np.uint16))
+        text += f"[[{'flat' if photons else 'dark'}]]\nfiles = {names}\nexposure = 0.01\n"
+        text += f"photons = {photons}\n" if photons else ""
+    (folder / "rig.toml").write_text(text)
 
 
 class Job:
@@ -51,6 +71,8 @@ class Job:
         self.words, self.place = JOBS[name].split(), place
         place.mkdir(parents=True)
         (place / "levels.csv").write_text(TABLE)
+        if "rig" in self.words:
+            write_rig_of_two_taps(place / "rig")
         for _ in range(2):  # the first compiles
             self.start_over()
             begun = time.monotonic()

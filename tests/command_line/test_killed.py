@@ -18,7 +18,9 @@ from jaxvision.render_command.tiles import PartialImage, PartialSum
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "moments"), [("render", 7), ("chain", 7), ("report", 6)])
+@pytest.mark.parametrize(
+    ("name", "moments"), [("render", 7), ("chain", 7), ("report", 6), ("taps", 3)]
+)
 def test_a_killed_command_tears_nothing_and_goes_on(tmp_path, name, moments):
     job = Job(name, tmp_path / name)
     assert job.whole
