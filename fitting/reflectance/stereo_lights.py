@@ -12,7 +12,7 @@ Lambertian.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 FLAT = 1e-6  # least over largest singular value of lights that lie in a plane
 ROUNDS, DONE = 40, 1e-6  # of Gauss-Newton; the largest step of a factor that ends them
@@ -21,6 +21,8 @@ NORMAL_MAD = 1.4826  # the standard deviation of a Gaussian over its median abso
 PARTS = 10  # of the image, each of which is left out once
 MOST, FEWEST = 2_000, 100  # pixels that estimate it
 LIT = 0.1  # of the brightest pixels' mean reading: pixels that tell it
+UNLIT = 0.1  # -n.l from which a pixel surely faces away from a light
+SMALL = 1e-4  # of the albedo: an offset in the shadow that changes no normal
 CLEAR = 5.0  # standard errors from which a factor or offset is significant
 DETERMINED = 10.0  # times what noise in g adds to the information on a factor
 WIDEST = 10.0  # factor of a light; beyond, its direction is wrong or no light is
@@ -103,18 +105,39 @@ def by_lights(
 
 def common_departure(rows: Rows, readings: Readings, counts: Counted) -> Common | None:
     """Factors of the lights, or an offset, common to all pixels."""
-    mean = np.where(counts, readings, 0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
-    told = (counts.sum(axis=0) > 3) & (mean > 0)
-    if told.sum() < FEWEST:
-        return None
-    some = np.flatnonzero(told & (mean > LIT * np.quantile(mean[told], 0.95)))
-    some = some[:: -(-len(some) // MOST)]
+    some = _bright(readings, counts)
     if some.size < FEWEST:
         return None
+    some = some[:: -(-len(some) // MOST)]
     own, counted = readings[:, some], counts[:, some]
     found = [_fitted(rows, own, counted, by_offset=by) for by in (True, False)]
     found = [one for one in found if one is not None and one.explained > EXPLAINED]
     return max(found, key=lambda one: one.explained, default=None)
+
+
+def offset_in_shadow(rows: Rows, readings: Readings, counts: Counted) -> Common | None:
+    """An offset of all readings, by those of pixels that face away from a light and should be 0."""
+    some = _bright(readings, counts)
+    own = readings[:, some]
+    g, _ = solved(rows, own, counts[:, some].astype(float))
+    shades = rows @ g.T / np.linalg.norm(rows, axis=1)[:, None] / np.linalg.norm(g, axis=1)
+    unlit = (shades < -UNLIT) & ~np.isnan(own)
+    parts = [own[:, part][unlit[:, part]] for part in np.array_split(np.arange(some.size), PARTS)]
+    if min(part.size for part in parts) < FEWEST // PARTS:
+        return None
+    offset = float(np.median(own[unlit]))
+    sd = float(np.std([np.median(part) for part in parts]) / np.sqrt(PARTS))
+    if abs(offset) <= max(CLEAR * sd, SMALL * float(np.median(np.linalg.norm(g, axis=1)))):
+        return None
+    return Common(np.ones(len(rows)), np.zeros(len(rows)), offset, sd, 0.0)
+
+
+def _bright(readings: Readings, counts: Counted) -> Int[np.ndarray, " some"]:
+    """Pixels with more than three readings, and not much darker than the others."""
+    mean = np.where(counts, readings, 0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
+    told = (counts.sum(axis=0) > 3) & (mean > 0)
+    least = np.quantile(mean[told], 0.95) if told.any() else np.inf
+    return np.flatnonzero(told & (mean > LIT * least))
 
 
 def _fitted(
