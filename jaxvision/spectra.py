@@ -82,7 +82,8 @@ def interpolate_spectrum(
 
     Raises:
         ValueError: for an unknown option, too few bands, values with another number of bands, known
-            wavelengths that do not ascend, or wavelengths that are not in m.
+            wavelengths that do not ascend or, for "sprague", are not evenly spaced (unless traced),
+            or wavelengths that are not in m.
     """
     bands = known.shape[0]
     least = {"linear": 2, "sprague": 6}
@@ -101,6 +102,13 @@ def interpolate_spectrum(
         if is_known(given):
             require_metres(f"interpolate_spectrum: {name}", np.asarray(given))
     _check_ascending("interpolate_spectrum: known", known)
+    if method == "sprague" and is_known(known):
+        steps = np.diff(np.asarray(known))
+        if np.ptp(steps) > 0.01 * steps.mean():
+            raise ValueError(
+                "sprague interpolation needs evenly spaced known wavelengths, got steps from "
+                f"{1e9 * steps.min():.4g} to {1e9 * steps.max():.4g} nm; take linear."
+            )
     interval = jnp.clip(jnp.searchsorted(known, wanted, side="right") - 1, 0, bands - 2)
     start, end = known[interval], known[interval + 1]
     t = jnp.clip((wanted - start) / (end - start), 0, 1)

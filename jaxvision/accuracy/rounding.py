@@ -84,7 +84,8 @@ def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: 
         The digits of each output, and the operation that loses most.
 
     Raises:
-        InputError: for fewer than 2 runs.
+        InputError: for fewer than 2 runs, and for a function that rounds to fewer digits than
+            float32 has, as float16 and bfloat16.
 
     Example:
         >>> from jaxvision.accuracy import digits
@@ -154,6 +155,12 @@ def _evaluate(
         )
 
     for number, eqn in enumerate(jaxpr.eqns):
+        for kind in (getattr(x.aval, "dtype", np.float32) for x in eqn.outvars):
+            if jnp.issubdtype(kind, jnp.floating) and jnp.finfo(kind).bits < 32:
+                raise InputError(
+                    f"digits: {_name_operation(eqn)} rounds to {kind}, whose digits are not "
+                    "counted; give the function float32 alone."
+                )
         own, inputs = jax.random.fold_in(key, number), [value(x) for x in eqn.invars]
         inner = next((eqn.params[word] for word in _INSIDE if word in eqn.params), None)
         if eqn.primitive.name in _AS_ONE:

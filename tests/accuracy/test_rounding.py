@@ -83,6 +83,9 @@ def test_loops_branches_trees_and_refusals():
     assert "of 7.2 digits are left." in str(found)
     with pytest.raises(InputError, match="at least 2 runs"):
         digits(both, np.ones(3), runs=1)
+    for narrow in (jnp.float16, jnp.bfloat16):
+        with pytest.raises(InputError, match=r"convert_element_type .* rounds to b?float16"):
+            digits(jax.jit(lambda x, narrow=narrow: x.astype(narrow).astype(jnp.float32)), X)
 
 
 def test_each_turn_of_a_loop_is_rounded():

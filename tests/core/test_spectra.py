@@ -151,6 +151,9 @@ def test_bad_interpolation_is_named():
         spectra.interpolate_spectrum(values, grid, grid, method="cubic")
     with pytest.raises(ValueError, match="sprague interpolation needs at least 6 bands, got 5"):
         spectra.interpolate_spectrum(values, grid, grid, method="sprague")
+    gap = jnp.asarray([1e-9 * nm for nm in (*range(400, 500, 10), *range(600, 701, 10))])
+    with pytest.raises(ValueError, match=r"evenly spaced known .* steps from 10 to 110 nm"):
+        spectra.interpolate_spectrum(jnp.ones(21), gap, grid, method="sprague")
     with pytest.raises(ValueError, match=r"each of the 5 known wavelengths .* shape \(3,\)"):
         spectra.interpolate_spectrum(values[:3], grid, grid)
     with pytest.raises(ValueError, match="wanted is in metres, got 600; 550 nm are 550e-9"):
