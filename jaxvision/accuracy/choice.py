@@ -10,8 +10,8 @@ from ..errors import InputError
 from .fitted import order_holds
 from .records import Curve, Trial
 
-BEYOND = 2**14  # times the finest setting, as far as the declared order of chance is relied upon
-STEP = 2**0.5  # between settings that are inferred
+BEYOND = 2**14  # factor on the finest setting, up to which the declared order is extrapolated
+STEP = 2**0.5  # ratio of successive inferred settings
 
 
 def candidates(curve: Curve) -> tuple[Trial, ...]:
@@ -27,7 +27,7 @@ def candidates(curve: Curve) -> tuple[Trial, ...]:
     solid = [trial for trial in run if not trial.hollow]
     known, found = {trial.setting for trial in run}, list(run)
     setting, most = float(solid[0].setting), BEYOND * solid[-1].setting
-    if not curve.knob.random:  # nobody knows whether a bias falls so beyond what was ever run
+    if not curve.knob.random:  # a bias may not follow the law beyond the measured settings
         most = max(curve.knob.settings + curve.knob.reference)
     while (setting := setting * STEP) <= most:
         if (whole := round(setting)) not in known:
@@ -47,7 +47,7 @@ def _inferred(curve: Curve, solid: Sequence[Trial], setting: int) -> Trial:
     settings, times = zip(*((t.setting, t.seconds) for t in curve.trials), strict=True)
     if setting < last.setting:
         seconds = float(np.interp(setting, settings, times))
-    else:  # what one more unit costs at most, from the two ends of what was run
+    else:  # largest cost of one more unit, from the cheapest and the finest run
         more = max(last.seconds_high - first.seconds_low, 0.0)
         each = more / max(last.setting - first.setting, 1)
         seconds = last.seconds + each * (setting - last.setting)
@@ -72,8 +72,8 @@ def choose(
     tolerance: float | None = None,
     seconds: float | None = None,
 ) -> Trial:
-    """The cheapest setting within a tolerance, or the most accurate within a time. Among settings
-    with indistinguishable times the most accurate is chosen.
+    """Choose the cheapest setting within a tolerance, or the most accurate within a time. Among
+    settings with indistinguishable times the most accurate is chosen.
 
     The error of a random setting is estimated from a few seeds. If a result depends on rare events,
     such as light by a rare path, these seeds may have missed them. The error then exceeds the

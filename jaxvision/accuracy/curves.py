@@ -1,4 +1,4 @@
-"""This module measures error against time for one knob of one problem, within a budget of time."""
+"""Measurement of error against time for one knob of one problem, within a budget of time."""
 
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -26,14 +26,14 @@ from .reference import (
 )
 from .session import GRACE, Clock, Point, Session, whole_seconds
 
-FIRST_LOOK = 0.45  # of the time that is left, for two calls of one more setting
-LAST_LOOK = 0.9  # the same of a setting that is the finest reference, too
-HOLLOW = 3.0  # errors below so many of the reference's say little
-CERTAIN = 0.99865  # that a reference and the finest setting beside it differ: 3 sigma
-LEAST = 2e-3  # s, below which nothing is begun
-WORTH = 1.5  # times its share, for a knob to be measured again
-KEPT = 0.5  # the same of a problem that keeps its programs
-REPEATS = 5  # of the time of a setting that is not random
+FIRST_LOOK = 0.45  # share of the remaining time, for two calls of one more setting
+LAST_LOOK = 0.9  # the same for a setting that is also the finest reference
+HOLLOW = 3.0  # errors below this multiple of the reference's error are uncertain
+CERTAIN = 0.99865  # confidence that a reference and the finest other setting differ: 3 sigma
+LEAST = 2e-3  # s, the shortest remaining time in which a run is started
+WORTH = 1.5  # factor on its share of the time, for a knob to be measured again
+KEPT = 0.5  # the same for a problem that keeps its compiled programs
+REPEATS = 5  # timed calls of a setting that is not random
 
 
 def curve(
@@ -143,14 +143,15 @@ def curve(
         try:
             with raised_interrupts():
                 return told(stopped)
-        except KeyboardInterrupt:  # all is measured; it is only not yet compared
+        except KeyboardInterrupt:  # all is measured, but not yet compared
             is_handled()
             return told("interrupted")
 
 
 def _look(session: Session, names: tuple[str, ...]) -> None:
-    """Run each setting twice while time allows, at least one that fits a call, without settings
-    that the problem refuses."""
+    """Run each setting twice while time allows, and at least one setting once, without settings
+    that the problem refuses.
+    """
     settings, finest = session.knob.settings, session.knob.reference[-1:]
     if session.left <= LEAST:
         raise OutOfTime
@@ -179,9 +180,9 @@ def _run_twice(session: Session, setting: Any) -> None:
     try:
         for seed in PAIRED:
             session.call(setting, seed, within=until - session.taken)
-    except OutOfTime:  # one call alone tells a bias from chance no more than none
+    except OutOfTime:  # one call does not distinguish a bias from chance
         session.points.pop(setting, None)
-    except Exception as refusal:  # of the problem, which may raise what it likes
+    except Exception as refusal:  # the problem may raise any error
         session.refuse(setting, refusal)
 
 
@@ -195,7 +196,7 @@ def _take_turns(session: Session, seeds: int) -> None:
             if known and session.expected(setting, calls=1) <= session.left:
                 try:
                     session.call(setting, number if session.knob.random else PAIRED[0])
-                except OutOfTime:  # slower than the calls before: it has been measured all the same
+                except OutOfTime:  # slower than earlier calls, but already measured
                     session.given_up = ""
                     return
                 except Exception:  # such as a part of the pixels that cannot be fitted
@@ -227,7 +228,8 @@ def _curve_of(
     if not session.knob.random and reference.setting is not None:
         own = max(own, unlike(session, [point.setting for point in apart], exact))
     if len(turned := session.knob.settings) > 1 and session.points.keys() == {reference.setting}:
-        own = np.inf if reference.setting == turned[0] else own  # what all share does not show
+        # an error shared by all is not visible in differences
+        own = np.inf if reference.setting == turned[0] else own
     relative = replace(reference, error=own / level)
     trials = [_trial(session, p, exact, level, relative.error, names) for p in points]
     return Curve(
@@ -293,7 +295,8 @@ def _trial(
         apart = np.stack([found[s] - truth[s] for s in seeds]) / level
         error, low, high = _bias(main, apart)
     hollow = bool(norms["rms"] < HOLLOW * floor)
-    # What the reference is off by, in the first norm: of a random knob it is in the error already.
+    # The error of the reference in the first norm; for a random knob the measured error includes
+    # it.
     own = floor * (norms[names[0]] / norms["rms"] if norms["rms"] > 0 else 1.0)
     if not knob.random and own > 0:
         low, high = max(low - SURE * own, 0.0), high + SURE * own
@@ -325,7 +328,8 @@ def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:
     if noise == 0 or whole == 0:
         return typical, typical, typical
     shared, count = max(whole - noise, 0.0), apart[0].size
-    count /= apart.shape[-1] if apart.ndim > 2 else 1  # the bands of a pixel err alike
+    # errors of the bands of a pixel are correlated
+    count /= apart.shape[-1] if apart.ndim > 2 else 1
     half = 2 * float(np.sqrt((2 * shared * noise + noise**2) / count))
     shared = max(shared, half)
     bounds = np.sqrt(np.clip([shared, shared - half, shared + half], 0, None) / whole)
@@ -349,7 +353,7 @@ def error_against_time(
     repeats: int = 5,
     clock: Clock | None = None,
 ) -> list[Trial]:
-    """Error and time of any competing calls.
+    """Measure the error and the time of competing calls.
 
     The warm calls take turns, so that a drift of the machine's speed favours none.
 

@@ -18,7 +18,7 @@ from ..core.interrupts import leaves_work_behind
 from ..core.side_by_side import for_any_thread
 from ..errors import InputError
 
-TICK = 0.1  # s, between two looks at the time
+TICK = 0.1  # s between two checks of the time
 
 
 class OutOfTime(Exception):

@@ -6,8 +6,8 @@ import numpy as np
 
 from .records import Knob, Law, Order, Trial
 
-LEAST_SPREAD = 0.01  # relative: no error is known better
-SHALLOWEST = 0.7  # of the declared order, for it to be relied upon
+LEAST_SPREAD = 0.01  # relative: the smallest uncertainty that is assumed for an error
+SHALLOWEST = 0.7  # share of the declared order that a fit must reach to confirm it
 
 
 def variable(setting: float, law: Law) -> float:
@@ -45,7 +45,7 @@ def _line(knob: Knob, solid: Sequence[Trial], law: Law) -> tuple[Order, float]:
     squares = float(np.sum(weights * left**2))
     if free == 0:
         return Order(slope, -np.inf, np.inf, law, len(solid)), squares
-    # no better than the seeds say, however well a few points lie on a line
+    # no more precise than the scatter over seeds, even if a few points fit a line well
     scatter = max(squares / free, 1.0)
     half = float(stdtrit(free, 0.975)) * float(np.sqrt(scatter / spread))
     return Order(slope, slope - half, slope + half, law, len(solid)), squares
@@ -64,8 +64,9 @@ def _is_number(setting: object) -> bool:
 
 
 def order_holds(knob: Knob, order: Order | None) -> bool:
-    """Whether the measured errors fall at least as fast as the declared order: their interval
-    reaches it, and not by its width alone."""
+    """Whether the measured errors fall at least as fast as the declared order: the interval of the
+    fitted order contains it, and not only because the interval is wide.
+    """
     if order is None or knob.order is None or order.points < 3:
         return False
     return order.low <= knob.order and order.exponent <= SHALLOWEST * knob.order

@@ -100,12 +100,13 @@ def spreads_over(reference: tuple[int, ...], result: tuple[int, ...]) -> bool:
 # of a single random number, whose square over the mean of the others follows Fisher's F with 1 and
 # k degrees of freedom. The bounds include all observed errors. Of 3,000 further errors (chi with 1
 # to 3,000 degrees of freedom, or log-normal), 1.2 to 3.8 of 100 exceeded the upper bound.
-_CHANCE = 0.025  # of a run above the upper bound, and of one below the lower
+_CHANCE = 0.025  # probability of a run above the upper bound, and of one below the lower
 
 
 def next_error(errors: np.ndarray) -> tuple[float, float, float]:
-    """Return the root mean square of errors (k,) and bounds, in their unit, that contain the
-    next run's in 95 of 100 cases."""
+    """Return the root mean square of errors (k,) and bounds, in their unit, that contain the error
+    of the next run in 95 of 100 cases.
+    """
     from scipy.special import fdtri, stdtrit
 
     seen = np.abs(np.asarray(errors, np.float64))

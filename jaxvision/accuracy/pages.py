@@ -17,7 +17,7 @@ from .tables import json_sheet, notes, rows
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# of a figure, for the axes: a layout that matplotlib finds takes as long as all the drawing
+# shares of a figure for the axes: matplotlib's own layout takes as long as all the drawing
 _WITHIN = (0.18, 0.15, 0.79, 0.7)
 
 

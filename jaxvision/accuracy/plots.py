@@ -11,10 +11,10 @@ from .records import Curve, Trial
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LEAST_RANGE = 2.0  # of an axis, of which less has labels that all read the same
-ROOM = 0.15  # of the height, for points without an error
-BESIDE = 0.15  # of the width, for names of other programs
-BELOW = 0.03  # of the least error, as far as is drawn
+LEAST_RANGE = 2.0  # smallest ratio of an axis's ends, so that its labels differ
+ROOM = 0.15  # share of the height for points without an error
+BESIDE = 0.15  # share of the width for names of other programs
+BELOW = 0.03  # share of the smallest error, down to which the axis extends
 _UNKNOWN = "no error is known: allow more time"
 
 
@@ -42,7 +42,7 @@ def plot(
         axes = Figure(figsize=(4.8, 3.6), layout="constrained").add_subplot()
     floor = curve.reference.error
     shown = [t for t in curve.trials if np.isfinite(t.error) and t.error > 0]
-    # a reference far better than all settings, or a bar to zero, would flatten them
+    # a much more accurate reference, or an error bar to zero, would flatten the points
     bottom = BELOW * min((t.error for t in shown), default=0.0)
     for trial in shown:
         error = 100 * trial.error
@@ -79,7 +79,7 @@ def plot(
         name_points(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
         name_points(axes, rivals, below=True, color=PURPLE)
         _without_error(axes, exact)
-        few_ticks(axes)  # the names took their room above
+        few_ticks(axes)  # the names have extended the axis above
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
     order = ""
     if curve.order is not None:

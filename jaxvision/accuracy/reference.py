@@ -13,17 +13,17 @@ from .fitted import variable
 from .records import Compared, Knob, Law, Reference
 from .session import Session
 
-DRAWS = 4  # independent ones that a random reference is the mean of, at least
+DRAWS = 4  # smallest number of independent results in the mean of a random reference
 MOST_DRAWS = 16
-SHARE = 0.6  # of the time that is left
-LATEST = 0.9  # of the time that is left, after which a reference is given up
-FIRST_SEED = 1_000_000  # of references; trials have smaller seeds
+SHARE = 0.6  # share of the remaining time
+LATEST = 0.9  # share of the remaining time, after which a reference is abandoned
+FIRST_SEED = 1_000_000  # first seed of references; trials have smaller seeds
 PAIRED = (0, 1)  # seeds with which settings of a bias are compared with each other
-UNITS = 4  # in the last place, to which no sum is right
-MOST_UNLIKE = 4.0  # times the error that the steps between settings tell
-SURE = 1.5  # times the estimate of a reference's own error, within which it is taken to be
-RUNGS = 4  # settings of a sequence: three tell its rate, a fourth by which law it falls
-MOST_TAIL = 6.0  # of the last step between two settings, for the rest of a sequence
+UNITS = 4  # ULP: the smallest error that is assumed for a sum
+MOST_UNLIKE = 4.0  # factor on the error expected from the steps between settings, as the limit
+SURE = 1.5  # factor on the estimated error of a reference, as its upper limit
+RUNGS = 4  # settings of a sequence: three determine the rate of its decrease, a fourth the law
+MOST_TAIL = 6.0  # largest error after the last step, in units of this step
 STEEPEST = 300.0  # fall of an error between two settings, as a logarithm
 
 
@@ -65,8 +65,9 @@ def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
 
 
 def _draw_results(session: Session, setting: Any) -> list[np.ndarray]:
-    """Return independent draws of a setting, as many as are worth their time, without seeds that
-    fail after others."""
+    """Return independent draws of a setting, as many as are worth their time. Seeds that fail after
+    others have succeeded are left out.
+    """
     draws: list[np.ndarray] = []
     until = session.taken + SHARE * max(session.left, 0.0)
     latest = session.taken + LATEST * session.left

@@ -1,12 +1,13 @@
-"""How many digits of a function's results its own rounding leaves, and which operation loses them.
+"""How many digits of a function's results are correct in spite of rounding, and which operation
+loses most of them.
 
 Every operation of the function's jaxpr runs in float64 on its float32 operands. An inexact result
 is rounded to float32 at random, up or down, so that its expectation is exact; an exact one is kept,
 so that compensated sums and products work. The scatter over several runs is the error by rounding
-(Parker, "Monte Carlo Arithmetic", UCLA CSD-970002, 1997). Where the operation itself is further
-off in float32 than its last bit, as special functions and long sums are, that error is added with
-a random sign. A loop, a branch or the solution of equations has one name, and each of its
-operations is rounded.
+(Parker, "Monte Carlo Arithmetic", UCLA CSD-970002, 1997). If the float32 operation itself has an
+error above one ULP, as special functions and long sums may have, this error is added with a random
+sign. A loop, a branch or a linear solve is reported as one operation, but each operation in it is
+rounded.
 """
 
 from collections.abc import Callable
@@ -23,25 +24,25 @@ from ..core._types import as_dtype
 from ..errors import InputError
 
 WHOLE = float(-np.log10(np.finfo(np.float32).eps / 2))  # digits of float32
-_INSIDE = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # parameters that hold what a call runs
+_INSIDE = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # parameters that contain the jaxpr of a call
 _AS_ONE = ("scan", "while", "cond", "custom_linear_solve")
 _WIDE = {
     np.dtype(np.float32): np.dtype(np.float64),
     np.dtype(np.complex64): np.dtype(np.complex128),
 }
-_OWN = 2.0  # units in the last place, beyond which an operation has an error of its own
-_LOSS = 1.0  # digits, beyond which an operation is named
+_OWN = 2.0  # ULP, beyond which an operation has an error of its own
+_LOSS = 1.0  # lost digits, beyond which an operation is named
 
 
 @dataclass(frozen=True)
 class Digits:
-    """The digits that rounding leaves.
+    """The correct digits that remain after rounding.
 
     Attributes:
         digits: of each output, an array of its shape, at most 7.2; NaN where it is not finite.
         operation: where an output lost more than one digit, the operation that lost the most of
             its operands' digits, and its line; "" elsewhere.
-        lost: digits that it lost.
+        lost: number of digits lost by that operation.
     """
 
     digits: Any
@@ -71,13 +72,14 @@ class Digits:
 def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: int = 0) -> Digits:
     """Count the digits that float32 leaves of a function's results at these arguments.
 
-    Arguments and constants are taken as exact. A function in float64 loses as many digits, of its
-    16. The count is for rounding alone: a series that is cut too early has all of its digits.
+    Arguments and constants are taken as exact. In float64 the function loses the same number of
+    digits, out of 16. Only rounding errors are counted: a series that is truncated too early still
+    has all digits.
 
     Args:
         function: of arrays to a pytree of arrays, as `jax.jit` takes it.
         arguments: pytrees of arrays; floating ones are rounded to float32.
-        runs: with other random roundings, at least 2.
+        runs: number of runs with different random roundings, at least 2.
         seed: of the roundings.
 
     Returns:
@@ -128,7 +130,7 @@ def _digits_of(values: np.ndarray) -> np.ndarray:
     with np.errstate(all="ignore"):
         error = values.std(0, ddof=1) / np.abs(values.mean(0))
         left = np.clip(-np.log10(error), 0, WHOLE)
-    return np.where(np.all(values == 0, axis=0), WHOLE, left)  # NaN for what is not finite
+    return np.where(np.all(values == 0, axis=0), WHOLE, left)  # NaN for results that are not finite
 
 
 def _fewest(values: list[np.ndarray]) -> float:

@@ -31,10 +31,10 @@ from .scenes import APART, entry_of, knobs_of, scene_problem
 from .session import Clock, part_seconds
 from .several import Together, all_together, combine_and_check
 
-PROVED = 0.25  # of the tolerance, for what is left out
-CHECK = 0.35  # of the budget
-TOGETHER = 0.25  # of the time to measure in, for the checks
-PRUNING = 0.5  # of the budget, after which the scene is rendered whole
+PROVED = 0.25  # share of the tolerance for dropped effects
+CHECK = 0.35  # share of the time budget for the check
+TOGETHER = 0.25  # share of the measuring time for the checks of combinations
+PRUNING = 0.5  # share of the time budget for pruning, after which the scene is rendered whole
 
 
 @dataclass(frozen=True)
@@ -173,9 +173,9 @@ def settings(
     """Choose the cheapest settings of a scene file within a tolerance, or the most accurate in a
     given time.
 
-    A quarter of the tolerance is for dropping effects with a proved bound (`effects.prune`). The
-    part that this uses is subtracted, and the rest is for the knobs. With a given time, only
-    effects that are proved to change nothing are dropped.
+    Up to a quarter of the tolerance is used for dropping effects with a proved bound
+    (`effects.prune`). The rest of the tolerance is for the knobs. With a given time, only effects
+    that are proved to change nothing are dropped.
 
     Args:
         scene_file: from `read_scene`.
@@ -301,7 +301,7 @@ def _prune(source: SceneFile, tolerance: float | None, level: float | None) -> P
     share = "0" if tolerance is None else f"{PROVED * tolerance:.6e}"
     try:
         return prune_scene(source, deep, share, level=level)
-    except InputError:  # a scene of which nothing can be bounded is rendered whole
+    except InputError:  # a scene without any bound is rendered whole
         return None
 
 
@@ -352,4 +352,4 @@ def _write(file: Path, found: Mapping[str, Any]) -> None:
         with replaced_on_success(file) as partial:
             partial.write_text(json.dumps(found, indent=2))
     except OSError:
-        pass  # a memory that cannot be written is no reason not to render
+        pass  # the picture is rendered even if the choice cannot be stored

@@ -27,18 +27,19 @@ from .deadlines import OutOfTime, TooLittleTime, run_within
 from .records import Compute, Problem
 from .session import Clock
 
-PROBE = 64  # pixels along each side, of those that are computed
+PROBE = 64  # computed pixels along each side
 NODES = {"quadrature": 8, "monte_carlo": 64, "balanced": 64}  # orders of 64 samples a light
-SCALING = 0.1  # of the time for everything, that one more program may take to scale times
-FEW = 16  # samples of a problem whose other knobs are turned
-APART = ("rule",)  # compared at a number of samples of its own, whatever the other knobs stand at
-OF_LIGHT = ("light samples", "rule", "gather")  # whose chance is not where rays meet a pixel
+SCALING = 0.1  # share of the whole time that a program for the scaling of times may take
+FEW = 16  # samples of a problem while other knobs are varied
+APART = ("rule",)  # compared at its own number of samples, independent of the other knobs
+# random, but not in the position of rays within a pixel
+OF_LIGHT = ("light samples", "rule", "gather")
 _ABOUT = (
     "Times are those of the whole picture, errors root mean squares over its pixels relative to "
     "that of the picture."
 )
-_HEADROOM = 2.0  # of the quantile below, up to which radiance counts
-_QUANTILE, _SHOWN = 0.95, 0.8  # of the brightness of the developed picture
+_HEADROOM = 2.0  # factor on the quantile below, at which radiance is clipped
+_QUANTILE, _SHOWN = 0.95, 0.8  # quantile of brightness, and its value in the developed picture
 
 
 def knobs_of(source: SceneFile, settings: RenderEntry) -> tuple[str, ...]:
@@ -129,7 +130,7 @@ def scene_problem(
     names = knobs_of(source, own)
     base = base_of(own, names)
     height, width = source.view.resolution
-    counts = (min(probe, height), min(probe, width))  # of evenly spread rows and columns
+    counts = (min(probe, height), min(probe, width))  # numbers of evenly spread rows and columns
     rows, columns = (
         ((np.arange(n) + 0.5) * size / n).astype(int)
         for n, size in zip(counts, (height, width), strict=True)

@@ -16,11 +16,11 @@ from .deadlines import OutOfTime, run_within, something_left_behind, wait_for_th
 from .records import Compute, Knob, Problem
 
 Clock = Callable[[], float]
-WAIT = 0.25  # of the time that is left, for the end of what was left behind
-GRACE = 0.05  # of the budget, by which a call may exceed it before it is left behind
-STEEPEST = 4.0  # no cost grows faster than this power of a setting; the next may by a factor
-ONE_STEP = 4.0  # growth of compiling between two settings that is believed without a third
-UNKNOWN = 2.0  # growth from one setting to the next that is no larger number, at least
+WAIT = 0.25  # share of the remaining time to wait for abandoned work
+GRACE = 0.05  # share of the budget by which a call may exceed it before it is abandoned
+STEEPEST = 4.0  # largest assumed power of a cost as a function of a setting
+ONE_STEP = 4.0  # growth of the compile time between two settings that is accepted without a third
+UNKNOWN = 2.0  # smallest growth between successive settings that are not increasing numbers
 
 
 class NotComparable(InputError):
@@ -37,9 +37,9 @@ class Point:
     first: float = 0.0  # s, of the first call
     warm: list[float] = field(default_factory=list)  # s, of each later one
     results: dict[int, np.ndarray] = field(default_factory=dict)  # by seed, float64
-    rounding: float = 0.0  # no unit, of the format that the results came in
-    once: float = 0.0  # s of a call that a whole takes no longer for than its part
-    beside: bool = False  # whether what had been left behind was still at work during a call
+    rounding: float = 0.0  # relative rounding error of the dtype of the results
+    once: float = 0.0  # s of a call that do not grow from the part to the whole
+    beside: bool = False  # whether abandoned work was still running during a call
 
     @property
     def seconds(self) -> float:
@@ -158,7 +158,7 @@ class Session:
 
     @property
     def refusal(self) -> str:
-        """The remark on values that were left out, "" for none."""
+        """The remark on settings that were left out; "" for none."""
         for setting, why in self.refused.items():
             words = str(why).strip().split("\n")[0].rstrip(".")
             kind = "" if isinstance(why, InputError) else f"{type(why).__name__}: "

@@ -28,8 +28,9 @@ from .reference import DRAWS, FIRST_SEED, SURE, mean_of
 from .session import Clock, part_seconds, whole_seconds
 
 FRESH = 3  # seeds of the check
-FINER = (4, 2)  # times a random setting, for each of the draws of a reference; in a hurry fewer
-ROUNDS = 3  # of tightening after a check that failed
+# factors on a random setting for each draw of a reference; the second if time is short
+FINER = (4, 2)
+ROUNDS = 3  # rounds of tightening after a failed check
 MARGIN = 0.9
 TOLERANCES = (0.1, 0.01, 0.001)
 
@@ -155,9 +156,9 @@ def _pareto(curve: Curve, once: float) -> Front:
 class Check(NamedTuple):
     """The result of runs with fresh seeds."""
 
-    # relative, what no run is expected to exceed, whatever the reference is itself off by
+    # relative, upper limit for any run, including the error of the reference
     error: float
-    seconds: float  # s, of a warm call, the first of the runs left out
+    seconds: float  # s, time of a warm call, without the first run
 
 
 def combine_and_check(
@@ -194,7 +195,7 @@ def combine_and_check(
         slow = check.seconds / max(best.seconds, 1e-12)
         if wanted is not None:
             aim = MARGIN * wanted / off
-        if allowed is not None:  # of what settings can save, the same share as of what they took
+        if allowed is not None:  # the same share of the possible saving as of the time used
             least = combined(curves, problem.settings, tolerance=np.inf).seconds
             share = max(allowed - least, 0.0) / max(check.seconds - least, 1e-12)
             within = least + MARGIN * share * (best.seconds - least)
@@ -296,7 +297,8 @@ def _fresh_runs(
 class Together:
     """The cheapest settings of all knobs within a tolerance."""
 
-    combination: Combination | None  # of the settings; None: no settings are known to be within it
+    # the settings; None: no settings are known to be within the tolerance
+    combination: Combination | None
     # whether error and time are those of runs with fresh seeds; else they follow from the curves of
     # single knobs
     checked: bool = False
@@ -338,7 +340,7 @@ def _within(
 ) -> Together:
     try:
         best = combined(curves, problem.settings, tolerance=tolerance)
-        for one in before:  # the same settings need no second check
+        for one in before:  # settings that were checked before need no second check
             known = one.combination if one.checked else None
             if known and known.settings == best.settings and known.error <= tolerance:
                 return one

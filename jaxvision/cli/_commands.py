@@ -33,7 +33,7 @@ from .command_line import (
     sub_command,
 )
 
-PERCENT_MEANT = 100.0  # a bare number from 1 to this was meant in per cent
+PERCENT_MEANT = 100.0  # a bare number from 1 to this is taken as a forgotten per cent
 MEASURED = 240.0  # s before --accuracy or --seconds choose, by default
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 SceneArgument = Annotated[

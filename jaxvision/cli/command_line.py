@@ -23,10 +23,11 @@ from ..errors import DISTRIBUTION, InputError, check_utf8, nearest, unwritable
 from ..programs import kept_in
 
 UNREAD = 141  # the exit status of shells: 128 + SIGPIPE
-_USAGE_ERROR: Any = typer.BadParameter.mro()[1]  # of every mistake in words; not exported
+# base class of all usage errors, which is not exported
+_USAGE_ERROR: Any = typer.BadParameter.mro()[1]
 PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
-_SIDE_BY_SIDE = 4  # records of a table
-# What help says an option takes that has no word of its own.
+_SIDE_BY_SIDE = 4  # largest number of records in a table
+# The word that the help shows for an option's value, if it has no word of its own.
 _WORDS = {int: "N", float: "NUMBER", str: "TEXT", Path: "PATH"}
 _WORDS_BY_NAME = {"seconds": "SECONDS", "measure": "SECONDS"}
 # Options of every command that measures accuracy.
@@ -132,7 +133,7 @@ def command_app(
         help="Print the version; with -v of all it uses.",
         callback=_print_version,
     )
-    more = typer.Option(  # eager, so that the version knows it wherever it stands
+    more = typer.Option(  # eager, so that `--version` knows it in any order
         "--verbose",
         "-v",
         help="Say what is read, done and compiled, with times.",
@@ -185,7 +186,7 @@ def surroundings() -> list[str]:
         name = re.match(r"[\w.-]+", requirement)
         try:
             lines.append(f"{name[0]} {metadata.version(name[0])}" if name else "")
-        except metadata.PackageNotFoundError:  # of an extra that is not installed
+        except metadata.PackageNotFoundError:  # a package of an extra that is not installed
             continue
     unique = [*dict.fromkeys(lines)]
     devices = ", ".join(str(device) for device in jax.devices())
@@ -200,7 +201,7 @@ def say_what_is_done() -> None:
     own = logging.getLogger("jaxvision")
     own.setLevel(logging.INFO)
     own.addHandler(handler)
-    import jax  # which has handlers of its own: thousands of lines
+    import jax  # its own handlers would print thousands of lines
 
     of_jax = logging.getLogger(jax.__name__)
     of_jax.setLevel(logging.DEBUG)
@@ -232,14 +233,15 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
     alike: Counter[str] = Counter()
 
     def one_line(message: Warning | str, *_: Any) -> None:
-        about = str(message).partition(": ")[2] or str(message)  # the file stands before
+        about = str(message).partition(": ")[2] or str(message)  # the message begins with the file
         alike[about] += 1
         if alike[about] == 1:
             print(f"{command}: {message}", file=sys.stderr)
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy: what it means is a finding
+            # NumPy's warnings, whose cause a finding describes
+            warnings.simplefilter("ignore", RuntimeWarning)
             warnings.showwarning = one_line
             try:
                 yield

@@ -35,8 +35,9 @@ def to_unit_size(*parts: Scalars) -> Scalars:
 
 
 def scale_to_unit(*parts: Scalars) -> tuple[Scalars, ...]:
-    """The components times that power, for what does not depend on size: neither their sums nor
-    the inverses of these leave the range."""
+    """The components times that power, for quantities that do not depend on scale: then neither the
+    sums of the components nor the inverses of the sums overflow or underflow.
+    """
     scale = to_unit_size(*parts)
     return tuple(part * scale for part in parts)
 
@@ -88,5 +89,5 @@ def hue_angle(a: Scalars, b: Scalars) -> Scalars:
 
 
 def within(hue: Scalars, turn: float) -> Scalars:
-    """`hue`, with a full turn, which rounding makes of values just below it, back at 0."""
+    """`hue`, where a full turn, which arises when values just below it are rounded, becomes 0."""
     return hue - jnp.where(hue >= turn, turn, 0)

@@ -22,8 +22,10 @@ _BREAK = 6 / 29
 
 def _lightness(t: Scalars) -> tuple[Scalars, Scalars]:
     """CIE 15:2018, 8.2.1.1: the cube root above (6/29)^3, its tangent line t / (3 (6/29)^2) + 4/29
-    below. It is returned in two parts whose sum is f(t) - 4/29. Dark colours then lose no precision
-    to the line's constant, and differences of two cube roots none to their own."""
+    below. It is returned in two parts whose sum is f(t) - 4/29. Then neither the constant of the
+    tangent line nor that of the cube root reduces the precision of dark colours and of
+    differences.
+    """
     curved = t > _BREAK**3
     root = jnp.cbrt(jnp.maximum(t, _BREAK**3 / 2))
     return jnp.where(curved, root, t * (1 / (3 * _BREAK**2))), jnp.where(curved, -4 / 29, 0.0)
@@ -98,13 +100,13 @@ def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     x, y, z = parts(xyz)
     fy, y_0 = _lightness(y / white[1])
     lightness = 116 * (fy + y_0)
-    # u' - u'_n over one common denominator: a near grey keeps the digits of its small difference
+    # u' - u'_n over a common denominator, so that the small difference of a near grey is accurate
     x_n, y_n, z_n = white
     x, y, z = scale_to_unit(x, y, z)
     total, total_n = x + 15 * y + 3 * z, x_n + 15 * y_n + 3 * z_n
     scale = over(13 * lightness, total * total_n)
     xy, xz, yz = x * y_n - x_n * y, x * z_n - x_n * z, y * z_n - y_n * z
-    u, v = 12 * (5 * xy + xz), 9 * (3 * yz - xy)  # numerators without what 15 y takes from itself
+    u, v = 12 * (5 * xy + xz), 9 * (3 * yz - xy)  # numerators without the terms in 15 y that cancel
     return joined(lightness, scale * u, scale * v)
 
 

@@ -24,7 +24,7 @@ from ..spectra import daylight
 # Correlated colour temperatures in K of the tabulated phases of daylight: nominal on the older
 # temperature scale with c_2 = 1.4380e-2 m K (CIE 15:2018, section 4.1.2).
 _DAYLIGHT = {f"D{t // 100}": t * 1.4388 / 1.4380 for t in (5000, 5500, 6000, 6500, 7500)}
-BY_FORMULA = ("A", "E", *_DAYLIGHT)  # illuminants that are known beyond their tables
+BY_FORMULA = ("A", "E", *_DAYLIGHT)  # illuminants whose formula extends beyond their tables
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 
 # What colour-science holds under the same names; a test compares them.
@@ -54,7 +54,7 @@ _CONES = {
     "Von Kries": ((0.40024, 0.7076, -0.08081), (-0.2263, 1.16532, 0.0457), (0.0, 0.0, 0.91822)),
     "XYZ Scaling": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
 }
-_LUMA = {  # of red and blue
+_LUMA = {  # luma weights of red and blue
     "ITU-R BT.601": (0.2990, 0.1140),
     "ITU-R BT.709": (0.2126, 0.0722),
     "ITU-R BT.2020": (0.2627, 0.0593),
@@ -137,7 +137,7 @@ def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, "
     import colour
 
     table = _entry(colour.SDS_ILLUMINANTS, name, "illuminant")
-    name = table.name  # in upper case, whatever was asked for
+    name = table.name  # in upper case, independent of the requested name
     wanted, power = _nanometres(wavelengths), _sample_table(table, wavelengths)
     beyond = (wanted < table.shape.start) | (wanted > table.shape.end)
     if name == "E" or not beyond.any():

@@ -55,8 +55,8 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
     l2, a2, b2 = parts(other)
     mean_chroma = (chroma_of(a1, b1) + chroma_of(a2, b2)) / 2
     g = (1 - _chroma_weight(mean_chroma)) / 2
-    # c2 - c1 and 2 sqrt(c1 c2) sin((h2 - h1) / 2) come from the differences of a and b: those of
-    # chroma and hue would hold the rounding of the colours themselves
+    # c2 - c1 and 2 sqrt(c1 c2) sin((h2 - h1) / 2) are computed from the differences of a and b,
+    # because differences of chroma and hue would contain the rounding of the colours themselves
     d_l, d_a, d_b = l2 - l1, (1 + g) * (a2 - a1), b2 - b1
     opposite = (a1 * b2 == a2 * b1) & (a1 * a2 + b1 * b2 < 0)
     a1, a2 = (1 + g) * a1, (1 + g) * a2

@@ -118,7 +118,7 @@ def grey_world_gains(
         [1. 2.]
     """
     image = as_relative(image)
-    if image.dtype.itemsize < 4:  # half precision does not hold the sums
+    if image.dtype.itemsize < 4:  # half precision is too small for the sums
         image = image.astype(jnp.float32)
     if image.ndim < 3 or image.size == 0:
         raise ValueError(

@@ -15,20 +15,21 @@ from pathlib import Path
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PALETTE = 3  # colour type
-_KEPT = b"IHDR sBIT acTL pCAL sCAL gAMA cICP sRGB".split()  # of a few bytes each
+_KEPT = b"IHDR sBIT acTL pCAL sCAL gAMA cICP sRGB".split()  # chunks of a few bytes each
 
 
 @dataclass(frozen=True)
 class PngChunks:
     """The contents of the chunks of a file."""
 
-    fault: str | None  # what is wrong with them, in words; None where all of the picture are whole
+    fault: str | None  # description of the damage; None if all chunks of the picture are complete
     depth: int = 8  # bits of a sample as stored; of a palette's index for a palette
     colour_type: int = 0  # of IHDR; 3 for a palette
-    # bits of each channel that the source had (sBIT); empty where it does not say
+    # significant bits of each channel (sBIT); empty if not stated
     significant: tuple[int, ...] = ()
     frames: int = 1  # pictures of an animation; 1 for a plain picture
-    scales: tuple[str, ...] = ()  # what it says of the meaning of its numbers and pixels, in words
+    # descriptions of chunks that define the meaning of its numbers or pixels
+    scales: tuple[str, ...] = ()
 
     @property
     def bits(self) -> int:
@@ -55,7 +56,8 @@ def png_chunks(file: Path, *, head: bool = False) -> PngChunks | None:
                 break
             needed = kind[:1].isupper() or not kind.isalpha()
             if needed and zlib.crc32(content, zlib.crc32(kind)) != struct.unpack(">I", check)[0]:
-                name = kind.decode() if kind.isalpha() else kind.hex()  # damaged, it is no text
+                # a damaged name may not be text
+                name = kind.decode() if kind.isalpha() else kind.hex()
                 return PngChunks(f"the check sum of its chunk {name} is wrong")
             if kind in _KEPT:
                 kept.setdefault(kind, content)
@@ -100,7 +102,7 @@ def _scales(kept: dict[bytes, bytes]) -> Iterator[str]:
 
 _SMALLER_COPIES = (0x010001, 0x010002)  # kinds of a Multi-Picture Format entry
 _PICTURE_LIST, _ENTRY = 0xB002, 16
-_END = 0xD9  # of the picture
+_END = 0xD9  # marker of the end of the picture
 
 
 def jpeg_extras(file: Path) -> list[str]:

@@ -16,7 +16,8 @@ from ._plain_content import damaged
 
 NETPBM_FORMATS = (".pgm", ".ppm", ".pbm", ".pnm", ".pfm")
 _TOKEN = re.compile(rb"(?:\s|#[^\n\r]*[\n\r])*([^\s#]+)")
-_ENDING = re.compile(rb"\r\n|[ \t]*#[^\n\r]*(?:\r\n|\r|\n)")  # of a head, beyond one white space
+# end of a header that is longer than one white space
+_ENDING = re.compile(rb"\r\n|[ \t]*#[^\n\r]*(?:\r\n|\r|\n)")
 _CHANNELS = {b"P1": 1, b"P2": 1, b"P3": 3, b"P4": 1, b"P5": 1, b"P6": 3, b"PF": 3, b"Pf": 1}
 _BITMAPS, _TEXTS, _FLOATS = (b"P1", b"P4"), (b"P1", b"P2", b"P3"), (b"PF", b"Pf")
 _LONGEST_WORD = 32
@@ -109,7 +110,7 @@ def _text_samples(
     file: Path, head: NetpbmHead, text: bytes, count: int
 ) -> tuple[np.ndarray, bytes]:
     plain = re.sub(rb"#[^\n\r]*", b"", text)
-    if head.magic == b"P1":  # its digits need no space between them
+    if head.magic == b"P1":  # its digits need not be separated by spaces
         plain = b" ".join(re.findall(rb"\S", plain))
     words = plain.split(maxsplit=count)
     try:

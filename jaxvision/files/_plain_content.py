@@ -7,9 +7,9 @@ from typing import Any
 from ..errors import InputError
 
 LARGEST = 16 << 20  # bytes of a text file
-DEEPEST = 64  # tables and arrays within each other
+DEEPEST = 64  # largest depth of nested tables and arrays
 LONGEST_NAME = 500  # characters
-_BITS = 14_000  # of a whole number: about as many digits as Python prints
+_BITS = 14_000  # largest number of bits of an integer: about as many digits as Python prints
 
 
 def check_size(file: Path) -> None:

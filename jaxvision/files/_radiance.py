@@ -15,7 +15,7 @@ from ..errors import InputError
 from ._plain_content import damaged
 
 _SIZE = re.compile(rb"([+-])([XY]) (\d+) ([+-])([XY]) (\d+)$")
-_BIAS = 128 + 8  # of the exponent, for a mantissa below 256
+_BIAS = 128 + 8  # bias of the exponent, for a mantissa below 256
 END_OF_RANGE = 2.0**127  # the exponent of this and more does not fit 8 bits
 _LONGEST_HEAD = 1 << 16
 _LARGEST = 1 << 30  # pixels

@@ -23,7 +23,7 @@ _SIZES = {
 _LETTERS = {1: "B", 2: "B", 3: "H", 4: "I", 5: "II", 7: "B", 10: "ii", 13: "I", 16: "Q", 18: "Q"}
 _QUOTIENTS = (5, 10)
 SUBFILE, ROWS, COLUMNS, BITS, PHOTOMETRIC, COLOUR_MAP, SUB_IFDS = 254, 257, 256, 258, 262, 320, 330
-ALPHA, MULTIPLIED = 338, 1  # what an extra channel is: colours are multiplied by it
+ALPHA, MULTIPLIED = 338, 1  # kind of an extra channel: alpha by which colours are multiplied
 GDAL_WORDS, GDAL_MISSING = 42112, 42113  # XML, among it scale and offset; a number, as a text
 SAMPLE_FORMAT = 339  # 1: whole numbers without a sign, 3: floating numbers
 BLACKS_SIZE, BLACKS, BLACKS_ALONG = 50713, 50714, (50715, 50716)  # of DNG: rows and columns; levels
@@ -33,7 +33,7 @@ LIGHT = (0, 1, 2, 3, 4, 6, MOSAIC, 34892)  # grey, RGB, palettes, YCbCr, mosaics
 REDUCED, MASK = 1, 4  # bits of SUBFILE: a smaller copy, a mask of another picture
 _MOST_VALUES = 3 << 16  # of a colour map
 _MOST_PICTURES = 1 << 16
-_MOST_INNER = 64  # of one picture
+_MOST_INNER = 64  # largest number of subdirectories of one picture
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class TiffPicture:
     """The tags of one picture."""
 
     values: Mapping[int, tuple[Any, ...]] = field(default_factory=dict)  # numbers by tag
-    # of the first value of each tag, bytes from the beginning of the file
+    # position of the first value of each tag, bytes from the beginning of the file
     places: Mapping[int, int] = field(default_factory=dict)
-    # the pictures in directories of its own (SubIFDs), which its decoder does not give
+    # the pictures in its subdirectories (SubIFDs), which the decoder does not return
     inner: tuple["TiffPicture", ...] = ()
 
     def first(self, tag: int, otherwise: int = 0) -> Any:

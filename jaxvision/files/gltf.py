@@ -35,7 +35,7 @@ class Gltf:
 
     path: Path  # the file
     content: dict[str, Any]  # its JSON
-    binary: bytes | None  # what a `.glb` holds beside, or None
+    binary: bytes | None  # the binary part of a `.glb`, or None
     # buffers that were read, by URI
     files: dict[str, bytes] = field(default_factory=dict, repr=False, compare=False)
 
@@ -182,7 +182,7 @@ def _numbers(file: Gltf, index: Any, width: int) -> np.ndarray:
         raise InputError(f"{label}: sparse accessors are not read; export it without.")
     count = accessor.get("count")
     kind = _of(_TYPES, accessor.get("componentType"))
-    whole = width == 1  # indices count, points measure
+    whole = width == 1  # indices are integers, points are floating numbers
     if kind is None or _of(_WIDTHS, accessor.get("type")) != width or (kind == "<f4") == whole:
         raise InputError(
             f"{label}: is not of {'whole numbers' if whole else f'{width} float numbers'}; export "

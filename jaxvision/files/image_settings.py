@@ -40,7 +40,7 @@ _SENSITIVITIES = {
     6: (_INDEX, _SPEED),
     7: (_INDEX, _SPEED, _OUTPUT),
 }
-_CODES = "bits of codes"  # beside the names of OpenImageIO
+_CODES = "bits of codes"  # an own name in addition to those of OpenImageIO
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,8 @@ def _attributes(file: Path) -> dict[str, Any]:
     """EXIF values by OpenImageIO's names, single numbers or words."""
     import OpenImageIO as oiio
 
-    if (chunks := png_chunks(file)) and chunks.fault:  # of which libpng prints complaints
+    # libpng would print messages about the damage
+    if (chunks := png_chunks(file)) and chunks.fault:
         return {}
     source = oiio.ImageInput.open(str(file))
     if source is None:
@@ -119,7 +120,8 @@ def _attributes(file: Path) -> dict[str, Any]:
         for attribute in source.spec().extra_attribs:
             with suppress(UnicodeDecodeError):  # its name or value, damaged, is no text
                 value = attribute.value
-                if isinstance(value, tuple) and len(value) == 1:  # as TIFF gives a list of one
+                # TIFF gives a list with one number
+                if isinstance(value, tuple) and len(value) == 1:
                     (value,) = value
                 if isinstance(value, str | int | float):
                     found[attribute.name] = value
@@ -232,7 +234,7 @@ def _raw_tags(file: Path) -> dict[str, Any]:
     try:
         with file.open("rb") as stream:
             tags = exifread.process_file(stream, details=False)
-    except Exception as error:  # of any kind, where the head is damaged
+    except Exception as error:  # a damaged header may raise any error
         raise InputError(f"{file}: its EXIF is damaged ({error}); copy it again.") from error
     return {
         name: tag.values if isinstance(tag.values, str) else tag.values[0]
@@ -250,7 +252,8 @@ def _fits_settings(file: Path, header: Mapping[str, Any]) -> ImageSettings:
         taken=_time(header.get("DATE-OBS")),
         temperature=None if celsius is None else celsius - ABSOLUTE_ZERO,
         camera=_name(header.get("INSTRUME")),
-        black_level=None if pedestal is None else abs(pedestal),  # or what to add to come to 0
+        # or the negative of it, to be added
+        black_level=None if pedestal is None else abs(pedestal),
         saturation=_positive(header.get("SATURATE")),
         pattern=_fits_pattern(file, header),
         kind=_name(header.get("IMAGETYP")),

@@ -58,12 +58,14 @@ JPEG_FORMATS = (".jpg", ".jpeg")
 LONGEST_JPEG = 65535  # rows or columns
 FLOAT_FORMATS = (".exr", ".hdr")
 READ_ONLY_FORMATS = (*NETPBM_FORMATS, ".tga")
-LONGEST_REASON = 300  # characters of another library's complaint: OpenEXR lists each, path and all
+# largest length of another library's message: OpenEXR lists every fault with the path
+LONGEST_REASON = 300
 NOT_TEXT = "it holds bytes that are not text where its format has text"
 _DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float32, "float": np.float32}
-# Of OpenImageIO's, those whose codes come back as they are stored, by `_stored_codes`.
+# OpenImageIO's formats whose codes `_stored_codes` restores as they are stored.
 _DECODED = ("png", "tiff", "jpeg", "openexr", "targa", "bmp", "gif")
-_NAMES = {"r": "red", "g": "green", "b": "blue", "a": "alpha", "y": "grey"}  # as plots call them
+# the names that plots use
+_NAMES = {"r": "red", "g": "green", "b": "blue", "a": "alpha", "y": "grey"}
 REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # x, y of R, G, B and white
 _MOST_ADDED = 1 << 26  # pixels of a display window beyond those that an EXR holds
 
@@ -84,7 +86,7 @@ def replaced_on_success(path: Path) -> Iterator[Path]:
             yield partial
             partial.chmod(0o644)
             partial.replace(path)
-        except OSError as error:  # of this file: a full disk names none
+        except OSError as error:  # name the file, which the error of a full disk does not
             if error.filename in (None, str(partial)):
                 raise _unwritable(path, error) from error
             raise
@@ -95,7 +97,7 @@ def replaced_on_success(path: Path) -> Iterator[Path]:
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:
-    if error.errno == errno.ENOENT:  # its folder is there, of a kind that takes none
+    if error.errno == errno.ENOENT:  # the folder exists, but cannot contain files
         return InputError(f"{path}: cannot be written: no file can be made there.")
     return InputError(f"{path}: cannot be written: {unwritable(error)}.")
 
@@ -199,7 +201,7 @@ def read_channels(
     else:
         try:
             pixels, names = _read_by_openimageio(file, part)
-        except UnicodeDecodeError:  # of a name in its head
+        except UnicodeDecodeError:  # a name in the header is not text
             raise damaged(file, NOT_TEXT) from None
     _LOG.info("read %s: %s %s", file, "x".join(map(str, pixels.shape)), pixels.dtype)
     return pixels, names
@@ -274,11 +276,11 @@ def _place(
     file: Path, source: Any, pages: Sequence[TiffPicture], part: int | str | None
 ) -> tuple[int, str | None]:
     """The index of the picture to read, and of the layer in it; it warns of all others."""
-    titles = [f"number {i}" for i in range(len(pages))]  # of a TIFF, without reading each
+    titles = [f"number {i}" for i in range(len(pages))]  # for a TIFF, without reading every page
     while not pages and source.seek_subimage(len(titles), 0):
         named = source.spec(len(titles), 0).get_string_attribute("oiio:subimagename")
         titles.append(named or f"number {len(titles)}")
-    source.geterror()  # that there is no further one
+    source.geterror()  # clears the message that there is no further one
     plain = [i for i in range(len(titles)) if i >= len(pages) or not pages[i].is_copy]
     if not plain and pages:
         raise InputError(
@@ -301,7 +303,8 @@ def _place(
     promised = re.match(
         r"ImageJ=.*\nimages=(\d+)", source.spec(0, 0).get_string_attribute("ImageDescription")
     )
-    if promised and int(promised[1]) > len(titles):  # a stack behind one tag, beyond 4 GiB
+    # ImageJ's stack of pictures described by one tag, beyond 4 GiB
+    if promised and int(promised[1]) > len(titles):
         warnings.warn(
             f"{file}: holds {promised[1]} pictures of ImageJ; only the first is read.", stacklevel=5
         )
@@ -404,9 +407,9 @@ def _stored_codes(
     elif spec.get_int_attribute("targa:version"):
         bits = targa_bits(file)
     if bits < full:
-        pixels = pixels >> (full - bits)  # the last bits repeat the first, or nearly so
+        pixels = pixels >> (full - bits)  # the last bits repeat the first ones, exactly or nearly
     if page and page.first(PHOTOMETRIC, 1) == WHITE_IS_ZERO and full == 16:
-        pixels = (2**bits - 1) - pixels  # which the decoder does itself up to 8 bits
+        pixels = (2**bits - 1) - pixels  # the decoder itself does this up to 8 bits
     return _significant(file, pixels, bits, chunks) if chunks else pixels
 
 
@@ -457,7 +460,7 @@ def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
             indices = _pixels(file, source, number, [0], str(source.spec(number, 0).format))
             indices = _stored_codes(file, indices, source.spec(number, 0), None, page)[..., 0]
     colours = colours.reshape(3, -1).T.astype(np.uint16)[indices]
-    for step in (257, 256):  # 8 bits, as they are written in one of two ways
+    for step in (257, 256):  # 8 bits, stored in one of two ways
         if not (colours % step).any():
             return (colours // step).astype(np.uint8)
     return colours
@@ -756,7 +759,8 @@ def _write(
     if names:
         spec.channelnames = tuple(names)
     for name, value in attributes.items():
-        wide = isinstance(value, int) and not -(2**31) <= value < 2**31  # no number of its format
+        # the format has no such integers
+        wide = isinstance(value, int) and not -(2**31) <= value < 2**31
         value = str(value) if wide else value
         text = value.encode(errors="replace").decode() if isinstance(value, str) else value
         spec.attribute(name, text)

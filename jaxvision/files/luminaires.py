@@ -4,8 +4,9 @@
             and metres; ballast factors; absolute photometry (-1 lm)
     .ldt    all five symmetries; the first set of lamps
 
-What symmetry leaves out is filled in. A round opening becomes a rectangle of the same area. Some
-programs write other line ends, commas or a byte order mark, and texts in Latin-1; these are read.
+Values omitted because of symmetry are filled in. A round opening becomes a rectangle of the same
+area. Some programs write other line ends, commas or a byte order mark, and texts in Latin-1; these
+are read.
 """
 
 import math
@@ -24,9 +25,9 @@ from ._plain_content import check_size
 
 FOOT = 0.3048  # m
 MOST = 5000  # angles of either kind
-RATIO = 0.05  # of a stated light output ratio: what a coarse grid of angles may miss
-MORE = 1.2  # times the lamps' lumens: what leaves a luminaire at most, with a ballast's factor
-_BRIGHTEST = 1e9  # cd: a lighthouse has 1e6 or so
+RATIO = 0.05  # allowed deviation from a stated light output ratio, for a coarse grid of angles
+MORE = 1.2  # largest light output over the lamps' lumens, with a ballast's factor
+_BRIGHTEST = 1e9  # cd, the largest plausible intensity: a lighthouse has about 1e6
 _SQUARE = math.sqrt(math.pi / 4)
 
 
@@ -37,11 +38,11 @@ def read_luminaire(file: str | os.PathLike[str]) -> Luminaire:
         file: an IES LM-63 file, or one of EULUMDAT, which ends in .ldt.
 
     Returns:
-        The lamp's distribution of intensity, its opening and what it holds.
+        The lamp's distribution of intensity, its opening and its other data.
 
     Raises:
-        InputError: for a file that is none, is cut off, or holds angles or numbers that no lamp
-            has.
+        InputError: for a file of another kind, a truncated file, and angles or numbers that no lamp
+        has.
 
     Example:
         >>> from pathlib import Path
@@ -117,7 +118,7 @@ class _Numbers:
         return found
 
     def end(self) -> None:
-        """No number may be left: a decimal comma makes two of one."""
+        """Check that no number is left: a decimal comma would turn one number into two."""
         left = self.words[self.taken :]
         if left and _is_number(left[0]):
             self.fail(
@@ -164,7 +165,8 @@ def _ies(path: Path, lines: list[str]) -> Luminaire:
     factor *= numbers.one("ballast factor", 0, 1e3)
     further = numbers.one("ballast-lamp photometric factor", -math.inf, math.inf)
     first = lines[0].strip().upper()
-    if not first.startswith("IES") or "91" in first:  # later versions use the field otherwise
+    # later versions give the field another meaning
+    if not first.startswith("IES") or "91" in first:
         factor *= further
     watts = numbers.one("input watts", 0, 1e7)
     ends = (0.0, 180.0) if system == "C" else (-90.0, 90.0)
@@ -207,7 +209,9 @@ def _check_polar(numbers: _Numbers, vertical: np.ndarray) -> None:
 def _whole_turn(
     numbers: _Numbers, angles: np.ndarray, table: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The planes of type C around a whole turn, by the symmetry that their ends tell."""
+    """The planes of type C over 360 degrees, filled in by the symmetry that the first and last
+    angle imply.
+    """
     if len(angles) == 1:
         return angles[:1], table
     ends = float(angles[0]), float(angles[-1])
@@ -231,7 +235,7 @@ def _whole_turn(
 def _fill_turn(
     angles: np.ndarray, table: np.ndarray, mirrors: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Planes with those mirrored at each axis m / 2, h -> m - h, around a whole turn."""
+    """The planes over 360 degrees, with those mirrored at each axis m / 2: h -> m - h."""
     for mirror in mirrors:
         angles = np.concatenate([angles, mirror - angles])
         table = np.concatenate([table, table], axis=1)
@@ -258,7 +262,9 @@ def _lamp(
     name: str,
     stated: float = 0.0,
 ) -> Luminaire:
-    """`stated` percent of the lamps' lumens leave it; 0 where the file does not say."""
+    """The luminaire; `stated` is its light output ratio in percent, 0 if the file does not give
+    it.
+    """
     if table.min() < 0 or table.max() > _BRIGHTEST:
         numbers.fail(
             f"candela values run from {table.min():g} to {table.max():g} cd, where a lamp has 0 to "

@@ -28,7 +28,7 @@ Vector = Sequence[float | int] | np.ndarray
 Axes = Sequence[Vector] | np.ndarray
 Affine = Sequence[Sequence[float | int]] | np.ndarray
 
-# Rounding is named above these shares: of the area of a triangle, as a vector, and of the size.
+# Rounding above these shares causes a warning: of a triangle's area vector, and of the mesh's size.
 _TURNED, _MOVED = 1e-2, 5e-4
 
 
@@ -112,7 +112,7 @@ def _coordinates(file: Path, mesh, primitive: tuple[int, int] | None) -> np.ndar
     elif file.suffix.lower() == ".obj" and mesh.metadata["pieces"] == 1:
         known = getattr(mesh.visual, "uv", None)
     else:
-        known = None  # of several pieces trimesh packs them anew
+        known = None  # trimesh rearranges the coordinates of several pieces
     if known is None or len(known) != len(mesh.vertices) or not np.isfinite(known).all():
         raise InputError(
             f"{file}: holds no texture coordinates that are read, and its surface has a map; "
@@ -228,7 +228,7 @@ def _load(file: Path):
             "OBJ, PLY or GLB."
         )
     if file.suffix.lower() in SUFFIXES:
-        read_gltf(file)  # which refuses what trimesh reads in a way of its own
+        read_gltf(file)  # refuses files that trimesh would misread
     try:
         scene = trimesh.load_scene(**_source(file), process=False)
         mesh = scene.to_mesh()
@@ -251,7 +251,7 @@ def _load(file: Path):
 
 _OBJ_ZERO = re.compile(r"^[ \t]*f\b(?:[^\n#]*\s)0+(?=[/\s]|$)", re.MULTILINE)
 _OBJ_CURVED = re.compile(r"^[ \t]*(curv2?|surf)\b", re.MULTILINE)
-_MARK = b"\xef\xbb\xbf"  # of byte order, before text in UTF-8
+_MARK = b"\xef\xbb\xbf"  # byte order mark before text in UTF-8
 
 
 def _source(file: Path) -> dict[str, Any]:
@@ -259,7 +259,7 @@ def _source(file: Path) -> dict[str, Any]:
     suffix, data = file.suffix.lower(), file.read_bytes()
     plain = data
     if suffix == ".obj":
-        plain = data.removeprefix(_MARK)  # a first vertex behind it would be lost
+        plain = data.removeprefix(_MARK)  # otherwise a vertex right after the mark would be lost
         text = plain.decode("latin-1")
         if _OBJ_ZERO.search(text):
             raise InputError(
@@ -277,7 +277,7 @@ def _source(file: Path) -> dict[str, Any]:
         plain = ply_of_corners(data) or data
     if plain is data:
         return {"file_obj": file}
-    _trimesh(file)  # which says how to install it
+    _trimesh(file)  # raises an error that says how to install it
     from trimesh.resolvers import FilePathResolver
 
     of_folder = FilePathResolver(str(file.absolute()))

@@ -21,8 +21,7 @@ def read_raw(file: Path) -> np.ndarray:
     """The numbers of a raw file as LibRaw decodes them, before black level and demosaicing.
 
     If a camera stores curved numbers (a DNG's linearisation table, Nikon's and Sony's compressed
-    files), LibRaw undoes the curve, and the result is linear in the light. LibRaw undoes the curve,
-    and these are linear in the light.
+    files), LibRaw undoes the curve, and the result is linear in the light.
 
     Args:
         file: of a sensor with one colour per pixel, or none.
@@ -96,7 +95,7 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
         InputError: for a file that astropy cannot read or without an image, for a part that it does
             not have, and without the `fits` extra.
     """
-    extra("astropy.io.fits", "fits", file)  # which, when loaded, takes warnings to itself
+    extra("astropy.io.fits", "fits", file)  # loading it redirects warnings
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         with opened_fits(file) as units:
@@ -115,7 +114,7 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
         warnings.warn(f"{file}: {said}", stacklevel=3)
     pixels = pixels.astype(pixels.dtype.newbyteorder("="))
     known = isinstance(blank, int) and isinstance(zero, int | float)
-    if known and np.issubdtype(pixels.dtype, np.integer):  # others come as NaN
+    if known and np.issubdtype(pixels.dtype, np.integer):  # floating numbers are already NaN
         missing = pixels == blank + zero
         if missing.any():
             kind = np.float32 if pixels.dtype.itemsize <= 2 else np.float64
@@ -159,7 +158,7 @@ def fits_header(file: Path) -> dict[str, Any]:
     `InputError` as from `read_fits`."""
     extra("astropy.io.fits", "fits", file)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # `read_fits` says what they are
+        warnings.simplefilter("ignore")  # `read_fits` warns of them
         with opened_fits(file) as units:
             return dict(units[0].header) | dict(_image_unit(file, units, None).header)
 

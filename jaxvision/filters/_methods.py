@@ -26,11 +26,12 @@ Planes = Float[Array, "n c _ _"]
 
 # Taps in one loop: beyond some 225 XLA's code for the loop is 20 times slower.
 _MOST_TAPS = 128
-# To what share of itself a sum is right after a transform in float32 and in float64, by bytes.
+# Relative accuracy of a sum by transforms in float32 and in float64, by the bytes of the dtype.
 _RIGHT = {4: 1e-4, 8: 1e-9}
-_TILE = 256  # pixels a side that are looked at by themselves
-_MOST_RANGES = 128  # of magnitudes in one plane: each takes 6 decades of the 630 of float64
-_SEEN = 64  # pixels a side of the windows whose largest value is looked at, at most
+_TILE = 256  # pixels along each side of a tile
+# largest number of ranges of magnitudes in one plane: each covers 6 of the 630 decades of float64
+_MOST_RANGES = 128
+_SEEN = 64  # largest side, in pixels, of windows whose largest value is computed
 
 
 def padded(image: Stack, size: tuple[int, ...], anchor: Anchor, border: str) -> Result:
@@ -66,8 +67,9 @@ def correlate_conv(image: Stack, kernel: Kernel, anchor: Anchor, border: str) ->
 
 
 def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
-    """The product of transforms, planes last: of the whole picture where their rounding is small
-    against every sum or the values in each window, else of tiles."""
+    """The product of transforms, planes last: of the whole picture if its rounding error is small
+    compared with every sum or with the values in each window, else of tiles.
+    """
     given, size = image.dtype, kernel.shape[:2]
     dtype = given if given.itemsize >= 4 else np.dtype(np.float32)
     image, k = image.astype(dtype), jnp.moveaxis(kernel, -1, 0)[None].astype(dtype)
@@ -95,7 +97,7 @@ def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> 
         mean = jnp.square(image).sum((1, 2)) / (image.shape[1] * image.shape[2])
         return _least(jnp.sqrt(mean)[..., None, None], largest, k)
 
-    # the picture is summed up only where the bound is too wide to say that the sums are right
+    # the picture's sums are computed only if the bound does not prove the accuracy
     least = lax.cond((darkest >= bound).all(), lambda: bound, exact)
     even = (darkest >= least).all()
     first = partial(whole, dtype)
@@ -108,7 +110,7 @@ def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> 
         either_sign = (image.min() < 0) | (k.min() < 0)
         return (smallest >= exact()).all() | even & either_sign
 
-    # XLA's minima may pass by NaN, which a transform spreads over the whole plane
+    # XLA's minima may ignore NaN, which a transform spreads over the whole plane
     known = jnp.isfinite(sums[:, :, 0, 0]).all()
     right = known & lax.cond(right, lambda: right, else_right)
     return finished(_correlate_tiles(image, k, around, sums, right))
@@ -161,7 +163,7 @@ def _correlate_tiles(
     def spectra() -> Array:
         return _spectrum(k, size, _widest())
 
-    # XLA takes it out of the loop, and would compute it even for no turn of that
+    # XLA would move it out of the loop, and compute it even if the loop never runs
     with jax.enable_x64(True):
         blank = jax.eval_shape(spectra)
         wide = lax.cond(right, lambda: jnp.zeros_like(blank), spectra)

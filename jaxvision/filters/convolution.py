@@ -57,8 +57,8 @@ CHOICES = ("auto", "separable", *METHODS)
 
 # The cost of a transform and of a pair of passes on a CPU, in taps of a direct sum.
 _TRANSFORM, _PAIR = 240, 8
-_LONGEST_SUM = 81  # taps that "conv" sums on a GPU before "fft" is as fast
-_MOST_LOST = 8  # products that passes may add up, beside the entry that they make
+_LONGEST_SUM = 81  # number of taps on a GPU up to which "conv" is faster than "fft"
+_MOST_LOST = 8  # largest ratio of the products that passes add to the resulting entry
 # A smaller kernel is not worth a singular value decomposition.
 _FEWEST_TAPS = 25
 

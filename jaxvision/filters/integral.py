@@ -5,10 +5,10 @@ j. There is one more row and column than pixels, and the first of each is 0. The
 convention (scikit-image's `integral_image`) omits these: its entry (i, j) is our (i + 1, j + 1).
 
 Sums are in the unit of the image (relative values or DN). Each is an unevaluated pair high + low
-(Dekker 1971), so that a small box in a large float32 image is accurate. Beyond the rounding of its
-own sum, the error is some 2^-46 (float64: 2^-104) of the sum over everything above and left of it.
-A single float32 number would have an error of 2^-24. NaN and infinity turn every box that ends
-below and to the right of them into NaN.
+(Dekker 1971), so that a small box in a large float32 image is accurate. Besides the rounding of the
+box's own sum, its error is about 2^-46 (float64: 2^-104) of the sum over everything above and to
+the left of it. A single float32 number would have an error of 2^-24. NaN and infinity turn every
+box that ends below and to the right of them into NaN.
 """
 
 from functools import partial
@@ -59,7 +59,7 @@ def integral_image(image: Picture) -> IntegralImage:
     """
     check_picture(image)
     pixels = as_float(image)
-    if pixels.dtype.itemsize < 4:  # half precision does not hold the sums
+    if pixels.dtype.itemsize < 4:  # half precision is too small for the sums
         pixels = pixels.astype(jnp.float32)
     rows = _row_axis(pixels.ndim, "an image")
     margin = [(int(axis in (rows, rows + 1)), 0) for axis in range(pixels.ndim)]

@@ -36,7 +36,7 @@ def nonlocal_means_filter(
     cutoff: float | Scalars | None = None,
     border: str = "mirror",
 ) -> Filtered:
-    """The mean of the pixels with similar surroundings.
+    """Replace each pixel by the mean of the pixels with similar surroundings.
 
     A strength of 0 or below means the limit: only equal patches count. NaN spreads to every pixel
     with one in its search window, or in a patch of that window.

@@ -62,7 +62,7 @@ class Ghosts(NamedTuple):
 
     # (before + n + after,) whole numbers in [0, n), the sample that each place copies
     source: np.ndarray
-    # (before + n + after,) its factor, no unit; 0 where a value from outside stands
+    # (before + n + after,) its factor, no unit; 0 for a value from outside
     own: np.ndarray
     first: np.ndarray  # (before + n + after,) the factor of the first sample, no unit
     last: np.ndarray  # (before + n + after,) the factor of the last sample, no unit

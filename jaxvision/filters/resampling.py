@@ -18,7 +18,7 @@ from ..core._types import check_choice, check_count, check_shape
 from ._neighbours import AnyPicture, Floats
 from .padding import as_planes
 
-_NOTHING = 1e-12  # what rounding in double precision leaves of a weight of 0
+_NOTHING = 1e-12  # largest rounding error, in float64, of a weight of 0
 METHODS = ("nearest", "linear", "cubic", "lanczos3", "lanczos5")
 BORDERS = {  # names of this library and of SciPy
     "clamp": "nearest",
@@ -32,7 +32,7 @@ BORDERS = {  # names of this library and of SciPy
 def resize(
     picture: AnyPicture, size: tuple[int, int], *, method: str = "cubic", antialias: bool = True
 ) -> Floats:
-    """A picture at another size, with the kernels of `jax.image.resize`.
+    """Resize a picture, with the kernels of `jax.image.resize`.
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.

@@ -3,10 +3,11 @@
 There are three ways, from general to fast. The first is a kernel for each pixel, which is exact.
 The second is radial kernels that depend on the pixel through one number, the scale, which is exact
 and stores no kernels. The third is a bank of ordinary filters with interpolation between them,
-whose number sets the accuracy. Pictures and borders are as in `convolution`, in any unit. The
-kernel of a pixel holds the weights with which THAT pixel gathers. Gathering keeps a flat picture
-flat but not the sum of light. To scatter, so that each pixel spreads its own light by its rotated
-kernel and the sum is kept, take the transpose: `operators.adjoint` of the same filter.
+and the number of filters sets the accuracy. Pictures and borders are as in `convolution`, in any
+unit. The kernel of a pixel contains the weights with which THAT pixel gathers its neighbours.
+Gathering keeps a flat picture flat, but does not keep the sum of light. To scatter, so that each
+pixel spreads its own light by its rotated kernel and the sum is kept, take the transpose:
+`operators.adjoint` of the same filter.
 """
 
 from collections.abc import Callable, Sequence

@@ -24,10 +24,10 @@ Range = Sequence[float]
 
 LEVELS = {np.dtype(np.uint8): 256, np.dtype(np.uint16): 65536}
 FLOAT_BINS = 256
-CODES_ABOVE = 16.0  # a floating image that reaches so far beyond its white holds codes
+CODES_ABOVE = 16.0  # a floating image with values so far above white contains codes
 # Pixels of one scatter: its indices stay in the cache (10x at 2048 x 2048).
 BLOCK = 2**16
-PAIRED = 4  # planes of codes of 8 bits, of which pairs are counted
+PAIRED = 4  # planes of 8-bit codes whose pairs are counted
 
 
 class Binning(NamedTuple):

@@ -33,9 +33,9 @@ from ._planes import (
 )
 
 # Partial sums of weights are kept apart in up to this many entries: see `_weighted_counts`.
-PARTIAL_SUMS = 2**20  # of all bins together
-RUN = 2**12  # pixels that are summed at once, at least
-DIGITS = 2**11  # of a weight, of which 2^13 sum to a float32
+PARTIAL_SUMS = 2**20  # largest number of entries of all bins together
+RUN = 2**12  # smallest number of pixels that are summed at once
+DIGITS = 2**11  # step of a weight's upper digits, of which 2^13 weights sum exactly in float32
 
 
 class Histogram(Shown):
@@ -87,7 +87,9 @@ def exact_histogram(
 
 
 def _warn_of_outside(image: Pixels, counts: Array) -> None:
-    """Of values outside [0, 1], where nobody stated this range and the values are known."""
+    """Warn of values outside [0, 1] if the caller has not stated this range and the values are not
+    traced.
+    """
     if is_known(counts) and jnp.issubdtype(image.dtype, jnp.floating):
         missing = image.size - float(counts.sum())
         if missing > 0.5:

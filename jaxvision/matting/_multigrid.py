@@ -16,10 +16,11 @@ from jaxtyping import Array, Float, Int
 
 from ._laplacian import Plane, Stencil, apply_stencil
 
-Grid = Float[Array, "_ _"]  # of any size: coarse and fine ones meet in one function
+# of any size, because coarse and fine grids are arguments of one function
+Grid = Float[Array, "_ _"]
 
 _COARSEST = 8  # pixels a side, solved directly
-_DAMPING = 0.7  # of Jacobi's iteration, for matting Laplacians
+_DAMPING = 0.7  # damping of Jacobi's iteration, for matting Laplacians
 
 
 class Grids(NamedTuple):

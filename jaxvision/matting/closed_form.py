@@ -24,7 +24,7 @@ from ._laplacian import apply_stencil, matting_laplacian, restricted_to
 from ._multigrid import coarsen, v_cycle
 
 BACKGROUND, FOREGROUND = 0.1, 0.9
-STEPS = 500  # of the solver, at most
+STEPS = 500  # largest number of steps of the solver
 
 
 class Matte(Shown):
@@ -115,7 +115,8 @@ def _solve(
 ) -> Matte:
     """The matte from checked arguments, with one program for each size."""
     known = ((trimap <= BACKGROUND) | (trimap >= FOREGROUND)).astype(image.dtype)
-    known = jnp.where(jnp.isnan(trimap), jnp.nan, known)  # neither known nor to be found
+    # pixels that are neither known nor unknown
+    known = jnp.where(jnp.isnan(trimap), jnp.nan, known)
     alpha_known = (trimap >= FOREGROUND).astype(image.dtype)
     laplacian = matting_laplacian(image, epsilon=epsilon)
     if confidence is None:
@@ -133,10 +134,10 @@ def _solve(
         maxiter=max_steps,
         M=lambda r: v_cycle(grids, r),
     )
-    # the solver's own residual is updated, not computed, and rounds its own way
+    # the solver updates its residual instead of recomputing it, with other rounding errors
     left = jnp.linalg.norm(wanted - apply_stencil(system, solution))
     converged = left <= 4 * tolerance * jnp.linalg.norm(wanted)
-    solution = jnp.where(jnp.isnan(left), left, solution)  # where the solver could not begin
+    solution = jnp.where(jnp.isnan(left), left, solution)  # if the solver could not start
     return Matte(jnp.clip(solution, 0, 1)[..., None], converged)
 
 

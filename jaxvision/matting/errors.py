@@ -1,14 +1,15 @@
-"""How far a closed-form matte may be off, by a parametric bootstrap.
+"""Standard deviations of a closed-form matte, by a parametric bootstrap.
 
-What is off is mostly the model: colours of foreground and background vary, where closed-form
-matting takes them as lines in each window. New pictures of the same matte are drawn,
+The errors come mostly from the model: colours of foreground and background vary, where closed-form
+matting assumes that they lie on lines in each window. New pictures of the same matte are drawn,
 
     J = alpha F + (1 - alpha) B,    F, B = smooth colour + texture,
 
 with textures that have the covariance, over pixels and bands, of those in the known foreground and
 background: a texture convolved with white noise. Their mattes differ from alpha as alpha does from
 the true one. The inverse of the matting Laplacian, which would be the covariance if its energy were
-a probability, is no measure: on simulated hair the errors are 1.2 to 9 times as large as it says.
+a probability, is not a good estimate: on simulated hair the true errors are 1.2 to 9 times as
+large.
 
 Source:
     Galerne, Gousseau & Morel, "Random Phase Textures: Theory and Synthesis", IEEE Trans. Image
@@ -27,18 +28,18 @@ from ..core._types import as_relative, check_count
 from ..filters import gaussian
 from .closed_form import BACKGROUND, FOREGROUND, STEPS, _least_residual, _solve, closed_form_matte
 
-_SMOOTH = 32.0  # pixels over which the colour of a side varies
-_FAR = 1e-6  # weight of a side's mean where none of its pixels is near
+_SMOOTH = 32.0  # pixels, the scale over which the smooth colour of a side varies
+_FAR = 1e-6  # weight of a side's mean colour, for places far from all of its pixels
 
 
 class MatteErrors(Shown):
-    """A coverage with its errors.
+    """A coverage with its standard deviations.
 
     Attributes:
         alpha: (h, w, 1) in [0, 1], no unit.
         alpha_sd: (h, w, 1) standard deviation, no unit.
-        draws: (draws, h, w, 1) of the coverage, in [0, 1]. What is made of each, as by `over`,
-            scatters as its result is off.
+        draws: (draws, h, w, 1) draws of the coverage, in [0, 1]. If each draw is processed further,
+        as by `over`, the scatter of the results is their error.
     """
 
     alpha: Float[Array, "h w 1"]
@@ -58,19 +59,20 @@ def matte_errors(
 ) -> MatteErrors:
     """The matte of a picture from a trimap, with its errors.
 
-    They are those that texture and noise of both sides cause. Colours that the known regions do not
-    have, and a wrong trimap, are not among them. On simulated hair the errors are 1 to 1.2 times
-    the standard deviations for sides of even colour with noise, and 1.4 on average (up to 2) where
-    textures vary by a fifth of the contrast or more. It takes as long as `draws` mattes.
+    They include the errors caused by texture and noise of both sides. Errors from colours that are
+    absent in the known regions, and from a wrong trimap, are not included. On simulated hair the
+    errors are 1 to 1.2 times the standard deviations for sides of even colour with noise, and 1.4
+    on average (up to 2) where textures vary by a fifth of the contrast or more. The computation
+    takes as long as `draws` mattes.
 
     Args:
         key: of the draws.
         image: (h, w, bands) linear relative light, as for `closed_form_matte`.
-        trimap: (h, w) no unit, likewise.
-        draws: number of pictures that are drawn, at least 2, static. With 16 a standard deviation
-            is known to a fifth.
+        trimap: (h, w) no unit, as for `closed_form_matte`.
+        draws: number of simulated pictures, at least 2, static. With 16 the standard deviations
+        have an error of a fifth.
         epsilon: as for `closed_form_matte`.
-        confidence: likewise.
+        confidence: as for `closed_form_matte`.
 
     Returns:
         The matte, its standard deviations, and draws.
@@ -107,7 +109,9 @@ def _draw_picture(
     epsilon: Any,
     confidence: Any,
 ) -> Float[Array, "draws h w 1"]:
-    """By how much the matte of each drawn picture differs from that which made it."""
+    """The difference between the matte of a simulated picture and the matte from which it was
+    simulated.
+    """
     tolerance = jnp.asarray(_least_residual(image), image.dtype)
     sides = [_side(image, at[..., None]) for at in (trimap >= FOREGROUND, trimap <= BACKGROUND)]
 
@@ -125,8 +129,9 @@ def _draw_picture(
 def _side(
     image: Float[Array, "h w bands"], known: Array
 ) -> tuple[Float[Array, "h w bands"], Float[Array, "h w bands"]]:
-    """The smooth colour of a side everywhere, and its texture where it is known, of which the sum
-    of squares is the variance."""
+    """The smooth colour of a side everywhere, and its texture where the side is known, scaled so
+    that its sum of squares is the variance.
+    """
     share = jnp.broadcast_to(known.astype(image.dtype), image.shape)
     count = jnp.maximum(share[..., 0].sum(), 1)
     mean = (image * share).sum((0, 1)) / count

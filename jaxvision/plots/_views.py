@@ -92,7 +92,7 @@ def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float, names: Sequen
     elif low == high:
         low, high = low - 0.5, high + 0.5
     counts, edges = _counts(values, (float(low), float(high)))
-    # without alpha: its full bins would squeeze the others
+    # without alpha, whose full bins would squeeze the others
     light = counts[: colours_of(pixels).shape[-1]]
     ceiling = BEFORE_NOTE * max(float(np.quantile(light, 0.995)), 1.0)
     for i, name in enumerate(names):
@@ -116,7 +116,7 @@ def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float, names: Sequen
                 color=_ink(names[band], band),
             )
     axis.set_xlim(edges[0], edges[-1])
-    axis.locator_params(axis="x", nbins=6)  # more run together where each has a minus
+    axis.locator_params(axis="x", nbins=6)  # more numbers would overlap if each has a minus sign
     label = f"log10 of the value ({unit})" if logarithmic else f"value ({unit})"
     if logarithmic and (hidden := int((pixels <= 0).sum())):
         label += f"\n{hidden:,} value{'s' * (hidden > 1)} at or below 0 not drawn"
@@ -211,7 +211,7 @@ def draw_surface(axis: "Axes3D", pixels: np.ndarray) -> None:
         axis.plot_surface(columns, rows, heights, cmap="viridis", rstride=1, cstride=1, lw=0)
     unit = "DN" if pixels.dtype.kind in "ui" else "relative"
     axis.set(xlabel="column", ylabel="row", title=f"surface: mean of bands ({unit})")
-    axis.yaxis.labelpad = 12  # clear of the numbers, which the view turns towards it
+    axis.yaxis.labelpad = 12  # away from the numbers, which the view rotates towards it
     axis.invert_yaxis()
     axis.view_init(elev=50, azim=-75)
     axis.tick_params(labelsize=8)

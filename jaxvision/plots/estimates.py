@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INCH = 1.7  # of a corner plot, a parameter
-MARGIN = 0.9  # inch, for its numbers and names
+INCH = 1.7  # inch per parameter of a corner plot
+MARGIN = 0.9  # inch, for the numbers and names of a corner plot
 SEVERAL = (BLUE, RED, GREEN, PURPLE, OCHRE, GREY, PINK, TEAL)
 MARKS = "osD^vX*P"
 MOST_PATHS = 8  # of chains in a row
-MOST_VECTORS = 8_000  # points of a row, beyond which its pixels take less room in a file
+MOST_VECTORS = 8_000  # number of points in a row, above which pixels make a smaller file
 
 
 @runtime_checkable
@@ -254,7 +254,7 @@ def corner(
     package.corner(
         np.stack(list(columns.values()), axis=-1),
         labels=list(columns),
-        truths=values if len(values) > 1 else None,  # which it draws on an array of axes
+        truths=values if len(values) > 1 else None,  # drawn on an array of axes
         truth_color=RED,
         color=BLUE,
         levels=(0.68, 0.95),
@@ -274,7 +274,7 @@ def corner(
         axes.tick_params(labelsize=8)
         axes.xaxis.set_label_coords(
             0.5, 0.12 - MARGIN / INCH
-        )  # below slanted numbers, however long
+        )  # below slanted numbers of any length
         axes.yaxis.set_label_coords(0.12 - MARGIN / INCH, 0.5)
     return figure
 

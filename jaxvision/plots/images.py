@@ -18,7 +18,7 @@ NO_NUMBER = "magenta"  # where a map is NaN
 
 
 def picture(image: np.ndarray, *, white: float | None = None, axes: "Axes | None" = None) -> "Axes":
-    """An image as a picture: codes and values up to white unchanged, radiance in sRGB.
+    """Show an image as a picture: codes and values up to white unchanged, radiance in sRGB.
 
     Args:
         image: (h, w) or (h, w, bands), DN or relative; for more than 4 bands their mean is shown.
@@ -187,6 +187,6 @@ def histogram(
     names = band_names(pixels.shape[-1])
     views.draw_histogram(axes, pixels, white_level(pixels, white), names)
     axes.set_title("")
-    if 1 < pixels.shape[2] <= views.MOST_NOTES and not axes.texts:  # which name the bands, too
+    if 1 < pixels.shape[2] <= views.MOST_NOTES and not axes.texts:  # these also name the bands
         axes.legend(fontsize=8)
     return axes

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
     _Strip = tuple[float, float, tuple[Axes, ...]]
 
-INK = "#010203"  # drawn so, and replaced by the colour of the page's text
+INK = "#010203"  # drawn in this colour, which is replaced by that of the page's text
 _INKED = "text.color axes.edgecolor axes.labelcolor axes.titlecolor xtick.color ytick.color"
-_REPLACED = {  # what is drawn in black, dark grey, white and pale grey follows the page
+_REPLACED = {  # black, dark grey, white and pale grey are replaced by colours of the page
     INK: "currentColor",
     "#000000": "currentColor",
     "#404040": "currentColor",
@@ -25,7 +25,7 @@ _REPLACED = {  # what is drawn in black, dark grey, white and pale grey follows 
 }
 _COLOUR = re.compile("|".join(_REPLACED))
 POINTS = 72  # per inch
-DOTS_PER_INCH = 130  # of pictures and clouds of points, which stay pixels
+DOTS_PER_INCH = 130  # resolution of pictures and clouds of points, which remain pixels
 
 
 def inline_svg(
@@ -70,7 +70,7 @@ def figure_strips(
         if POINTS * width <= widest or figure.texts or figure.legends:
             return (_svg(figure),)
         strips = _strips(_columns(figure), widest / POINTS)
-        figure.set_layout_engine("none")  # as drawn, also where panels are hidden
+        figure.set_layout_engine("none")  # the size as drawn, even if panels are hidden
         cuts = [0.0, *((a[1] + b[0]) / 2 for a, b in pairwise(strips)), float(width)]
         found = []
         for (_, _, own), (left, right) in zip(strips, pairwise(cuts), strict=True):
@@ -121,5 +121,5 @@ def _svg(figure: "Figure", **options: Any) -> str:
     figure.savefig(buffer, format="svg", metadata={"Date": None}, dpi=DOTS_PER_INCH, **options)
     svg = buffer.getvalue()
     svg = _COLOUR.sub(lambda found: _REPLACED[found[0]], svg[svg.index("<svg") :])
-    svg = re.sub(r'<g id="[^"]*"', "<g", svg)  # nothing refers to groups, and pages hold many
+    svg = re.sub(r'<g id="[^"]*"', "<g", svg)  # pages contain many groups, to which nothing refers
     return re.sub(r' (width|height)="[^"]*pt"', "", svg, count=2)

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 # Legible on white and on near black, 4 to 1 on either.
 BLUE, RED, PURPLE = "#2d7dd2", "#d2530f", "#a05ce0"
 GREEN, OCHRE, PINK, TEAL, GREY = "#1f8a4c", "#a87400", "#d6408a", "#0f8b8d", "#767b83"
-TOGETHER = 0.08, 0.06  # of the axes' width and height, within which points share a name
-WIDE, HIGH = 0.62, 1.2  # of a letter and a line, in font sizes
-APART = 5.0  # pt, of a name from its point, and of a number from the next
-LAID_OUT = 0.9  # of the axes' size now, where a layout may yet shrink them
-MARGIN = 2.0  # pt, of a name from what is drawn
-OF_MARK, OF_LINE = 60.0, 5.0  # pt^2, that a name covers of a mark, and at a place on a line
-MOST = 4  # numbers on an axis
+TOGETHER = 0.08, 0.06  # share of the axes' width and height, within which points share a name
+WIDE, HIGH = 0.62, 1.2  # width of a letter and height of a line, in font sizes
+APART = 5.0  # pt, distance of a name from its point, and of a number from the next
+LAID_OUT = 0.9  # factor on the axes' current size, because a layout may still shrink them
+MARGIN = 2.0  # pt, distance of a name from drawn marks
+OF_MARK, OF_LINE = 60.0, 5.0  # pt^2, area that a name covers of a mark, and of a point on a line
+MOST = 4  # largest number of tick labels on an axis
 
 
 def name_points(

@@ -144,7 +144,7 @@ def lobe(
             seen = _seen(material, light, jnp.asarray(viewers, dtype))
             return np.asarray(seen)[:, band if seen.shape[1] > 1 else 0]
 
-        # a peak stands about the mirror's direction or the light's, or at the nodes of a table
+        # a peak is near the mirror direction or the light's direction, or at a node of a table
         peaks = [np.array([incidence, -incidence])]
         peaks += [
             s * np.ravel(n)
@@ -161,7 +161,7 @@ def lobe(
     ticks = MaxNLocator(3).tick_values(*axes.get_ylim())
     axes.set_yticks([r for r in ticks if 0 < r <= axes.get_ylim()[1]])
     axes.tick_params(labelsize=8)
-    axes.annotate(  # beside the numbers of the radius, which stand below its other half
+    axes.annotate(  # next to the numbers of the radius, which are below its other half
         "over largest" if shape_only else "$f_r$ [sr$^{-1}$]",
         (np.pi / 2, axes.get_ylim()[1] / 2),
         (0, -6),
@@ -186,8 +186,8 @@ def _components(materials: Mapping[str, Material]) -> dict[str, Material]:
     return found
 
 
-FINE = 0.01  # of the largest value: the most that neighbouring points differ by
-NARROWEST = 1e-6  # of the range: points are no nearer
+FINE = 0.01  # largest difference of neighbouring points, relative to the largest value
+NARROWEST = 1e-6  # smallest distance of points, relative to the range
 _AT_ONCE = 128  # points in one call, so that one program serves all rounds
 _ROUNDS = 40
 

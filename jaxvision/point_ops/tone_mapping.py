@@ -180,7 +180,8 @@ def _mean_slope(z: Scalars) -> Scalars:
 
 
 _NEAR = 0.1
-_SERIES = [(-1) ** n * n / (n + 1) for n in range(17, 0, -1)]  # of d/dz log(1 + z) / z
+# coefficients of the series of d/dz log(1 + z) / z
+_SERIES = [(-1) ** n * n / (n + 1) for n in range(17, 0, -1)]
 
 
 @takes_numbers

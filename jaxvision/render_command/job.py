@@ -41,10 +41,10 @@ from .integrators import BY_PIXEL, light_findings, passes_of, pixels_of
 from .pruning import pruned_scene
 from .tiles import PartialImage, PartialSum
 
-ROWS = 64  # of the picture that are written or shown at once
-_SHOWN = 1_000_000  # pixels that the exposure of a preview is chosen from, at most
+ROWS = 64  # rows of the picture that are written or shown at once
+_SHOWN = 1_000_000  # largest number of pixels from which the exposure of a preview is chosen
 _QUANTILE, _LEVEL = 0.95, 0.8
-_PASS = 32  # bytes a value that a pass of light tracing takes: measured for 2048 x 2048 x 3
+_PASS = 32  # bytes of memory per value in a pass of light tracing, measured for 2048 x 2048 x 3
 
 Advance = Callable[[int, int], None]
 Rows = Callable[[], Iterator[np.ndarray]]
@@ -125,7 +125,7 @@ def render_to_file(
 def _check_room(out: Path, unfinished: Path, source: SceneFile) -> None:
     """`InputError` for a picture larger than the free disk space plus an earlier partial file."""
     height, width = source.view.resolution
-    # radiance and error: of the part that is done, and of the picture made from it
+    # radiance and error, of the partial file and of the picture made from it
     wanted = 2 * 2 * 4 * height * width * source.bands
     folder = next(folder for folder in out.resolve().parents if folder.exists())
     free = shutil.disk_usage(folder).free

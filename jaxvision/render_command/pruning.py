@@ -22,9 +22,9 @@ from ..rendering.band_count import band_count
 from ..scene import Camera, View
 from .integrators import named_text
 
-CUT = "path", "light"  # integrators whose paths may be cut to fewer pieces
+CUT = "path", "light"  # integrators whose paths may be limited to fewer segments
 _NAMED = 4  # effects in one line
-_ENDLESS = 400  # pieces of paths that radiosity follows to their end
+_ENDLESS = 400  # number of segments that stands for paths followed to their end, as by radiosity
 Box = dict[str, tuple[Any, Any]]
 
 
@@ -46,7 +46,7 @@ def _parse_request(settings: RenderEntry) -> dict[str, Any]:
 
 
 def _seen_by(source: SceneFile, camera: Camera | None) -> Camera | View:
-    """The scene's view, before the camera's sensor if there is one."""
+    """The scene's view, combined with the camera's sensor if there is one."""
     if camera is None:
         return source.view
     conversion, scene = camera.sensor.photon_conversion, source.scene
@@ -103,9 +103,11 @@ def prune_scene(
 
 
 def prune_losslessly(source: SceneFile, settings: RenderEntry) -> Pruned | None:
-    """The scene without effects that are proved to be 0 W m^-2 sr^-1, or None. It looks in pictures
-    without random lamp samples, if looking takes at most a twentieth of the picture's time and
-    saves 3 % of its work. Times are estimated by counts, so that a resumed render agrees."""
+    """The scene without effects that are proved to be 0 W m^-2 sr^-1, or None. Effects are searched
+    for in pictures without random lamp samples, if the search takes at most a twentieth of the
+    picture's time and saves 3 % of its work. Times are estimated from counts, so that a resumed
+    render makes the same choice.
+    """
     if settings.integrator not in ("direct", "rays") or settings.rule != "quadrature":
         return None
     rays = math.prod(source.view.resolution) * settings.samples

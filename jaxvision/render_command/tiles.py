@@ -24,7 +24,7 @@ from ..files.images import replaced_on_success
 
 _CHECKSUM = 4  # bytes
 
-Key = Mapping[str, Any]  # of what JSON holds
+Key = Mapping[str, Any]  # of values in JSON
 
 
 class PartialImage:
@@ -57,7 +57,7 @@ class PartialImage:
         trace: TracebackType | None,
     ) -> None:
         if self._file is not None:
-            with suppress(OSError):  # what a full disk did not take is no tile
+            with suppress(OSError):  # a tile that a full disk cut off does not count
                 self._file.close()
 
     def append(self, values: np.ndarray) -> None:
@@ -72,7 +72,7 @@ class PartialImage:
             file.flush()
             os.fsync(file.fileno())
         except OSError as error:
-            error.filename = str(self._path)  # a full disk names no file
+            error.filename = str(self._path)  # the error of a full disk does not name the file
             raise
         self.done += 1
 
@@ -177,7 +177,8 @@ def _differs_error(path: Path, line: bytes, key: Key) -> InputError:
     found, wanted = _read_head(line).get("render"), json.loads(json.dumps(key))
     if isinstance(found, dict):
         differing = [name for name in {**found, **wanted} if found.get(name) != wanted.get(name)]
-        names = [name for name in differing if name.isprintable()]  # others damage has made
+        # damage can produce other errors
+        names = [name for name in differing if name.isprintable()]
         holds = f"part of a render with another {' and another '.join(names) or 'kind of part'}"
     else:
         holds = "something else than part of this render"

@@ -36,8 +36,8 @@ from .pictures import picture
 
 SIDE = 64  # pixels
 FOCAL_LENGTH = 0.05  # m
-WIDE = 4e-4  # m, of pixels that see 29 degrees: the balls, whose edges blur
-CLOSE = 4e-5  # m, of pixels that a blur spreads over
+WIDE = 4e-4  # m, pixel pitch for a field of 29 degrees: the balls, whose edges are blurred
+CLOSE = 4e-5  # m, pixel pitch at which the blur covers several pixels
 _NOISES = {
     "gaussian": GaussianShotNoise,
     "fast": FastPoissonShotNoise,

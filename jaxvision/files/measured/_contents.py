@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import InputError
 
 NANOMETRE = 1e-9
-LEAST_NANOMETRES = 10.0  # below which there are X-rays
+LEAST_NANOMETRES = 10.0  # shorter wavelengths are X-rays
 TURN = 6.2832  # rad, 2 pi rounded up to the digits that files hold
 
 

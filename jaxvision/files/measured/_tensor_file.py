@@ -67,7 +67,7 @@ def fields_in(file: Path, data: bytes) -> dict[str, np.ndarray]:
             raise InputError(f"{file}: field {shown!r} has the unknown type {kind}; copy it again.")
         dtype = np.dtype(_TYPES[kind])
         size = dtype.itemsize * math.prod(shape)
-        # an axis of length 0 must not hide an absurd one
+        # an axis of length 0 must not hide an absurd length of another axis
         if offset + size > len(data) or math.prod(max(n, 1) for n in shape) > len(data):
             raise cut
         found[name] = np.frombuffer(data[offset : offset + size], dtype).reshape(shape)

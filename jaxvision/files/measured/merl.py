@@ -23,7 +23,7 @@ from ...errors import InputError
 from ..images import replaced_on_success
 from ._contents import contents_of, representable
 
-_PADDED = 0.02  # share of zeros at the end of a colour that no measurement has
+_PADDED = 0.02  # share of zeros at the end of a colour, above which it is not a measurement
 MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 
 

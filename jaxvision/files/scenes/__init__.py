@@ -232,7 +232,7 @@ def _check_rounding(
         for problem in found:
             raise InputError(f"{file}: {name}: {problem}")
         if isinstance(after, Surface) and not isinstance(after.shape, TriangleMesh):
-            for far in coarse(after.shape):  # of a mesh its reader has warned
+            for far in coarse(after.shape):  # for a mesh the reader has already warned
                 warnings.warn(f"{file}: {name}: {far}", stacklevel=3)
 
 

@@ -41,7 +41,7 @@ from .spectrum_tables import read_table
 
 Quantity = Literal["reflectance", "light"]
 
-_SHORTEST = 10  # nm, where light ends; what is shorter was meant in um or m
+_SHORTEST = 10  # nm, the shortest wavelength; smaller numbers were meant in um or m
 _ROUNDING = 1e-3  # white is up to 1.0002 in linear sRGB, whose matrix is rounded
 
 
@@ -241,7 +241,8 @@ def _table_of(
     if table is None or table.name in colour_data.BY_FORMULA:
         return None
     if bands.wavelengths is not None:
-        _library_spectrum(spectrum, bands.wavelengths)  # which refuses those beyond the table
+        # raises an error for wavelengths beyond the table
+        _library_spectrum(spectrum, bands.wavelengths)
     elif table.shape.start > 380 or table.shape.end < 780:
         raise InputError(
             f"illuminant {table.name!r} is known from {table.shape.start:g} to "

@@ -27,7 +27,7 @@ from ...gltf import Gltf, read_gltf
 from .contents import Camera, Content, Light, Material, Node, content_of
 from .materials import emission_of, material_of, normals_of
 
-ROWS = 480  # of the picture: a file says its shape, not its pixels
+ROWS = 480  # rows of the picture: a file gives its aspect ratio, not its pixels
 _EXTENSIONS = {
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
@@ -37,7 +37,7 @@ _EXTENSIONS = {
     "KHR_materials_volume",
     "KHR_texture_transform",
 }
-_UNREAD = ("COLOR_", "JOINTS_", "WEIGHTS_")  # attributes that change what is seen
+_UNREAD = ("COLOR_", "JOINTS_", "WEIGHTS_")  # attributes that change the picture
 
 
 def scene_of(file: Path) -> dict[str, Any]:

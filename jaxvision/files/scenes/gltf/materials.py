@@ -20,7 +20,7 @@ from ...gltf import Gltf
 from .contents import Content, Material
 from .textures import match_sizes, texels_of
 
-LEAST_ALPHA = 1e-6  # of a polished metal, as `TorranceSparrow` takes it
+LEAST_ALPHA = 1e-6  # alpha of a polished metal, the smallest that `TorranceSparrow` accepts
 
 
 def material_of(file: Gltf, content: Content, material: Material, label: str) -> dict[str, Any]:

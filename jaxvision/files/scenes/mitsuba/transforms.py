@@ -31,7 +31,8 @@ def _step(tag: str, given: Mapping[str, str], place: str) -> Affine:
             step[:3, :3] = np.diag(_vector(given, place, otherwise=1.0))
         case "rotate":
             axis = _vector(given, place, otherwise=0.0)
-            if abs(np.linalg.norm(axis) - 1) > 1e-3:  # with which Mitsuba stretches space
+            # Mitsuba scales space by an axis that is not of length 1
+            if abs(np.linalg.norm(axis) - 1) > 1e-3:
                 raise InputError(
                     f"{place}: its axis {axis.tolist()} must be of length 1; divide it."
                 )
