@@ -65,7 +65,7 @@ def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = ""
     """The row for paths of at most `pieces` of the `depth` segments. Longer paths add at most
     `amount`, (bands,) W m^-2 sr^-1, which is proved if `assumes` is ""."""
     bound = float(np.max(amount))
-    why = f"paths of at most {pieces} pieces"
+    why = f"paths of at most {pieces} segments"
     rank = "estimate" if assumes else "exact" if bound == 0 else "bound"
     effect = Effect("bounces", True, why, bound, unit=RADIANCE, rank=rank)
 

@@ -66,7 +66,9 @@ class Tolerance:
             if not number >= 0:
                 raise InputError(f"Tolerance.{name} must be at least 0, got {number}.")
         if math.isinf(self.value):
-            raise InputError("Tolerance.value must be finite: what has no bound is never left out.")
+            raise InputError(
+                "Tolerance.value must be finite: effects without a bound are never dropped."
+            )
         if self.unit not in get_args(Unit):
             words = ", ".join(get_args(Unit))
             raise InputError(f"Tolerance.unit must be one of {words}, got {self.unit!r}.")

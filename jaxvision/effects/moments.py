@@ -71,14 +71,16 @@ def scene_rows(
 
 def _uncut(row: Row) -> Row:
     """All longer paths as a row that is kept."""
-    effect = replace(row.effect, why="what follows paths to their end cannot cut them")
+    effect = replace(
+        row.effect, why="the integrator follows paths to their end, so they cannot be shortened"
+    )
     return replace(row, effect=effect, drop=None, saves=0.0)
 
 
 def _free(row: Row) -> Row:
     """Rows for a scene with free parameters and motion. The motion of a value inside the box may be
     outside the motions of its ends, so there is no bound."""
-    why = f"{row.effect.why}; a motion may take what is free anywhere"
+    why = f"{row.effect.why}; the motion of a free parameter is not bounded"
     effect = replace(row.effect, why=why, bound=np.inf, rank="bound")
     return replace(row, effect=effect, amount=0 * row.amount + np.inf, after=None, drop=None)
 

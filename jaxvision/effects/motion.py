@@ -56,12 +56,12 @@ def motion_stage(
     refuse_tracers(scene, view, sensor)
     shutter = sensor.high.shutter
     if motion is None:
-        why = "nothing moves: all rows see the same"
+        why = "nothing moves: all rows see the same scene"
         return () if shutter is None else (_shutter_row(0.0, why, True),)
     ends_agree = all(same(end.low, end.high) for end in (scene, view, sensor))
     if not ends_agree or sensor.high.exposure_time is None:
         rolling = global_ = INF
-        still, why = False, "what may change may move otherwise"
+        still, why = False, "a free parameter may change the motion"
     else:
         rows = view.high.resolution[0]
         rolling, still, why = moved(
@@ -103,7 +103,7 @@ def moved(
         farthest = max(farthest, pixels)
     if still:
         return 0.0, True, "nothing moves at any moment of the exposure"
-    return farthest, False, f"{farthest:.3g} pixels from rest; shading on the way is not bounded"
+    return farthest, False, f"{farthest:.3g} pixels from rest; the change of shading is not bounded"
 
 
 def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, str]:

@@ -308,12 +308,12 @@ def _defocus_row(view: Ends[View], grids: _Grids, arriving: Arriving, radiance: 
     moved = defocus(view, arriving.near, arriving.far, wider=wider)
     why = f"blurred by {2 * moved:.3g} pixels at most, of {arriving.near:.3g} m and beyond"
     if math.isinf(moved):
-        why = "things may touch the lens: their blur is not bounded"
+        why = "objects may touch the lens: their blur is not bounded"
     parts = frozenset(f"view.{part}" for part in ("rim", "diffraction") if grids.has(part))
     amount = times(arriving.turning, grids.opening) + np.zeros_like(radiance)
     bound = clean(np.max(amount))
     if math.isinf(bound):
-        why += "; a mirror, glass or a material without a bound shows other things to each part"
+        why += "; a mirror, glass or a material without a bound shows other objects to each part"
     elif bound > 0:
         why += "; gloss looks different from each part of the lens"
     rank = "exact" if moved == 0 and bound == 0 else "bound"

@@ -23,7 +23,7 @@ from .stages import QUICKLY, Row
 
 _SIDE, _PATHS = 16, 64
 _SETTLED = 4  # segments from which the light is assumed to fall by a constant factor
-ASSUMED = "Light of more pieces than were probed falls by one factor at each further piece."
+ASSUMED = "Each further segment of a path beyond the probed ones reduces its light by one factor."
 
 
 def probed_rows(scene: Scene, view: View, depth: int | None) -> tuple[Row, ...]:

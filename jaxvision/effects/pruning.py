@@ -84,7 +84,7 @@ def _chain_of(
     refuse_tracers(scene, camera)
     if depth is not None and (depth < 1 or depth != int(depth)):
         raise InputError(
-            "depth must be at least 1 piece, and a whole number of them, or None for direct light; "
+            "depth must be a whole number of segments, at least 1, or None for direct light; "
             f"got {depth}."
         )
     if moments < 1:

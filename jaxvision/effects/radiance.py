@@ -200,7 +200,7 @@ def extent(sums: Sums, onward: Onward, k: int) -> Row:
     """Replace a rectangle by a `SmallLight` at its middle, if they are indistinguishable."""
     amount, small, why = extent_change(sums, k)
     if onward.depth is not None:
-        small, why = None, "paths meet the lamp, which hides what is behind it"
+        small, why = None, "paths meet the lamp, which hides the objects behind it"
     name = f"lights[{k}].extent"
     if small is None:
         return _row(
@@ -212,7 +212,7 @@ def extent(sums: Sums, onward: Onward, k: int) -> Row:
 
     change = pictured(sums, amount)
     if np.isinf(change).any():
-        why += "; what shows it is a mirror, glass or a material without a bound"
+        why += "; it is visible in a mirror, glass or a material without a bound"
     return _row(name, change, drop, why, saves=_SAVES["extent"], part_of=f"lights[{k}]")
 
 
@@ -236,7 +236,7 @@ def _surface_rows(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
     if surface.low.emission is not None:
         yield emission(sums, onward, i)
     if isinstance(surface.low.shape, TriangleMesh) and surface.low.shape.normals is not None:
-        why = "turns the shading of a mesh by an angle that no lobe bounds"
+        why = "rotates the shading normals of a mesh: no bound is known"
         yield _row(f"{name}.shape.normals", np.full(sums.k_body.shape[1], np.inf), None, why)
 
 
@@ -289,7 +289,7 @@ def lobe(sums: Sums, onward: Onward, i: int) -> Row:
     plain = _is_plain_without_lobe(material)
     why = f"the peak of the {type(material).__name__} lobe under all light"
     if not plain:
-        why += ", whose body is no Lambertian's"
+        why += ", whose body is not Lambertian"
     drop = _make_lambertian(i) if plain else None
     field = "material.specular" if hasattr(material, "specular") else "material"
     name = f"surfaces[{i}].{field}"
@@ -358,12 +358,12 @@ def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
     own, material = sums.reflections[i], sums.surfaces[i].of("material")
     bands, field = sums.k_body.shape[1], place.removeprefix("material.")
     of_body = of_lobe = np.ones(bands)
-    why = "its mean instead, within all light that the surface reflects"
+    why = "replaced by its mean: at most all light that the surface reflects"
     if field in ("diffuse", "specular") and _is_proportional(material, field):
         low, high = (numbers(getattr(end, field)) * np.ones(bands) for end in material)
         share = np.divide(high - low, high, out=np.zeros(bands), where=high > 0)
         of_body, of_lobe = (share, 0 * share) if field == "diffuse" else (0 * share, share)
-        why = f"its mean instead, within {share.max():.3g} of its largest value"
+        why = f"replaced by its mean, within {share.max():.3g} of its largest value"
     part, k_body, k_lobe = part_of(sums.cells, i), of_body * sums.k_body[i], of_lobe
     others = times(np.pi * (1 + own.grazing) * k_body, onward.of_body(i))
     others = others + times(_size(own.lobe) * k_lobe * sums.k_lobe[i], onward.of_lobe(i))
@@ -383,7 +383,7 @@ def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
     if field == "ambient":
         amount = sums.ambient[i]
     if own.mirror is not None or not place.startswith("material."):
-        amount, why = amount + np.inf, "a map of what a mirror or a normal shows has no bound"
+        amount, why = amount + np.inf, "a map of a mirror or of normals has no bound"
 
     def drop(draft: Draft) -> Draft:
         surface = draft.surfaces[i]
@@ -410,7 +410,9 @@ def emission(sums: Sums, onward: Onward, i: int) -> Row:
     own = emitted(sums.surfaces, sums.own.shape[1])
     own[np.arange(len(own)) != i] = 0
     amount = pictured(sums, onward(own[sums.cells.surface], pieces=EMITTED))
-    return _row(f"surfaces[{i}].emission", amount, lambda d: _with(d, i, emission=None), "shines")
+    return _row(
+        f"surfaces[{i}].emission", amount, lambda d: _with(d, i, emission=None), "emits light"
+    )
 
 
 def absorption(sums: Sums, onward: Onward, i: int) -> Row:

@@ -61,13 +61,13 @@ def brighter_fatter(pixel: Pixel) -> Bound:
     if c == 0:
         return Bound(0.0, "no charge repels another")
     if not c < 100:
-        return Bound(INF, "charges push more than the pixels get")
+        return Bound(INF, "charges repel more electrons than the pixels receive")
     charge = light + pixel.dark + math.sqrt(2) * pixel.hot
     mean = charge * (math.expm1(c) / c - 1)
     noise = charge * (math.exp(c) * math.expm1(2 * c) / (2 * c) - 1) if pixel.counted else 0.0
     pattern = ((pixel.high("prnu") * light) ** 2 + pixel.hot**2) * math.expm1(2 * c)
     moved = math.hypot(mean, growth(pixel.quiet, noise + pattern)) + 2 * pixel.spilt.rms
-    why = f"{c:.3g} of what a pixel of {charge:.4g} e- gets"
+    why = f"{c:.3g} of the charge of a pixel with {charge:.4g} e-"
     rank = "estimate" if pixel.hot or pixel.spilt.rms else "bound"
     return Bound(pixel.read(moved) / pixel.pushing**3, why, rank=rank)
 
@@ -83,7 +83,7 @@ def blooming(pixel: Pixel) -> Bound:
     """The charge that spills into a pixel from all others of its column (`Pixel.received`)."""
     if pixel.received == 0:
         return Bound(0.0, "no charge spills")
-    why = f"{pixel.spilt.mean:.3g} e- over the well at most expected"
+    why = f"{pixel.spilt.mean:.3g} e- above the well expected, at most"
     return Bound(pixel.behind_charge * pixel.received, why, rank=pixel.rank_of_counts)
 
 

@@ -22,7 +22,7 @@ def photon_conversion(pixel: Pixel) -> Bound:
 
 def colour_filter(pixel: Pixel) -> Bound:
     """Not an effect with a size: it selects the band of each pixel."""
-    return Bound(INF, "says which bands a pixel measures")
+    return Bound(INF, "defines which bands a pixel measures")
 
 
 def exposure_time(pixel: Pixel) -> Bound:
@@ -33,7 +33,7 @@ def exposure_time(pixel: Pixel) -> Bound:
 def light_offset(pixel: Pixel) -> Bound:
     """Light that is added to the given light, or subtracted from it."""
     beside = pixel.beside * pixel.smearing * pixel.pushing
-    return Bound(pixel.moved(beside, patterned=True), f"{pixel.beside:.3g} e- beside the light")
+    return Bound(pixel.moved(beside, patterned=True), f"{pixel.beside:.3g} e- besides the light")
 
 
 def infrared_cut(pixel: Pixel) -> Bound:
@@ -95,7 +95,7 @@ def prnu(pixel: Pixel) -> Bound:
 def dead_pixels(pixel: Pixel) -> Bound:
     """All the light of a dead pixel; other pixels change only within its `reach`."""
     rare = pixel.high("dead_pixels") * math.prod(pixel.shape) * pixel.reach
-    why = f"{rare:.3g} pixels see nothing; the bound is theirs"
+    why = f"{rare:.3g} pixels are dead; the bound is for these"
     return Bound(pixel.moved(pixel.light, patterned=True), why, rare=rare)
 
 
@@ -118,7 +118,7 @@ def hot_pixels(pixel: Pixel) -> Bound:
     hot = pixel.hot
     most_quiet, cut = pixel.at_the_well(hot)
     noise = growth(min(pixel.quiet, most_quiet), hot**2 + (hot if pixel.counted else 0.0))
-    why = f"{rare:.3g} pixels of {hot:.3g} e- more on average; the bound is theirs"
+    why = f"{rare:.3g} pixels of {hot:.3g} e- more on average; the bound is for these"
     return Bound(pixel.read(math.hypot(hot, noise) + cut), why, rare=rare)
 
 

@@ -66,7 +66,7 @@ def telegraph_noise(pixel: Pixel) -> Bound:
     trapped = _trap(pixel)
     rest = (1 + pixel.low("conversion_prnu") ** 2) * pixel.counted_dark + pixel.added()
     moved = pixel.behind_column * growth(rest, trapped)
-    why = f"{rare:.3g} pixels have a trap; the bound is theirs"
+    why = f"{rare:.3g} pixels have a trap; the bound is for these"
     return Bound(moved, why, rare=rare)
 
 

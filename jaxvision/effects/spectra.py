@@ -59,7 +59,7 @@ def _why_not(sums: Sums, direct: bool) -> str:
     if not direct:
         return "light that bounces takes the colour of every surface that it meets"
     if not sums.lights:
-        return "no lamp shades them, so that joining fewer would cost what it saves"
+        return "no lamp: reconstructing the bands would cost as much as it saves"
     for i, own in enumerate(sums.reflections):
         angular = own.angular or np.isinf(own.plain).any()
         if angular or (own.lobe is not None and not own.lobe.neutral):
