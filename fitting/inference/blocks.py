@@ -29,8 +29,9 @@ Block = dict[str, np.ndarray]
 def resume_blocks(
     folder: Path | str | None, before: Sequence[Block], fingerprint: str
 ) -> list[Block]:
-    """The blocks from which a run continues: those in memory or those in the checkpoint folder
-    (None for no folder), whichever are more. Blocks that the folder lacks are written to it."""
+    """Return the blocks from which a run continues: those in memory or those in the checkpoint
+    folder (None for no folder), whichever holds more blocks. Missing blocks are written to the
+    folder."""
     stored = [] if folder is None else _stored(Path(folder))
     other = "the chain of another run (other data, density, seed, settings or package versions)"
     if not _all_of(stored, fingerprint):
@@ -94,7 +95,7 @@ def _all_of(blocks: Sequence[Block], fingerprint: str) -> bool:
     return all(str(block["fingerprint"]) == fingerprint for block in blocks)
 
 
-ADDRESS = re.compile(r"0x[0-9a-f]+")  # of an object in this process
+ADDRESS = re.compile(r"0x[0-9a-f]+")  # memory address of an object
 PACKAGES = ("jax", "numpy", "scipy")
 
 

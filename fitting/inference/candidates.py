@@ -3,7 +3,8 @@
 A term with k numbers must pass two tests. Its squared Wald ratio against the absent value, (x -
 x_0)^T C^-1 (x - x_0), must exceed k ln n, which is Schwarz' criterion (BIC) for n data. And a ratio
 this large must occur by chance in at most one of a hundred fits to data without the term. The
-second test is needed because the errors of the other parameters do not include the selection.
+second test is needed because the errors of the other parameters do not allow for the selection of
+terms.
 
 Source:
     Schwarz, Ann. Statist. 6, 1978; the squared Wald ratio approximates twice the difference in log
@@ -24,7 +25,7 @@ from jaxvision.errors import InputError
 
 from .parameters import Parameter, ParameterSpace, to_natural
 
-CHANCE = 0.01  # of a term that the data do not call for
+CHANCE = 0.01  # probability of keeping a term that is absent
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,8 @@ class Candidate:
     """A term of a model that a fit keeps only if the data support it.
 
     Attributes:
-        parameter: of the term: one number, or an array that is kept or left out as a whole.
+        parameter: the free parameter of the term: one number, or an array that is kept or left out
+            as a whole.
         absent: value of the parameter without the term, in its unit; may be a limit such as
             infinity.
         chance: probability that a term which is absent is kept; 1 leaves the choice to BIC alone.
@@ -42,10 +44,10 @@ class Candidate:
             the other side is no evidence for the term.
 
     Raises:
-        InputError: for an argument that is no parameter, and for an invalid probability.
+        InputError: if `parameter` is not a `Parameter`, and for an invalid probability or side.
 
     Example:
-        The bend of a line that is straight is left out.
+        The data follow a straight line, so the quadratic term is left out.
 
         >>> from fitting import Candidate, Gaussian, Parameter, Problem, fit
         >>> x = np.linspace(-1.0, 1.0, 50)
@@ -132,7 +134,7 @@ def squared_ratios(
     for candidate in candidates:
         own = numbers_of(candidate, space)
         away = natural[own] - candidate.absent
-        if not np.isfinite(candidate.absent):  # relative to its errors a limit is as far as 0 is
+        if not np.isfinite(candidate.absent):  # a term absent at infinity: its ratio to 0
             away = natural[own]
         if candidate.side != "both":
             away = np.maximum(away, 0) if candidate.side == "above" else np.minimum(away, 0)
@@ -161,7 +163,7 @@ def price(
         by_chance = float(stdtrit(freedom, chance / 2)) ** 2 if chance < 1 else 0.0
     elif np.isinf(freedom):
         by_chance = float(chdtri(numbers, chance))
-    else:  # Hotelling's T^2 for errors of so many degrees of freedom is Fisher's F times k
+    else:  # with an estimated variance, the ratio over k follows Fisher's F
         by_chance = numbers * float(fdtri(numbers, freedom, 1 - chance))
     return max(numbers * float(np.log(count)), by_chance * larger)
 
@@ -169,8 +171,8 @@ def price(
 def weakest(
     ratios: Mapping[str, float], prices: Mapping[str, float], candidates: Sequence[Candidate]
 ) -> str | None:
-    """The candidate with the smallest ratio of gain to threshold, of those that no other requires;
-    None if every gain exceeds its threshold."""
+    """Return the candidate with the smallest ratio of gain to threshold, among those that no other
+    candidate requires; None if every gain exceeds its threshold."""
     required = {name for candidate in candidates for name in candidate.requires}
     shares = {c.name: ratios[c.name] / prices[c.name] for c in candidates if c.name not in required}
     least = min(shares, key=shares.__getitem__, default=None)

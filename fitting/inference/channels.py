@@ -31,22 +31,22 @@ def by_channel(
 
     Args:
         problem: of one channel; its own data give the shape.
-        data: (..., channels), of the shape of the problem's data and one trailing axis; NaN where a
-            datum is missing.
+        data: (..., channels): the shape of the problem's data, followed by an axis of channels; NaN
+            where a datum is missing.
         shared: names of the parameters that have one value for all channels.
-        inputs: with the structure of the problem's own. A leaf with the problem's shape and a
+        inputs: with the structure of the problem's inputs. A leaf with the problem's shape and a
             trailing axis of channels differs between channels; any other leaf is used for all. None
-            takes the problem's.
+            takes the problem's inputs.
 
     Returns:
         The problem, for `fit`.
 
     Raises:
-        InputError: for data or inputs of another shape, a name that is no parameter, a path into a
-            record or a name in the likelihood that is not shared, and a tie.
+        InputError: for data or inputs of another shape, for an unknown parameter, for a tied
+            parameter, and if a path into a record or a name in the likelihood is not shared.
 
     Example:
-        Two channels of one decay rate.
+        Two channels that share one decay rate.
 
         >>> from fitting import Gaussian, Parameter, Problem, by_channel, fit
         >>> time = np.linspace(0.0, 2.0, 20)

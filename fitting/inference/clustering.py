@@ -174,7 +174,7 @@ def cluster_robust(
     values, directions = np.linalg.eigh(total)
     axes, lifted = contrasts @ directions, np.maximum(values, THINNEST)
     covariance = axes * lifted @ axes.T
-    added = axes**2 @ (lifted - values)  # is no better known than what the clusters show
+    added = axes**2 @ (lifted - values)  # as uncertain as the measured one
     uncertainty = sum(((own + added) ** 2 / freedom for own, freedom in entered), np.zeros(count))
     with np.errstate(divide="ignore"):
         freedom = np.diagonal(covariance) ** 2 / uncertainty

@@ -14,14 +14,15 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-MANY = 50_000  # numbers in all arguments, with which a program takes longer to run than to optimise
+MANY = 50_000  # array elements from which a program takes longer to run than to optimise
 
 
 def compiled_briefly(function: Callable[P, R], *, always: bool = True) -> Callable[P, R]:
-    """As `equinox.filter_jit`, but XLA does not optimise the program.
+    """Like `equinox.filter_jit`, but without XLA's optimisation.
 
-    A program that is part of another, or of a derivative, is compiled as that one is. `always`:
-    whatever the size of the arguments; else XLA optimises the program for large ones."""
+    Inside another compiled function, or a derivative, the function is compiled with that one.
+    `always`: skip the optimisation whatever the size of the arguments; otherwise XLA optimises the
+    program for large arguments."""
     part = eqx.filter_jit(function)
     whole = cast(Any, eqx.filter_jit)(function, compiler_options=briefly())
 

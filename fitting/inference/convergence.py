@@ -58,7 +58,8 @@ def without_bias(time: float, length: int) -> float:
 
 
 def split_r_hat(draws: Float[np.ndarray, "chains draws"]) -> float:
-    """The ratio of the widths of all chains together and of half chains: 1 if they agree.
+    """Return split R-hat: the width of all chains together over that of half chains, 1 if they
+    agree.
 
     Source:
         Vehtari et al., Bayesian Analysis 16, 2021, eqs. 1-4 and 14.

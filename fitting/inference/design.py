@@ -41,7 +41,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Plan:
-    """Candidates, the most informative about the target first. Print it.
+    """Candidate measurements, the most informative about the target first. Print it.
 
     Attributes:
         target: in words.

@@ -21,11 +21,11 @@ from .problem import Problem, Vector, least_squares_residuals, log_density
 from .search import Optimum, add_prior
 
 REACH = 0.5  # posterior standard deviations to either side
-UNSEEN = 0.1  # share of a derivative that a gradient may miss before it is said
-FALL = 0.05  # in log density, .3 standard deviations: a place that is lower by less is no lower
+UNSEEN = 0.1  # share of a derivative that a gradient may miss without a warning
+FALL = 0.05  # least gain in log density (.3 standard deviations) for a step to be taken
 RISE = 0.1  # in log density within a standard deviation of a parameter; of a Gaussian at least .5
 STEPS = 20
-_TINY = 1e-3  # of a difference, at which only rounding is left
+_TINY = 1e-3  # share of a step at which differences show only rounding
 _SHARES = np.array([1.0, 0.5, 0.25, 0.125])  # of a step
 
 
@@ -55,8 +55,8 @@ def correct_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
 
 
 def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
-    """The lowest point that Gauss-Newton steps by finite differences, and steps along the axes,
-    reach."""
+    """Return the lowest point reached by Gauss-Newton steps with finite differences and by steps
+    along the axes."""
     dtype, best = problem.data.dtype, int(np.argmin(optimum.costs))
     vector, settled, begun = np.asarray(optimum.vector, np.float64), False, np.nan
     cost, decrement, information = np.nan, optimum.decrement, optimum.information
@@ -131,9 +131,9 @@ def _deviations(information: np.ndarray) -> np.ndarray:
 def _compared(
     vector: Vector, sizes: Float[Array, " parameters"], problem: Problem
 ) -> Float[Array, "parameters 4"]:
-    """For each parameter, norms over all residuals: of the central difference over half of `sizes`,
-    of its distance from the derivative, of its distance from the difference over all of `sizes`,
-    and of rounding."""
+    """Return four norms over all residuals for each parameter: of D, the central difference over
+    half of `sizes`; of D minus the derivative; of D minus the difference over all of `sizes`; and
+    of the rounding error."""
 
     def residuals(vector: Array) -> Array:
         return least_squares_residuals(vector, problem)

@@ -24,13 +24,13 @@ from .convergence import autocorrelation_times, without_bias
 from .given import require_progress, require_whole
 
 TIMES_TAU = 50  # shortest chain that is trusted, in autocorrelation times
-BURN_IN_TAU = 5  # discarded before anything is read off, in autocorrelation times
+BURN_IN_TAU = 5  # length of the discarded burn-in, in autocorrelation times
 PATIENCE = 1.25  # growth of the chain from one assessment to the next
 # A density estimated from half of 64 walkers fails in many dimensions. tau of a banana, KDE + DE:
 # 15 at P = 5, 52 at 10, 260 at 20; DE alone: 37, 70, 131; stretch moves: 95, 171, 369.
 MOST_FOR_KDE = 10
 FROM = 256  # most walkers for a density estimate, whose cost is quadratic in their number
-FLAT = 1e6  # condition number, in scaled directions, from which walkers count as in one plane
+FLAT = 1e6  # condition number of the scaled directions above which walkers lie in a plane
 HALVINGS = 60  # of the distance to the mode, after which a walker has reached it
 BEYOND = 1e9  # standard deviations from the mode, which only walkers of an improper posterior reach
 
@@ -198,7 +198,7 @@ def run_ensemble(
     while (chain := _chain_if_done(blocks, options)) is None:
         sampler.reset()
         steps = next_length(length(blocks), options.block, options.steps)
-        with threadpool_limits(1, user_api="blas"):  # threads cost more than the move's matrices
+        with threadpool_limits(1, user_api="blas"):  # matrices are too small for threads
             for after in sampler.sample(state, iterations=steps, skip_initial_state_check=True):
                 _refuse_without_end(after.coords, mode, covariance, names)
                 state = after
@@ -212,7 +212,7 @@ def run_ensemble(
 def _refuse_without_end(
     walkers: np.ndarray, mode: np.ndarray, covariance: np.ndarray, names: Sequence[str]
 ) -> None:
-    """Refuse a posterior without an end before emcee's own moves overflow."""
+    """Refuse an improper posterior before emcee's own moves overflow."""
     reached = np.max(np.abs(walkers - mode), axis=0) / np.sqrt(np.diagonal(covariance))
     if not np.all(reached < BEYOND):
         raise Unbounded(names[int(np.argmax(np.nan_to_num(reached, nan=np.inf)))])
@@ -304,7 +304,8 @@ def _due(steps: int, block: int) -> bool:
 
 
 def _chain_if_done(blocks: list[Block], options: Emcee) -> Chain | None:
-    """Return the chain if it is long enough or may not grow; None if it must continue."""
+    """Return the chain if it is long enough or has reached the limit of steps; None if it must
+    continue."""
     steps = length(blocks)
     last = steps >= options.steps
     if not (last or _due(steps, options.block)):

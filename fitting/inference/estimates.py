@@ -13,7 +13,7 @@ from jaxvision.core.in_notebooks import record_html
 from .formatting import format_interval, format_name, format_unit, format_value
 
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)  # ends of the 95 and 68 % intervals and the middle
-AT_AN_END = 1 / 8  # of an interval, where the density of draws at its ends is counted
+AT_AN_END = 1 / 8  # share of an interval over which the density at each end is counted
 
 
 @runtime_checkable
@@ -42,7 +42,7 @@ class Estimate:
         interval_95: (low, high).
         method: distinguishes several estimates of one quantity.
         group: distinguishes equal names, for example by colour channel.
-        reason: why there is no value.
+        reason: why the value is None.
 
     Example:
         >>> import jaxvision as jv
@@ -89,9 +89,9 @@ def quantile_estimate(
     method: str = "",
     group: str = "",
 ) -> Estimate:
-    """Estimate with given intervals; without a value if these are infinite."""
+    """Return an estimate with the given intervals; without a value if they are infinite."""
     if not np.all(np.isfinite(np.asarray([value, standard_error, *quantiles], float))):
-        why = "the data leave it open over more than the range of numbers"
+        why = "the data do not determine it: its interval exceeds all floating-point numbers"
         return not_determined(what, why, method=method, group=group)
     low95, low68, _, high68, high95 = (float(q) for q in quantiles)
     return Estimate(

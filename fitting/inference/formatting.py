@@ -12,7 +12,7 @@ ACRONYMS = {"dsnu": "DSNU", "prnu": "PRNU", "snr": "SNR", "db": "dB"}
 
 
 class Uncertain(Protocol):
-    """An `Estimate` in the part that is printed."""
+    """The fields of an `Estimate` that are printed."""
 
     @property
     def value(self) -> float | None: ...
@@ -85,7 +85,7 @@ def format_within(value: float, width: float) -> str:
 
 
 def format_value(estimate: Uncertain) -> str:
-    """`value ± standard error` without the unit, or a dash if it is not determined.
+    """Return `value ± standard error` without the unit, or a dash if there is no value.
 
     Args:
         estimate: with or without a value.

@@ -16,7 +16,7 @@ from jaxvision.errors import InputError
 from .on_host import on_host
 
 INSIDE = "Student's t of data with ends is StudentT(scale, low=..., high=...)"
-LARGEST_SEED = 2**32 - 1  # that all generators take
+LARGEST_SEED = 2**32 - 1  # largest seed that every random generator accepts
 
 
 def plain_numbers(what: str, value: Any) -> Any:

@@ -28,13 +28,13 @@ from .parameters import ParameterSpace, from_scaled, names, natural_numbers, sca
 from .posterior import LogDensity, Posterior, evaluate_density, laplace, sample
 
 FAR = 2.0  # standard deviations at which the Gaussian is tested
-TOLERATED = 0.4  # difference from the Gaussian's fall, 2: a 95 % interval is then right to 2 %
+TOLERATED = 0.4  # difference from a Gaussian's decrease of 2: a 95 % interval is then right to 2 %
 FREEDOM = 5.0  # degrees of freedom of the proposals, whose tails exceed those of most posteriors
 FEWEST, USUAL, MOST = 1024, 4096, 16_384  # proposals of a round: powers of two
 SETTLED = 0.2  # effective draws per proposal from which the proposals follow the density
 KEPT = 8000  # draws
-# Effective draws at which sampling stops, and fewest that are accepted: the end of a 95 % interval
-# then has an error of 6 % or 8 % of a standard deviation.
+# Effective draws at which sampling stops, and the the fewest that are accepted: the end of a 95 %
+# interval then has an error of 6 % or 8 % of a standard deviation.
 WANTED, ENOUGH = 2000.0, 1000.0
 ROUNDS = 6
 
@@ -67,8 +67,8 @@ def laplace_where_it_holds(
         freedom: (P,) degrees of freedom of the variances; None where they are known.
         wider: (P, P), the covariance that belongs to `log_density` where `freedom` is given; None
             for `covariance`.
-        missed: (P,), as `gaussian_miss` returns it, where the caller has a better estimate; None
-            calls it.
+        missed: (P,) the result of `gaussian_miss`, if the caller has a better estimate of it; None
+            computes it.
         by_chain: whether to run emcee where importance sampling fails. Otherwise the posterior is
             Laplace's, and names the parameter that it describes badly.
 
@@ -115,7 +115,8 @@ def gaussian_miss(
     covariance: Float[np.ndarray, "parameters parameters"],
     args: Any,
 ) -> Float[np.ndarray, " parameters"]:
-    """How far the fall of a log density at two standard deviations differs from a Gaussian's."""
+    """Return how much the decrease of the log density at two standard deviations differs from a
+    Gaussian's."""
     return miss_about(
         lambda points: evaluate_density(log_density, jnp.asarray(points, mode.dtype), args),
         np.asarray(mode, np.float64),
@@ -128,7 +129,8 @@ def miss_about(
     centre: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> Float[np.ndarray, " parameters"]:
-    """As `gaussian_miss`, by a log density of each of (n, P) vectors."""
+    """Like `gaussian_miss`, for a function that returns the log density of each of (n, P)
+    vectors."""
     steps = FAR * covariance / np.sqrt(np.diagonal(covariance))
     values = log_density(np.concatenate([centre[None], centre + steps.T, centre - steps.T]))
     fall = values[0] - values[1:].reshape(2, -1)
@@ -155,7 +157,7 @@ def _importance(
     for _ in range(ROUNDS):
         blocks, logs = [], []
         for block in np.split(units[:proposed], proposed // FEWEST):
-            found = _proposed(space, proposals, block)  # of one size: one program for all rounds
+            found = _proposed(space, proposals, block)  # one size: one program
             values = evaluate_density(log_density, jnp.asarray(found.vectors, mode.dtype), args)
             logs.append(np.where(np.isfinite(values), values, -np.inf) - found.log_proposal)
             blocks.append(found)
@@ -168,7 +170,7 @@ def _importance(
             best = drawn, weight, effective
         if effective > WANTED:
             break
-        share = min(1.0, effective / (10 * size))  # a few heavy draws say little of a covariance
+        share = min(1.0, effective / (10 * size))  # a few heavy draws determine a covariance poorly
         scaled = np.concatenate([found.scaled for found in blocks])
         proposals = [
             _moved(proposal, places, weight, share)

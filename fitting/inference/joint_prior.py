@@ -44,10 +44,10 @@ from .priors import HALF_LOG_2PI
 
 FAR = 1.96  # standard deviations at which draws are compared with a Gaussian
 TOLERATED = 0.2  # standard deviations by which these may differ, as the test of Laplace's allows
-OWN_ERROR = 2.67  # times 1 / sqrt(draws): the standard error of such a quantile
-BEYOND = 2.0  # of those, by which draws of a Gaussian may differ too
-FAR_FROM_0 = 3.0  # standard deviations of a positive number that is at home on a log scale
-CONSTANT = 1e-12  # spread of draws, relative to the number, of one that does not vary
+OWN_ERROR = 2.67  # times 1 / sqrt(draws): the standard error of the quantile at FAR
+BEYOND = 2.0  # of these errors, by which draws of a true Gaussian may differ too
+FAR_FROM_0 = 3.0  # standard deviations from 0 of a positive number treated on a log scale
+CONSTANT = 1e-12  # relative spread of draws below which a number counts as constant
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Marginal:
         centre: unconstrained.
         sd: scale on the unconstrained scale.
         freedom: degrees of freedom of Student's t; infinite for a Gaussian.
-        number: its transform and bounds, which make the scale on which it was estimated.
+        number: its transform and bounds, which define the scale on which it was estimated.
     """
 
     centre: float
@@ -155,8 +155,8 @@ Selection = str | Sequence[str] | Mapping[str, str]
 def select_names(
     selection: Selection, known: Sequence[str]
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """The selected names by their new names, and the new names that were given in full, without
-    `*`."""
+    """Return a dictionary from new names to the selected names, and the new names that were given
+    without `*`."""
     if isinstance(selection, str):
         selection = (selection,)
     pairs = (
@@ -331,7 +331,8 @@ def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) 
 def apply_joint_prior(
     free: tuple[Parameter, ...], prior: JointPrior
 ) -> tuple[tuple[Parameter, ...], JointPrior]:
-    """The free parameters of a problem with their part of a joint prior, and that part."""
+    """Return the free parameters of a problem with their part of a joint prior attached, and that
+    part."""
     by_name = {parameter.name: parameter for parameter in free}
     for name in prior.required:
         if name not in by_name:
@@ -396,7 +397,8 @@ def places_of(prior: JointPrior, space: ParameterSpace) -> np.ndarray:
 
 
 def scores(prior: JointPrior, space: ParameterSpace, vectors: Array) -> Float[Array, "... numbers"]:
-    """The numbers of unconstrained vectors on the scale on which the prior makes each N(0, 1)."""
+    """Transform the prior's numbers in unconstrained vectors to the scale on which each is N(0,
+    1)."""
     natural = to_natural(space, vectors)[..., places_of(prior, space)]
     places = [one.score(natural[..., i]) for i, one in enumerate(prior.marginals)]
     return jnp.stack(places, axis=-1)

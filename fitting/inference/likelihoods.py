@@ -13,9 +13,9 @@ may also have `check_data(data)`, which refuses invalid data, and `for_data(data
 with what its draws need of the data. A field that is a string names a
 parameter or a path into a record, and is replaced by its value.
 
-Residuals are quantile residuals (Dunn & Smyth, J. Comput. Graph. Stat. 5, 1996): the normal deviate
-of the probability below a datum. If a datum covers an interval, such as a clipped one, `chance`,
-uniform on 0 .. 1, selects a point in it.
+Residuals are quantile residuals (Dunn & Smyth, J. Comput. Graph. Stat. 5, 1996): the standard
+normal quantile of the cumulative probability of a datum. If a datum covers an interval, such as a
+clipped one, `chance`, uniform on 0 .. 1, selects a point in it.
 """
 
 from collections.abc import Callable
@@ -81,7 +81,7 @@ class Gaussian(eqx.Module):
     """
 
     sd: Scale = eqx.field(converter=number_or_name("Gaussian: sd"))
-    surrogate = None  # the log density is as curved far from the best fit
+    surrogate = None  # not needed: the log density is as curved far from the best fit as near it
 
     def __check_init__(self) -> None:
         require_positive("Gaussian: sd", self.sd)
@@ -236,7 +236,7 @@ class Censored(eqx.Module):
     low: Scale = eqx.field(converter=end_or_name("Censored: low"), default=None)
     high: Scale = eqx.field(converter=end_or_name("Censored: high"), default=None)
     least_squares = False
-    surrogate = None  # data beyond an end pull the harder, the farther it is
+    surrogate = None  # not needed: the pull of a clipped datum grows with its distance
 
     def __check_init__(self) -> None:
         require_positive("Censored: sd", self.sd)
@@ -339,7 +339,7 @@ class Clustered(eqx.Module):
 
     @property
     def least_squares(self) -> bool:
-        """That property of the inner likelihood."""
+        """Whether the inner likelihood is least squares."""
         return self.likelihood.least_squares
 
     @property
@@ -367,13 +367,13 @@ def check_data(likelihood: Any, data: Numbers) -> None:
 
 
 def for_data(likelihood: Any, data: Numbers) -> Any:
-    """The likelihood whose draws are as many as the data, where these are counts."""
+    """Return the likelihood with the number of draws set from the data, if they are counts."""
     return likelihood.for_data(data) if hasattr(likelihood, "for_data") else likelihood
 
 
 def with_noise_scaled(likelihood: Any, factor: Any) -> Any:
-    """The likelihood with larger noise than stated; None without a field `sd` or `scale`, as for a
-    sensor, whose noise depends on its light."""
+    """Return the likelihood with its noise multiplied by a factor; None for a likelihood without a
+    field `sd` or `scale`, such as a sensor's, whose noise depends on the signal."""
     if isinstance(likelihood, Clustered):
         inside = with_noise_scaled(likelihood.likelihood, factor)
         return None if inside is None else Clustered(inside, likelihood.labels)

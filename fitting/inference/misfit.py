@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.special import chdtrc, chdtri, ndtri
 
 FAINT = 1e-3  # chi-square per degree of freedom below which structure is lost in the noise
-CHANCE = 1e-3  # of calling a good fit a misfit, by each of the two tests
+CHANCE = 1e-3  # probability that each of the two tests calls a good fit a misfit
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,11 @@ from .parameters import numpy_or_jax
 Objective = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 Derivatives = Callable[[Float[Array, " parameters"], Any], tuple[Array, Array, Array]]
 
-EASIER, HARDER = 0.1, 8.0  # what a success and a failure do to the damping
+EASIER, HARDER = 0.1, 8.0  # factors on the damping after a success and after a failure
 STUCK = 1e12  # damping at which no descent is left
 FIRST_DAMPING = 1e-3
 CAREFUL = 0.1  # the first damping from a start that may lie anywhere
-SAME_COST = 45  # units of rounding by which an equal cost may rise
+SAME_COST = 45  # increase of the cost, in units of rounding, that still counts as no increase
 
 
 class NewtonSolution(eqx.Module):
@@ -35,7 +35,8 @@ class NewtonSolution(eqx.Module):
 
     Attributes:
         vector: (parameters,).
-        beyond: (parameters,) end of one more undamped step, where nothing was evaluated.
+        beyond: (parameters,) the end of one more undamped step; the objective was not evaluated
+            there.
         cost: the objective at `vector`.
         information: (parameters, parameters), the Hessian at `vector`.
         lowest: smallest eigenvalue of the information scaled to unit diagonal.
@@ -120,8 +121,8 @@ def minimise_many(
     careful: bool = False,
     told: Callable[[int], None] | None = None,
 ) -> Any:
-    """As `minimise`, from several places in step, in NumPy: only the derivatives are compiled, and
-    evaluated of the searches that have not ended. A `NewtonSolution` of NumPy's arrays.
+    """Run `minimise` from several starts at once, in NumPy. Only the derivatives are compiled; they
+    are evaluated for the searches that have not ended. Returns a `NewtonSolution` of NumPy arrays.
 
     `derivatives` gives (n,) costs, (n, P) gradients and (n, P, P) curvatures at (n, P) vectors.
     `digit` is the unit of rounding of the costs. With `careful` the damping also limits steps along
@@ -151,8 +152,8 @@ def minimise_read(
     *,
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
-    """As `minimise`, for an objective that is computed by several programs because its data are
-    read again at every step."""
+    """Like `minimise`, for an objective whose data are read again at every step, by several
+    programs."""
 
     def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         found = derivatives(vectors[0].astype(start.dtype))
@@ -195,7 +196,8 @@ def _advanced(
     digit: float,
     least: float = 0.0,
 ) -> _State:
-    """After the proposal was evaluated: the better of the two points, and where to look next."""
+    """Return the state after the proposal was evaluated: the better of the two points, and the next
+    proposal."""
     xp = numpy_or_jax(state.vector)
     rounding = SAME_COST * digit * xp.abs(state.cost)
     better = cost <= state.cost + xp.where(xp.isfinite(rounding), rounding, 0)
@@ -247,10 +249,11 @@ def second_derivatives(
 
 
 def _steps(state: _State, digit: float, least: float) -> tuple[Any, Any, Any, Any]:
-    """Return Newton's damped step, the undamped step, the decrease of the cost that the latter
-    predicts, and the lowest eigenvalue. The Hessian is scaled to unit diagonal, as if that were at
-    least `least`, and `damping` is added to the absolute values of its eigenvalues. The step goes
-    downhill from any point, also away from saddles (Dauphin et al. 2014).
+    """Return Newton's damped step, the undamped step, the decrease of the cost that the undamped
+    step predicts, and the lowest eigenvalue. The Hessian is scaled to unit diagonal, with each
+    diagonal element taken as at least `least`, and `damping` is added to the absolute values of its
+    eigenvalues. The step goes downhill from any point, also away from saddles (Dauphin et al.
+    2014).
 
     There is only one decomposition, whose results are used for everything. If two decompositions of
     a batch run at the same time, each waits in XLA's pool for threads that the other holds, which

@@ -45,7 +45,7 @@ WARM_UP = 300  # steps that adapt the step size; draws follow
 FIRST_STEP = 0.5  # in standard deviations
 FEWEST_EFFECTIVE, LARGEST_R_HAT = 400.0, 1.01
 FEWEST_DRAWS = 10
-SHRINKING = (1.0, 0.5, 0.25, 0.1, 0.0)  # of a start toward the mode until it is possible
+SHRINKING = (1.0, 0.5, 0.25, 0.1, 0.0)  # distances tried, of a start's from the mode
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,7 @@ def _started(
     first = jnp.where(possible.any(axis=0), jnp.argmax(possible, axis=0), len(SHRINKING) - 1)
     position = nearer[first, jnp.arange(chains)]
     value, gradient = jax.vmap(jax.value_and_grad(density))(position)
-    adapt, _, _ = _adaptation(0.0)  # the target plays no part in its beginning
+    adapt, _, _ = _adaptation(0.0)  # the initial state does not depend on the target
     begun = jnp.stack([jnp.asarray(x, mode.dtype) for x in adapt(FIRST_STEP)])
     return _State(position, value, gradient, begun)
 

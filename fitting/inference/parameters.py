@@ -40,7 +40,7 @@ Vector = Float[Array, "... parameters"]
 Transform = Literal["identity", "log"]
 Bound = float | tuple[Any, ...]
 LEAST_PRIOR = 1e-9  # probability within the bounds, below which prior and bounds contradict
-FLAT_QUANTILES = (np.arange(400) + 0.5) / 400  # at which a prior's spread is read off
+FLAT_QUANTILES = (np.arange(400) + 0.5) / 400  # probabilities whose quantiles give the spread
 
 
 def _frozen(value: Any) -> Any:
@@ -66,7 +66,7 @@ class Parameter(eqx.Module):
             density is flat without a prior, and errors are Gaussian.
         lower: lower bound, in the unit of the value; for an array one for all, or a tuple with one
             each.
-        upper: upper bound, likewise.
+        upper: upper bound, in the same form as `lower`.
         prior: density of each value in its own unit (`Normal`, `LogNormal`, ...); for an array one
             for all, or a tuple with one each; None for flat.
         shape: of the value; None takes that of `start`, or () without one.
@@ -105,7 +105,7 @@ class Parameter(eqx.Module):
 
 
 def _fault(parameter: Parameter) -> str | None:
-    """The error in a statement, if there is one."""
+    """Return what is wrong with a parameter, in words; None if nothing is."""
     logarithm, start = parameter.transform == "log", parameter.start
     given = (parameter.lower, parameter.upper, parameter.lower if start is None else start)
     try:
@@ -309,7 +309,8 @@ def unconstrained_numbers(
 
 
 def natural_slopes(space: ParameterSpace, unconstrained: Any) -> tuple[Any, Any]:
-    """x' and x'' / x' of each natural value x by its unconstrained one, (..., P) each."""
+    """Return x' and x'' / x' for each natural value x, derivatives with respect to the
+    unconstrained value, (..., P) each."""
 
     def both(parameter: Parameter, u: Any) -> tuple[Any, Any]:
         xp, (a, b) = numpy_or_jax(u), scaled_ends(parameter)

@@ -34,7 +34,7 @@ from .search import (
 )
 from .separable import closed_form_indices, complete
 
-TOLERANCE = 1e-10  # fall in cost that another step promises
+TOLERANCE = 1e-10  # decrease of the cost predicted for one more step, at which a search ends
 
 
 class Ends(eqx.Module):
@@ -114,7 +114,8 @@ def _fitted(starts: Array, problem: Problem, max_steps: Array, chance: Array) ->
     )(starts)
     costs = jnp.where(jnp.isfinite(found.cost), found.cost, jnp.inf)
     best = jax.tree.map(lambda each: each[jnp.argmin(costs)], found)
-    # With 7 digits a search ends on a fall that rounding may feign; its last step costs nothing.
+    # In float32 the search may end on a decrease that is only rounding; its next step is already
+    # computed.
     vector = jnp.where(best.converged, best.beyond, best.vector)
     prior = prior_derivatives(best.vector, problem)[2]
     residuals = _residuals(problem, vector, chance)

@@ -45,7 +45,7 @@ LogDensity = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 
 NEARLY_PRIOR = 0.7  # posterior over prior standard deviation above which the prior dominates
 BATCH = 8  # walkers evaluated at a time: blocks of 8 beat a full vmap on a CPU
-_OF_KERNEL = 128  # times as many on an accelerator, where each operation costs a launch
+_OF_KERNEL = 128  # factor on BATCH for an accelerator, where each operation costs a launch
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ class Prior(Protocol):
         ...
 
     def quantile(self, p: np.ndarray) -> np.ndarray:
-        """The x below which p of the probability lies."""
+        """Return the x with cumulative probability p."""
         ...
 
 

@@ -120,7 +120,7 @@ class Problem(eqx.Module):
         chunk: int | None = None,
         left_out: Any = None,
     ) -> None:
-        """States the problem.
+        """State the problem.
 
         `data`: an array of the prediction's shape, with NaN for missing data.
 
@@ -132,16 +132,16 @@ class Problem(eqx.Module):
 
         `prior`: the posterior of an earlier fit, `earlier.as_prior("camera.*")`, or the draws of a
         camera file, `as_prior({"sensor": read_sensor("sensor.toml", draws=500)}, "sensor.*")`. It
-        replaces the priors of the parameters that it names; the others keep theirs. It is
-        marginalised over its numbers that are not free here. A name that was given to `as_prior`
-        without `*` must be free here.
+        replaces the priors of the parameters that it names; other parameters keep theirs. Numbers
+        of the prior that are not free in this problem are marginalised. A name that was given to
+        `as_prior` without `*` must be a free parameter of this problem.
 
         `chunk`: number of rows of data to read at a time, which bounds the memory; 50,000 suits
-        most problems. None reads all at once. The data are then an array, also a memory-mapped one,
-        or a function without arguments that yields arrays or pairs (data, inputs), the same at
-        every call. Input arrays and numbers of the likelihood with as many rows as the data are
-        divided with them, and others are passed whole. `predict` must predict each row from its own
-        inputs.
+        most problems. None reads all data at once. With `chunk`, the data are an array (it may be
+        memory-mapped) or a function without arguments that yields arrays or pairs (data, inputs),
+        the same at every call. Every input or likelihood array with one row per row of data is
+        split in the same way. Other arrays are passed whole. `predict` must predict each row from
+        its own inputs.
         """
         self.left_out = left_out
         self.records = dict(records or {})
@@ -193,7 +193,7 @@ class Problem(eqx.Module):
         Args:
             data: of the prediction's shape; NaN where missing. For a problem in chunks, in the form
                 that it takes.
-            inputs: that replace the present ones; None keeps them.
+            inputs: new inputs; None keeps the present ones.
 
         Returns:
             The problem.
@@ -205,7 +205,7 @@ class Problem(eqx.Module):
 
         Args:
             records: all of them, by name.
-            left_out: what was removed from them, as `called_for` states it.
+            left_out: the certificate of `called_for` for what was removed from the records.
 
         Returns:
             The problem.
@@ -213,7 +213,8 @@ class Problem(eqx.Module):
         return self._again(records=records, left_out=left_out)
 
     def without(self, name: str) -> "Problem":
-        """The same problem without a candidate, which is absent at its stated value.
+        """Return the same problem without a candidate, whose parameter is fixed at its `absent`
+        value.
 
         Args:
             name: of the candidate.
@@ -239,7 +240,7 @@ class Problem(eqx.Module):
         """The same problem with other priors.
 
         Args:
-            change: of a prior, returns the one in its place.
+            change: function that takes a prior and returns its replacement.
 
         Returns:
             The problem.
@@ -348,7 +349,7 @@ def give(problem: Problem, function: Callable[..., Any], values: Values, inputs:
 
 
 def _called(function: Callable[..., Any], known: Mapping[str, Any], who: str) -> Any:
-    """Call it with its named arguments; an error says what JAX cannot trace."""
+    """Call a function with its named arguments; an error says what JAX cannot trace."""
     asked, rest = named_and_rest(function)
     for unknown in {argument.name for argument in asked} - known.keys():
         raise InputError(f"A function asks for {unknown!r}; {nearest(unknown, known)}.")
@@ -359,13 +360,13 @@ def _called(function: Callable[..., Any], known: Mapping[str, Any], who: str) ->
         return function(*(known[a.name] for a in asked if a.kind is not a.KEYWORD_ONLY), **named)
     except jax.errors.TracerArrayConversionError as error:
         raise InputError(
-            f"{who} gives a number that is to be found to NumPy, which JAX cannot trace; use "
+            f"{who} passes a fitted number to NumPy, which JAX cannot trace; use "
             "jax.numpy in place of numpy."
         ) from error
     except jax.errors.ConcretizationTypeError as error:
         raise InputError(
-            f"{who} asks for the value of a number that is to be found (by float, math or if), "
-            "which JAX cannot trace; use jax.numpy, and jax.numpy.where for a choice."
+            f"{who} converts a fitted number to a Python number (by float, math or if), which "
+            "JAX cannot trace; use jax.numpy, and jax.numpy.where for a choice."
         ) from error
 
 

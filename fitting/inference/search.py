@@ -7,13 +7,13 @@ posterior, with the Gauss-Newton curvature J^T J of the data. Other likelihoods 
 Newton's method. If they have a least-squares surrogate, it starts from the Levenberg-Marquardt
 optimum of the surrogate.
 
-All searches go on in step, in NumPy; one compiled program evaluates the data's cost and its
-derivatives at each of their places. It serves the search, the mode, the covariance and the test of
-Laplace's approximation.
+All searches advance together, in NumPy. One compiled program evaluates the cost of the data and its
+derivatives at the current point of each search. The same program serves the search, the mode, the
+covariance and the test of Laplace's approximation.
 
-Of 100 single starts in the box these reached the best optimum (a Phong ball with 5 unknowns, two
-decays with 5, a peak of unknown noise with 5 and a likelihood that is no sum of squares), each
-search compiled as a whole:
+The table gives how many of 100 single starts in the box reached the best optimum, for a Phong ball,
+two exponential decays and a peak with unknown noise (5 unknowns each; the likelihood of the peak is
+not a sum of squares). Each search was compiled as a whole:
 
                         ball    decays    peak    CPU seconds, ball (first, again)
     Levenberg-Marquardt  62       58        -        31,  10
@@ -24,9 +24,9 @@ search compiled as a whole:
 
 No method is reliable from one start. The library uses the cheaper, steadier methods, whose final
 curvature is the information that the posterior needs. From 16 starts they reached the best optimum
-of all three problems in 100 of 100 fits. For the ball under Student's t of known scale, whose log
-density has little curvature far from the optimum, it was 30 of 30 fits, and 55 of 100 without the
-surrogate.
+of all three problems in 100 of 100 fits. For the ball with Student's t noise of known scale, whose
+log density has little curvature far from the optimum, 30 of 30 fits reached it, and 55 of 100
+without the surrogate.
 
 For data that are read in chunks, the searches use a sample, whose optima are close to those of all
 data. The ends are compared by their cost over all data, and Newton's method continues from the
@@ -87,11 +87,11 @@ _OF_CORE = 2  # starts that are searched at a time, because the cache holds the 
 STEPS = 100  # maximum of a search
 _BOX = 10.0  # half width of the box for jaxopt's L-BFGS-B, in standard deviations of the prior
 MANY_STEPS = 1000  # maximum of a user's solver, which may use no curvature and need more steps
-BEYOND, NOTHING = 30, 1e-6  # most steps beyond the end of a search, and share of its tolerance
+BEYOND, NOTHING = 30, 1e-6  # most steps after convergence, and share of its tolerance
 EDGE = 1e-3  # smallest distance of a start from an end of its range, as a share of the range
-SAME_PLACE = 0.5  # rise in cost within which two searches ended at one optimum
+SAME_PLACE = 0.5  # difference in cost up to which two searches count as one optimum
 FARTHEST = 700.0  # unconstrained, in place of infinity: the exponential of more overflows
-TOGETHER = 16  # vectors of one call: as many as `fit` begins with
+TOGETHER = 16  # vectors in one call, as many as the default starts of `fit`
 
 Derivatives = tuple[Any, Any, Any]  # a cost, its gradient and its curvature
 Local = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
@@ -108,10 +108,10 @@ class Optimum:
         information: (P, P) curvature of the cost.
         prior_information: (P, P) curvature of the prior's part of the cost.
         decrement: decrease in cost that one more step promises.
-        stationary: whether the decrement is negligible, compared with a squared standard deviation.
+        stationary: whether the decrement is negligible.
         ends: (starts, P) end of each search, unconstrained.
         costs: (starts,) cost at each end, relative to the lowest.
-        unseen: parameters whose gradient omits part of their effect, and that share, no unit.
+        unseen: parameters whose gradient omits part of their effect, each with the omitted share.
     """
 
     vector: Float[np.ndarray, " parameters"]
@@ -160,9 +160,9 @@ def spread_starts(
 ) -> Float[np.ndarray, "starts parameters"]:
     """Starts spread evenly over bounds and priors.
 
-    The first is each parameter's own start, from the problem's data or as stated, if it has one.
-    The others fill the box of prior quantiles by a Kronecker sequence. A parameter without both
-    bounds and prior is placed about its start.
+    The first is each parameter's own start, computed from the problem's data or given by the user,
+    if it has one. The others fill the box of prior quantiles by a Kronecker sequence. A parameter
+    without both bounds and prior is placed about its start.
 
     Source:
         The sequence: Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018.
@@ -223,7 +223,7 @@ _given_start = eqx.filter_jit(given_start)
 
 
 def _either(parameter: Parameter, found: Any, own: np.ndarray) -> Array:
-    """The start from the data, or the parameter's own where that is NaN."""
+    """Return the start from the data or, where it is NaN, the parameter's own start."""
     if jnp.shape(found) != own.shape:
         raise InputError(
             f"start: {parameter.name} has the shape {own.shape}, its start {jnp.shape(found)}."
@@ -264,10 +264,10 @@ def search(
     told: Told | None = None,
     without: Sequence[str] = (),
 ) -> Optimum:
-    """The mode of a problem's posterior, by a solver of optimistix or jaxopt or by that of the
-    likelihood. `told` is called with how many searches have ended. The candidates in `without` are
-    absent; Newton's method then uses the compiled program of the whole problem, so that all choices
-    of candidates share one."""
+    """Return the mode of a problem's posterior. `solver` is a solver of optimistix or jaxopt; None
+    takes the method that suits the likelihood. `told` is called with how many searches have ended.
+    The candidates in `without` are absent. Newton's method still uses the compiled program of the
+    whole problem, which serves every choice of candidates."""
     begin, modes = np.asarray(starts, np.float64), None
     free, whole = present_numbers(problem, without)
     begin = begin[:, free]
@@ -318,8 +318,8 @@ def search(
 def present_numbers(
     problem: Problem, without: Sequence[str]
 ) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """Indices of the numbers that are not of absent candidates, and the function that completes
-    (n, free) vectors by these."""
+    """Return the indices of the free numbers (those of no absent candidate), and a function that
+    extends (n, free) vectors with the values of the absent candidates."""
     gone = [one for one in problem.candidates if one.name in without]
     absent = np.full(len(problem.space), np.nan)
     for candidate in gone:
@@ -348,8 +348,8 @@ def merge_optima(one: Optimum, other: Optimum) -> Optimum:
 def _surrogate_ends(
     starts: np.ndarray, problem: Problem, as_given: bool, told: Told | None
 ) -> np.ndarray:
-    """Where searches of the surrogate end; a start stays where it is likelier than its end, among
-    outliers for instance, or where there is no surrogate."""
+    """Return where the searches of the surrogate end. A start is kept if its posterior density is
+    higher than at that end (as with outliers), or if there is no surrogate."""
     surrogate = problem.likelihood.surrogate
     if surrogate is None:
         return starts
@@ -361,7 +361,7 @@ def _surrogate_ends(
 
 
 def _is_of_jaxopt(solver: Any) -> bool:
-    """Whether it is a class of jaxopt's minimisers, or a `functools.partial` of one."""
+    """Whether a solver is a class of jaxopt's minimisers, or a `functools.partial` of one."""
     kind = getattr(solver, "func", solver)
     fields = getattr(kind, "__dataclass_fields__", ())
     return isinstance(kind, type) and kind.__module__.startswith("jaxopt.") and "fun" in fields
@@ -412,10 +412,9 @@ def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, sol
 
 
 def _jaxopt_end(problem: Problem, mean: Array, weight: Array, solver: Any, start: Array) -> Array:
-    """The end of jaxopt's minimiser, with numbers scaled by their prior and a cost per datum.
-
-    L-BFGS-B, which needs a box, has one of ten standard deviations; without the scaling it misses
-    up to a tenth of the optima."""
+    """Return the end of jaxopt's minimiser, with numbers scaled by their prior and the cost divided
+    by the number of data. L-BFGS-B needs a box, which is ten standard deviations wide to either
+    side. Without the scaling it misses up to a tenth of the optima."""
     count = max(int(np.size(problem.data)), 1)
 
     known = weight > 0
@@ -442,8 +441,8 @@ def negative_log_density(vector: Vector, problem: Problem) -> Float[Array, ""]:
 
 
 def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
-    """Residuals of the data and of a Gaussian prior on `vector`, which is all numbers or those not
-    solved in closed form."""
+    """Return the residuals of the data and of a Gaussian prior on `vector`. `vector` holds all
+    numbers, or those that are not solved in closed form."""
     problem, mean, weight = args
     if vector.size < len(problem.space):
         residuals = eliminate(vector, problem).residuals
@@ -453,8 +452,8 @@ def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
 
 
 def searches_at_once(vectors: Any) -> int:
-    """How many are searched at once by a solver that a user gives. On a processor it is few: their
-    residuals stay in its cache, and none waits for more than one other to end. An accelerator takes
+    """Return the number of starts that a user's solver searches at once. A CPU takes two: their
+    residuals stay in the cache, and a search waits for at most one other. An accelerator takes
     all."""
     return min(_OF_CORE if on_processor() else len(vectors), len(vectors))
 
@@ -462,7 +461,7 @@ def searches_at_once(vectors: Any) -> int:
 def _levenberg_marquardt(
     starts: np.ndarray, problem: Problem, *, as_given: bool, told: Told | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the searches ended and their costs, under a Gaussian prior."""
+    """Return the ends of the searches and their costs, under a Gaussian prior."""
     mean, sd = prior_gaussian(problem.space)
     closed, searched, others = closed_form_indices(problem), problem.space, _nonlinear(problem)
     if closed:
@@ -498,8 +497,9 @@ def _modes(starts: np.ndarray, local: Local, told: Told | None = None) -> Any:
 
 
 def _mode(start: np.ndarray, local: Local) -> Any:
-    """As `_modes`, of one search, which goes on beyond its end as long as steps become smaller: the
-    curvature of a sum of squares neglects a part, so that a small step is not the last."""
+    """Like `_modes`, for one search that continues after convergence while its steps become
+    smaller. The Gauss-Newton curvature is approximate, so the first small step may still be far
+    from the mode."""
     found = _modes(start, local)
     for _ in range(BEYOND):
         if not found.converged[0] or found.decrement[0] <= NOTHING * _tolerances()["tolerance"]:
@@ -512,8 +512,8 @@ def _mode(start: np.ndarray, local: Local) -> Any:
 
 
 def _tolerances() -> dict[str, Any]:
-    """The promised fall in cost at which a search ends, and the unit of rounding. In single
-    precision, a sum over many data resolves no less."""
+    """Return the predicted decrease of the cost at which a search ends, and the unit of rounding.
+    In single precision, a sum over many data cannot resolve a smaller decrease."""
     precise = jnp.result_type(float) == jnp.float64
     digit = float(jnp.finfo(jnp.result_type(float)).eps)
     return {"tolerance": 1e-7 if precise else 1e-3, "digit": digit}
@@ -532,8 +532,8 @@ def _completed(vectors: Array, problem: Problem) -> Array:
 def _lowest_of_grid(
     starts: np.ndarray, problem: Problem, cost: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """(starts, 1) where the cost over the only number that is searched is lowest, of a grid over
-    its bounds or prior and the first start."""
+    """Return (starts, 1): the lowest points of the cost as a function of the only searched number,
+    on a grid over its bounds or prior with the first start added."""
     parameter = problem.space[int(_nonlinear(problem)[0])]
     values = prior_values(parameter)
     if values is None:
@@ -547,7 +547,7 @@ def _lowest_of_grid(
 
 
 def gauss_newton(vector: Vector, problem: Problem) -> Derivatives:
-    """Cost, gradient and curvature of a sum of squares and its prior, as `add_prior` says."""
+    """Return cost, gradient and curvature of a sum of squares with its prior (see `add_prior`)."""
     return add_prior(vector, problem, squares(vector, problem))
 
 
@@ -608,8 +608,8 @@ def _negative_log_likelihood(vector: Vector, problem: Problem) -> Float[Array, "
 def _each(
     local: Callable[[Vector, Problem], Derivatives], vectors: Array, wanted: Array, problem: Problem
 ) -> Derivatives:
-    """Derivatives at each vector that is wanted, one after another; all at once on an
-    accelerator."""
+    """Return the derivatives at each vector that is wanted: one after another on a CPU, all at once
+    on an accelerator."""
     count = vectors.shape[1]
     nothing = tuple(jnp.zeros((count,) * axes, vectors.dtype) for axes in (0, 1, 2))
 
@@ -640,7 +640,8 @@ def _prior_at(vectors: Array, wanted: Array, problem: Problem) -> Derivatives:
 def _grouped_calls(
     program: Callable[..., Derivatives], vectors: np.ndarray, problem: Problem
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What a program of `TOGETHER` vectors finds at (n, P) vectors: one program for any n."""
+    """Evaluate (n, P) vectors in groups of `TOGETHER`, so that one compiled program serves any
+    n."""
     found = []
     for begin in range(0, len(vectors), TOGETHER):
         own = vectors[begin : begin + TOGETHER]
@@ -652,13 +653,13 @@ def _grouped_calls(
     return cost, gradient, curvature
 
 
-# Squared distance, in standard errors of the sample, within which its searches ended at one
-# optimum. All data distinguish ends that the precision of the sample's searches does not.
+# Squared distance, in standard errors of the sample, up to which two searches of the sample count
+# as one optimum. All data resolve finer differences than the sample.
 ONE_END = 0.1
 
 
 def _missing(problem: Problem) -> str:
-    """As `missing_in_words`, with the row among all data."""
+    """Like `missing_in_words`, with the index of the row among all data."""
     if problem.stream is None:
         return missing_in_words(problem)
     parts = enumerate(chunks(problem))

@@ -7,7 +7,7 @@ so they equal the steps of the whole problem. No start for a is needed.
 
 `fit_separable` needs no start at all.
 
-It is for a model that is linear except for one parameter t, which all bands b share,
+It fits a model that is linear except for one parameter t, which all bands b share,
 
     y_b ~ a_1b f_1 + ... + a_Kb f_K + a_b g(t),    all a >= 0,
 
@@ -36,10 +36,10 @@ from .problem import Problem, residuals_from
 
 KNOTS = 48
 ZOOMS = 4  # each shrinks the interval by (KNOTS - 1) / 2
-MOST_SIGNED = 6  # amplitudes >= 0 of which every support is tried; each doubles them
-SWEEPS = 300  # by which the support of more of them is found
+MOST_SIGNED = 6  # non-negative amplitudes up to which every support is tried
+SWEEPS = 300  # of coordinate descent, which finds the support if there are more
 UNROLLED = 8  # amplitudes up to which a factorisation is written out, which batches better
-BEND = 1e-3  # of the residuals, from which they are no line
+BEND = 1e-3  # relative bend of the residuals from which they are not linear
 COLLINEAR = 1e-10  # of 1 - cos^2 between columns: below it their amplitudes cannot be separated
 
 Columns = Callable[[Any], Any]  # of (knots,) values of t: (knots, observations)
@@ -161,8 +161,8 @@ def fit_separable(
     coarse: Float[Any, "knots observations"] | None = None,
     finer: int = KNOTS,
 ) -> SeparableFit:
-    """The global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t. Fewer knots of
-    each `finer` grid, in more grids, evaluate fewer columns."""
+    """Return the global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t. Fewer
+    knots in each of the `finer` grids, and more such grids, evaluate fewer columns."""
     knots = first_knots(lower, upper)
     table = columns(knots.astype(values.dtype)) if coarse is None else coarse
     amplitudes, cost = _projected(table, fixed, values, weights)
@@ -197,8 +197,8 @@ def _projected(
     values: Float[Any, "observations bands"],
     weights: Float[Any, "observations bands"],
 ) -> tuple[Float[np.ndarray, "knots bands columns"], Float[np.ndarray, " knots"]]:
-    """Best amplitudes and the cost, summed over bands, for each of several searched columns. The
-    sums over observations are NumPy's: their number has no program of its own."""
+    """Return the best amplitudes and the cost, summed over bands, for each of several searched
+    columns. NumPy sums over observations, so that JAX compiles nothing for a new number of them."""
     columns, fixed, values, weights = map(np.asarray, (columns, fixed, values, weights))
     weighted = weights * values
     own = np.square(columns) @ weights

@@ -29,11 +29,11 @@ SEED = 0  # of the sample
 
 @dataclass(frozen=True)
 class Rows:
-    """Some of the data, with their inputs and likelihood fields.
+    """Some rows of the data, with their inputs and likelihood fields.
 
     Attributes:
         data: (rows, ...).
-        own: (rows, ...) each, the leaves of inputs and likelihood that belong to single rows.
+        own: the leaves of inputs and likelihood with one row per row of data, each (rows, ...).
     """
 
     data: np.ndarray
@@ -50,9 +50,9 @@ class Stream:
         data: (rows, ...) array, or a function that yields blocks of rows.
         inputs: as the user passed them.
         likelihood: as the user passed it.
-        beside: inputs and likelihood; where a function yields them, those of the first rows.
-        by_row: for each leaf of these, whether it belongs to single rows; other leaves are shared
-            by all rows.
+        beside: inputs and likelihood; if a function yields the inputs, those of its first piece.
+        by_row: for each leaf of `beside`, whether it has one row per row of data; other leaves are
+            shared by all rows.
         size: number of rows of a chunk.
         count: number of all rows, known after the first pass.
         mark: checksum of all numbers that a function yields, independent of their order; None for
@@ -82,8 +82,8 @@ def open_stream(
     their order (NaN in rows that are missing) with their inputs and their likelihood."""
     if isinstance(likelihood, Clustered):
         raise InputError(
-            "Clustered: errors that groups share are judged with all data in memory; leave chunk "
-            "out."
+            "Clustered: errors that groups share are estimated with all data in memory; leave "
+            "chunk out."
         )
     require_whole("chunk", size, of="rows to be read at a time")
     if hasattr(data, "__next__"):

@@ -13,7 +13,7 @@ from .posterior import Posterior
 # Standard error of the 97.5 % point of n draws of a Gaussian, sqrt(p (1 - p)) / (density sqrt(n))
 _OF_AN_END = 2.67
 _OF_A_MISS = 0.8
-DIVERGENT = 0.001  # share of trajectories beyond which they matter
+DIVERGENT = 0.001  # share of divergent trajectories from which they are reported
 
 
 def is_trusted(posterior: Posterior) -> bool:
