@@ -1,4 +1,4 @@
-"""One lobe under three conventions: its factors in the BRDF and in the shading.
+"""Three conventions for the factor of a specular lobe, in the BRDF and in the shading.
 
     convention    specular term of f_r         ... of the shading, f_r cos(theta_i)
     shading       k_s lobe / cos(theta_i)      k_s lobe                the textbook's SHADING
@@ -33,12 +33,13 @@ class Lobe(NamedTuple):
     value: Callable[[Any, Vec, Vec], Scalar]  # `value(material, wi, wo)`, () in [0, 1], no unit
     # `direction(material, wo, u)`, a unit direction by `u`, (3,) uniform in [0, 1)
     direction: Callable[[Any, Vec, Float[Array, "3"]], Vec]
-    # `density(material, wi, wo)`, () in sr^-1, that of `direction`
+    # `density(material, wi, wo)`, () in sr^-1, the density of `direction`
     density: Callable[[Any, Vec, Vec], Scalar]
     # `integrals(material, cos_o)`, the integrals of the lobe, and of the lobe times cos(theta_i),
     # over the directions above the horizon, sr
     integrals: Callable[[Any, Scalar], tuple[Scalar, Scalar]]
-    # `sizes(material)`, the same along the normal, roughly: what shares samples out
+    # `sizes(material)`, rough values of the same two integrals for `wo` along the normal, which
+    # determine the share of samples for the lobe
     sizes: Callable[[Any], tuple[Scalar, Scalar]]
     # `normalisation(material)`, C in sr^-1; None for a lobe that has none
     normalisation: Callable[[Any], Scalar] | None = None
@@ -47,8 +48,8 @@ class Lobe(NamedTuple):
 def register_lobe(
     record: type, lobe: Lobe, convention: Convention, bound: Callable[..., Reflection]
 ) -> None:
-    """Register a record with fields `diffuse` and `specular` as k_d plus k_s times a lobe;
-    `bound(ends, convention)` gives its suprema."""
+    """Register a record with fields `diffuse` and `specular` as k_d plus k_s times a lobe.
+    `bound(ends, convention)` returns the suprema of its shading."""
 
     def scaled(material: Any, value: Scalar) -> Scalar:
         if convention != "normalised" or lobe.normalisation is None:
@@ -104,6 +105,6 @@ def register_lobe(
 
 
 def _two_terms(material: Any, wi: Vec, wo: Vec, body: Scalar, lobe: Scalar) -> Colour:
-    """k_d body + k_s lobe, (bands,) in sr^-1, 0 if the surface is not visible or not lit."""
+    """Return k_d body + k_s lobe, (bands,) in sr^-1; 0 if the surface is not visible or not lit."""
     body, lobe = where_seen(wi, wo, body), where_seen(wi, wo, lobe)
     return map_bands(lambda k_d, k_s: k_d * body + k_s * lobe, material.diffuse, material.specular)

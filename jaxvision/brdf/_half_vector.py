@@ -17,8 +17,8 @@ from ._warp import Square
 
 
 def elevation(w: Vec) -> Scalar:
-    """theta, the angle to the normal, in [0, pi], with full relative precision also near the
-    normal; 0, with gradient 0, for the zero vector."""
+    """Return theta, the angle to the normal, in [0, pi], with full relative precision even near the
+    normal. It is 0, with gradient 0, for the zero vector."""
     aside = safe_sqrt(w.x * w.x + w.y * w.y)
     defined = (aside > 0) | (w.z != 0)
     return arctan2(aside, jnp.where(defined, w.z, 1))
@@ -31,24 +31,24 @@ def azimuth(w: Vec) -> Scalar:
 
 
 def spherical(theta: Scalars, phi: Scalars) -> Vec:
-    """Unit vectors of elevations and azimuths."""
+    """Return the unit vectors with these angles to the normal and azimuths."""
     sin_theta = jnp.sin(theta)
     return Vec(sin_theta * jnp.cos(phi), sin_theta * jnp.sin(phi), jnp.cos(theta))
 
 
 def elevation_to_unit(theta: Scalar) -> Scalar:
-    """sqrt(2 theta / pi): [0, pi / 2] -> [0, 1]."""
+    """Return sqrt(2 theta / pi), which maps [0, pi / 2] to [0, 1]."""
     return safe_sqrt(theta * (2 / jnp.pi))
 
 
 def azimuth_to_unit(phi: Scalar) -> Scalar:
-    """(phi + pi) / (2 pi), wrapped into [0, 1)."""
+    """Return (phi + pi) / (2 pi), wrapped into [0, 1)."""
     turns = phi * (0.5 / jnp.pi) + 0.5
     return turns - jnp.floor(turns)
 
 
 def square_to_half(position: Square, phi: Scalar) -> Vec:
-    """The half vector at a position of the square; its azimuth is relative to `phi`."""
+    """Return the half vector at a position of the square; its azimuth counts from `phi`."""
     x, y = position
     return spherical(jnp.square(x) * (jnp.pi / 2), (2 * y - 1) * jnp.pi + phi)
 
@@ -59,12 +59,12 @@ def half_to_square(h: Vec, phi: Scalar) -> Square:
 
 
 def reflected(w: Vec, h: Vec) -> Vec:
-    """`w` mirrored about `h`: 2 (w.h) h - w."""
+    """Mirror `w` about `h`: 2 (w.h) h - w."""
     return 2 * dot(w, h) * h - w
 
 
 def stretch(x: Scalar, h: Vec, wo: Vec) -> Scalar:
-    """d omega_i / d(x, y) = 4 (wo.h) 2 pi^2 x sin(theta_h), sr: solid angle of `wi` per area of the
-    square at x."""
+    """Return d omega_i / d(x, y) = 4 (wo.h) 2 pi^2 x sin(theta_h), sr: the solid angle of `wi` per
+    area of the square at x."""
     sin_theta = safe_sqrt(h.x * h.x + h.y * h.y)
     return 8 * jnp.pi**2 * x * sin_theta * jnp.abs(dot(wo, h))

@@ -1,5 +1,4 @@
-"""Interpolation: the position of a number among the nodes of an axis, and the value of a table
-there.
+"""Interpolation of tables: find the position of a number among the nodes of an axis, and the value.
 
 A position is a list of (index, weight) for the nodes around the number. Nodes increase. On an axis
 with one node, every position is that node.
@@ -25,8 +24,8 @@ def _only(x: Scalar) -> Place:
 def among(
     nodes: Float[Array, " n"], x: Scalar, *, outside: Literal["clamp", "extrapolate"] = "clamp"
 ) -> Place:
-    """The position of `x` among nodes, with linear interpolation. Outside, it takes the outermost
-    value or extrapolates the last two."""
+    """Return the position of `x` among nodes, for linear interpolation. Outside the nodes it takes
+    the outermost value or extrapolates the last two."""
     if nodes.shape[0] == 1:
         return _only(x)
     i = jnp.clip(jnp.sum(nodes <= x, dtype=jnp.int32) - 1, 0, nodes.shape[0] - 2)
@@ -37,8 +36,8 @@ def among(
 
 
 def around_circle(nodes: Float[Array, " n"], angle: Scalar) -> Place:
-    """The position of an angle (rad) among nodes that span less than a full circle; the last is
-    next to the first."""
+    """Return the position of an angle (rad) among nodes that span less than a full circle. Beyond
+    the last node the first one follows."""
     if nodes.shape[0] == 1:
         return _only(angle)
     turned = nodes[0] + jnp.mod(angle - nodes[0], 2 * jnp.pi)
@@ -48,7 +47,7 @@ def around_circle(nodes: Float[Array, " n"], angle: Scalar) -> Place:
 
 
 def place_in_unit(position: Scalar, count: int) -> Place:
-    """The position of a number in [0, 1] among `count` equally spaced nodes, including 0 and 1."""
+    """Return the position of a number in [0, 1] among `count` equally spaced nodes from 0 to 1."""
     if count == 1:
         return _only(position)
     scaled = jnp.clip(position, 0, 1) * (count - 1)
@@ -58,7 +57,7 @@ def place_in_unit(position: Scalar, count: int) -> Place:
 
 
 def bin_centre_position(position: Scalar, count: int, *, periodic: bool = False) -> Place:
-    """The position of a number in [0, 1] among the centres of `count` equal bins."""
+    """Return the position of a number in [0, 1] among the centres of `count` equal bins."""
     scaled = position * count - np.asarray(0.5, position.dtype)
     low = jnp.floor(scaled)
     w, i = scaled - low, low.astype(jnp.int32)
@@ -68,13 +67,13 @@ def bin_centre_position(position: Scalar, count: int, *, periodic: bool = False)
 
 
 def containing_bin(position: Scalar, count: int) -> Place:
-    """The bin that contains a number in [0, 1]."""
+    """Return the bin, of `count` equal ones, that contains a number in [0, 1]."""
     i = jnp.clip(jnp.floor(position * count).astype(jnp.int32), 0, count - 1)
     return [(i, jnp.ones_like(position))]
 
 
 def multilinear(table: Float[Array, "..."], *places: Place) -> Float[Array, "..."]:
-    """The table at one position on each of its leading axes; the other axes remain."""
+    """Interpolate a table to one position on each of its leading axes; the other axes remain."""
     value = jnp.zeros(table.shape[len(places) :], table.dtype)
     for corner in product(*places):
         entry = table.at[tuple(index for index, _ in corner)].get(mode="promise_in_bounds")

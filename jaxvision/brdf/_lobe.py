@@ -44,23 +44,25 @@ class PowerLobe(Material):
 
 
 def mirrored(w: Vector) -> Vec:
-    """`w` mirrored about the normal: (-x, -y, z)."""
+    """Mirror `w` about the normal: (-x, -y, z)."""
     v = as_vec(w)
     return Vec(-v.x, -v.y, v.z)
 
 
 def where_above(height: Scalar, value: Scalars) -> Scalars:
-    """`value` if the height above the surface is positive, else 0; NaN if the height is NaN."""
+    """Return `value` if the height above the surface is positive, else 0; NaN if the height is
+    NaN."""
     return jnp.where(height > 0, value, jnp.where(height <= 0, 0, height))
 
 
 def where_seen(wi: Direction, wo: Direction, value: Scalars) -> Scalars:
-    """`value` if both directions lie above the surface, else 0; NaN if one of them is NaN."""
+    """Return `value` if both directions lie above the surface, else 0; NaN if one of them is
+    NaN."""
     return where_above(jnp.minimum(as_vec(wi).z, as_vec(wo).z), value)
 
 
 def divisor(cosine: Scalar) -> Scalar:
-    """A cosine as a divisor, at least `smallest_divisor`."""
+    """Limit a cosine to at least `smallest_divisor`, to divide by it."""
     return jnp.maximum(cosine, smallest_divisor(cosine.dtype))
 
 
@@ -68,11 +70,11 @@ def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " sp
     """Return the share of samples for the diffuse part, in proportion to its albedo; a half if both
     albedos are 0."""
     body, lobe = diffuse.sum() / diffuse.size, specular.sum() / specular.size
-    # of their size, so that the square of a tiny albedo is in range
+    # relative to the larger one, so that the square of a tiny albedo does not underflow
     size = jax.lax.stop_gradient(jnp.maximum(body, lobe))
     scale = reciprocal(size)
     body, lobe = body * scale, lobe * scale
-    # of a quotient, so that the slope of all of something is no difference
+    # written as quotients, so that the derivative near a share of 1 or 0 does not cancel
     brighter = ~(body < lobe)
     mostly = 1 / (1 + lobe / or_one(body, ~(body <= 0.5)))  # the larger one is 1 here
     little = body / or_one(body + lobe, ~(lobe <= 0.5))
@@ -80,27 +82,28 @@ def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " sp
 
 
 def choose(diffuse_part: Scalar, u: Float[Array, "3"], lobe: Vec) -> Vec:
-    """The lobe's direction, or a cosine-distributed one if u_2 falls into the diffuse part."""
+    """Return the lobe's direction, or a cosine-distributed one if u_2 falls into the diffuse
+    part."""
     body, diffuse = cosine_direction(u[:2]), u[2] < diffuse_part
     return where(diffuse, body, lobe)
 
 
 def mixed_pdf(diffuse_part: Scalar, wi: Direction, lobe_pdf: Scalar) -> Scalar:
-    """Density of `choose`."""
+    """Return the density of `choose`, in the unit of `lobe_pdf`."""
     return diffuse_part * cosine_pdf(wi) + (1 - diffuse_part) * lobe_pdf
 
 
 def about(axis: Vector, one_minus_cos: Scalar, phi: Scalar) -> Vec:
-    """The direction at polar angle and azimuth about `axis`."""
+    """Return the direction at a polar angle, given by 1 - cos, and an azimuth about `axis`."""
     return as_vec(to_world(local_frame(axis), direction_at(one_minus_cos, phi)))
 
 
-# ---------------------------------------------------------------- what the horizon leaves
+# ---------------------------------------------------------------- lobes above the horizon
 
 
 def log_cosine(angle: Scalars) -> Scalars:
-    """log(cos(angle)), `angle` in [0, pi / 2] rad, and `log_of_zero` at pi / 2. Near 0 it uses 1 -
-    cos = 2 sin^2(angle / 2), which keeps the digits that a narrow lobe amplifies."""
+    """Return log(cos(angle)) for `angle` in [0, pi / 2] rad, and `log_of_zero` at pi / 2. Near 0 it
+    uses 1 - cos = 2 sin^2(angle / 2), which keeps the digits that a narrow lobe amplifies."""
     near = angle < 1
     small = log1p(-2 * jnp.square(jnp.sin(jnp.minimum(angle, 1.25) / 2)))
     return jnp.where(near, small, safe_log(jnp.cos(angle)))
@@ -112,13 +115,14 @@ _NODES = 48
 def circles(
     cos_axis: Scalar, *, width: Scalar, end: float
 ) -> tuple[tuple[Scalars, Scalars], tuple[Scalars, Scalars], tuple[Scalars, Scalars]]:
-    """Quadrature nodes for cones about an axis at the polar angle theta, cos(theta) in [0, 1],
-    perhaps cut by the horizon. Circles at alpha < pi / 2 - theta lie above it; of others up to pi /
-    2 + theta the part |phi| < phi_m remains, with cos(phi_m) = -cot(alpha) cot(theta). Returns
-    (alpha, weight) of the complete and of the cut circles, and for the cut ones p = cos(alpha)
-    cos(theta) and q = sqrt(sin^2 sin^2 - p^2), so that phi_m = atan2(q, -p). Each part ends at
-    `width` from its start, or at `end`. sin^2 transforms the cut ones, whose phi_m has square-root
-    behaviour at both ends."""
+    """Return quadrature nodes for circles at angles alpha about an axis, which the horizon may cut.
+    theta is the polar angle of the axis, with cos(theta) in [0, 1]. Circles with alpha < pi / 2 -
+    theta lie above the horizon. Of larger circles, up to pi / 2 + theta, the part |phi| < phi_m
+    lies above it, with cos(phi_m) = -cot(alpha) cot(theta). The result is (alpha, weight) for the
+    complete circles, the same for the cut circles, and (p, q) for the cut circles, with p =
+    cos(alpha) cos(theta), q = sqrt(sin^2(alpha) sin^2(theta) - p^2) and phi_m = atan2(q, -p). Each
+    part ends at `width` from its start, or at `end`. Nodes of the cut circles are transformed by
+    sin^2, because phi_m has square-root behaviour at both ends."""
     t, dt = gauss_legendre(_NODES)
     ease, d_ease = np.sin(np.pi / 2 * t) ** 2, np.pi / 2 * np.sin(np.pi * t) * dt
     t, dt, ease, d_ease = (jnp.asarray(a, cos_axis.dtype) for a in (t, dt, ease, d_ease))
@@ -136,8 +140,8 @@ def circles(
 def lobe_integrals(
     lobe: Callable[[Scalars], Scalars], cos_axis: Scalar, *, width: Scalar, end: float
 ) -> tuple[Scalar, Scalar]:
-    """Integrals of lobe(alpha) over directions above the horizon, without and with cos(theta_i), in
-    sr:
+    """Return the integrals of lobe(alpha) over directions above the horizon, without and with the
+    factor cos(theta_i), in sr:
 
         int lobe sin(alpha) 2 phi_m dalpha
         int lobe sin(alpha) 2 (phi_m p + q) dalpha

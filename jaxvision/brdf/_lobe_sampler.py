@@ -1,9 +1,9 @@
 """Sampling of a tabulated material in proportion to the reflected light.
 
 For some directions `wo` the reflected luminance is tabulated over the square of half vectors, and
-samples are warped onto it (`_warp`). Between these directions the densities are mixed. One draw in
-eight follows the cosine instead, so that no weight f_r cos(theta_i) / pdf exceeds 8 pi f_r,
-whatever the table misses. Local frame; angles in radians, densities in sr^-1.
+samples are warped onto it (`_warp`). For directions between these, the densities are interpolated.
+One draw in eight follows the cosine instead, so that no weight f_r cos(theta_i) / pdf exceeds 8 pi
+f_r, even where the table is too small. Local frame; angles in radians, densities in sr^-1.
 """
 
 from functools import partial
@@ -49,8 +49,8 @@ class LobeSampler(eqx.Module):
 def tabulated_lobe(
     material: Any, phi: Float[Array, " p"], theta: Float[Array, " t"], rows: int, columns: int
 ) -> LobeSampler:
-    """Tabulate the mean over bands of the material's shading, times the solid angle of the square,
-    at rows x columns half vectors for every `wo` at (phi, theta) rad."""
+    """Tabulate the material's shading, averaged over bands, times the solid angle per area of the
+    square, at rows x columns half vectors for every `wo` at (phi, theta) rad."""
     shading = family(material).shading
     y, x = jnp.linspace(0, 1, rows, dtype=phi.dtype), jnp.linspace(0, 1, columns, dtype=phi.dtype)
 
@@ -88,7 +88,7 @@ def _lobe_pdf(sampler: LobeSampler, wi: Vec, wo: Vec) -> Scalar:
 
 
 def sample(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """`wi` drawn from the material's `sampler`, or from the cosine distribution if that is None.
+    """Draw `wi` from the material's `sampler`, or from the cosine distribution if that is None.
     `u`: (3,) uniform in [0, 1)."""
     if material.sampler is None:
         return cosine_direction(u[:2])
@@ -97,7 +97,7 @@ def sample(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
 
 
 def pdf(material: Any, wi: Direction, wo: Direction) -> Scalar:
-    """The density of `sample`, sr^-1, over the whole sphere."""
+    """Return the density of `sample`, sr^-1, over the whole sphere."""
     if material.sampler is None:
         return cosine_pdf(wi)
     lobe = _lobe_pdf(material.sampler, as_vec(wi), as_vec(wo))
@@ -105,8 +105,9 @@ def pdf(material: Any, wi: Direction, wo: Direction) -> Scalar:
 
 
 def albedo(material: Any, wo: Direction) -> Colour:
-    """Directional albedo, (bands,), no unit. With a sampler it uses the midpoint rule on its two
-    squares, which resolves narrow lobes; otherwise the default product quadrature."""
+    """Compute the directional albedo, (bands,), no unit. With a sampler it uses the midpoint rule
+    on the unit squares of the lobe and of the cosine distribution, which resolves narrow lobes;
+    otherwise the default product quadrature."""
     shading = family(material).shading
     sampler, wo = material.sampler, as_vec(wo)
     if sampler is None:
@@ -127,7 +128,8 @@ def albedo(material: Any, wo: Direction) -> Colour:
 
 
 def table_bound(x: Ends[Any]) -> Reflection:
-    """The largest entry, which bounds linear interpolation between nodes but not extrapolation."""
+    """Return the largest entry of a table as its bound. It bounds linear interpolation between
+    nodes; a table that is extrapolated has no bound."""
     values = np.maximum(*(np.abs(numbers(end.values)) for end in x))
     body = values.reshape(-1, values.shape[-1]).max(0)
     if getattr(x.low, "outside", "clamp") == "extrapolate":

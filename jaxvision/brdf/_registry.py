@@ -34,8 +34,8 @@ class Family(NamedTuple):
 
     `specular(material, w)`: the continuation of a ray that came from `w`, for a family of delta
     functions, else None. `absorption(material)`: (bands,) m^-1 of the body behind the surface; None
-    for a family that bounds no body. `bound`: the suprema, or None if they are unknown. `table`:
-    the table in scene files, or None.
+    for a family that encloses no body. `bound`: the suprema of the shading, or None if they are
+    unknown. `table`: the table in scene files, or None.
     """
 
     evaluate: Callable[[Any, Vector, Vector], Colour]
@@ -53,7 +53,7 @@ _FAMILIES: dict[type, Family] = {}
 
 
 def families() -> Mapping[type, Family]:
-    """All registered families, including those of the library.
+    """Return all registered families, including those of the library.
 
     Returns:
         The registered functions of each record.
@@ -76,7 +76,7 @@ def register(
     word: str | None = None,
     from_file: Callable[..., Any] | None = None,
 ) -> None:
-    """Register a record of a material with everything that reflects light.
+    """Register the class of a material with its functions, so that all integrators can use it.
 
     The functions are called with unit directions as `Vec`, in the local frame.
 
@@ -93,11 +93,11 @@ def register(
         bound: `bound(ends) -> effects.Reflection`, the suprema of the shading, for the material at
             both ends of the range of a fit; without it `effects` keeps everything that depends on
             the material.
-        word: its `family` in scene files; by default the name of the record in snake case, and ""
-            for a material that scene files cannot hold.
-        from_file: function that makes the record from the keys of a file, where these are not its
-            fields. The names, defaults and docstring of its parameters define the keys; `**fields`
-            takes all other fields of the record.
+        word: the name of its `family` in scene files; None for the name of the record in snake
+            case, "" for a material that scene files cannot contain.
+        from_file: function that makes the record from the keys of a file, if the keys are not the
+            fields of the record. The names, defaults and docstring of its parameters define the
+            keys; `**fields` takes all other fields of the record.
 
     Raises:
         ValueError: for one of `sample` and `pdf` without the other.
@@ -132,7 +132,8 @@ def register_delta(
     word: str | None = None,
     from_file: Callable[..., Any] | None = None,
 ) -> None:
-    """Register a record of a mirror-like or clear material with everything that reflects light.
+    """Register the class of a mirror-like or clear material with its functions, so that all
+    integrators can use it.
 
     Its `evaluate`, `shading` and `pdf` are 0, because no point light and no quadrature node lies
     exactly in one of its directions. `sample` returns one of them.
@@ -140,8 +141,8 @@ def register_delta(
     Args:
         record: the class of the material.
         specular: `specular(material, w)`, the directions in which a ray continues that came from
-            the unit local direction `w`, a `Vec`. It is also called from below the surface, w.z <
-            0, where a mirror with an opaque back reflects 0.
+            the unit local direction `w`, a `Vec`. It is also called for rays from below the
+            surface, w.z < 0, for which a mirror with an opaque back reflects 0.
         absorption: `absorption(material)`, (bands,) m^-1 of the body behind the surface, or None
             for a clear body; omit it for a material that encloses no body.
         bound, word, from_file: as in `register`.
@@ -177,8 +178,8 @@ def register_delta(
 
 
 def family(material: Any) -> Family:
-    """The functions of a material's family; `TypeError` if its record was never registered, and
-    `ValueError` for a material that varies over its surface."""
+    """Return the functions of a material's family. Raise `TypeError` if its record was never
+    registered, and `ValueError` for a material that varies over its surface."""
     own = _family(material)
     for name, _ in maps_of(material):
         raise ValueError(
@@ -198,11 +199,11 @@ def _family(material: Any) -> Family:
 
 
 def suprema(material: Ends[Any]) -> Reflection:
-    """The suprema of a material's shading.
+    """Return the suprema of a material's shading.
 
     Args:
-        material: at both ends of the range of a fit; a map counts by its smallest and largest
-            values.
+        material: at both ends of the range of a fit; for a map, the smallest and largest values
+            count.
 
     Returns:
         The suprema, sr^-1; inf for a family without a registered bound.
@@ -252,7 +253,7 @@ def is_body(material: Any) -> bool:
 
 
 def lambertian(material: Any) -> Material:
-    """The Lambertian surface with a material's k_d and k_a.
+    """Return the Lambertian surface with a material's k_d and k_a.
 
     Args:
         material: with `diffuse` and `ambient`.
@@ -266,7 +267,7 @@ def lambertian(material: Any) -> Material:
 
 
 def absorption(material: Any) -> Colour | None:
-    """The absorption of a material that fills its shape.
+    """Return the absorption of a material that fills its shape.
 
     Args:
         material: any registered material.
@@ -306,7 +307,7 @@ def specular(material: Any, w: Vector) -> Specular:
 
 @takes_numbers
 def seen_in_mirror(material: Any, wo: Direction) -> tuple[Vec, Colour] | None:
-    """The reflection that a viewer sees in an opaque mirror.
+    """Return the reflection that a viewer sees in an opaque mirror.
 
     Args:
         material: any registered material.
@@ -330,13 +331,13 @@ def seen_in_mirror(material: Any, wo: Direction) -> tuple[Vec, Colour] | None:
 
 
 def sample_cosine(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """A direction with density cos(theta) / pi, for any material."""
+    """Draw a direction with density cos(theta) / pi, for any material."""
     del material, wo
     return cosine_direction(u[:2])
 
 
 def pdf_cosine(material: Any, wi: Direction, wo: Direction) -> Scalar:
-    """cos+(theta) / pi in sr^-1."""
+    """Return max(cos(theta), 0) / pi in sr^-1."""
     del material, wo
     return cosine_pdf(wi)
 
@@ -349,7 +350,7 @@ def integrate_shading(
     polar: int = POLAR,
     azimuths: int = AZIMUTHS,
 ) -> Colour:
-    """The integral of a family's shading over the light directions, by product quadrature."""
+    """Integrate a family's shading over the light directions, by product quadrature."""
     viewer = as_vec(wo)
     nodes, weights = (jnp.asarray(x, viewer.z.dtype) for x in product_nodes(polar, azimuths))
     values = jax.vmap(lambda wi: shading(material, wi, viewer))(as_vec(nodes))

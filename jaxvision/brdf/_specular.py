@@ -1,15 +1,15 @@
 """Mirrors and clear interfaces: reflection and refraction of a ray at a smooth surface. Local
 frame.
 
-Such a surface sends light from one direction into one or two others. Its BRDF is a sum of delta
+Such a surface sends light from one direction into one or two directions. Its BRDF is a sum of delta
 functions and has no value in sr^-1. Its family therefore gives the continuation of a ray and the
 share of the flux, as a `Specular`.
 
 `reflectance` and `transmittance` are the shares of the flux. Refraction also changes the solid
 angle: L / n^2 is constant along a ray (Veach, "Robust Monte Carlo Methods for Light Transport
-Simulation", 1997, section 5.2). Radiance followed from the eye is therefore multiplied by 1 /
-eta^2, and light followed from a source is not. At the entrance into a body and the exit from it the
-two factors cancel.
+Simulation", 1997, section 5.2), with the index n of the medium. Radiance followed from the eye is
+therefore multiplied by 1 / eta^2, and light followed from a source is not. The factors at the
+entrance into a body and at the exit from it cancel.
 """
 
 from typing import Literal
@@ -51,12 +51,12 @@ class Specular(Shown):
 
 
 def transmitted(ways: Specular, carries: Carries) -> Colour:
-    """The share of the flux that a clear surface transmits.
+    """Return the share of the flux that a clear surface transmits.
 
     Args:
         ways: the two directions of a transparent surface.
-        carries: "light" for the share of the flux; "radiance" for that of the radiance behind the
-            surface, transmittance / eta^2.
+        carries: "light" for the share of the flux; "radiance" for the share of the radiance behind
+            the surface, transmittance / eta^2.
 
     Returns:
         (bands,) or (1,), no unit.
@@ -68,7 +68,7 @@ def transmitted(ways: Specular, carries: Carries) -> Colour:
 
 
 def draw_way(ways: Specular, u: Scalar, *, carries: Carries) -> tuple[Vec, Colour]:
-    """One of the directions, drawn with its share of the flux as the probability.
+    """Draw one of the directions, with its share of the flux as the probability.
 
     Args:
         ways: the directions.
@@ -76,8 +76,8 @@ def draw_way(ways: Specular, u: Scalar, *, carries: Carries) -> tuple[Vec, Colou
         carries: as for `transmitted`.
 
     Returns:
-        The direction, unit, local, and its weight, (bands,) or (1,), no unit: the share over the
-        probability, which is a constant to gradients.
+        The direction, unit, local, and its weight, (bands,) or (1,), no unit: the share divided by
+        the probability. Gradients treat the probability as a constant.
     """
     if ways.refracted is None or ways.transmittance is None:
         return ways.mirrored, ways.reflectance

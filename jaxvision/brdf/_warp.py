@@ -1,9 +1,10 @@
 """Warps of the unit square onto a tabulated density, with their inverse.
 
 The density is given at equally spaced nodes, rows (y) by columns (x), and is bilinear between them.
-It depends on a direction (phi, theta), given at nodes and linear between them. Rows are drawn from
-the marginal and columns from the conditional density. Both solve the quadratic equation of a linear
-density, so `warp` and `unwarp` are exact inverses. Source: Dupuy & Jakob, "An Adaptive
+The density depends on a direction (phi, theta); it is given at nodes and linear between them. Rows
+are drawn from the marginal and columns from the conditional density. Both draws solve the quadratic
+equation of a linear density, so `warp` and `unwarp` are exact inverses. Source: Dupuy & Jakob, "An
+Adaptive
 Parameterization for Efficient Material Acquisition and Rendering", 2018, section 4.2.
 """
 
@@ -25,8 +26,9 @@ Square = tuple[Scalar, Scalar]
 
 class Warp(eqx.Module):
     """`phi`: (p,), `theta`: (t,) rad, increasing nodes of the direction, which is clamped to them.
-    `density`: (p, t, rows, columns), each slice of integral 1. `conditional`: its integral along x
-    up to each node. `marginal`: (p, t, rows), the integral up to each row.
+    `density`: (p, t, rows, columns), each slice with integral 1. `conditional`: the integral of the
+    density along x up to each node. `marginal`: (p, t, rows), its integral over all x and over y up
+    to each row.
     """
 
     phi: Float[Array, " p"]
@@ -37,8 +39,8 @@ class Warp(eqx.Module):
 
 
 def _running_integral(values: Float[Array, "... n"]) -> Float[Array, "... n"]:
-    """The integral over [0, x_j] of a piecewise linear function with equally spaced nodes on [0,
-    1]."""
+    """Return the integrals over [0, x_j] of a piecewise linear function with equally spaced nodes
+    x_j on [0, 1]."""
     cells = (values[..., 1:] + values[..., :-1]) / (2 * (values.shape[-1] - 1))
     return jnp.concatenate([jnp.zeros_like(values[..., :1]), running_sum(cells)], axis=-1)
 
@@ -47,7 +49,8 @@ def _running_integral(values: Float[Array, "... n"]) -> Float[Array, "... n"]:
 def tabulated_warp(
     phi: Float[Array, " p"], theta: Float[Array, " t"], density: Float[Array, "p t rows columns"]
 ) -> Warp:
-    """The warp onto a density >= 0, which is normalised here. A slice of zeros is uniform."""
+    """Return the warp onto a density >= 0, which is normalised here. A slice of zeros counts as
+    uniform."""
     total = _running_integral(_running_integral(density)[..., -1])[..., -1][..., None, None]
     density = divide(density, total, otherwise=1)
     conditional = _running_integral(density)
@@ -55,27 +58,28 @@ def tabulated_warp(
 
 
 def slices(w: Warp, phi: Scalar, theta: Scalar) -> Slices:
-    """The tabulated directions around (phi, theta) and their weights, which sum to 1: four, or two
-    if one axis has a single node."""
+    """Return the tabulated directions around (phi, theta) and their weights, which sum to 1. There
+    are four directions, or two if one axis has a single node."""
     return [((p, t), wp * wt) for p, wp in among(w.phi, phi) for t, wt in among(w.theta, theta)]
 
 
 def mixed(table: Float[Array, "..."], at: Slices, *index: Int[Array, ""] | int) -> Array:
-    """The entry `index` of a table (p, t, ...), interpolated between the slices."""
+    """Return the entry `index` of a table (p, t, ...), interpolated between the directions `at`."""
     return sum(
         weight * table.at[(*slot, *index)].get(mode="promise_in_bounds") for slot, weight in at
     )  # pyright: ignore[reportReturnType]
 
 
 def bilinear(table: Float[Array, "p t rows columns *rest"], at: Slices, position: Square) -> Array:
-    """The table (p, t, rows, columns, ...) at a position (x, y) of the unit square: (...)."""
+    """Interpolate a table (p, t, rows, columns, ...) to the directions `at` and a position (x, y)
+    of the unit square: (...)."""
     x, y = place_in_unit(position[0], table.shape[3]), place_in_unit(position[1], table.shape[2])
     return sum(wy * wx * mixed(table, at, row, column) for row, wy in y for column, wx in x)  # pyright: ignore[reportReturnType]
 
 
 def _last_below(count: int, cdf: Callable[[Int[Array, ""]], Scalar], target: Scalar) -> Array:
-    """The largest i in [0, count - 2] with cdf(i) <= target, or 0, by bisection; its loop is not
-    unrolled, for XLA would repeat each step in all later ones."""
+    """Find the largest i in [0, count - 2] with cdf(i) <= target, or 0, by bisection. The loop is
+    not unrolled, because XLA would repeat each step in all later ones."""
 
     def halve(_: Int[Array, ""], bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
@@ -89,7 +93,7 @@ def _last_below(count: int, cdf: Callable[[Int[Array, ""]], Scalar], target: Sca
 
 
 def _invert_linear(c0: Scalar, c1: Scalar, area: Scalar) -> Scalar:
-    """x in [0, 1] with c0 x + (c1 - c0) x^2 / 2 = area, without cancellation."""
+    """Solve c0 x + (c1 - c0) x^2 / 2 = area for x in [0, 1], without cancellation."""
     denominator = c0 + safe_sqrt(c0 * c0 + 2 * area * (c1 - c0))
     positive = denominator > 0
     return jnp.clip(divide(2 * area, denominator, where=positive), 0, 1)
@@ -97,7 +101,7 @@ def _invert_linear(c0: Scalar, c1: Scalar, area: Scalar) -> Scalar:
 
 @one_program
 def warp(w: Warp, at: Slices, u: Square) -> tuple[Square, Scalar]:
-    """(position, density there) of uniform numbers (x, y) in [0, 1]^2."""
+    """Map uniform numbers in [0, 1]^2 to a position (x, y), and return the density there too."""
     ux, uy = u
     rows, columns = w.density.shape[2:]
     row = _last_below(rows, lambda i: mixed(w.marginal, at, i), uy)
@@ -117,7 +121,7 @@ def warp(w: Warp, at: Slices, u: Square) -> tuple[Square, Scalar]:
 
 
 def unwarp(w: Warp, at: Slices, position: Square) -> tuple[Square, Scalar]:
-    """The inverse of `warp`: (uniform numbers, density) of a position."""
+    """Invert `warp`: return the uniform numbers of a position, and the density there."""
     rows, columns = w.density.shape[2:]
     (column, _), (_, x) = place_in_unit(position[0], columns)
     (row, _), (_, y) = place_in_unit(position[1], rows)

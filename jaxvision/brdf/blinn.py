@@ -86,8 +86,9 @@ class NormalisedBlinn(PowerLobe):
 
 
 def log_cos_half(wi: Direction, wo: Direction) -> Scalars:
-    """Logarithm of n.h, () <= 0, no unit, of unit local directions, -log(1 + (H.x^2 + H.y^2) /
-    H.z^2) / 2 with H = wi + wo, which keeps the digits of the sharpest lobe; 0 where H.z <= 0."""
+    """Return the logarithm of n.h, () <= 0, no unit, for unit local directions, as -log(1 +
+    (H.x^2 + H.y^2) / H.z^2) / 2 with H = wi + wo, which is precise enough for the sharpest lobe. It
+    is 0 where H.z <= 0."""
     both = as_vec(wi) + as_vec(wo)
     above = ~(both.z <= smallest_divisor(both.z.dtype))
     z = or_one(both.z, above)
@@ -96,24 +97,24 @@ def log_cos_half(wi: Direction, wo: Direction) -> Scalars:
 
 
 def normalisation(exponent: Scalar) -> Scalar:
-    """The factor C(n) of the table above, () in sr^-1."""
+    """Return the factor C(n) of the table at the top of this file, () in sr^-1."""
     n = exponent
     rest = jnp.exp2(-n / 2)
     return (1 + (2 - rest) / (n + rest)) * (n + 4) / (8 * jnp.pi)
 
 
 def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
-    """Integrals of (n.h)^n, n of no unit, and of it times cos(theta_i), over light above the
-    horizon, () each in sr, to 1e-10. With the half vector's angle t and azimuth phi, dwi = 4 d dh,
-    d = wo.h = P + Q cos(phi), P = cos_o cos(t), Q = sin_o sin(t), and cos(theta_i) = 2 d cos(t) -
-    cos_o. Azimuths are integrals of polynomials in cos(phi) up to cos(phi_m) = -cot(2 t)
-    cot(theta_o), and t is a quadrature."""
+    """Return the integrals of (n.h)^exponent, and of the same times cos(theta_i), over light above
+    the horizon, () each in sr, with a relative error of 1e-10. With the half vector's polar angle t
+    and azimuth phi, dwi = 4 d dh, d = wo.h = P + Q cos(phi), P = cos_o cos(t), Q = sin_o sin(t),
+    and cos(theta_i) = 2 d cos(t) - cos_o. The integrals over phi are closed forms for polynomials
+    in cos(phi), up to cos(phi_m) = -cot(2 t) cot(theta_o). The integral over t is a quadrature."""
     width = 2 * 8.5 / jnp.sqrt(exponent + 1)
     (inner, inner_weight), (outer, outer_weight), (p, q) = circles(cos_o, width=width, end=np.pi)
     sin_o = jnp.sqrt(jnp.maximum((1 - cos_o) * (1 + cos_o), jnp.finfo(cos_o.dtype).tiny))
 
     def ring(doubled: Scalars, phi_m: Scalars, sin_m: Scalars) -> tuple[Scalars, Scalars]:
-        """The integrals over |phi| < phi_m at t = doubled / 2."""
+        """Return the integrands in `doubled` = 2 t: the integrals over |phi| < phi_m at t."""
         cos_t, sin_t = jnp.cos(doubled / 2), jnp.sin(doubled / 2)
         lobe = phong_lobe(log_cosine(doubled / 2), exponent) * sin_t / 2  # dt = d(doubled) / 2
         a, b = cos_o * cos_t, sin_o * sin_t
@@ -132,14 +133,14 @@ def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scal
 
 
 def _direction(material: PowerLobe, wo: Vec, u: Float[Array, "3"]) -> Vec:
-    """`wo` mirrored about a half vector with density (n + 1) / (2 pi) (n.h)^n."""
+    """Mirror `wo` about a random half vector of density (n + 1) / (2 pi) (n.h)^n."""
     shortfall = -jnp.expm1(log1p(-u[0]) / (material.exponent + 1))
     h = direction_at(shortfall, 2 * jnp.pi * u[1])
     return 2 * dot(wo, h) * h - wo
 
 
 def _density(material: PowerLobe, wi: Vec, wo: Vec) -> Scalar:
-    """The density of the half vector divided by 4 wo.h, sr^-1."""
+    """Return the density of `_direction`, that of the half vector divided by 4 wo.h, sr^-1."""
     both = wi + wo
     upright = Vec(both.x, both.y, jnp.abs(both.z))
     zero = jnp.zeros_like(both.z)
@@ -166,7 +167,7 @@ _LOBE = Lobe(
 
 
 def _bound(x: Ends[Material], convention: Convention) -> Reflection:
-    """k_s (n.h)^n. With dwi = 4 wo.h dh, its integral is at most 8 pi / (n + 1)."""
+    """Bound k_s (n.h)^n. With dwi = 4 wo.h dh, the lobe's integral is at most 8 pi / (n + 1)."""
     n, top = least(x, "exponent"), largest(x, "exponent")
     scale = 1.0
     if convention == "normalised":

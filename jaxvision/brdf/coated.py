@@ -3,15 +3,17 @@
     f_r = F D V                                                         at the interface
         + T_i T_o / eta^2 (f_b(wi', wo') + a_i a_o R / (pi (1 - a R)))  from the body
 
-The first term is `TorranceSparrow`'s. Its facets let T = 1 - (what they reflect) through, so that a
-coat without absorption loses nothing: what facets send on to each other goes through in the end.
-wi' and wo' are the refracted directions, and f_b the body's own BRDF. Of the body's light the
-interface returns R; the body reflects that again by its albedo, a_i, a_o and a on average. Without
-absorption R = 1 - (1 - M) / eta^2 by reciprocity, where M is what the interface reflects of even
-light from outside. A coat of the optical depth tau along the normal takes exp(-tau / cos') on each
-way through. Exact for a Lambertian body under a smooth interface; what other bodies receive from
-the inside of the interface counts as even light. Over a white Lambertian body under a clear coat
-all light returns. Reciprocal. Local frame, normal = +z.
+The first term is the lobe of `TorranceSparrow`. Its facets transmit the share T, 1 minus the share
+that they reflect, so that a coat without absorption loses nothing: light that facets send to each
+other is transmitted in the end. wi' and wo' are the refracted directions, f_b is the body's own
+BRDF and eta the index of the coat. The interface reflects the share R of the body's light back to
+it. The body reflects light by its albedo: a_i and a_o for the two directions, a on average. Without
+absorption R = 1 - (1 - M) / eta^2 by reciprocity, where M is the reflectance of the interface for
+uniform light from outside. A coat of optical depth tau along the normal multiplies the light by
+exp(-tau / cos') on each way through. The model is exact for a Lambertian body under a smooth
+interface; for other bodies, light from the inside of the interface is taken as uniform. A white
+Lambertian body under a clear coat reflects all light. The model is reciprocal. Local frame, normal
+= +z.
 """
 
 from typing import Annotated
@@ -54,11 +56,11 @@ class Coated(Material):
     """A body under a clear coat, which together reflect no more than they receive.
 
     Attributes:
-        body: what lies under the coat, a material with a BRDF, such as `Lambert` or `EON`.
-        interface: between the coat and the air, of one index from 1.1 to 2.5.
+        body: the material under the coat, which has a BRDF, such as `Lambert` or `EON`.
+        interface: between the coat and the air, with one index from 1.1 to 2.5.
         roughness: () alpha of the interface, no unit, in [0, 1]; below 1e-6 it counts as 1e-6.
         optical_depth: (bands,) of the coat along the normal, no unit: its absorption per metre
-            times its thickness. None is perfectly clear.
+            times its thickness; None for a perfectly clear coat.
         distribution: "ggx" or "beckmann"; static.
 
     Raises:
@@ -107,7 +109,7 @@ class Coated(Material):
 
 
 def _facets(material: Coated) -> TorranceSparrow:
-    """The interface alone."""
+    """Return the facets of the interface as a material without a body."""
     dtype = material.roughness.dtype
     return TorranceSparrow(
         jnp.zeros(1, dtype),
@@ -119,14 +121,14 @@ def _facets(material: Coated) -> TorranceSparrow:
 
 
 def _within(material: Coated, w: Vec) -> Vec:
-    """The direction inside the coat that a direction above it refracts to; both point up."""
+    """Return the refracted direction inside the coat for a direction above it; both point up."""
     eta = material.interface.eta[0]
     down = safe_sqrt((eta - 1) * (eta + 1) + w.z * w.z) / eta
     return Vec(w.x / eta, w.y / eta, down)
 
 
 def _through(material: Coated, w: Vec) -> Colour:
-    """T exp(-tau / cos'), (bands,) or (1,), no unit."""
+    """Return T exp(-tau / cos') of the module's text, (bands,) or (1,), no unit."""
     eta = material.interface.eta
     passed = 1 - reflected(w.z, material.roughness, eta, material.distribution)
     if material.optical_depth is None:
@@ -135,15 +137,15 @@ def _through(material: Coated, w: Vec) -> Colour:
 
 
 def _internal_reflectance(material: Coated) -> Colour:
-    """R, (bands,) or (1,), no unit: the integral of 2 c exp(-2 tau / c) r(c) over the cosine c
-    inside, with r = 1 beyond the critical angle; elsewhere c dc = c_o dc_o / eta^2 with the cosine
-    c_o outside."""
+    """Return R, (bands,) or (1,), no unit: the integral of 2 c exp(-2 tau / c) r(c) over the cosine
+    c inside the coat, with the reflectance r. Beyond the critical angle r = 1. At smaller angles
+    c dc = c_o dc_o / eta^2, with the cosine c_o outside."""
     eta = material.interface.eta
     critical = safe_sqrt((eta - 1) * (eta + 1)) / eta
 
     def traverse(
         cosine: Float[Array, " _"],
-    ) -> Float[Array, " _"]:  # twice; (1,) or (bands,)
+    ) -> Float[Array, " _"]:  # transmittance of the coat for both ways; (1,) or (bands,)
         if material.optical_depth is None:
             return jnp.ones_like(cosine)
         return jnp.exp(-2 * material.optical_depth / cosine)
@@ -159,7 +161,7 @@ def _internal_reflectance(material: Coated) -> Colour:
 
 
 def _mean_albedo(material: Coated) -> Colour:
-    """a, the body's albedo in even light, (bands,), no unit."""
+    """Return a, the body's albedo under uniform light, (bands,), no unit."""
     if isinstance(material.body, Lambert):
         return jnp.pi * material.body.diffuse
     t, dt = (jnp.asarray(x, material.roughness.dtype) for x in gauss_legendre(8))
@@ -172,7 +174,7 @@ def _albedo_of_body(material: Coated, w: Vec) -> Colour:
 
 
 def _from_body(material: Coated, wi: Direction, wo: Direction) -> Colour:
-    """The second term, (bands,) in sr^-1."""
+    """Return the second term of f_r, the light from the body, (bands,) in sr^-1."""
     light, viewer = as_vec(wi), as_vec(wo)
     i, o = _within(material, light), _within(material, viewer)
     again = _internal_reflectance(material)
@@ -190,7 +192,7 @@ def evaluate(material: Coated, wi: Direction, wo: Direction) -> Colour:
 
 
 def _body_part(material: Coated, wo: Direction) -> Scalar:
-    """The share of samples for the body."""
+    """Return the share of samples for the body."""
     passed = 1 - reflected(
         as_vec(wo).z, material.roughness, material.interface.eta, material.distribution
     )
@@ -202,7 +204,8 @@ def _alpha(material: Coated) -> Float[Array, "2"]:
 
 
 def sample(material: Coated, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """A unit direction from the cosine about the normal, or `wo` mirrored by a facet it sees."""
+    """Draw a unit direction, either cosine-distributed about the normal or `wo` mirrored by a facet
+    that is visible from `wo`."""
     h = sample_facet(wo, _alpha(material), u[:2])
     return choose(_body_part(material, wo), u, mirrored_by(as_vec(wo), h))
 
@@ -213,7 +216,8 @@ def pdf(material: Coated, wi: Direction, wo: Direction) -> Scalar:
 
 
 def albedo(material: Coated, wo: Direction) -> Colour:
-    """The interface's albedo and, by quadrature, the body's, (bands,), no unit."""
+    """Return the albedo of the interface plus, by quadrature, that of the body, (bands,), no
+    unit."""
 
     def from_body(own: Coated, wi: Vec, viewer: Vec) -> Colour:
         return _from_body(own, wi, viewer) * jnp.maximum(wi.z, 0)
@@ -223,9 +227,10 @@ def albedo(material: Coated, wo: Direction) -> Colour:
 
 
 def _bound(x: Ends[Coated]) -> Reflection:
-    """The lobe of the facets; of the body f_b / cos' at its largest, with all light let through:
-    (b + A^2 R / (pi (1 - A R))) / eta^2, where A is its largest albedo and R <= 1 - (1 - M) /
-    eta^2 with M <= 0.6, which is that of the index 2.5 and of a rough interface."""
+    """Bound the shading by the lobe of the facets and a bound on the body's light. The latter is
+    (b + A^2 R / (pi (1 - A R))) / eta^2, with all light transmitted. b is the largest f_b / cos', A
+    the body's largest albedo, and R <= 1 - (1 - M) / eta^2. M <= 0.6 holds for all indices up to
+    2.5, also for a rough interface."""
     body = suprema(x.of("body"))
     lobe = suprema(Ends(*(_facets(end) for end in x))).lobe
     eta = least(x.of("interface"), "eta"), most(x.of("interface"), "eta")
@@ -250,8 +255,8 @@ def _from_file(
     optical_depth: Colour | None = None,
     distribution: Distribution = "ggx",
 ) -> Coated:
-    """A matt body under a clear coat; `body_roughness` is that of `EON`, without which it is
-    `Lambert`."""
+    """A matt body under a clear coat; `body_roughness` is the roughness of an `EON` body, without
+    which the body is `Lambert`."""
     body = Lambert(diffuse) if body_roughness is None else EON(diffuse, body_roughness)
     return Coated(
         body,

@@ -72,12 +72,12 @@ def evaluate(material: Dichromatic, wi: Direction, wo: Direction) -> Colour:
 
 
 def shading(material: Dichromatic, wi: Direction, wo: Direction) -> Colour:
-    """The two materials' own shadings times their spectra, (bands,) in sr^-1."""
+    """Return the sum of the two materials' shadings times their spectra, (bands,) in sr^-1."""
     return _two_terms(material, lambda part: family(part).shading(part, wi, wo))
 
 
 def albedo(material: Dichromatic, wo: Direction) -> Colour:
-    """The two materials' albedos times their spectra, (bands,), no unit."""
+    """Return the sum of the two materials' albedos times their spectra, (bands,), no unit."""
     return _two_terms(material, lambda part: family(part).albedo(part, wo))
 
 
@@ -90,13 +90,13 @@ def _two_terms(material: Dichromatic, of_part: Callable[[Material], Colour]) -> 
 
 
 def _body_part(material: Dichromatic) -> Scalar:
-    """The share of samples for the body, from the spectra alone."""
+    """Return the share of samples for the body, computed from the spectra alone."""
     return diffuse_share(material.body_spectrum, material.interface_spectrum)
 
 
 def sample(material: Dichromatic, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """A unit direction from the sampler of the body or of the interface. u_2 selects the sampler,
-    and the rescaled u_2 is passed on to it.
+    """Draw a unit direction by the sampler of the body or of the interface. u_2 selects the
+    sampler, and the rescaled u_2 is passed on to it.
     """
     part = _body_part(material)
     from_body = u[2] < part
@@ -115,8 +115,8 @@ def pdf(material: Dichromatic, wi: Direction, wo: Direction) -> Scalar:
 
 
 def _bound(x: Ends[Dichromatic]) -> Reflection:
-    """The sum of the suprema of its parts, each times its spectrum; the interface's own body counts
-    as body."""
+    """Return the sum of the suprema of both parts, each times its spectrum. A diffuse part of the
+    interface counts as body."""
     body, interface = (suprema(x.of(name)) for name in ("body", "interface"))
     c_b, c_i = peak(x, "body_spectrum"), peak(x, "interface_spectrum")
     diffuse = c_b * body.body + c_i * interface.body

@@ -4,9 +4,10 @@ Each pixel is m_b c_b + m_i c_i. The colours lie in a plane through black, the d
 which is spanned by the body's colour c_b and the illuminant's c_i. m_b and m_i >= 0 are the
 coordinates.
 
-    illuminant known, body not   c_b is the edge of the cloud farthest from c_i: `body_colour`
-    illuminant unknown           two materials or more: where their planes meet, `plane_normal`
-                                 and `illuminant_from_planes`
+    illuminant known, body not   c_b is the edge of the cloud of colours farthest from c_i, see
+                                 `body_colour`
+    illuminant unknown           with two materials or more, c_i is the line in which their planes
+                                 meet, see `plane_normal` and `illuminant_from_planes`
 
 The separation fails in these cases, and fields of `Separation` show them:
 
@@ -73,8 +74,8 @@ class Separation(Shown):
 
 @takes_numbers
 def usable_pixels(image: Pixels, *, dark: float | Scalar, saturated: float | Scalar) -> Mask:
-    """The mask, (...), of pixels of a linear image whose brightest band lies above `dark` and whose
-    bands all lie below `saturated`, relative."""
+    """Return the mask, (...), of pixels of a linear image whose brightest band lies above `dark`
+    and whose bands all lie below `saturated`, both in the image's unit."""
     if image.ndim == 0 or image.shape[-1] == 0:
         raise ValueError(f"image must be (..., bands), with at least one, got shape {image.shape}.")
     return (image < saturated).all(axis=-1) & (image.max(axis=-1) > dark)
@@ -89,10 +90,10 @@ def separate(
     valid: Mask | None = None,
     quantile: float = 0.02,
 ) -> Separation:
-    """The two non-negative factors of each pixel, by least squares.
+    """Find the two non-negative factors of each pixel by least squares.
 
-    All pixels are separated. With two terms the non-negative optimum has a closed form: the
-    unconstrained one if both factors are positive, else the better of the two single terms.
+    All pixels are separated. The non-negative optimum has a closed form: the unconstrained optimum
+    if both its factors are positive, else the better of the two single terms.
 
     Args:
         image: (..., bands) linear, relative.
@@ -149,10 +150,11 @@ def separate(
 def body_colour(
     image: Pixels, illuminant: Colour, *, valid: Mask | None = None, quantile: float = 0.02
 ) -> Colour:
-    """The colour of a material, (bands,) of length 1, no unit, from a linear picture partly without
-    highlight: the main direction of pixels less the illuminant's component, plus the smallest ratio
-    of both components, the `quantile` in (0, 1) weighted by the first. A neutral body gives the
-    illuminant."""
+    """Estimate the colour of a material, (bands,) of length 1, no unit, from a linear picture in
+    which some pixels have no highlight. Each pixel has a component along the illuminant and one
+    across it. The colour is the main direction of the components across, plus the illuminant times
+    the smallest ratio along / across. This ratio is taken as a `quantile` in (0, 1), weighted by
+    the component across. For a neutral body the result is the illuminant."""
     c_i = _unit(illuminant)
     used = image if valid is None else jnp.where(valid[..., None], image, 0)
     image = image / magnitude(used, axis=None)
@@ -176,9 +178,9 @@ def body_colour(
 
 @takes_numbers
 def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, Colour]:
-    """The unit normal, (3,), of a material's dichromatic plane in a linear picture, and the root
-    mean squares along the main axes, (3,), ascending, in its unit. If the second is at the noise
-    level too, the colours lie on a line."""
+    """Return the unit normal, (3,), of a material's dichromatic plane in a linear picture, and the
+    root mean squares of the colours along their main axes, (3,), ascending, in the picture's unit.
+    If the second one is also at the noise level, the colours lie on a line."""
     check_shape("one pixel", image[(0,) * (image.ndim - 1)], (3,))
     pixels = image.reshape(-1, 3)
     weight = jnp.ones_like(pixels[:, 0]) if valid is None else valid.reshape(-1).astype(image.dtype)
@@ -189,9 +191,9 @@ def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, C
 
 @takes_numbers
 def illuminant_from_planes(normals: Float[Array, "planes 3"]) -> tuple[Colour, Scalar]:
-    """The colour that planes of `normals`, (planes, 3) unit, share, (3,) of length 1 and sum > 0,
-    relative, by least squares (Lee 1986), and a measure () in [0, 1] of how well they determine
-    it."""
+    """Return the colour common to the planes with unit `normals`, (planes, 3), by least squares
+    (Lee 1986). The colour is (3,), of length 1 and positive sum. Also return a measure () in [0, 1]
+    of how well the planes determine it."""
     moments = normals.T @ normals
     sizes, axes = _eigh(moments)
     colour = axes[:, 0]
@@ -201,15 +203,16 @@ def illuminant_from_planes(normals: Float[Array, "planes 3"]) -> tuple[Colour, S
 
 @jax.custom_jvp
 def _eigh(matrix: Float[Array, "3 3"]) -> tuple[Float[Array, "3"], Float[Array, "3 3"]]:
-    """Eigenvalues, ascending, and eigenvectors, the columns, of a symmetric matrix. The gradient
-    ignores rotations among eigenvectors of one eigenvalue, which are an arbitrary basis."""
+    """Return the ascending eigenvalues and the eigenvectors (columns) of a symmetric matrix. The
+    gradient ignores rotations among eigenvectors of equal eigenvalues, whose basis is arbitrary."""
     sizes, axes = jnp.linalg.eigh(matrix)
     return sizes, axes
 
 
 @_eigh.defjvp
 def _eigh_jvp(primals, tangents):
-    """dlambda_i = v_i . dM v_i and dv_j = sum_i v_i (v_i . dM v_j) / (lambda_j - lambda_i)."""
+    """Differentiate `_eigh` of a matrix M: dlambda_i = v_i . dM v_i and dv_j = sum_i v_i (v_i . dM
+    v_j) / (lambda_j - lambda_i)."""
     sizes, axes = _eigh(*primals)
     turned = axes.T @ tangents[0] @ axes
     apart = sizes[None, :] - sizes[:, None]

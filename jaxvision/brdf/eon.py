@@ -1,14 +1,15 @@
 """EON, the energy-preserving Oren-Nayar: a rough matt surface whose facets light each other.
 
     f_r = k_d A (1 + r s / t)                                single reflection (Fujii's form)
-        + k_m A r (c_1 - G_i / pi) (c_1 - G_o / pi) / (c_1 - c_2)    all further ones
+        + k_m A r (c_1 - G_i / pi) (c_1 - G_o / pi) / (c_1 - c_2)    further reflections
 
-with s = wi.wo - cos(theta_i) cos(theta_o), t the larger of the two cosines where s > 0, else 1, A =
-1 / (1 + c_1 r), c_1 = 1/2 - 2 / (3 pi), c_2 = 2/3 - 28 / (15 pi), and with rho = pi k_d of the
-facets and the mean albedo E = A (1 + c_2 r) of a single reflection k_m = k_d rho E / (1 - rho (1 -
-E)). G is the closed form in `_missing`. White facets (rho = 1) reflect all light in every
-view; r = 0 is Lambert. Reciprocal. Local frame, normal = +z. Source: Portsmouth, Kutz & Hill, "EON:
-A Practical Energy-Preserving Rough Diffuse BRDF", JCGT 14(1) (2025).
+with the roughness r, s = wi.wo - cos(theta_i) cos(theta_o), t the larger of the two cosines if
+s > 0, else 1, A = 1 / (1 + c_1 r), c_1 = 1/2 - 2 / (3 pi) and c_2 = 2/3 - 28 / (15 pi). rho = pi
+k_d is the albedo of the facets, E = A (1 + c_2 r) the mean albedo of a single reflection by white
+facets, and k_m = k_d rho E / (1 - rho (1 - E)). G is the closed form in `_missing`. White facets
+(rho = 1) reflect all light in every view, and r = 0 is Lambert. The model is reciprocal. Local
+frame, normal = +z. Source: Portsmouth, Kutz & Hill, "EON: A Practical Energy-Preserving Rough
+Diffuse BRDF", JCGT 14(1) (2025).
 """
 
 from typing import Annotated, Any
@@ -45,8 +46,9 @@ class EON(Material):
         diffuse: (bands,) k_d in sr^-1 of the facets, their albedo / pi.
         roughness: () r, no unit, in [0, 1]; 0 is Lambert.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
-        facet_albedo: (bands,) or neutral (1,), no unit, in [0, 1], of facets that light each other.
-            None takes pi k_d, at most 1. A fit whose unit of light is arbitrary states it.
+        facet_albedo: (bands,) or neutral (1,), no unit, in [0, 1]: albedo of the facets for light
+            that they send to each other. None takes pi k_d, at most 1. A fit with an arbitrary unit
+            of light must give it, because k_d is then not albedo / pi.
 
     Example:
         >>> up, white = jnp.array([0.0, 0.0, 1.0]), jv.EON([1 / np.pi], 0.8)
@@ -65,8 +67,8 @@ class EON(Material):
 
 
 def _missing(w: Vec) -> Scalar:
-    """c_1 - G / pi, at least 0: what a single reflection loses, over A r; no unit. G is 0 along the
-    normal and pi c_1 at the horizon."""
+    """Return c_1 - G / pi, at least 0: the light that a single reflection loses, divided by A r; no
+    unit. G is 0 along the normal and pi c_1 at the horizon."""
     sine = safe_sqrt(w.x * w.x + w.y * w.y)
     theta = arctan2(sine, divisor(w.z))
     # (1 - sin^3) / cos = cos (1 + sin + sin^2) / (1 + sin), which is finite at the horizon
@@ -75,8 +77,8 @@ def _missing(w: Vec) -> Scalar:
 
 
 def _between(material: EON) -> Colour:
-    """k_m / k_d, (bands,), no unit: the part of a facet's light that leaves after more than one
-    reflection, over that of white facets."""
+    """Return k_m / k_d, (bands,), no unit: the light that leaves after more than one reflection,
+    relative to that of white facets and per k_d."""
     rho = material.facet_albedo
     if rho is None:
         rho = jnp.minimum(jnp.pi * material.diffuse, 1)
@@ -97,8 +99,8 @@ def evaluate(material: EON, wi: Direction, wo: Direction) -> Colour:
 
 
 def albedo(material: EON, wo: Direction) -> Colour:
-    """pi k_d (1 - L) + pi k_m L, (bands,), no unit, with L = A r (c_1 - G / pi) the light that
-    a single reflection loses; 0 from below."""
+    """Return pi k_d (1 - L) + pi k_m L, (bands,), no unit, where L = A r (c_1 - G / pi) is the
+    share of light that a single reflection loses; 0 from below."""
     viewer = as_vec(wo)
     lost = material.roughness * _missing(viewer) / (1 + _C1 * material.roughness)
     whole = jnp.pi * material.diffuse * (1 - lost * (1 - _between(material)))
@@ -106,9 +108,10 @@ def albedo(material: EON, wo: Direction) -> Colour:
 
 
 def _bound(x: Ends[EON]) -> Reflection:
-    """Times cos(theta_i) the first term is at most k_d (cos(theta_i) + r), for cos s / t is at most
-    1, not cos; the second is at most k_d r c_1^2 / (c_1 - c_2) < 0.4 k_d r. Lambert's differs by
-    at most that, beside the part of r, since 1 - A <= c_1 r is less.
+    """Bound both terms of f_r times cos(theta_i). The first is at most k_d (cos(theta_i) + r),
+    because cos(theta_i) s / t is at most 1. The second is at most k_d r c_1^2 / (c_1 - c_2) < 0.4
+    k_d r. Apart from the term in s, Lambert's shading differs by at most the second bound, because
+    1 - A <= c_1 r is smaller.
     """
     r = most(x, "roughness")
     further = r * _C1 * _C1 / (_C1 - _C2)

@@ -15,7 +15,7 @@ from ._registry import family
 
 @takes_numbers
 def evaluate(material: Material, wi: Direction, wo: Direction) -> Colour:
-    """The BRDF of any material, f_r(wi, wo).
+    """Evaluate the BRDF of any material, f_r(wi, wo).
 
     Args:
         material: any material.
@@ -40,7 +40,7 @@ def evaluate(material: Material, wi: Direction, wo: Direction) -> Colour:
 def at_angles(
     material: Material, theta_i: Scalar, phi_i: Scalar, theta_o: Scalar, phi_o: Scalar
 ) -> Colour:
-    """The BRDF as a function of four angles, f_r(theta_i, phi_i; theta_o, phi_o).
+    """Evaluate the BRDF as a function of four angles, f_r(theta_i, phi_i; theta_o, phi_o).
 
     Args:
         material: any material.
@@ -71,7 +71,7 @@ def at_angles(
 
 @takes_numbers
 def sample(material: Material, wo: Direction, u: Float[Array, "3"]) -> Vector:
-    """A direction toward the light, likely where f_r is large.
+    """Draw a direction toward the light, with a large density where f_r is large.
 
     Args:
         material: any material.
@@ -92,7 +92,7 @@ def sample(material: Material, wo: Direction, u: Float[Array, "3"]) -> Vector:
 
 @takes_numbers
 def pdf(material: Material, wi: Direction, wo: Direction) -> Scalar:
-    """Density of the directions that `sample` draws.
+    """Return the density of the directions that `sample` draws.
 
     Args:
         material: any material.
@@ -112,7 +112,7 @@ def pdf(material: Material, wi: Direction, wo: Direction) -> Scalar:
 
 @takes_numbers
 def albedo(material: Material, wo: Direction) -> Colour:
-    """Directional albedo, the integral of f_r(wi, wo) cos(theta_i) over wi.
+    """Compute the directional albedo, the integral of f_r(wi, wo) cos(theta_i) over wi.
 
     It is the relative radiance under uniform light from all directions. For a reciprocal BRDF it is
     also the reflected share of the light from `wo`.
@@ -134,7 +134,7 @@ def albedo(material: Material, wo: Direction) -> Colour:
 
 @takes_numbers
 def shading(material: Material, wi: Direction, wo: Direction) -> Colour:
-    """Radiance toward the viewer per unit of irradiance on a surface that faces the light.
+    """Return the radiance toward the viewer per unit of irradiance on a surface facing the light.
 
     The cosine of incidence is included: f_r cos(theta_i).
 
@@ -155,7 +155,7 @@ def shading(material: Material, wi: Direction, wo: Direction) -> Colour:
 
 
 def _direction(name: str, w: Vector) -> Vec:
-    """The components of a direction, `ValueError` if it is an array of another shape than (3,)."""
+    """Return the components of a direction; raise `ValueError` for an array not of shape (3,)."""
     if not isinstance(w, Vec):
         check_shape(name, w, (3,))
     return as_vec(w)

@@ -86,12 +86,12 @@ class Schlick(Shown):
 
 Interface = Dielectric | Conductor | Schlick
 
-_COSINE = Range(-1.001, 1.001, nan=True)  # with its rounding
+_COSINE = Range(-1.001, 1.001, nan=True)  # allows for rounding
 
 
 @takes_numbers
 def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
-    """Reflectance of any interface, (bands,), no unit, at a cosine of incidence, ().
+    """Return the reflectance of any interface, (bands,), no unit, at a cosine of incidence, ().
 
     Example:
         >>> print(np.asarray(jv.brdf.fresnel.fresnel(jv.Dielectric([1.33]), 1.0)).round(3))  # water
@@ -108,8 +108,9 @@ def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
 
 @takes_numbers
 def mean_reflectance(interface: Interface) -> Colour:
-    """Reflectance of a smooth interface in even light from a hemisphere, (bands,), no unit: the
-    integral of 2 c F(c) over the cosine c, by 24 Gauss-Legendre nodes (3e-6 for glass).
+    """Return the reflectance of a smooth interface for uniform light from a hemisphere, (bands,),
+    no unit: the integral of 2 c F(c) over the cosine c, with the reflectance F, by 24
+    Gauss-Legendre nodes (error 3e-6 for glass).
 
     Example:
         >>> print(np.asarray(jv.brdf.fresnel.mean_reflectance(jv.Dielectric([1.5]))).round(4))
@@ -124,8 +125,9 @@ def mean_reflectance(interface: Interface) -> Colour:
 @takes_numbers
 @in_range(cos_theta=_COSINE, eta=DIVISOR)
 def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
-    """Reflectance of a clear interface of relative index eta, (bands,), no unit, 1 in total
-    reflection (g^2 <= 0). It is (r_s^2 + r_p^2) / 2 with g^2 = eta^2 - 1 + c^2 and
+    """Return the reflectance of a clear interface of relative index eta, (bands,), no unit; 1 in
+    total reflection (g^2 <= 0). It is (r_s^2 + r_p^2) / 2 with c = cos_theta, g^2 = eta^2 - 1 + c^2
+    and
 
         r_s = (c - g) / (c + g)                = (1 - eta^2) / (c + g)^2
         r_p = (eta^2 c - g) / (eta^2 c + g)    = (eta^2 - 1) (c^2 (eta^2 + 1) - 1) / (eta^2 c + g)^2
@@ -144,28 +146,29 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     g_squared = contrast + c * c
     passes = ~(g_squared <= 0)
     g = safe_sqrt(g_squared)
-    # one condition more than `passes`, on which rounding may decide in two ways at total reflection
+    # The second condition is needed because rounding may decide `passes` differently in different
+    # uses, close to total reflection.
     s_sum, p_sum = (or_one(x, passes | (x > 1e-6)) for x in (c + g, square * c + g))
-    # divided twice: of equal indices at grazing angles the square's own gradient would overflow
+    # divided twice: for equal indices at grazing angles the gradient of the square would overflow
     r_s = contrast / s_sum / s_sum
     r_p = contrast * (c * c * (square + 1) - 1) / p_sum / p_sum
     r_p = jnp.where(jnp.abs(r_p) > 0.5, (square * c - g) / p_sum, r_p)  # far from Brewster's angle
     reflected = (r_s * r_s + r_p * r_p) / 2
-    # the part that passes has the digits where little does: 1 - r_s^2 = 4 c g / (c + g)^2
+    # if little is transmitted, its share is more precise: 1 - r_s^2 = 4 c g / (c + g)^2
     passed = 2 * ((c / s_sum) * (g / s_sum) + (square * c / p_sum) * (g / p_sum))
     return jnp.where(passes, jnp.where(reflected < 0.5, reflected, 1 - passed), 1)
 
 
 def _index(x: Colour) -> Colour:
-    """An index, or a part of one, limited so that its fourth power is finite; no unit."""
+    """Limit an index, or its real or imaginary part, so that its fourth power is finite."""
     return jnp.minimum(x, 0.5 / smallest_divisor(x.dtype))
 
 
 @takes_numbers
 @in_range(cos_theta=_COSINE, eta=AMOUNT, k=AMOUNT)
 def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
-    """Reflectance of a metal of relative index eta + i k, (bands,), no unit: (R_s + R_p) / 2 with
-    (a + i b)^2 = (eta + i k)^2 - sin^2 and
+    """Return the reflectance of a metal of relative index eta + i k, (bands,), no unit: (R_s + R_p)
+    / 2 with c and s the cosine and sine of incidence, (a + i b)^2 = (eta + i k)^2 - s^2 and
 
         R_s = ((a - c)^2 + b^2) / ((a + c)^2 + b^2)
         R_p = R_s ((a c - s^2)^2 + b^2 c^2) / ((a c + s^2)^2 + b^2 c^2)
@@ -180,20 +183,20 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
     c, eta, k = jnp.clip(cos_theta, 0, 1), _index(eta), _index(k)
     s_squared = (1 - c) * (1 + c)
     contrast, half_imaginary = (eta - 1) * (eta + 1) - k * k, eta * k
-    # eta^2 - k^2 - s^2 from whichever of s^2 and c^2 is the smaller: 1 - s^2 may cancel eta^2.
+    # eta^2 - k^2 - s^2, from the smaller of s^2 and c^2, which avoids cancellation.
     real = jnp.where(c * c < 0.5, contrast + c * c, (eta - k) * (eta + k) - s_squared)
-    # sqrt of a complex number: the larger part first, the other from their product.
+    # sqrt of a complex number: first its larger part, then the smaller one from their product.
     modulus = safe_sqrt(real * real + 4 * half_imaginary * half_imaginary)
     larger = safe_sqrt((modulus + jnp.abs(real)) / 2)
     smaller = half_imaginary / jnp.maximum(larger, smallest_divisor(larger.dtype))
     clear = real > 0
     a, b = jnp.where(clear, larger, smaller), jnp.where(clear, smaller, larger)
-    # a^2 - c^2 = contrast + b^2, for near equal indices a and c are nearly equal too.
+    # a - c from a^2 - c^2 = contrast + b^2, because a and c are nearly equal for similar indices.
     apart = divide(contrast + b * b, a + c, where=clear, otherwise=a - c)
 
     def ratio(difference: Colour, total: Colour, other: Colour, missing: Colour) -> Colour:
-        """(difference^2 + other^2) / (total^2 + other^2). Above a third it is computed from
-        `missing`, the difference of the two squares, which is then more precise."""
+        """Return (difference^2 + other^2) / (total^2 + other^2). Above a third it is computed from
+        `missing` = total^2 - difference^2, which is then more precise."""
         below = total * total + other * other
         above = difference * difference + other * other
         return jnp.where(3 * above < below, divide(above, below), 1 - divide(missing, below))
@@ -205,8 +208,8 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
 @takes_numbers
 @in_range(cos_theta=_COSINE)
 def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
-    """Schlick's approximation of the reflectance, f0 + (1 - f0) (1 - c)^5, (bands,), no unit, where
-    f0 is the reflectance at normal incidence.
+    """Return Schlick's approximation of the reflectance, f0 + (1 - f0) (1 - c)^5, (bands,), no
+    unit, where f0 is the reflectance at normal incidence and c the cosine.
 
     Source: Schlick, Computer Graphics Forum 13(3) (1994).
 
@@ -222,14 +225,15 @@ def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
 @jax.custom_jvp
 def _schlick(c: Scalar, f0: Colour) -> Colour:
     rest = 1 - c
-    lost = (1 - rest) - c  # by the rounding of the difference, whose fifth power has it five times
+    lost = (1 - rest) - c  # the rounding error of `rest`, which its fifth power multiplies by five
     fourth = jnp.square(jnp.square(rest))
     return f0 + (1 - f0) * (fourth * (rest + 5 * lost))
 
 
 @_schlick.defjvp
 def _schlick_jvp(primals, tangents):
-    """The derivative with respect to f0, 1 - (1 - c)^5, expanded to avoid cancellation."""
+    """Differentiate `_schlick`. The derivative with respect to f0, 1 - (1 - c)^5, is expanded to
+    avoid cancellation."""
     (c, f0), (d_c, d_f0) = primals, tangents
     fourth = jnp.square(jnp.square(1 - c))
     slope = polynomial((1.0, -5.0, 10.0, -10.0, 5.0, 0.0), c)
@@ -242,8 +246,8 @@ MONOTONE = 3.7  # index up to which a dielectric's reflectance rises with the an
 
 
 def _largest_reflectance(x: Ends[Interface | None]) -> tuple[Callable[[Any], Any], bool]:
-    """The largest reflectance of any band for cosines above a given one, and whether all bands
-    share it."""
+    """Return the function from a cosine to the largest reflectance of any band at this or larger
+    cosines, and whether the bands have the same reflectance."""
     low, high = x
     match low, high:
         case Dielectric(), Dielectric():
@@ -264,7 +268,7 @@ def _largest_reflectance(x: Ends[Interface | None]) -> tuple[Callable[[Any], Any
 
 
 def _least_reflectance(x: Ends[Interface | None]) -> float:
-    """The smallest reflectance of any band at any angle; 0 if unknown."""
+    """Return the smallest reflectance of any band at any angle; 0 if unknown."""
     low, high = x
     match low, high:
         case Dielectric(), Dielectric():
@@ -276,9 +280,9 @@ def _least_reflectance(x: Ends[Interface | None]) -> float:
 
 
 def _largest_dielectric(c: Any, least: float, most: float) -> Any:
-    """Upper bound on Fresnel's reflectance of unpolarised light for indices between two values, >=
-    1; exact if they are equal. The s reflectance grows with the index. The p reflectance is largest
-    at an end, or where eta^2 is twice the squared sine."""
+    """Return an upper bound on Fresnel's reflectance for unpolarised light and indices between two
+    values >= 1; it is exact if they are equal. The s reflectance grows with the index. The p
+    reflectance is largest at one of the two indices, or where eta^2 is twice the squared sine."""
 
     def amplitudes(eta: Any) -> tuple[Any, Any]:
         g = np.sqrt(eta**2 - 1 + c * c)

@@ -1,7 +1,8 @@
 """Gaussian lobe: an ideal diffuse part plus a Gaussian of the angle to the mirror direction.
 
-The textbook's Torrance-Sparrow term: mirror angle theta_s, unnormalised, no Fresnel, no masking
-(the full model is `torrance_sparrow`). Two records share the lobe exp(-(c_s theta_s)^2):
+This is the textbook's Torrance-Sparrow term: a function of the angle theta_s to the mirror
+direction, not normalised, without Fresnel reflectance and masking (the full model is
+`torrance_sparrow`). Two records share the lobe exp(-(c_s theta_s)^2):
 
     record             specular term of f_r       ... of the shading, f_r cos(theta_i)
     GaussianLobe       k_s lobe / cos(theta_i)    k_s lobe                SHADING, as in `phong`
@@ -50,8 +51,8 @@ class GaussianLobe(_Concentrated):
         diffuse: (bands,) k_d in sr^-1, >= 0.
         specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
         concentration: () c_s in rad^-1.
-        ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None; the
-            array of k_d itself where both share one.
+        ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None. It may
+            be the array of k_d itself.
 
     Example:
         >>> gloss, up = jv.GaussianLobe([0.2], [0.5], 30.0), jnp.array([0.0, 0.0, 1.0])
@@ -78,8 +79,8 @@ class GaussianLobeBRDF(_Concentrated):
     """
 
 
-# (2 arcsin(sqrt(x) / 2))^2 / x in x <= 2, of least relative error: 9e-10 and 1e-18 (Remez, in 60
-# digits). By the size of the number in bytes.
+# Coefficients of (2 arcsin(sqrt(x) / 2))^2 / x for x <= 2, with the smallest relative error (Remez,
+# with 60 digits): 9e-10 for numbers of 4 bytes, 1e-18 for 8 bytes.
 _SQUARED_ANGLE_OVER_CHORD = {
     4: (
         0.9999999991,
@@ -121,7 +122,7 @@ _SQUARED_ANGLE_OVER_CHORD = {
 
 @takes_numbers
 def gaussian_lobe(theta_mirror: Scalars, concentration: Scalars) -> Scalars:
-    """The lobe exp(-(concentration theta_s)^2).
+    """Return the lobe exp(-(concentration theta_s)^2).
 
     Args:
         theta_mirror: (...) angle between view and mirror direction, radians in [0, pi], as
@@ -182,9 +183,9 @@ def _lobe_between(axis: Vector, w: Vector, concentration: Scalar) -> Scalar:
 
 
 def squared_angle_between(u: Vector, v: Vector) -> Scalar:
-    """Square of the angle between unit vectors, () in [0, pi^2] rad^2, within a few ULP: a series
-    in the squared chord |u - v|^2, and beyond a right angle in |u + v|^2, without the roots that
-    lose digits."""
+    """Return the square of the angle between unit vectors, () in [0, pi^2] rad^2, within a few ULP.
+    It is a series in the squared chord |u - v|^2, or beyond a right angle in |u + v|^2, which
+    avoids square roots that lose digits."""
     apart, together = u - v, u + v
     chord, other = dot(apart, apart), dot(together, together)
     coefficients = _SQUARED_ANGLE_OVER_CHORD[8 if chord.dtype == jnp.float64 else 4][::-1]
@@ -193,8 +194,8 @@ def squared_angle_between(u: Vector, v: Vector) -> Scalar:
 
 
 def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar, Scalar]:
-    """Integrals of exp(-(c_s alpha)^2), c_s in rad^-1, without and with cos(theta_i), over
-    directions above the horizon, () each in sr, to 1e-10."""
+    """Return the integrals of exp(-(c_s alpha)^2), c_s in rad^-1, without and with the factor
+    cos(theta_i), over directions above the horizon, () each in sr, to 1e-10."""
     width = 6 / divisor(jnp.abs(concentration))
     return lobe_integrals(
         lambda alpha: gaussian_lobe(alpha, concentration), cos_axis, width=width, end=np.pi
@@ -202,14 +203,14 @@ def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar,
 
 
 def _kappa(material: _Concentrated) -> Scalar:
-    """kappa of the von Mises-Fisher density exp(-(c_s chord)^2), which is at least the lobe
-    everywhere."""
+    """Return kappa of the von Mises-Fisher density proportional to exp(-(c_s chord)^2), which is at
+    least the lobe everywhere, because the chord is shorter than the angle."""
     kappa = 2 * jnp.square(material.concentration)
     return jnp.maximum(kappa, smallest_divisor(kappa.dtype))
 
 
 def _direction(material: _Concentrated, wo: Vec, u: Float[Array, "3"]) -> Vec:
-    """From a von Mises-Fisher lobe about the mirror direction,
+    """Draw a direction from a von Mises-Fisher lobe about the mirror direction,
     1 - cos(alpha) = -log(1 - u_0 (1 - e^(-2 kappa))) / kappa."""
     kappa = _kappa(material)
     one_minus_cos = jnp.clip(-log1p(u[0] * jnp.expm1(-2 * kappa)) / kappa, 0, 2)
@@ -217,7 +218,7 @@ def _direction(material: _Concentrated, wo: Vec, u: Float[Array, "3"]) -> Vec:
 
 
 def _density(material: _Concentrated, wi: Vec, wo: Vec) -> Scalar:
-    """Density of `_direction`, sr^-1."""
+    """Return the density of `_direction`, sr^-1."""
     kappa, chord = _kappa(material), wi - mirrored(wo)
     lobe = jnp.exp(-kappa / 2 * dot(chord, chord))
     return -kappa / (2 * jnp.pi * jnp.expm1(-2 * kappa)) * lobe
@@ -239,7 +240,7 @@ _LOBE = Lobe(
 
 
 def _bound(x: Ends[Material], convention: Convention) -> Reflection:
-    """k_s exp(-(c theta_s)^2); its integral is at most pi / c^2."""
+    """Bound k_s exp(-(c theta_s)^2); the integral of the lobe is at most pi / c^2."""
     c = min(abs(least(x, "concentration")), abs(largest(x, "concentration")))
     top = max(abs(least(x, "concentration")), abs(largest(x, "concentration")))
     cosine = convention != "shading"

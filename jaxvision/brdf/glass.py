@@ -1,12 +1,12 @@
 """A smooth interface of a clear body: part of the light is reflected, the rest is refracted.
 
-The mirrored direction has the reflectance F of Fresnel's exact equations, the refracted one 1 - F,
-by Snell's law
+The mirrored direction gets the share F of the light by Fresnel's exact equations, the refracted
+direction 1 - F. Snell's law gives the refracted angle,
 
     sin(theta_t) = sin(theta_i) / eta
 
-with eta the index behind the surface over that before it; where no theta_t exists, F = 1 (total
-internal reflection). Local frame; the body is below the normal, +z.
+with eta the index behind the surface divided by that in front of it. If no theta_t exists, F = 1
+(total internal reflection). Local frame with the normal +z; the body is below the surface.
 """
 
 from typing import Annotated, Any
@@ -39,8 +39,8 @@ class Glass(Material):
     """The material that fills a closed shape with outward normals: glass, water, a crystal.
 
     Attributes:
-        index: () index of refraction of the inside over that of the outside, > 0, no unit; the same
-            for all bands, so that there is no dispersion.
+        index: () index of refraction of the inside divided by that of the outside, > 0, no unit;
+            the same for all bands, so that there is no dispersion.
         absorption: (bands,) Lambert-Beer coefficient inside, m^-1: transmittance exp(-absorption x
             distance); None for no absorption.
 
@@ -60,9 +60,9 @@ class Glass(Material):
 
 @takes_numbers
 def refracted_direction(w: Vector, eta: Scalar) -> Vec:
-    """The unit direction of a refracted ray on the other side: -x / eta, -y / eta, and the z that
-    makes it a unit vector, 0 in total reflection. eta is the index behind the interface over that
-    before it."""
+    """Return the unit direction of the refracted ray on the other side of the interface: -x / eta,
+    -y / eta, and the z that makes it a unit vector; in total reflection z is 0. eta is the index
+    behind the interface divided by that in front of it."""
     v = as_vec(w)
     # 1 - (1 - z^2) / eta^2 = (eta^2 - 1 + z^2) / eta^2: nothing cancels near equal indices
     below = safe_sqrt((eta - 1) * (eta + 1) + v.z * v.z) / eta
@@ -74,16 +74,17 @@ def refracted_direction(w: Vector, eta: Scalar) -> Vec:
 
 
 def specular(material: Glass, w: Vec) -> Specular:
-    """The continuation of a ray that came from `w`, unit, local. If `w` is above the surface it is
-    outside the body, below it inside. Shares and `eta` have no unit. In total reflection the
-    reflectance is 1 and `refracted` is the direction along the surface."""
+    """Return the continuation of a ray that came from `w`, unit, local. The ray comes from outside
+    the body if `w` is above the surface, else from inside. Shares and `eta` have no unit. In total
+    reflection the reflectance is 1 and `refracted` is the direction along the surface."""
     eta = jnp.where(w.z > 0, material.index, 1 / material.index)
     reflectance = fresnel_dielectric(jnp.abs(w.z), eta[None])
     return Specular(mirrored(w), reflectance, refracted_direction(w, eta), 1 - reflectance, eta)
 
 
 def _bound(x: Ends[Glass]) -> Reflection:
-    """In `render` glass is black. In a ray tree it transmits and reflects at most all light."""
+    """Return the bound for glass. In `render` glass is black; in a ray tree its reflectance and its
+    transmittance are at most 1."""
     indices = least(x, "index"), most(x, "index")
     return Reflection(np.zeros(1), mirror=np.ones(1), indices=indices)
 

@@ -3,13 +3,14 @@
 The half vector h = (wi + wo) / |wi + wo| has angles (theta_h, phi_h). The rotation of h to the
 normal, by -phi_h about z and then by -theta_h about y, rotates `wi` to the difference vector, with
 angles (theta_d, phi_d). theta_d is half the angle between the two directions. Exchanging wi and wo
-adds pi to phi_d. Mirroring about the plane of h negates it. Source: Rusinkiewicz, "A New Change of
-Variables for Efficient BRDF Representation", 1998.
+adds pi to phi_d. Mirroring both about the plane of h and the normal negates phi_d. Source:
+Rusinkiewicz, "A New Change of Variables for Efficient BRDF Representation", 1998.
 
 The table has (n_h, n_d, n_p) bins over theta_h in [0, pi / 2], theta_d in [0, pi / 2] and phi_d in
 [0, pi). Bin i of theta_h starts at (i / n_h)^2 pi / 2, so that lobes get most bins; the other bins
-have equal width. phi_d is taken modulo pi, so the table is reciprocal by construction. A value is
-for the centre of its bin. Beyond the outermost centres it is constant. BRDF values in sr^-1, angles
+have equal width. phi_d is taken modulo pi, so the table is reciprocal by construction. A value
+belongs to the centre of its bin. Beyond the outermost centres the BRDF is constant. Values in
+sr^-1, angles
 in radians. Source of the layout: Matusik, Pfister, Brand, McMillan, "A Data-Driven Reflectance
 Model", 2003, and the reference reader published with it.
 """
@@ -50,7 +51,7 @@ class HalfDifference(Shown):
 
 
 def _rotate(w: Vec, theta: Scalar, phi: Scalar) -> Vec:
-    """`w` rotated by theta about y, then by phi about z: +z becomes spherical(theta, phi)."""
+    """Rotate `w` by theta about y, then by phi about z: +z becomes spherical(theta, phi)."""
     c, s = jnp.cos(theta), jnp.sin(theta)
     x, z = c * w.x + s * w.z, c * w.z - s * w.x
     c, s = jnp.cos(phi), jnp.sin(phi)
@@ -58,15 +59,15 @@ def _rotate(w: Vec, theta: Scalar, phi: Scalar) -> Vec:
 
 
 def half_difference(wi: Direction, wo: Direction) -> HalfDifference:
-    """The angles of two unit vectors of the local frame, rad: theta in [0, pi / 2], phi in
-    [-pi, pi]. On the normal phi_h is 0; for wi = wo phi_d is 0."""
+    """Return the half and difference angles of two unit vectors of the local frame, rad: theta in
+    [0, pi / 2], phi in [-pi, pi]. If h is the normal, phi_h is 0; for wi = wo, phi_d is 0."""
     wi, wo = as_vec(wi), as_vec(wo)
     h = as_vec(normalize(wi + wo))
     sin_h = safe_sqrt(h.x * h.x + h.y * h.y)
     aside = sin_h > 0
     scale = 1 / or_one(sin_h)
     cos_phi, sin_phi = jnp.where(aside, h.x * scale, 1), jnp.where(aside, h.y * scale, 0)
-    # Half of wi - wo is the part of wi across h, free of the rounding that wi's part along h has.
+    # Half of wi - wo is the part of wi across h, without the rounding error of the part along h.
     across = (wi - wo) * jnp.asarray(0.5, wi.x.dtype)
     x = cos_phi * across.x + sin_phi * across.y
     y = cos_phi * across.y - sin_phi * across.x
@@ -75,8 +76,8 @@ def half_difference(wi: Direction, wo: Direction) -> HalfDifference:
 
 
 def from_half_difference(angles: HalfDifference) -> tuple[Vec, Vec]:
-    """(wi, wo) of half and difference angles in rad: the inverse of `half_difference`. Either may
-    lie below the surface."""
+    """Return (wi, wo) for half and difference angles in rad, the inverse of `half_difference`. Both
+    may lie below the surface."""
     d = spherical(angles.theta_d, angles.phi_d)
     opposite = Vec(-d.x, -d.y, d.z)
     return (
@@ -91,7 +92,7 @@ class HalfDifferenceTable(Material):
     Attributes:
         values: (n_h, n_d, n_p, bands) sr^-1; 90 x 90 x 180 in MERL files.
         wavelengths: (bands,) m, or None for RGB.
-        sampler: distribution from which `sample` draws; None for the cosine.
+        sampler: distribution from which `sample` draws; None for the cosine distribution.
         interpolation: "linear" between the centres of bins, or "nearest", which takes the bin
             itself, as the reference reader does; static.
 
@@ -120,7 +121,7 @@ class HalfDifferenceTable(Material):
 def bin_angles(
     table: HalfDifferenceTable,
 ) -> tuple[Float[Array, " n_h"], Float[Array, " n_d"], Float[Array, " n_p"]]:
-    """theta_h, theta_d, phi_d in rad at the centres of the table's bins."""
+    """Return theta_h, theta_d and phi_d in rad at the centres of the table's bins."""
     h, d, p = ((jnp.arange(n, dtype=table.values.dtype) + 0.5) / n for n in table.values.shape[:3])
     return jnp.square(h) * (jnp.pi / 2), d * (jnp.pi / 2), p * jnp.pi
 

@@ -1,10 +1,11 @@
 """Measured BRDFs: scattered samples, and tables over the angles of the two directions.
 
-A table has f_r(theta_i, phi_i, theta_o, phi_o; lambda) at the nodes of a grid, or the isotropic
-f_r(theta_i, theta_o, phi_o - phi_i; lambda). It is linear in each angle between nodes. The record's
-`outside` says what applies to elevations beyond the outermost nodes: they are clamped, extrapolated
-along the last two nodes (never below 0), or give 0. Azimuths are periodic. Measurements are not
-exactly reciprocal. A table with `reciprocal` set gives the mean of both orders of the directions.
+A table contains f_r(theta_i, phi_i, theta_o, phi_o; lambda) at the nodes of a grid, or the
+isotropic f_r(theta_i, theta_o, phi_o - phi_i; lambda). Between nodes f_r is linear in each angle.
+`outside` determines f_r at polar angles beyond the outermost nodes: the angles are clamped, f_r is
+extrapolated from the last two nodes (never below 0), or f_r is 0. Azimuths are periodic.
+Measurements are not exactly reciprocal. A table with `reciprocal` set returns the mean over both
+orders of the directions.
 Interpolation over these angles blurs narrow lobes between nodes. If the nodes are more than a
 lobe's width apart, `half_difference` resolves them better.
 
@@ -45,7 +46,7 @@ class BRDFSamples(Shown):
         wavelengths: (bands,) m, or None where bands are not wavelengths (RGB).
 
     Example:
-        Both samples at normal incidence, the second seen at 0.5 rad.
+        Both samples are lit at normal incidence, and the second is seen at 0.5 rad.
 
         >>> samples = jv.BRDFSamples([0, 0], [0, 0], [0, 0.5], [0, np.pi], [[0.1], [0.3]])
         >>> wi, wo = jv.sample_directions(samples)
@@ -83,7 +84,8 @@ class IsotropicTable(Material):
         reciprocal: whether to average over both orders of the directions; static.
 
     Example:
-        Between a value of 0 along the normal and of 1 at 90 degrees lies that at 45 degrees.
+        The value is 0 for a viewer along the normal and 1 at 90 degrees, so it is 0.5 at 45
+        degrees.
 
         >>> values, ends = np.zeros((2, 2, 2, 1)), [0, np.pi / 2]
         >>> values[:, 1] = 1
@@ -169,7 +171,7 @@ def _places(table: AngleTable, wi: Vec, wo: Vec) -> tuple[Place, ...]:
             o,
             around_circle(table.phi_o, azimuth(wo)),
         )
-    # The azimuth between them, from the products of sines: no difference of two angles to wrap.
+    # The azimuth between wi and wo, from products of their components, which needs no wrapping.
     between = azimuth(Vec(wi.x * wo.x + wi.y * wo.y, wi.x * wo.y - wi.y * wo.x, wi.z))
     if table.azimuths == "full":
         return i, o, around_circle(table.phi, between)
@@ -213,8 +215,9 @@ Table = TypeVar("Table", bound=Material)
 def tabulate_sampler(
     material: Table, *, thetas: int = 16, phis: int = 1, rows: int = 33, columns: int = 91
 ) -> Table:
-    """A table with a sampler of its lobes' mean over bands, tabulated at static numbers of angles,
-    rad, of `wo` and of half vectors (rows, columns); without it, `sample` follows the cosine."""
+    """Return a table with a sampler for its lobes, averaged over bands. The sampler is tabulated at
+    `thetas` and `phis` angles of `wo` and at rows x columns half vectors, all static. Without it,
+    `sample` follows the cosine."""
     dtype = jnp.result_type(*jax.tree.leaves(material))
     theta = jnp.linspace(0, 0.999 * jnp.pi / 2, thetas, dtype=dtype)
     phi = jnp.linspace(-jnp.pi, jnp.pi, phis, dtype=dtype) if phis > 1 else jnp.zeros(1, dtype)
@@ -225,7 +228,7 @@ def tabulate_sampler(
 
 
 def sample_directions(samples: BRDFSamples) -> tuple[Vec, Vec]:
-    """The directions of every sample.
+    """Return the directions of all samples.
 
     Args:
         samples: measured values at scattered angles, rad.
@@ -254,8 +257,8 @@ def samples_of(
     """Evaluate f_r (without the cosine) of any material on a grid of angles, as samples to fit.
 
     The samples are all a * d * b * c combinations, in that order: theta_i is the slowest index and
-    phi_o the fastest. `values.reshape(a, b, c, bands)` are the values of an `IsotropicTable` over
-    phi_o, and (a, d, b, c, bands) of an `AnisotropicTable`.
+    phi_o the fastest. `values.reshape(a, b, c, bands)` has the order of an `IsotropicTable` over
+    phi_o, and `values.reshape(a, d, b, c, bands)` that of an `AnisotropicTable`.
 
     Args:
         material: any material with a BRDF in sr^-1.

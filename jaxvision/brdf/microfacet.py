@@ -34,7 +34,7 @@ Alpha = Float[Array, "2"]
 print_by_name(globals(), "Alpha")
 
 
-LEAST_ROUGHNESS = 1e-6  # what is smoother counts as this
+LEAST_ROUGHNESS = 1e-6  # smaller roughnesses count as this one
 
 
 def clamped_roughness(alpha: Alpha) -> Alpha:
@@ -43,15 +43,16 @@ def clamped_roughness(alpha: Alpha) -> Alpha:
 
 
 def half_vector(wi: Direction, wo: Direction) -> Vec:
-    """The unit vector half-way between two unit directions, which is the normal of the facet that
-    mirrors one into the other; zero for opposite directions. Rounding rotates it by about eps /
-    cos(theta): in float32 a lobe with alpha cos(theta) < 1e-6 is narrower than that."""
+    """Return the unit vector half-way between two unit directions, which is the normal of the facet
+    that mirrors one into the other; zero for opposite directions. Rounding rotates it by about eps
+    / cos(theta). In float32, a lobe with alpha cos(theta) < 1e-6 is narrower than this error."""
     return as_vec(normalize(as_vec(wi) + as_vec(wo)))
 
 
 def normal_distribution(h: Direction, alpha: Alpha, *, distribution: Distribution) -> Scalar:
-    """D(h) in sr^-1: area of facets of normal `h`, per solid angle and area of the surface; 0 below
-    it. With the slopes p = h.x / h.z, q = h.y / h.z divided by their alphas:
+    """Return D(h) in sr^-1: the area of facets with normal `h`, per solid angle and per area of the
+    surface; 0 below the surface. With p = h.x / (h.z alpha_x) and q = h.y / (h.z alpha_y), the
+    slopes divided by their alphas:
 
         beckmann   exp(-(p^2 + q^2)) / (pi alpha_x alpha_y h.z^4)
         ggx        1 / (pi alpha_x alpha_y h.z^4 (1 + p^2 + q^2)^2)
@@ -64,7 +65,7 @@ def normal_distribution(h: Direction, alpha: Alpha, *, distribution: Distributio
             above = ~(n.z <= 1e-5)  # the weight of steeper facets underflows
             z = jnp.maximum(n.z, 1e-5)
             steepness = across / (z * z)
-            # where the exponential is 0, z^4 in a derivative would leave the range of a float
+            # if the exponential is 0, z^4 is replaced, because it would underflow in a derivative
             counts = above & ~(steepness >= -log_of_zero(z.dtype))
             z = or_one(z, counts)
             density = jnp.exp(-jnp.where(counts, steepness, 0)) / (scale * jnp.square(z * z))
@@ -78,9 +79,9 @@ def normal_distribution(h: Direction, alpha: Alpha, *, distribution: Distributio
 
 
 def hidden_cosine(w: Direction, alpha: Alpha, *, distribution: Distribution) -> Scalar:
-    """cos(theta) Lambda(w), no unit: the hidden part of the facet area projected toward `w`, per
-    area of the surface; the visible part is cos(theta). It is finite at grazing angles, where
-    Lambda is not. Source: Heitz (2014), equations 68 to 72."""
+    """Return cos(theta) Lambda(w), no unit: the hidden part of the facet area projected toward `w`,
+    per area of the surface; the visible part is cos(theta). The product is finite at grazing
+    angles, unlike Smith's function Lambda. Source: Heitz (2014), equations 68 to 72."""
     v, a = as_vec(w), clamped_roughness(alpha)
     squared = jnp.square(v.x * a[0]) + jnp.square(v.y * a[1])
     match distribution:
@@ -108,8 +109,8 @@ def visibility(
     distribution: Distribution,
     shadowing: Shadowing,
 ) -> Scalar:
-    """G / (4 cos(theta_i) cos(theta_o)), no unit. The whole fraction is finite where its parts are
-    not. With c_i, c_o the cosines, H the value of `hidden_cosine` and d = wo.h:
+    """Return G / (4 cos(theta_i) cos(theta_o)), no unit, in a form that is finite at grazing angles
+    too. With c_i, c_o the cosines, H the value of `hidden_cosine` and d = wo.h:
 
         smith      G = 1 / (1 + Lambda_i + Lambda_o)
                    1 / (4 (c_i c_o + c_i H_o + c_o H_i))
@@ -136,9 +137,9 @@ def visibility(
 
 
 def sample_facet(wo: Direction, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
-    """The unit normal of a GGX facet visible from `wo` by two uniform numbers in [0, 1) (Heitz,
-    JCGT 7(4) (2018)); it serves Beckmann facets too, D_beckmann / D_ggx <= 4 / e for the same
-    alpha."""
+    """Draw the unit normal of a GGX facet that is visible from `wo`, by two uniform numbers in
+    [0, 1) (Heitz, JCGT 7(4) (2018)). It is also used for Beckmann facets, because D_beckmann /
+    D_ggx <= 4 / e for the same alpha."""
     v, a = as_vec(wo), clamped_roughness(alpha)
     view = as_vec(normalize(Vec(v.x * a[0], v.y * a[1], v.z)))
     sine = safe_sqrt(view.x * view.x + view.y * view.y)
@@ -155,8 +156,9 @@ def sample_facet(wo: Direction, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
 
 
 def facet_pdf(wi: Direction, wo: Direction, alpha: Alpha) -> Scalar:
-    """Density in sr^-1, over the whole sphere, of `wo` mirrored about a normal of
-    `sample_facet`: D_ggx(h) / (4 (cos(theta_o) + H_o))."""
+    """Return the density in sr^-1, over the whole sphere, of the direction `wo` mirrored about a
+    normal from `sample_facet`: D_ggx(h) / (4 (cos(theta_o) + H_o)), with H_o from
+    `hidden_cosine`."""
     facets = normal_distribution(half_vector(wi, wo), alpha, distribution="ggx")
     seen = as_vec(wo).z + hidden_cosine(wo, alpha, distribution="ggx")
     return facets / (4 * divisor(seen))

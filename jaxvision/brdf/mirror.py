@@ -1,8 +1,8 @@
 """A perfect mirror: all light goes from one direction into the mirrored one. Local frame.
 
 Its BRDF is a delta function, reflectance * delta(wi - s) / cos(theta_i), where s = (-x, -y, z) for
-`wo` = (x, y, z). Light that arrives from s has the reflectance as its weight, in place of f_r cos /
-pdf.
+`wo` = (x, y, z). A sample in the direction s has the reflectance as its weight, instead of f_r
+cos(theta_i) / pdf.
 """
 
 import equinox as eqx

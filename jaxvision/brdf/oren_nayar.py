@@ -4,10 +4,11 @@ retroreflection.
     qualitative   f_r = k_d (A + B max(0, cos(phi_i - phi_o)) sin(alpha) tan(beta))
     full          with interreflections between facets (the paper's equations 27 to 30)
 
-alpha is the larger of the two polar angles, beta the smaller. sigma = 0 is Lambert. Both forms are
-reciprocal. Neither conserves energy exactly: at facet albedo 1 and grazing views the qualitative
-form reaches an albedo of 1.015 (sigma 0.2), the full one 1.05 (sigma 0.3). The full one is a fit.
-It can fall below 0 for forward light near grazing, where it is set to 0. Angles in radians; local
+alpha is the larger of the two polar angles, beta the smaller. A and B depend on the roughness
+sigma; sigma = 0 is Lambert. Both forms are reciprocal. Neither conserves energy exactly: at facet
+albedo 1 and grazing views the qualitative form reaches an albedo of 1.015 (sigma 0.2), the full
+form 1.05 (sigma 0.3). The full form is the paper's fit to simulations. Near grazing angles it can
+fall below 0 for forward light, where it is set to 0. Angles in radians; local
 frame, normal = +z. Source: Oren & Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH
 1994.
 """
@@ -72,7 +73,8 @@ def evaluate(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
 
 
 def _qualitative(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
-    """With sin(theta_i) sin(theta_o) cos(phi) = wi.x wo.x + wi.y wo.y, no angle is needed."""
+    """Return the qualitative form. It needs no angles, because sin(theta_i) sin(theta_o) cos(phi_i
+    - phi_o) = wi.x wo.x + wi.y wo.y."""
     i, o, variance = as_vec(wi), as_vec(wo), jnp.square(material.sigma)
     a = 1 - 0.5 * variance / (variance + 0.33)
     b = 0.45 * variance / (variance + 0.09)
@@ -81,7 +83,7 @@ def _qualitative(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
 
 
 def _full(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
-    """Direct light plus one bounce, equations 27 to 30."""
+    """Return the full form: direct light plus one reflection between facets, equations 27 to 30."""
     i, o, variance = as_vec(wi), as_vec(wo), jnp.square(material.sigma)
     sin_i, sin_o = (safe_sqrt(w.x * w.x + w.y * w.y) for w in (i, o))
     theta_i, theta_o = (arctan2(s, divisor(w.z)) for s, w in ((sin_i, i), (sin_o, o)))
@@ -106,11 +108,12 @@ def _full(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
 
 
 def _bound(x: Ends[OrenNayar]) -> Reflection:
-    """k_d (A + B sin tan). Times cos(theta_i) it is at most k_d (A cos(theta_i) + B), because cos
-    sin tan is at most 1. Lambert's differs by at most max((1 - A) cos, B) k_d. In the full form
-    (equations 27 to 30) the second and the third term exclude each other in cos(phi), and the light
-    between facets adds at most .34 rho v / (v + .13). The body is at least the k_d of the
-    Lambertian that may replace it."""
+    """Bound f_r cos(theta_i). k_d (A + B sin(alpha) tan(beta)) cos(theta_i) is at most k_d (A
+    cos(theta_i) + B), because cos(theta_i) sin(alpha) tan(beta) is at most 1. Lambert's shading
+    differs by at most max((1 - A) cos(theta_i), B) k_d. In the full form (equations 27 to 30) the
+    second and the third term are not large at the same cos(phi), and the light between facets adds
+    at most .34 rho v / (v + .13), with v = sigma^2. The bound of the body is at least the k_d of
+    the Lambertian that may replace it."""
     v_low, v = least(x, "sigma") ** 2, most(x, "sigma") ** 2
     a_most, a_least = (1 - 0.5 * s / (s + 0.33) for s in (v_low, v))
     b = 0.45 * v / (v + 0.09)

@@ -10,8 +10,8 @@ Three records share the lobe [cos theta_s]+^n and differ in its factor:
 
 To convert shading into a BRDF, divide the specular term by the cosine of incidence; k_d, which is
 albedo / pi, is the same in all three. Phong is neither reciprocal nor bounded: under a grazing
-light it reflects more than it receives. PhongBRDF is reciprocal, and reflects no more than it
-receives exactly where pi k_d + 2 pi k_s / (n + 2) <= 1. NormalisedPhong (Lafortune & Willems,
+light it reflects more than it receives. PhongBRDF is reciprocal, and conserves energy if and only
+if pi k_d + 2 pi k_s / (n + 2) <= 1. NormalisedPhong (Lafortune & Willems,
 "Using the Modified Phong Reflectance Model for Physically Based Rendering", 1994) is reciprocal,
 and its albedo is at most pi k_d + k_s, reached along the normal. Local frame, normal = +z; angles
 in radians.
@@ -41,8 +41,8 @@ class Phong(PowerLobe):
         diffuse: (bands,) k_d in sr^-1, >= 0.
         specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
         exponent: () n >= 0, no unit.
-        ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None; the
-            array of k_d itself where both share one.
+        ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None. It may
+            be the array of k_d itself.
 
     Example:
         >>> gloss = jv.Phong([0.0], [0.5], 10.0)
@@ -90,20 +90,20 @@ class NormalisedPhong(PowerLobe):
 
 @takes_numbers
 def phong_lobe(log_cos_mirror: Scalars, exponent: Scalars) -> Scalars:
-    """[cos theta_s]+ ** exponent, from the logarithm of the cosine.
+    """Return the lobe max(cos(theta_s), 0) ** exponent, from the logarithm of the cosine.
 
     Args:
         log_cos_mirror: (...) log of the cosine between view and mirror direction, <= 0, no unit,
-            as `log_cos_between` returns it; its value for a right angle or more means a cosine of
-            0, where the lobe and its gradients are exactly 0 for every exponent.
+            as `log_cos_between` returns it. The value that it returns for a right angle or more
+            stands for a cosine of 0; there the lobe and its gradients are 0 for every exponent.
         exponent: (...) >= 0, no unit; the arguments broadcast.
 
     Returns:
         The lobe, not normalised, (...) in [0, 1], no unit.
 
     Raises:
-        ValueError: for a cosine above 0 in place of its logarithm. A cosine below 0 is a valid
-            logarithm and passes: take the logarithm by `log_cos_between`.
+        ValueError: for a positive number, which is probably the cosine itself. A negative cosine
+            cannot be detected, so take the logarithm by `log_cos_between`.
 
     Source: Szeliski, Computer Vision, section 2.2.2.
 
@@ -114,7 +114,7 @@ def phong_lobe(log_cos_mirror: Scalars, exponent: Scalars) -> Scalars:
     check_range("phong_lobe: log_cos_mirror", log_cos_mirror, -np.inf, 0, finite=False, nan=True)
     least = log_of_zero(log_cos_mirror.dtype)
     behind = log_cos_mirror <= least
-    # not 0 in place of -inf: where XLA computes `behind` twice, the two may disagree
+    # -inf instead of a result of 0, because XLA may compute `behind` twice with different results
     finite = jnp.where(behind, least, log_cos_mirror)
     return jnp.exp(jnp.where(behind, -jnp.inf, exponent * finite))
 
@@ -128,7 +128,8 @@ def phong_shading(
     specular: Colour,
     exponent: Scalar,
 ) -> Colour:
-    """Phong shading k_d [n.l]+ + k_s [s.v]+ ** exponent.
+    """Return the Phong shading k_d [n.l]+ + k_s [s.v]+ ** exponent, where [x]+ = max(x, 0), l
+    points to the light, v to the viewer, and s is the mirror direction of the light.
 
     Args:
         normal: (3,) unit.
@@ -159,22 +160,22 @@ def phong_shading(
 
 
 def power_direction(axis: Vector, exponent: Scalar, u: Float[Array, "2"]) -> Vec:
-    """A unit direction with density `power_pdf` about an axis, from `u`, (2,) uniform in [0, 1):
-    cos(alpha) = (1 - u_0)^(1 / (n + 1))."""
+    """Draw a unit direction with density `power_pdf` about an axis, from `u`, (2,) uniform in
+    [0, 1): cos(alpha) = (1 - u_0)^(1 / (n + 1))."""
     return about(axis, -jnp.expm1(log1p(-u[0]) / (exponent + 1)), 2 * jnp.pi * u[1])
 
 
 def power_pdf(axis: Vector, w: Vector, exponent: Scalar) -> Scalar:
-    """Density of `power_direction`, (n + 1) / (2 pi) [cos alpha]+^n, () in sr^-1."""
+    """Return the density of `power_direction`, (n + 1) / (2 pi) [cos alpha]+^n, () in sr^-1."""
     lobe = phong_lobe(log_cos_between(as_vec(axis), as_vec(w)), exponent)
     return (exponent + 1) / (2 * jnp.pi) * lobe
 
 
 def power_integrals(cos_axis: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
-    """Integrals of [cos alpha]+^n, without and with cos(theta_i), over directions above the
-    horizon, () each in sr: 2 pi / (n + 1) and 2 pi cos_axis / (n + 2) if the horizon does not cut
-    the lobe, else quadrature over 8.5 widths, to 1e-10 from n = 2 on. Below, relative errors reach
-    2e-5, 3e-6, 3e-9 at n = .1, .5, 1.5."""
+    """Return the integrals of [cos alpha]+^n, without and with the factor cos(theta_i), over
+    directions above the horizon, () each in sr. If the horizon does not cut the lobe they are 2 pi
+    / (n + 1) and 2 pi cos_axis / (n + 2). The quadrature covers 8.5 widths of the lobe; its
+    relative error is 1e-10 for n >= 2, and up to 2e-5, 3e-6, 3e-9 at n = .1, .5, 1.5."""
 
     def lobe(alpha: Scalars) -> Scalars:
         return phong_lobe(log_cosine(alpha), exponent)
@@ -194,15 +195,16 @@ _LOBE = Lobe(
 
 
 def _power_slope(n: float) -> float:
-    """max |d cos^n / d angle| = sqrt(n) (1 - 1/n)^((n-1)/2), the maximum of n cos^(n-1) sin; 1 at n
-    = 1. For n < 1 the slope is unbounded at a right angle, and n = 0 is a step."""
+    """Return the largest slope |d cos^n / d angle| = sqrt(n) (1 - 1/n)^((n-1)/2), the maximum of n
+    cos^(n-1) sin; it is 1 at n = 1. For n < 1 the slope is unbounded at a right angle, and for n =
+    0 the lobe is a step."""
     if n < 1:
         return np.inf
     return float(np.sqrt(n) * (1 - 1 / n) ** ((n - 1) / 2)) if n > 1 else 1.0
 
 
 def _bound(x: Ends[Material], convention: Convention) -> Reflection:
-    """k_s [cos theta_s]^n; the smallest exponent gives the broadest lobe."""
+    """Bound k_s [cos theta_s]+^n; the smallest exponent gives the broadest lobe."""
     n, top = least(x, "exponent"), largest(x, "exponent")
     scale = (top + 2) / (2 * np.pi) if convention == "normalised" else 1.0
     cosine = convention != "shading"
@@ -211,7 +213,7 @@ def _bound(x: Ends[Material], convention: Convention) -> Reflection:
         cos_mirror = np.where(a.off_mirror < np.pi / 2, np.cos(a.off_mirror), 0)
         return scale * power_of(cos_mirror, n) * (a.cos_i if cosine else 1)
 
-    # of the power, which is least between n = 1 and 2, and of the cosine
+    # slope of the power, which is smallest between n = 1 and 2, plus slope of the cosine
     slope = scale * (max(_power_slope(n), _power_slope(top)) + cosine)
     size = scale * 2 * np.pi / (n + 1)
     lobe = LargestLobe(peak(x, "specular"), most, size, slope, True, not cosine)

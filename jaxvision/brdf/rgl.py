@@ -1,11 +1,12 @@
 """Materials of the EPFL RGL material database, in the adaptive form of the measurement.
 
-The measurement stores, for each direction (theta, phi) of one of its two directions,
+For each value (theta, phi) of one of its two directions, the measurement stores
 
     f_r cos(theta_i) = values(s) ndf(h) / (4 sigma(wo)),    s = vndf^-1(h)
 
-The unit square s is warped onto the half vectors h by the material's own distribution of visible
-normals, so a small grid resolves narrow and wide lobes. `luminance` is the density of the reflected
+The unit square, with positions s, is warped onto the half vectors h by the material's own
+distribution of visible normals, so a small grid resolves narrow and wide lobes. `ndf` is the
+distribution of normals and sigma the projected area. `luminance` is the density of the reflected
 light over s. Warping uniform numbers by it and then by `vndf` samples the material. Source: Dupuy &
 Jakob, "An Adaptive Parameterization for Efficient Material Acquisition and Rendering", 2018,
 equations 6, 7 and 13.
@@ -134,7 +135,8 @@ def _unfold(material: RGL, wi: Vec, wo: Vec) -> tuple[Vec, Vec]:
 
 
 def _seen_from(material: RGL, wo: Vec) -> tuple[Slices, Scalar, Square]:
-    """(table slices, reference azimuth of half vectors, square position) of `wo`."""
+    """Return, for `wo`, the slices of the tables, the azimuth from which half vectors count, and
+    the position in the square of directions."""
     theta, phi = elevation(wo), azimuth(wo)
     origin = phi if len(material.phi) <= 2 else jnp.zeros_like(phi)
     place = elevation_to_unit(theta), azimuth_to_unit(phi)
@@ -142,7 +144,7 @@ def _seen_from(material: RGL, wo: Vec) -> tuple[Slices, Scalar, Square]:
 
 
 def _interpolate_square(table: Float[Array, "rows columns"], place: Square) -> Scalar:
-    """A table over the unit square at (x, y), bilinear."""
+    """Interpolate a table over the unit square bilinearly to (x, y)."""
     rows, columns = table.shape
     return multilinear(table, place_in_unit(place[1], rows), place_in_unit(place[0], columns))
 
@@ -150,7 +152,8 @@ def _interpolate_square(table: Float[Array, "rows columns"], place: Square) -> S
 def _reflected_by(
     material: RGL, at: Slices, s: Square, h_place: Square, wo_place: Square
 ) -> Colour:
-    """values(s) ndf(h) / (4 sigma(wo)), (bands,) in sr^-1, at positions of the unit squares."""
+    """Return values(s) ndf(h) / (4 sigma(wo)), (bands,) in sr^-1, from the positions of s, h and
+    `wo` in their unit squares."""
     value = jnp.maximum(bilinear(material.values, at, s), 0)
     if not material.scaled:
         return value
@@ -175,24 +178,24 @@ def shading(material: RGL, wi: Direction, wo: Direction) -> Colour:
 
 
 def evaluate(material: RGL, wi: Direction, wo: Direction) -> Colour:
-    """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface, and on the horizon.
-    `wi`, `wo`: unit, local frame."""
+    """Return f_r, (bands,) in sr^-1; 0 if either direction lies below the surface or on the
+    horizon. `wi`, `wo`: unit, local frame."""
     cos_i = as_vec(wi).z
     below = cos_i <= smallest_divisor(cos_i.dtype)
     return divide(shading(material, wi, wo), cos_i, where=~below)
 
 
 def sample(material: RGL, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """A unit local direction drawn in proportion to the luminance reflected toward `wo`, by two of
-    `u`, (3,) uniform in [0, 1). A direction below the surface (at the edge of the tables) reflects
-    nothing."""
+    """Draw a unit local direction in proportion to the luminance reflected toward `wo`, by two of
+    the numbers `u`, (3,) uniform in [0, 1). A direction below the surface (at the edge of the
+    tables) reflects nothing."""
     wo = as_vec(wo)
     _, turned = _unfold(material, wo, wo)
     at, origin, _ = _seen_from(material, turned)
     s, _ = warp(material.luminance, at, (u[1], u[0]))
     place, _ = warp(material.vndf, at, s)
     wi = reflected(turned, square_to_half(place, origin))
-    return _unfold(material, wi, wo)[0]  # the flips that `wo` calls for undo themselves
+    return _unfold(material, wi, wo)[0]  # flipping a second time undoes the flips
 
 
 def pdf(material: RGL, wi: Direction, wo: Direction) -> Scalar:
@@ -211,7 +214,7 @@ def pdf(material: RGL, wi: Direction, wo: Direction) -> Scalar:
 
 
 def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
-    """The reflected share of uniform surroundings, seen from `wo`, (bands,), no unit.
+    """Return the share of uniform surrounding light that is reflected to `wo`, (bands,), no unit.
 
     It is the hemisphere integral of f_r cos(theta_i) by the midpoint rule with order x order nodes
     on the square s, where `vndf` has flattened the lobe.
@@ -233,7 +236,7 @@ def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
 
 
 def _bound(x: Ends[RGL]) -> Reflection:
-    """No bound is known."""
+    """Return infinite suprema, because no bound is known."""
     bands = x.low.values.shape[-1]
     why = "no bound of an adaptive table is known"
     return Reflection(np.full(bands, np.inf), plain=np.inf, why=why)

@@ -2,21 +2,21 @@
 
     f_r = k_d + k_s F(wo.h) D(h) G(wi, wo) / (4 cos(theta_i) cos(theta_o))
 
-The model is complete: half vector, normalised distribution, masking and shadowing, exact Fresnel
-reflectance. (The textbook's Gaussian of the mirror angle with the same name is `gaussian_lobe`.) It
-is reciprocal. Light that bounces between facets is lost, so even with F = 1 the lobe's albedo falls
-below 1 for rougher surfaces, unless `multiple_scattering` adds
+The model is complete: D is a normalised distribution of the half vector h, G masking and shadowing,
+F the exact Fresnel reflectance. (The textbook's Gaussian of the mirror angle with the same name is
+`gaussian_lobe`.) The model is reciprocal. Light that bounces between facets is lost, so even with F
+= 1 the lobe's albedo falls below 1 for rougher surfaces, unless `multiple_scattering` adds
 
     k_s F_m L_i L_o / (pi L)    F_m = F^2 (1 - L) / (1 - F L)
 
-where L_i and L_o are the shares that white facets lose, and L and F the means of L_o and of the
-reflectance over even light (Kulla & Conty, "Revisiting Physically Based Shading at Imageworks",
-SIGGRAPH 2017 courses). White facets then reflect all light to within 1e-3. k_d is not reduced by
-the interface's reflection (`coated` does that), so the only bound is albedo <= pi k_d + k_s. A
-bright body under glass may exceed 1 at grazing angles: pi k_d = 0.9, k_s = 1, eta = 1.5, alpha =
-0.1 reflects 0.94, 0.99, 1.14, 1.25, 1.28 at cos(theta_o) = 1, 0.5, 0.2, 0.05, 0.02. Local frame,
-normal = +z. Sources: Torrance & Sparrow, JOSA 57(9) (1967); Cook & Torrance, ACM TOG 1(1) (1982);
-see `microfacet` and `fresnel` for the parts.
+where L_i and L_o are the shares that white facets lose for the two directions. L and F are here the
+means of L_o and of the reflectance under uniform light (Kulla & Conty, "Revisiting Physically Based
+Shading at Imageworks", SIGGRAPH 2017 courses). White facets then reflect all light to within 1e-3.
+k_d is not reduced by the interface's reflection (`coated` does that), so the only bound is albedo
+<= pi k_d + k_s. A bright body under glass may exceed 1 at grazing angles: pi k_d = 0.9, k_s = 1,
+eta = 1.5, alpha = 0.1 reflects 0.94, 0.99, 1.14, 1.25, 1.28 at cos(theta_o) = 1, 0.5, 0.2, 0.05,
+0.02. Local frame, normal = +z. Sources: Torrance & Sparrow, JOSA 57(9) (1967); Cook & Torrance, ACM
+TOG 1(1) (1982); see `microfacet` and `fresnel` for the parts.
 """
 
 from dataclasses import replace
@@ -95,8 +95,8 @@ from .microfacet import (
 
 MultipleScattering = Literal["kulla-conty"]
 BETWEEN = get_args(MultipleScattering)
-LEAST_LOSS = 1e-6  # of facets of roughness 2e-3
-ROUGHEST = 3.0  # alpha: facets inclined by 72 degrees; measured surfaces stay below 1.5
+LEAST_LOSS = 1e-6  # the mean loss L of facets of roughness 2e-3
+ROUGHEST = 3.0  # largest alpha, with facets inclined by 72 degrees; measured ones are below 1.5
 
 
 class TorranceSparrow(Material):
@@ -112,8 +112,8 @@ class TorranceSparrow(Material):
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
         distribution: "ggx" or "beckmann"; static.
         shadowing: "smith" or "v-cavity"; static.
-        multiple_scattering: "kulla-conty" returns the light that facets send on to each other, for
-            Smith's shadowing and one roughness up to 1; None loses it; static.
+        multiple_scattering: "kulla-conty" includes the light that facets send to each other, for
+            Smith's shadowing and one roughness up to 1; None omits this light; static.
 
     Raises:
         ValueError: if the interface has neither one band nor as many as the others; for a roughness
@@ -140,7 +140,7 @@ class TorranceSparrow(Material):
 
     def __check_init__(self) -> None:
         check_fields(self, diffuse=AMOUNT, specular=AMOUNT, roughness=AMOUNT, ambient=AMOUNT)
-        # not by `self.roughness.max()`, which is traced in a trace even where the numbers are known
+        # `self.roughness.max()` would be a tracer inside a trace, even if the numbers are known
         largest = np.max(np.asarray(self.roughness)) if is_known(self.roughness) else 0
         if largest > ROUGHEST:
             raise ValueError(
@@ -170,7 +170,8 @@ def _alpha(material: TorranceSparrow) -> Alpha:
 
 
 def microfacet_lobe(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
-    """F D G / (4 cos cos), (bands,) or (1,), in sr^-1, without k_s; 0 outside the hemisphere."""
+    """Return F D G / (4 cos(theta_i) cos(theta_o)), (bands,) or (1,), in sr^-1, without k_s; 0 if
+    either direction lies below the surface."""
     h, alpha = half_vector(wi, wo), _alpha(material)
     facets = normal_distribution(h, alpha, distribution=material.distribution)
     seen = visibility(
@@ -193,12 +194,13 @@ def evaluate(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
 
 
 def _lost(material: TorranceSparrow, w: Direction) -> Scalar:
-    """L_i or L_o, no unit."""
+    """Return L_i or L_o, the share that white facets lose for one direction, no unit."""
     return lost(as_vec(w).z, material.roughness, material.distribution)
 
 
 def _returned(material: TorranceSparrow) -> Colour:
-    """F_m / (pi L), (bands,) or (1,), sr^-1; of polished facets as if L were `LEAST_LOSS`."""
+    """Return F_m / (pi L), (bands,) or (1,), sr^-1, with L at least `LEAST_LOSS` in the
+    denominator."""
     mean = mean_lost(material.roughness, material.distribution)
     share = 1 / (jnp.pi * jnp.maximum(mean, LEAST_LOSS))
     if material.interface is None:
@@ -208,8 +210,9 @@ def _returned(material: TorranceSparrow) -> Colour:
 
 
 def _cavity_facet(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """The normal of a groove side that is visible from `wo`: a groove by its area, then one of its
-    two sides by its area projected toward `wo`. Source: Heitz & d'Eon, "Importance Sampling
+    """Draw the normal of a groove side that is visible from `wo`: first a groove in proportion to
+    its area, then one of its two sides in proportion to its area projected toward `wo`. Source:
+    Heitz & d'Eon, "Importance Sampling
     Microfacet-Based BSDFs using the Distribution of Visible Normals", CGF 33(4) (2014)."""
     match material.distribution:
         case "ggx":
@@ -227,8 +230,8 @@ def _cavity_facet(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]
 
 
 def _cavity_pdf(material: TorranceSparrow, wi: Direction, wo: Direction) -> Scalar:
-    """Density in sr^-1 of `wo` mirrored about a normal of `_cavity_facet`: D G1 / (4 cos theta_o)
-    with G1 = min(1, 2 h.z cos(theta_o) / wo.h)."""
+    """Return the density in sr^-1 of `wo` mirrored about a normal from `_cavity_facet`: D G1 / (4
+    cos(theta_o)) with G1 = min(1, 2 h.z cos(theta_o) / wo.h)."""
     h = half_vector(wi, wo)
     facets = normal_distribution(h, _alpha(material), distribution=material.distribution)
     seen = jnp.maximum(as_vec(wo).z, dot(as_vec(wo), h) / (2 * divisor(h.z)))
@@ -246,7 +249,8 @@ def _diffuse_part(material: TorranceSparrow, wo: Direction) -> Scalar:
 
 
 def sample(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """A unit direction from the cosine about the normal, or `wo` mirrored by a visible facet.
+    """Draw a unit direction: cosine-distributed about the normal, or `wo` mirrored by a visible
+    facet.
 
     f_r cos / pdf of the lobe is at most k_s F for v-cavities and for Smith's GGX facets, and at
     most 2.7 k_s F for Smith's Beckmann facets, which are sampled as GGX.
@@ -255,7 +259,7 @@ def sample(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Ve
     match material.shadowing:
         case "smith":
             h = sample_facet(wo, _alpha(material), u[:2])
-        case "v-cavity":  # what is left of u_2 chooses the side
+        case "v-cavity":  # the rescaled u_2 chooses the side
             left = (u[2] - part) / or_one(1 - part)
             h = _cavity_facet(material, wo, u.at[2].set(left))
     return choose(part, u, reflected(as_vec(wo), h))
@@ -272,7 +276,7 @@ def pdf(material: TorranceSparrow, wi: Direction, wo: Direction) -> Scalar:
 
 
 _RADII, _TURNS = 32, 64
-_WIDEST = 6.5  # the slope, in units of alpha, beyond which a Beckmann surface has 1e-18 of its area
+_WIDEST = 6.5  # slope, in units of alpha; only 1e-18 of a Beckmann surface's area is steeper
 
 
 def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
@@ -297,7 +301,7 @@ def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
     ahead_y = divide(lean.y, steep, where=tilted)
 
     def towards_light(r: Scalar, k: Scalar, slope: Vec, squared: Scalar) -> Colour:
-        """F G wo.h / (h.z cos(theta_o)) of the facet with slope r times `slope`."""
+        """Return F G wo.h / (h.z cos(theta_o)) for the facet with slope r times `slope`."""
         facing = cos_o + r * k  # wo.h / h.z
         h_z = 1 / jnp.sqrt(1 + r * r * squared)
         h = Vec(r * slope.x * h_z, r * slope.y * h_z, h_z)
@@ -311,7 +315,7 @@ def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
         return reflectance * (4 * facing * cos_i * seen)
 
     def ray(cos_psi: Scalar, sin_psi: Scalar) -> Colour:
-        """The integral over r, from the normal to the horizon."""
+        """Return the integral over r, from the normal to the horizon."""
         slope = Vec(
             alpha[0] * (cos_psi * ahead_x - sin_psi * ahead_y),
             alpha[1] * (cos_psi * ahead_y + sin_psi * ahead_x),
@@ -350,7 +354,8 @@ def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
 
 
 def _bound(x: Ends[TorranceSparrow]) -> Reflection:
-    """k_s F D V cos, each factor at its largest over the angles of a cell.
+    """Bound k_s F D V cos(theta_i), with V = G / (4 cos(theta_i) cos(theta_o)) and each factor at
+    its largest over the angles of a cell.
 
     D = (1 + t)^2 / (pi ax ay (1 + t / a^2)^2) for GGX, with exp(-t / a^2) in place of the quotient
     for Beckmann; t is tan^2 of the half vector's angle. Smith: V cos_i <= 1 / (4 (c_o + H_o)), with
@@ -405,8 +410,8 @@ def _bound(x: Ends[TorranceSparrow]) -> Reflection:
 
 
 def _largest_returned(x: Ends[TorranceSparrow]) -> float:
-    """The largest F_m L_i L_o / (pi L) of roughnesses between the two ends, sr^-1, and 5 % for
-    those between the nodes."""
+    """Return the largest F_m L_i L_o / (pi L) for roughnesses between the two ends, sr^-1. It is
+    evaluated at some roughnesses and enlarged by 5 % for those between."""
     if x.low.multiple_scattering is None:
         return 0.0
     ends = [float(np.clip(numbers(end.roughness), SMOOTHEST, 1)) for end in x]

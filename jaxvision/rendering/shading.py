@@ -56,7 +56,7 @@ class Lighting(eqx.Module):
     # which samples of each light reach the point, from `shadows.visibility`; None if nothing can
     # block light
     visible: Visible | None
-    # () each, whether a light was traced from any of the rays computed at once; None: all were
+    # for each light, () whether any of the rays computed together traced it; None if all were
     traced: tuple[Bool[Array, ""], ...] | None = None
 
 
@@ -145,15 +145,15 @@ def reflected_radiance(
     *,
     tangent: Vector | None = None,
 ) -> Colour:
-    """The sum at the top of this file, (bands,) in W m^-2 sr^-1, 0 if `wo` lies below the
-    surface."""
+    """Compute the sum L(wo) at the top of this file, (bands,) in W m^-2 sr^-1; 0 if `wo` lies below
+    the surface."""
     return jnp.stack(fuse(reflected_bands(material, light, normal, wo, tangent=tangent)))
 
 
 def largest_reflected(
     material: Material, light: Lighting, normal: Direction, wo: Direction
 ) -> Scalar:
-    """The largest band of `reflected_radiance`, () W m^-2 sr^-1, of either sign."""
+    """Return the largest absolute value of `reflected_radiance` over the bands, () W m^-2 sr^-1."""
     return reduce(jnp.maximum, map(jnp.abs, reflected_bands(material, light, normal, wo)))
 
 
