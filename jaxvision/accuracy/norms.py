@@ -31,7 +31,7 @@ def relative_rms(result: Any, reference: Any) -> float:
     size = _rms(exact)
     if size == 0:
         raise InputError(
-            "the reference is 0 everywhere, and no error is a share of that; add light."
+            "the reference is 0 everywhere, so that no error is relative to it; add light."
         )
     return _rms(np.asarray(result, np.float64) - exact) / size
 

@@ -51,7 +51,7 @@ def page(
     together = all_together(problem, curves) if together is None else together
     drawn = [(curve.knob.about, _svg([curve])) for curve in curves]
     if len(curves) > 1:
-        drawn.append(("every knob with the others at rest", _svg(curves)))
+        drawn.append(("every knob, with the others at their values in the problem", _svg(curves)))
     return environment.get_template("accuracy.html.j2").render(
         title=problem.name,
         rows=rows(problem, curves, together=together),

@@ -17,12 +17,12 @@ class Knob:
     """One approximation of the library, and the values that trade its error for time.
 
     Attributes:
-        name: by which it is selected.
+        name: the name by which the knob is selected.
         unit: of a setting.
         about: what the setting approximates, in a few words.
         settings: cheapest first.
-        reference: finer settings, coarsest first; the finest one that the time allows makes the
-            reference.
+        reference: finer settings, coarsest first; the reference is computed with the finest one
+        that the time allows.
         order: theoretical exponent p of error ~ setting^p, such as -2 for a midpoint rule; None
             where no law is known.
         law: "power": the error is a power of the setting; "geometric": it changes by a constant
@@ -57,8 +57,8 @@ class Problem:
             in its first call.
         settings: default settings of all knobs.
         exact: the exact result, where a closed form is known; None makes a reference.
-        level: to which errors are relative, in the unit of the result; None for the root mean
-            square of the reference.
+        level: the level by which errors are divided, in the unit of the result; None for the root
+            mean square of the reference.
         developed: function from a result and the reference (which sets the exposure) to the Lab
             colours of the developed picture, (pixels, 3); None where there is no picture.
         whole: time of the whole computation over the time of a call, for a problem that is only a
@@ -67,8 +67,8 @@ class Problem:
             longer than others; otherwise every setting compiles its own program.
         about: sentences on the meaning of errors and times.
         compiling: s, expected time to compile one more program, before any measurement.
-        once: s, part of a call that the whole computation needs only once, such as what precedes
-            the first pixel of a picture.
+        once: s, part of a call that the whole computation needs only once, such as the work before
+        the first pixel of a picture.
         error_axis: label for the axis of errors, with their unit.
         compared: function from a result, or the mean of several, to the numbers that are compared,
             such as radiance clipped at white; None for the result itself.
@@ -133,7 +133,8 @@ class Reference:
     """The reference for errors.
 
     Attributes:
-        setting: that made it; None for a closed form or the caller's reference.
+        setting: the setting with which it was computed; None for a closed form or the caller's
+        reference.
         error: relative error estimate of the reference; 0 for a closed form, inf where there is no
             estimate.
         how: source of the reference and its error: "closed form", "given", "other seeds", "twice as
@@ -188,7 +189,7 @@ class Curve:
         knob: the knob whose settings were measured.
         trials: one for each setting that was run, cheapest first; empty where the time was too
             short.
-        reference: to which the errors refer.
+        reference: the result from which the errors are measured.
         order: fitted order; None for fewer than two points.
         pareto: indices of the trials for which no other trial is better in both error and time.
         not_run: settings that were not run because the time was too short.

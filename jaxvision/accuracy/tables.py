@@ -118,18 +118,18 @@ def notes(curves: Sequence[Curve], *, together: Sequence[Together] = ()) -> list
             found.append(f"{name}: {curve.stopped}.")
         if beside := ", ".join(str(trial.setting) for trial in curve.trials if trial.beside):
             found.append(
-                f"{name}: timed while what had been given up was still at work, so that times are "
+                f"{name}: abandoned work was still running during these timings, so that times are "
                 f"too long: {beside}."
             )
     reached = [one for one in together if one.combination is not None]
     if any(one.checked for one in reached):
         found.append(
-            "all together: run as one with fresh seeds, against finer settings of every knob."
+            "all together: run with fresh seeds, and compared with finer settings of every knob."
         )
     if not all(one.checked for one in reached):
         found.append(
-            "all together: what was not checked, for want of time, follows from the errors and "
-            "times of single knobs."
+            "all together: for lack of time, unchecked errors and times were computed from those of "
+            "single knobs."
         )
     return found
 
@@ -191,7 +191,7 @@ def choice_in_words(chosen: Chosen) -> str:
     """The choice for a render in one or two sentences: the settings, the promised error in per
     cent, and the predicted time in s."""
     words = ", ".join(f"{name} {setting}" for name, setting in chosen.settings.items())
-    how = "checked with fresh seeds" if chosen.checked else "not checked, for want of time"
+    how = "checked with fresh seeds" if chosen.checked else "not checked, for lack of time"
     said = (
         f"Chosen: {words}: within {percent_text(chosen.promised)} ({how}), about "
         f"{seconds_text(chosen.predicted_seconds)}."
@@ -200,5 +200,5 @@ def choice_in_words(chosen: Chosen) -> str:
         return said
     return (
         f"{said} Time was too short to measure {' and '.join(chosen.unknown)}, left as in the "
-        "scene: what that errs by comes on top."
+        "scene; the error of that is not included."
     )

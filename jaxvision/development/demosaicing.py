@@ -47,7 +47,7 @@ def demosaic(
             Bayer mosaic, such as "RGGB".
         method: "bilinear": means of the nearest pixels; "malvar": these means, corrected by the
             gradient of the measured band; "menon": interpolation along the better of two
-            directions, the sharpest and slowest; "normalised": weighted means, the only one for
+            directions, the sharpest and slowest; "normalised": weighted means, the only method for
             patterns other than Bayer's.
         border: "in_phase" or a key of `padding.BORDERS`; "menon" and "normalised" have their own
             border and accept "in_phase" only.
@@ -166,7 +166,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
 
     Green is interpolated along rows or columns, whichever has the smoother colour differences
     nearby. The other bands are interpolated by their difference from green. The border is
-    "in_phase"; differences beyond it do not count. The decision has no gradient.
+    "in_phase"; differences beyond the border are ignored. The decision has no gradient.
 
     Args:
         raw: (..., h, w) DN or relative.

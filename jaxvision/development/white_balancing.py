@@ -73,8 +73,8 @@ def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
             out.
 
     Returns:
-        (bands,) no unit. A band without light has the gain 1; a band of NaN only makes all gains
-        NaN.
+        (bands,) no unit. A band without light has the gain 1; if a band contains only NaN, all
+        gains are NaN.
 
     Raises:
         ValueError: for an empty patch.

@@ -1,7 +1,7 @@
 """Cameras from TOML files: one table for each record, its keys the record's fields.
 
     [view]
-    kind = "Pinhole"              # which record, where several are possible
+    kind = "Pinhole"              # name of the record, where several are possible
     focal_length = 8e-3           # units as in the records: SI, electrons, DN
     pixel_pitch = 4.8e-6
     resolution = [480, 640]
@@ -61,10 +61,10 @@ def read_camera(
 
     Args:
         source: path of the file, or one of `shipped_cameras`.
-        wavelengths: (bands,) m, that replace those of the file, for a camera with measured spectral
-            sensitivities.
-        draws: number of draws of a fitted camera, which lie in a file beside it; None for the best
-            fit.
+        wavelengths: (bands,) m, used in place of those in the file, for a camera with measured
+        spectral sensitivities.
+        draws: number of draws of a fitted camera, which are stored in a second file next to it;
+        None for the best fit.
 
     Returns:
         The camera; with draws, every number of it has a leading axis, for `jax.vmap`.
@@ -116,7 +116,7 @@ def write_camera(
         about: comment on its origin.
 
     Raises:
-        InputError: for draws of another camera, and a file of another ending.
+        InputError: for draws of another camera, and a file name with another ending.
 
     Example:
         >>> from tempfile import mkdtemp
@@ -136,8 +136,8 @@ def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> 
 
     Args:
         source: path of the file.
-        draws: number of draws of a fitted sensor, which lie in a file beside it; None for the best
-            fit.
+        draws: number of draws of a fitted sensor, which are stored in a second file next to it;
+        None for the best fit.
 
     Returns:
         The sensor; with draws, every number of it has a leading axis, for `jax.vmap`.
@@ -179,7 +179,7 @@ def write_sensor(
         about: comment on its origin.
 
     Raises:
-        InputError: for draws of another sensor, and a file of another ending.
+        InputError: for draws of another sensor, and a file name with another ending.
 
     Example:
         >>> from tempfile import mkdtemp

@@ -22,9 +22,9 @@ def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> 
     """Reads a material from its file.
 
     Args:
-        file: of `write_material`.
-        draws: number of draws of a fitted material, which lie in a file beside it; None for the
-            best fit.
+        file: a file written by `write_material`.
+        draws: number of draws of a fitted material, which are stored in a second file next to it;
+        None for the best fit.
 
     Returns:
         The material; with draws, every number of it has a leading axis, for `jax.vmap`.
@@ -67,7 +67,7 @@ def write_material(
             file beside it, ending in .npz.
 
     Raises:
-        InputError: for draws of another material, and a file of another ending.
+        InputError: for draws of another material, and a file name with another ending.
 
     Example:
         >>> from tempfile import mkdtemp

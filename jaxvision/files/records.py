@@ -55,8 +55,8 @@ def write_record(
         draws: the same record with a leading axis of draws at every number; None writes none.
 
     Raises:
-        InputError: for a file of another ending, draws of another record, or draws without a
-            leading axis.
+        InputError: for a file name with another ending, draws of another record, or draws without a
+        leading axis.
     """
     import tomli_w
 
@@ -95,8 +95,9 @@ def count_draws(file: Path) -> int:
 
 
 def attach_draws(file: Path, record: Record, count: int) -> Record:
-    """Return a record with a leading axis of `count` of the draws stored beside its file, evenly
-    spread; `InputError` for none, fewer, or another record's."""
+    """Return a record with a leading axis of `count` draws, evenly spread over those stored next to
+    its file; `InputError` if there are none, too few, or those of another record.
+    """
     beside = _draws_file(file)
     if not beside.is_file():
         raise InputError(f"{beside}: no draws lie beside {file.name}; save a fit with its draws.")

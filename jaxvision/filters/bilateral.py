@@ -44,8 +44,8 @@ def bilateral_filter(
 ) -> Floats:
     """Smooth a picture within regions, but not across edges.
 
-    A sigma of 0 or below means the limit: only the pixel itself, or only equal colours. NaN spreads
-    to every window that contains it.
+    A sigma of 0 or below gives the limit: a mean over the pixel itself only (`sigma_space`), or
+    over equal colours only (`sigma_range`). NaN spreads to every window that contains it.
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.

@@ -11,8 +11,8 @@ odd kernel and the second of the two middle entries of an even one, as in scipy 
 `border` is a key of `padding.BORDERS`. "constant" puts `fill` outside. "normalised_zero" is
 filter(f) / filter(1), both with border "zero". For kernels without negative entries it is a
 weighted mean of the pixels inside. Where filter(1) is 0 within rounding, (number of taps) eps
-filter(1) with |kernel|, the result is 0. It ignores coverage: to blur a premultiplied layer use
-border "zero", and divide by its blurred alpha with `compositing.unpremultiply`.
+filter(1) with |kernel|, the result is 0. This border ignores coverage: to blur a premultiplied
+layer use border "zero", and divide by its blurred alpha with `compositing.unpremultiply`.
 
 `method` chooses how the sum is computed, not its value: "conv" by `lax.conv_general_dilated`,
 "direct" by shifted pictures, "fft" by Fourier transforms, "separable" by passes over columns and
@@ -26,11 +26,11 @@ zeros gives exactly 0. If bright spots make other windows 100 times darker than 
 square, the sums are computed in float64 and tile by tile, which takes two to three times as long.
 For numbers of either sign the error is relative to the largest value in the window.
 
-NaN and infinity reach every pixel with one of them in its window, also under a weight of 0. With
-"conv" and one kernel a band they may reach all bands, depending on XLA's code.
+A pixel becomes NaN or infinite if its window contains such a value, even under a weight of 0. With
+"conv" and one kernel a band this may affect all bands, depending on XLA's code.
 
-A kernel without negative entries whose passes would cancel, such as a disc, is never summed by
-passes: "separable" then takes the method that "auto" would take.
+For a kernel without negative entries, such as a disc, passes may lose accuracy by cancellation.
+Then "separable" is replaced by the method that "auto" would choose.
 
 Derivatives with respect to picture and kernel are correlations themselves: any order, forward and
 reverse.

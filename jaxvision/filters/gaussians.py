@@ -1,12 +1,12 @@
 """The Gaussian and its derivatives.
 
 `sigma`, in pixels, may be traced. The caller must then give the size of the kernel, because it is
-the shape of an array. A sigma below 0.01 pixel counts as 0.01, where the sampled Gaussian is an
-impulse in either precision. `sampling` defines the weights. "sampled" is the function at the
-pixel's centre, as in scipy and OpenCV. "integrated" is its mean over the pixel. For a narrow
-Gaussian of sigma 0.5 the variance of the first is 0.035 square pixels too small. The variance of
-the second is larger by the pixel's own 1/12, to 0.01. The kernel is cut off at `truncate` sigmas
-and rescaled to sum 1. `truncate` sets the accuracy.
+the shape of an array. A sigma below 0.01 pixel is replaced by 0.01, for which the sampled Gaussian
+is an impulse in float32 and in float64. `sampling` defines the weights. "sampled" is the function
+at the pixel's centre, as in scipy and OpenCV. "integrated" is its mean over the pixel. For a narrow
+Gaussian of sigma 0.5 the variance of the sampled kernel is 0.035 square pixels too small. The
+variance of the integrated kernel is larger by that of the pixel, 1/12, within 0.01. The kernel is
+cut off at `truncate` sigmas and rescaled to sum 1. `truncate` sets the accuracy.
 
 Derivatives need a sigma of at least 0.7, because narrower kernels are not resolved by the pixels.
 For a ramp of slope 1, the first order gives 0.085, 0.860 and 0.998 at sigma 0.3, 0.5 and 0.7 with
@@ -140,8 +140,8 @@ def gaussian_kernel(
 ) -> Float[Array, " taps"]:
     """The weights of a Gaussian, or of its derivative, about the middle of the kernel.
 
-    Those of order n are those of order 0 times He_n(x / sigma) / sigma^n: the derivative as a
-    correlation kernel.
+    The weights of order n are those of order 0 times He_n(x / sigma) / sigma^n, which makes the
+    derivative a correlation kernel.
 
     Args:
         sigma: () in pixels; at least 0.01.

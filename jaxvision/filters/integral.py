@@ -75,8 +75,8 @@ def box_sum(
 ) -> Float[Array, "..."]:
     """The sum over rows top <= i < bottom and columns left <= j < right.
 
-    It is for one box; use `vmap` for many. Bounds outside the image are moved to its edge. A box
-    with bottom < top or right < left is empty, with sum 0.
+    This is the sum for one box; use `vmap` for many. Bounds outside the image are moved to its
+    edge. A box with bottom < top or right < left is empty, with sum 0.
 
     Args:
         integral: the integral image.

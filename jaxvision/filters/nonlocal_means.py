@@ -38,8 +38,8 @@ def nonlocal_means_filter(
 ) -> Filtered:
     """Replace each pixel by the mean of the pixels with similar surroundings.
 
-    A strength of 0 or below means the limit: only equal patches count. NaN spreads to every pixel
-    with one in its search window, or in a patch of that window.
+    A strength of 0 or below gives the limit: a mean over equal patches only. NaN spreads to every
+    pixel with one in its search window, or in a patch of that window.
 
     scikit-image's `denoise_nl_means` has the Gaussian profile, a cutoff of 5 and an approximate exp
     (with `fast_mode`, uniform patches one row and column smaller than asked for).

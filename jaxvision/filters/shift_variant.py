@@ -214,8 +214,8 @@ def radial_blur(
         picture: (h, w) or (..., h, w, bands), any unit.
         scale: (h, w) in pixels, the second argument of the profile.
         profile: weight as a function of the distance () in pixels and the scale (h, w).
-        radius: of the kernel in pixels, at least 0; it is 0 beyond. A larger one is more accurate
-            and slower.
+        radius: of the kernel in pixels, at least 0; the kernel is 0 beyond. A larger radius is more
+        accurate and slower.
         border: "zero", "clamp", "wrap", "mirror", "reflect_101" or "extend".
 
     Returns:
@@ -243,8 +243,8 @@ def gaussian_varying(
     """A Gaussian with a `sigma` for each pixel, interpolated in a bank of Gaussians.
 
     Between two kernels of the bank the blend keeps the variance exactly. Only the fourth moment has
-    an error, which decreases with the square of their distance. `kernels.blur_sigmas` chooses the
-    bank. `radial_blur` is exact.
+    an error, which decreases with the square of the distance between the two sigmas.
+    `kernels.blur_sigmas` chooses the bank. `radial_blur` is exact.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.

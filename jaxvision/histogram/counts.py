@@ -166,8 +166,8 @@ def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges
 def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
     """The smallest value that a fraction q of the counted values does not exceed.
 
-    Values outside the histogram's range are not among them. Values are taken as uniform within
-    their bin, so the result is within a bin's width of the exact quantile.
+    Values outside the histogram's range are not counted. Values are assumed to be uniformly
+    distributed within their bin, so the result is within a bin's width of the exact quantile.
 
     Args:
         histogram: exact or soft.

@@ -230,7 +230,7 @@ def triangulation_matte(
 def lift(image: Picture, alpha: Alpha, background: Picture) -> Layer:
     """The light of the object itself, image - (1 - alpha) background, as a layer.
 
-    Over the same background it gives the picture again.
+    Composited over the same background, the layer gives the picture again.
 
     Args:
         image: (..., bands) linear relative light.

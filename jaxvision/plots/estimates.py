@@ -216,7 +216,8 @@ def corner(
     Args:
         draws: by name of the parameter, (draws,), or (chains, draws, ...) as in `Fit.draws`; each
             number of an array has its own row.
-        truth: true values by the same names, red; a missing name is not drawn; None for none.
+        truth: true values by the same names, drawn in red; a parameter without a true value has no
+        red line; None for none.
 
     Returns:
         The figure.

@@ -30,7 +30,8 @@ def spectrum(
     label: str = "",
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """Plot spectra over wavelength, as light, reflectance or the sensitivity of a camera.
+    """Plot spectra over wavelength, such as those of light, a reflectance or the sensitivity of a
+    camera.
 
     Args:
         wavelengths: (bands,) m, ascending.

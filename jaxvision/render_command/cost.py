@@ -99,8 +99,8 @@ def cost_sentence(cost: Cost, settings: RenderEntry) -> str:
 
 
 _BESIDE = {
-    "radiosity": " The error of its patches is not in it; --accuracy measures both.",
-    "rule": " The error of the quadrature over lights is not in it; --accuracy measures both.",
+    "radiosity": " The error of its patches is not included; --accuracy measures both.",
+    "rule": " The error of the quadrature over lights is not included; --accuracy measures both.",
 }
 
 

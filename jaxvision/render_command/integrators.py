@@ -304,7 +304,7 @@ def _fixed_rule(settings: RenderEntry) -> Quadrature:
     """The deterministic sampling rule."""
     if settings.rule != "quadrature":
         raise InputError(
-            f"render: integrator = 'rays' leaves nothing to chance, but rule = "
+            f"render: integrator = 'rays' has no random samples of lights, but rule = "
             f"{settings.rule!r}; set rule = 'quadrature'."
         )
     return Quadrature(settings.order)

@@ -211,7 +211,7 @@ def test_the_settings_of_all_knobs_together_are_run_as_one():
         assert np.mean(np.array(errors) <= tolerance) >= 0.95
         assert one.combination.error <= tolerance
     assert "(not checked)" not in " ".join(rows(problem, curves, together=found)[-1])
-    assert any("run as one with fresh seeds" in note for note in notes(curves, together=found))
+    assert any("run with fresh seeds" in note for note in notes(curves, together=found))
 
 
 @pytest.mark.parametrize("seconds", [0.0, 1e-6])
@@ -224,7 +224,7 @@ def test_settings_of_all_knobs_that_time_leaves_unchecked_say_so(seconds):
     sheet = json_sheet(problem, curves, together=found)
     assert sheet["within"]["10 %"]["checked"] is False
     assert sheet["within"]["0.1 %"] is None
-    assert "not checked, for want of time" in sheet["notes"][-1]
+    assert "for lack of time, unchecked" in sheet["notes"][-1]
     assert "(not checked)" in page(problem, curves, command="", together=found)
 
 

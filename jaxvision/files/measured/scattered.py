@@ -14,9 +14,9 @@ def table_of_samples(
     """A continuous, reciprocal, mirror-symmetric BRDF through scattered isotropic samples.
 
     log(f_r + floor) is interpolated by radial basis functions (kernel r) over half and difference
-    angles, in which a narrow lobe keeps its place as `wi` moves, and tabulated in bins. For the
-    Cornell paints, with one of eight incidence angles left out, the error is 1.5 to 10 times
-    smaller than with linear interpolation over the angles of both directions.
+    angles, in which a narrow lobe stays at the same angles as `wi` moves, and tabulated in bins.
+    For the Cornell paints, with one of eight incidence angles left out, the error is 1.5 to 10
+    times smaller than with linear interpolation over the angles of both directions.
 
     Args:
         samples: samples of f_r in sr^-1.
