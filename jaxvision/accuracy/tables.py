@@ -118,8 +118,8 @@ def notes(curves: Sequence[Curve], *, together: Sequence[Together] = ()) -> list
             found.append(f"{name}: {curve.stopped}.")
         if beside := ", ".join(str(trial.setting) for trial in curve.trials if trial.beside):
             found.append(
-                f"{name}: abandoned work was still running during these timings, so that times are "
-                f"too long: {beside}."
+                f"{name}: abandoned work was still running during these timings, so they are too "
+                f"long: {beside}."
             )
     reached = [one for one in together if one.combination is not None]
     if any(one.checked for one in reached):
@@ -128,8 +128,8 @@ def notes(curves: Sequence[Curve], *, together: Sequence[Together] = ()) -> list
         )
     if not all(one.checked for one in reached):
         found.append(
-            "all together: for lack of time, unchecked errors and times were computed from those of "
-            "single knobs."
+            "all together: for lack of time, unchecked errors and times follow from those of single "
+            "knobs."
         )
     return found
 

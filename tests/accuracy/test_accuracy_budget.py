@@ -350,9 +350,7 @@ def test_what_is_timed_beside_work_that_was_left_behind_says_so(monkeypatch, tmp
     assert slow.stopped.startswith("out of time (3 was given up")
     other = curve(held, replace(KNOB, settings=(1, 2)), seconds=0.2)
     assert [trial.beside for trial in other.trials] == [True, True]
-    said = (
-        "n: abandoned work was still running during these timings, so that times are too long: 1, 2."
-    )
+    said = "n: abandoned work was still running during these timings, so they are too long: 1, 2."
     assert said in notes([other])[-1]
     assert said in json_sheet(held, [other])["notes"][-1]
     write_page(tmp_path, held, [other], command="")
