@@ -128,8 +128,8 @@ def notes(curves: Sequence[Curve], *, together: Sequence[Together] = ()) -> list
         )
     if not all(one.checked for one in reached):
         found.append(
-            "all together: for lack of time, unchecked errors and times follow from those of single "
-            "knobs."
+            "all together: for lack of time, unchecked errors and times follow from those of "
+            "single knobs."
         )
     return found
 
