@@ -83,8 +83,12 @@ def read_mesh(
     if not file.is_file():
         raise InputError(f"{file}: no such mesh file; check the name and the folder.")
     loaded = _load(file) if primitive is None else _primitive(file, *primitive, uv)
-    unit = getattr(loaded, "units", None)
-    if unit not in (None, "m", "meter", "meters") and scale == 1 and matrix is None:
+    unit = getattr(loaded, "units", None) or _commented_unit(file)
+    if (
+        unit not in (None, "m", "meter", "meters", "metre", "metres")
+        and scale == 1
+        and matrix is None
+    ):
         warnings.warn(
             f"{file}: says that its unit is {unit}, which is not used: lengths are taken as m "
             "times scale.",
@@ -103,6 +107,15 @@ def read_mesh(
         normals = None if normals is None else -normals
     known = _coordinates(file, loaded, primitive).astype(vertices.dtype) if uv else None
     return TriangleMesh(vertices, faces, normals=normals, uv=known)
+
+
+def _commented_unit(file: Path) -> str | None:
+    """The unit of length in a comment among the first lines of an OBJ or PLY file."""
+    if file.suffix.lower() not in (".obj", ".ply"):
+        return None
+    with file.open("rb") as opened:
+        found = _UNIT.search(opened.read(4096).decode("latin-1").replace("\r", "\n"))
+    return found and found[1].lower()
 
 
 def _coordinates(file: Path, mesh, primitive: tuple[int, int] | None) -> np.ndarray:
@@ -251,6 +264,13 @@ def _load(file: Path):
 
 _OBJ_ZERO = re.compile(r"^[ \t]*f\b(?:[^\n#]*\s)0+(?=[/\s]|$)", re.MULTILINE)
 _OBJ_CURVED = re.compile(r"^[ \t]*(curv2?|surf)\b", re.MULTILINE)
+_OBJ_COMMENT = re.compile(r"^([ \t]*(?:v[tnp]?|f|l|p)[ \t][^\n#]*)#.*", re.MULTILINE)
+_UNIT = re.compile(
+    r"^[ \t]*(?:#|comment\b).*\bunits?\b"
+    r"[ \t]*(?:[:=]|is\b|are\b|in\b(?=[ \t]+\w))?[ \t]*(?:1[ \t]*)?"
+    r"([mcuk]?m|in|ft|inch(?:es)?|foot|feet|(?:milli|centi|micro|kilo)?met(?:er|re)s?)\b",
+    re.MULTILINE | re.IGNORECASE,
+)
 _MARK = b"\xef\xbb\xbf"  # byte order mark before text in UTF-8
 
 
@@ -261,6 +281,9 @@ def _source(file: Path) -> dict[str, Any]:
     if suffix == ".obj":
         plain = data.removeprefix(_MARK)  # otherwise a vertex right after the mark would be lost
         text = plain.decode("latin-1")
+        if "\n" not in text:
+            text = text.replace("\r", "\n")
+        text = _OBJ_COMMENT.sub(r"\1", text)
         if _OBJ_ZERO.search(text):
             raise InputError(
                 f"{file}: a face names the vertex 0, where OBJ counts from 1; export it again."
@@ -271,8 +294,8 @@ def _source(file: Path) -> dict[str, Any]:
                 "not read.",
                 stacklevel=4,
             )
-        triangles = obj_in_triangles(text)
-        plain = plain if triangles is None else triangles.encode("latin-1")
+        read = (obj_in_triangles(text) or text).encode("latin-1")
+        plain = data if read == data else read
     elif suffix == ".ply":
         plain = ply_of_corners(data) or data
     if plain is data:

@@ -200,7 +200,7 @@ def _reflected(
 
 
 def can_shade(surfaces: Sequence[Surface]) -> bool:
-    """Whether any surface can block light.
+    """Whether any surface can block light, no unit.
 
     A single convex shape shades only its own back.
     """

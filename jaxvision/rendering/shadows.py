@@ -173,7 +173,7 @@ def visible_in_order(
 
 
 def samples_that_reach(place: Place, rule: Rule, light: Light) -> Bool[Array, " _"]:
-    """Return whether each sample of a light reaches the point, (samples,)."""
+    """Return whether each sample of a light reaches the point, (samples,), no unit."""
 
     def of_node(node: tuple[Array, Array]) -> Bool[Array, ""]:
         arriving = incident_sample(light, rule, place.point, *node)

@@ -1,6 +1,7 @@
 """Meshes as other programs write them: polygons that are not convex, and files that are damaged."""
 
 import struct
+import warnings
 
 import numpy as np
 import pytest
@@ -145,3 +146,34 @@ def test_a_face_over_two_lines_is_covered_once(tmp_path, end):
     lines = ["v 0 0 0", "v 2 0 0", "v 2 2 0", "v 1 .5 0", "v 0 2 0", "f 1 2 \\", " 3 4 5", ""]
     file.write_bytes(end.join(lines).encode())
     np.testing.assert_allclose(areas(read_mesh(file)), 2.5)
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
+def test_comments_and_line_ends_of_an_obj_do_not_matter(tmp_path, newline):
+    file = tmp_path / "m.obj"
+    lines = "o part#2", "v 0 0 0 # corner", "v 2 0 0", "v 0 1 0#", "f 1 2 3 # the only face", ""
+    file.write_bytes(newline.join(lines).encode())
+    assert areas(read_mesh(file)) == (1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("comment", "unit"),
+    [
+        ("# File units = millimeters", "millimeters"),
+        ("# Units: in", "in"),
+        ("# Units in feet", "feet"),
+        ("# 1 unit is 1 mm", "mm"),
+        ("# units in metres", None),
+        ("# unit normals in this file", None),
+    ],
+)
+def test_a_unit_in_a_comment_is_named(tmp_path, comment, unit):
+    obj, ply = tmp_path / "m.obj", tmp_path / "m.ply"
+    obj.write_text(f"{comment}\nv 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 3\n")
+    head = PLY.format("ascii", 3, 1).replace("1.0\n", f"1.0\n{comment.replace('#', 'comment')}\n")
+    ply.write_text(head + "0 0 0\n2 0 0\n0 1 0\n3 0 1 2\n")
+    for file in (obj, ply):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            read_mesh(file)
+        assert [f"its unit is {unit}," in str(one.message) for one in said] == [True] * bool(unit)
