@@ -49,7 +49,7 @@ def _camera(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _noise(rig: Rig) -> Unused:
-    yield _camera((*BLACK, *NOISE)), "photon transfer measures them"
+    yield _camera(("black_sd", *NOISE)), "photon transfer measures them"
     yield _camera(GAMMA), "photon transfer takes digital numbers as linear in light"
     yield from _light_of_flats(rig)
 
