@@ -1,4 +1,4 @@
-"""Functions of the draws of a fit, and predicted data, with bands."""
+"""Functions of a fit's draws, and predicted data, with uncertainty bands."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from ..inference.posterior import Posterior
 from ..inference.problem import Problem, give, likelihood_at, prediction, values_from
 
 LEVELS = (0.16, 0.84, 0.025, 0.975)
-BATCH = 8  # draws pushed through a function at a time
+BATCH = 8  # draws evaluated at a time
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Bands:
 
     Attributes:
         mean: of the draws, in the unit of the quantity.
-        sd: their standard deviation.
+        sd: standard deviation of the draws.
         interval_68: (2, ...) lower and upper end.
         interval_95: (2, ...).
         draws: (draws, ...).
@@ -83,7 +83,7 @@ def evaluate_draws(problem: Problem, function: Callable[..., Any], natural: Arra
             return jnp.asarray(found)
         except (TypeError, ValueError) as error:
             raise InputError(
-                f"derived: the function returns a {type(found).__name__} that is no array; return "
+                f"derived: the function returns a {type(found).__name__}, not an array; return "
                 "one array, or call derived once for each."
             ) from error
 

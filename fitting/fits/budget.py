@@ -6,10 +6,10 @@ nuisance parameter has prior information P_m. A quantity of gradient g has the v
 
     g^T C g = sum_k g^T C (sum_i v_ik / v_i F_i) C g + sum_m g^T C P_m C g,
 
-Each term is the variance that would vanish if its source had been absent when the data were taken,
-with the weights of the fit unchanged (law of propagation: JCGM 100:2008, "Guide to the expression
-of uncertainty in measurement", 5.1). The share of the model is the increase of the covariance due
-to a misfit.
+Each term is the part of the variance that would vanish if its source had been absent when the data
+were taken and the weights of the fit were unchanged (law of propagation: JCGM 100:2008, "Guide to
+the expression of uncertainty in measurement", 5.1). The share of the model is the increase of the
+covariance due to a misfit.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +37,7 @@ from .widening import predicted_at
 
 REST = "other noise"
 MODEL = "model"
-SURPLUS = 1e-6  # of a variance by which its sources may exceed it, for rounding
+SURPLUS = 1e-6  # relative excess of the sources over the variance that rounding explains
 Noise = Mapping[str, float | Array | np.ndarray | Callable[[Array], Any]]
 
 
@@ -128,14 +128,14 @@ def budget(
     noise: Noise | None = None,
     nuisances: Mapping[str, Sequence[str]] | None = None,
 ) -> Budget:
-    """Divide the variance of a quantity by its sources, as `Fit.budget` says."""
+    """Divide the variance of a quantity by its sources (see `Fit.budget`)."""
     vector = optimum.vector
     value, slope = slope_of(problem, target, vector)
     named = _shares_of_data(problem, vector, noise)
     parts = expected_information(
         problem, vector, np.stack(list(named.values())), seed=posterior.seed
     )
-    parts = parts * (count / _present(problem).sum())  # of data in chunks, a sample
+    parts = parts * (count / _present(problem).sum())  # data in chunks are represented by a sample
     prior = optimum.prior_information
     stated = np.linalg.inv(parts.sum(axis=0) / widened**2 + prior)
     along = stated @ slope
@@ -145,7 +145,7 @@ def budget(
     }
     model = sum(terms.values()) * (widened**2 - 1)
     terms |= _prior_contributions(problem, prior, along, nuisances or {})
-    if isinstance(problem.likelihood, Clustered):  # what errors that groups share add
+    if isinstance(problem.likelihood, Clustered):  # the increase by errors that groups share
         model += float(slope @ (posterior.covariance - stated) @ slope)
     if model:
         terms[MODEL] = model
@@ -179,8 +179,8 @@ def _shares_of_data(
     rest = present - sum(shares.values())
     if (rest < -SURPLUS).any():
         raise InputError(
-            f"The sources of noise, {', '.join(parts)}, have together more variance than the "
-            "likelihood: check their unit, the square of the data's."
+            f"The sources of noise, {', '.join(parts)}, together have more variance than the "
+            "likelihood: check their unit, which is the square of the data's unit."
         )
     if (rest > SURPLUS).any():
         shares[REST] = rest

@@ -2,8 +2,9 @@
 
 `jaxvision.effects` bounds the change that each effect makes in a pixel's distribution, over the
 whole box of the fitted parameters. Effects below a tolerance are dropped from the records, and so
-from the prediction and from the likelihood of the sensor. The problem has the certificate, and the
-report of a fit lists it. With a target, what moves it by little at the best fit is dropped too.
+from the prediction and from the likelihood of the sensor. The new problem keeps the certificate,
+and the report of a fit lists it. With a target, effects that move the target by little at the best
+fit are dropped too.
 """
 
 from collections.abc import Collection
@@ -28,7 +29,7 @@ from .influence import measure_effects
 from .information import Target, target_name
 from .solve import fit
 
-_PROVED = 0.1  # of the tolerance, which goes to bounds before a fit
+_PROVED = 0.1  # share of the tolerance for effects that are dropped before a fit
 
 
 def called_for(
@@ -41,7 +42,7 @@ def called_for(
 ) -> Problem:
     """Drop the effects of a problem's scene and camera that no fit of it can detect.
 
-    An error that all n data share is not averaged over them, so each datum may change by the
+    An error that all n data share does not average out, so each datum may change by at most the
     tolerance over sqrt(n). To first order, no estimate then changes by more than the tolerance in
     its standard deviations.
 
@@ -49,13 +50,14 @@ def called_for(
         problem: has one `Scene` and one `Camera` among its records, and `predict` must render them
             unchanged. Each parameter whose path leads into them has bounds or a prior.
         tolerance: largest change of the expected data, in standard deviations of the noise of all
-            data together, as the sensor has it in the dark.
+            data together. The noise is that of the sensor in the dark.
         target: a fitted number, as in `influence`. The problem is then fitted, and effects that
             together move this number by at most the tolerance in its standard errors are dropped
             too, unless its standard error changes by as large a share or the data are described
-            worse. Their bounds hold near the best fit and not over all ranges. In the certificate
-            they have rank "estimate", and `bound` is the change of all data that would move as
-            much. None drops what is negligible for every number, and nothing is fitted.
+            worse. The bounds of these effects apply near the best fit and not over all ranges. In
+            the certificate they have rank "estimate", and `bound` is the change of all data that
+            would move the target as much. None drops only effects that are negligible for every
+            number, without a fit.
         samples, depth: of the images that `predict` renders, as in `jaxvision.effects.inspect`.
 
     Returns:
@@ -64,8 +66,9 @@ def called_for(
         in a path.
 
     Raises:
-        InputError: for records without a scene and a camera, for a parameter without an end, and
-            where simulated data of the two problems differ: then `predict` renders something else.
+        InputError: for records without a scene and a camera, for a parameter without bounds or
+            prior, and if simulated data of the two problems differ, which means that `predict` does
+            not render the scene as the records describe it.
 
     Example:
         >>> import jaxvision as jv
@@ -89,7 +92,7 @@ def called_for(
     seen, camera = named_record(problem, Scene), named_record(problem, Camera)
     records = records_of(problem)
     size = problem.data.size if problem.present is None else int(problem.present.sum())
-    if problem.stream is not None:  # of which the data are a sample
+    if problem.stream is not None:  # the data are a sample of the stream
         size *= problem.stream.count / problem.data.shape[0]
     share, each = 1.0 if target is None else _PROVED, tolerance / np.sqrt(max(size, 1))
     pruned = prune(
@@ -104,8 +107,8 @@ def called_for(
     smaller = problem.with_records(left, left_out=pruned.certificate)
     if not abs(float(_log_ratio(problem, smaller))) <= _limit(tolerance):
         raise InputError(
-            "called_for: simulated data change too much without the effects left out; predict must "
-            "show the scene through the camera as the records hold them."
+            "called_for: simulated data change too much without the dropped effects; predict must "
+            "render the scene and the camera of the records unchanged."
         )
     if target is None:
         return smaller
@@ -114,7 +117,8 @@ def called_for(
 
 
 def _limit(tolerance: float) -> float:
-    """The largest change of the log density of all data by what was left out."""
+    """Return the largest accepted change of the log density of all data without the dropped
+    effects."""
     return 1 + 10 * tolerance
 
 
@@ -133,7 +137,8 @@ def _unseen_by(
     effects, left = without_effects(problem, samples=samples, depth=depth)
 
     def moved(names: Collection[str]) -> float:
-        """inf where another law of the data results, or another standard error."""
+        """The shift in standard errors; inf if the data's distribution or the standard error
+        changes."""
         less = left(names)
         if less is None:
             return np.inf

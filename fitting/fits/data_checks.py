@@ -1,7 +1,7 @@
 """Checks of data against their likelihood: clipping, rounding, and standard deviations that follow
 the noise.
 
-They offer causes of a failed fit other than the model.
+They reveal causes of a failed fit other than the model.
 """
 
 from collections.abc import Sequence
@@ -23,22 +23,22 @@ from ..inference.problem import Problem, likelihood_at, prediction, values_at
 from .widening import predicted_at
 
 FEWEST = 10  # data
-PIXELS = 1000  # of a map, whose data are checked
-PILED, STEEP = 5, 3.0  # fewest data at an end; their ratio to the data at each value next to it
+PIXELS = 1000  # pixels of a map whose data are checked
+PILED, STEEP = 5, 3.0  # fewest data at an end, and ratio to those at each neighbouring value
 BESIDE = 8  # values next to an end
 BEYOND = 3  # fewest data that the fit must predict beyond an end to call the others clipped
 COARSE = 1.0  # step of the data, in standard deviations of the noise, that is not negligible
 CROSSED = 0.1  # share of neighbours, ordered by prediction, whose standard deviations decrease
-FELT, WRONG = 0.5, 2.0  # errors by which a fit misses the total: finding, and failure
+FELT, WRONG = 0.5, 2.0  # standard errors between the totals of fit and data: finding, failure
 
 
 @dataclass(frozen=True)
 class DataCheck:
-    """Findings about data, each with whether it explains a misfit."""
+    """Findings about data; those in `failures` explain a misfit."""
 
     failures: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
-    overrated: bool = False  # whether the standard deviations are no measure of the noise
+    overrated: bool = False  # whether the standard deviations do not measure the noise
 
 
 def data_check(
@@ -163,8 +163,8 @@ class _FitOfPresent:
 
 
 def _errors_of_data(seen: _FitOfPresent, data: np.ndarray) -> DataCheck | None:
-    """Whether standard deviations increase with every datum, but not with the prediction, and the
-    resulting bias of the sum of all predictions."""
+    """Check whether standard deviations follow each datum instead of its prediction, and by how
+    much this biases the sum of all predictions."""
     widths = seen.widths()
     if widths is None or len(np.unique(widths)) < 3:
         return None

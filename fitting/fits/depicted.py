@@ -1,4 +1,4 @@
-"""The scene and the camera of a problem, and what of them its parameters name."""
+"""The scene and the camera of a problem, and the parts of them that its parameters name."""
 
 from collections.abc import Callable, Collection, Iterator
 from typing import Any
@@ -26,8 +26,8 @@ def named_record(problem: Problem, kind: type) -> str:
     found = [name for name, record in problem.records.items() if isinstance(record, kind)]
     if len(found) != 1:
         raise InputError(
-            f"The records of the problem hold {len(found)} of {kind.__name__}; exactly one is "
-            "needed."
+            f"The records of the problem hold {len(found)} {kind.__name__} records; exactly one "
+            "is needed."
         )
     return found[0]
 
@@ -75,11 +75,11 @@ def without_effects(
 def _boxes(
     problem: Problem, records: dict[str, Any], among: tuple[str, ...]
 ) -> Iterator[tuple[str, tuple[Any, Any]]]:
-    """Return the range of each free field, by name. Fixed fields, and fields that depend on others,
-    have one value or none."""
+    """Return the range of each free field, by name. A fixed field has one value; a tied one is
+    refused."""
     for name in problem.tied:
         if is_path(name) and head(name) in among:
-            raise InputError(f"called_for: {name} is tied, so that nothing is known of its range.")
+            raise InputError(f"called_for: {name} is tied, so its range is unknown.")
     known = {p.name: _ends(p) for p in problem.free} | {n: (v, v) for n, v in problem.fixed.items()}
     fields: dict[str, list[np.ndarray]] = {}
     for path, ends in known.items():
@@ -94,7 +94,7 @@ def _boxes(
 
 
 def _field(records: dict[str, Any], path: str) -> tuple[str, Any]:
-    """The array to which or into which a path leads, and the index in it."""
+    """Return the array to which a path leads, and the index of the number in it."""
     parent, _, last = path.rpartition("[")
     if parent and last[:-1].isdigit() and isinstance(reach(records, parent), Array):
         return parent, int(last[:-1])
@@ -113,8 +113,8 @@ def _ends(parameter: Parameter) -> tuple[np.ndarray, np.ndarray]:
         each.append((low, high))
     if not np.isfinite(each).all():
         raise InputError(
-            f"called_for: {parameter.name} has no end; give it bounds or a prior, so that what is "
-            "left out stays small wherever the fit may go."
+            f"called_for: {parameter.name} has no end; give it bounds or a prior, so that the "
+            "dropped effects stay small wherever the fit may go."
         )
     low, high = np.transpose(each)
     return low.reshape(shape), high.reshape(shape)

@@ -4,9 +4,10 @@ Without an effect the log posterior L becomes L'. Its maximum moves from the opt
 
     -H'^-1 (grad L'(v) - grad L(v)) = H^-1 J^T W (change of the prediction) + ...,
 
-a step of Newton's method. Each further step is smaller by about the same factor q, so that at most
-q / (1 - q) of the last one is missing: the bound is the shift of all steps and this rest. Where the
-steps do not contract, a search of the smaller problem begins at the optimum.
+a step of Newton's method. Each further step is smaller by about the same factor q, so the steps not
+taken sum to at most q / (1 - q) times the last one. The bound is the shift by all steps plus this
+remainder. If the steps do not contract, a search for the mode without the effect begins at the
+optimum.
 
 Source:
     Becker and Rannacher, "An optimal control approach to a posteriori error estimation in finite
@@ -34,9 +35,9 @@ from .result import Fit
 from .solve import fit
 
 _STEPS = 8  # of Newton's method, before a search
-_SHARE = 0.1  # of a shift, or _LEAST standard errors: a rest that needs no further step
+_SHARE = 0.1  # of a shift, or _LEAST standard errors: remainder that needs no further step
 _LEAST = 1e-4
-_SLOWEST = 0.5  # ratio of two steps, from which the rest is not trusted
+_SLOWEST = 0.5  # ratio of two steps from which the remainder is not trusted
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,10 @@ class Moved:
 
     Attributes:
         effect: its name, as in `jaxvision.effects.inspect`.
-        shift: of the estimate without it, in standard errors.
+        shift: change of the estimate without the effect, in standard errors.
         bound: the shift is at most this, in standard errors; inf where nothing is known.
         ratio: standard error without the effect, relative to that with it.
-        fall: of the log density at the best fit, as a model without the effect describes the data.
+        fall: decrease of the log density at the best fit without the effect.
     """
 
     effect: str
@@ -66,7 +67,7 @@ class Influence:
         target: in words.
         value: of the target at the best fit, in its unit.
         sd: its standard error.
-        effects: each by itself, the largest bound first.
+        effects: each effect left out alone, the largest bound first.
 
     Example:
         >>> from fitting.fits.influence import Influence, Moved
@@ -138,10 +139,11 @@ def influence(
 ) -> Influence:
     """How far each effect of the scene and the camera, if left out, would move a fitted number.
 
-    Nothing is fitted again: a few gradients at the best fit give the shift and a bound on it, with
-    the change of every pixel's prediction and of its noise. Only where an effect is so large that
-    Newton's steps do not contract is the problem without it searched from there. The bound assumes
-    that the steps go on to contract as the last two did, and that no other optimum becomes better.
+    Usually nothing is fitted again: a few gradients at the best fit give the shift and a bound on
+    it, from the change of every pixel's prediction and noise. Only if an effect is so large that
+    Newton's steps do not contract, the problem without it is searched from the best fit. The bound
+    assumes that the steps continue to contract as the last two did, and that no other optimum
+    becomes better.
 
     Args:
         fitted: a fit, or a problem, which is fitted. It has one `Scene` and one `Camera` among its
@@ -151,8 +153,8 @@ def influence(
         samples, depth: of the images that `predict` renders, as in `jaxvision.effects.inspect`.
 
     Returns:
-        For each effect that can be dropped, the shift of the target and its bound in standard
-        errors, and what becomes of the standard error and of the log density.
+        For each effect that can be dropped: the shift of the target and its bound in standard
+        errors, the ratio of standard errors, and the decrease of the log density.
 
     Raises:
         InputError: for records without a scene and a camera, an unknown target, and a fit that did
@@ -187,17 +189,17 @@ def influence(
 def measure_effects(
     found: Fit, target: Target
 ) -> tuple[float, float, Callable[[str, Problem], Moved]]:
-    """The target, its standard error, and a function from the name of some effects and the problem
-    without them to what they move."""
+    """Return the target, its standard error, and a function of a name and the problem without those
+    effects that returns how far the target moves."""
     problem, optimum = found.problem, found.optimum
     if optimum.saddle or not optimum.stationary:
-        raise InputError(f"influence: the fit has no maximum. {' '.join(found.failures)}")
+        raise InputError(f"influence: the fit did not end at a maximum. {' '.join(found.failures)}")
     at, information = np.asarray(optimum.vector, np.float64), optimum.curvature
     value, slope = slope_of(problem, target, at)
     sd = float(np.sqrt(slope @ found.posterior.covariance @ slope))
     linear = float(np.sqrt(slope @ np.linalg.solve(information, slope)))
     begun, start = (x[0] for x in derivatives(at[None], problem, parts=chunks(problem))[:2])
-    own = np.sqrt(2 * max(optimum.decrement, 0.0))  # standard errors that the fit itself lacks
+    own = np.sqrt(2 * max(optimum.decrement, 0.0))  # standard errors from the maximum
 
     def moved(name: str, end: np.ndarray, rest: float, cost: float, curvature: Any) -> Moved:
         there, slope = slope_of(problem, target, end)

@@ -35,7 +35,7 @@ from ..inference.problem import (
 )
 from ..inference.search import Optimum
 
-SCORES = 20_000  # squared, which the mean is taken of: 1 % of an element of F
+SCORES = 20_000  # squared scores in the mean: an error of 1 % in an element of F
 MOST_DRAWS = 2_000
 BATCH = 8  # draws evaluated at a time
 
@@ -101,7 +101,8 @@ def replace_inputs(problem: Problem, inputs: Any) -> Problem:
 def slope_of(
     problem: Problem, target: Target, vector: Float[np.ndarray, " parameters"]
 ) -> tuple[float, Float[np.ndarray, " parameters"]]:
-    """A quantity in its unit, and (P,) its derivatives by the unconstrained values."""
+    """Return a quantity in its unit, and (P,) its derivatives with respect to the unconstrained
+    values."""
     at = jnp.asarray(vector, problem.data.dtype)
     if isinstance(target, str):
         place = _place(problem, target)

@@ -23,11 +23,11 @@ WHY = {
     "misfit": "{share} scatter more than the likelihood says ({chance:.3g} of so many would by "
     "chance); their estimates are kept.",
     "stopped": "{share} stopped before a maximum and are NaN.",
-    "undetermined": "The data of {share} leave a direction open; they are NaN.",
+    "undetermined": "The data of {share} do not determine all parameters; they are NaN.",
     "not finite": "The prediction of {share} is not finite; they are NaN.",
     "no data": "{share} have no data and are NaN.",
 }
-SHOWN = (1, 99)  # percentiles between which a picture's colours go
+SHOWN = (1, 99)  # percentiles at the ends of a picture's colour scale
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class FitMap:
         chi_square: (*map) of the pixel's data; where pixels share a label, of all data of that
             label.
         dof: (*map) degrees of freedom.
-        state: (*map) index into `fitting.fits.map.STATES`; 0 where a fit converged and describes
+        state: (*map) index into `fitting.fits.map.STATES`; 0 where the fit converged and describes
             its data.
         units: of each parameter.
         findings: sentences on how many pixels failed, and why.

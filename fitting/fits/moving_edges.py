@@ -20,13 +20,13 @@ from ..inference.records import head, is_path
 
 _STEP = 0.02  # of the distance from the coordinates' origin, or of the number itself
 _BLOCKS, _LEAST = 16, 4  # blocks of a picture along each side, and pixels along each side of one
-_MOST = 6  # numbers that are looked at
+_MOST = 6  # largest number of parameters that are tested
 _warned: WeakSet[Callable] = WeakSet()
 
 
 def warn_of_moving_edges(problem: Problem) -> None:
-    """Warns, once for each `predict`, of the share of the picture's change that its gradient misses
-    at the starts of free places and shapes."""
+    """Warn, once for each `predict`, of the share of the picture's change that its gradient misses
+    when free positions and shapes move from their starts."""
     names = list(_geometric(problem))
     if not names or problem.predict in _warned:
         return
@@ -53,7 +53,7 @@ def warn_of_moving_edges(problem: Problem) -> None:
 
 
 def _geometric(problem: Problem) -> Iterator[str]:
-    """Free paths by which an edge may move."""
+    """Yield the free paths whose change may move an edge in the picture."""
     for name in (parameter.name for parameter in problem.free if is_path(parameter.name)):
         record = problem.records.get(head(name))
         within = name[len(head(name)) + 1 :]
@@ -72,21 +72,21 @@ def _geometric(problem: Problem) -> Iterator[str]:
 
 @eqx.filter_jit
 def _compared(problem: Problem, values: Values, step: Values) -> Array:
-    """Three norms over blocks of pixels: of the change by a central difference over half of `step`,
-    of its difference from the derivative, and of its difference from that over the whole step."""
+    """Return three norms over blocks of pixels: of D, the change by a central difference over half
+    of `step`; of D minus the derivative; and of D minus the difference over the whole `step`."""
 
     def picture(share: Array) -> Array:
         moved = values | {name: values[name] + share * by for name, by in step.items()}
         return _block_means(prediction(problem, moved))
 
-    shares = jnp.array([1.0, -1.0, 0.5, -0.5, 0.0])  # by one program, which is compiled once
+    shares = jnp.array([1.0, -1.0, 0.5, -0.5, 0.0])  # evaluated by one compiled program
     there, along = jax.lax.map(lambda x: jax.jvp(picture, (x,), (jnp.ones_like(x),)), shares)
     full, half = (there[0] - there[1]) / 2, there[2] - there[3]
     return jnp.stack([jnp.sqrt(jnp.sum(x**2)) for x in (half, half - along[4], full - half)])
 
 
 def _block_means(picture: Array) -> Array:
-    """The means of blocks of pixels, for an edge crosses few pixels in a small step."""
+    """Return the means of blocks of pixels, because an edge crosses few pixels in a small step."""
     if picture.ndim < 2:
         return picture
     sides = [max(_LEAST, -(-size // _BLOCKS)) for size in picture.shape[:2]]

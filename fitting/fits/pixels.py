@@ -25,8 +25,8 @@ from .map import STATES, FitMap, map_findings
 from .result import Fit
 from .solve import fit
 
-FEW_STEPS, MANY_STEPS = 20, 200  # of all searches, and of those that need more
-MANY = 0.05  # share of pixels that are misfits, from which data are asked for the cause
+FEW_STEPS, MANY_STEPS = 20, 200  # steps of all searches, and of the searches that need more
+MANY = 0.05  # share of misfit pixels from which the data are checked for a cause
 OUTLINE = ("estimate", "sd", "low_95", "low_68", "high_68", "high_95")
 
 
@@ -51,12 +51,12 @@ def fit_map(
     Args:
         problem: of one pixel, for example with one datum per image. Its data and inputs give the
             shapes.
-        data: (..., *map) the data of every pixel, with the axes of the problem first: (images,
-            height, width) for a problem with one datum per image. It may be a memory-mapped file.
-            NaN marks missing, saturated or masked data.
-        inputs: of every pixel, in the problem's structure. A leaf whose shape is that of the
-            problem followed by that of the map differs between pixels; any other leaf is used for
-            all pixels. None takes the problem's inputs for all pixels.
+        data: (..., *map) the data of every pixel: the axes of the problem's data, then those of the
+            map, such as (images, height, width) for a problem with one datum per image. It may be a
+            memory-mapped file. NaN marks missing, saturated or masked data.
+        inputs: of every pixel, in the structure of the problem's inputs. A leaf whose shape is the
+            shape in the problem followed by that of the map differs between pixels; any other leaf
+            is used for all pixels. None takes the problem's inputs for all pixels.
         labels: (*map) whole numbers. Pixels of one label (a material) share one set of parameters;
             pixels with a negative label are left out. None fits every pixel by itself.
         starts: number of searches for each pixel, spread over bounds and priors.
@@ -102,8 +102,8 @@ def fit_map(
         or 0 in (shape or (0,))
     ):
         raise InputError(
-            f"data of shape {tuple(data.shape)} do not fit: the problem's own shape, {own_shape}, "
-            "comes first, that of the map behind it."
+            f"data of shape {tuple(data.shape)} do not fit: they need the shape of the "
+            f"problem's data, {own_shape}, followed by the shape of the map."
         )
     leaves = _pixel_leaves(problem, inputs, shape)
     if problem.candidates:
@@ -111,9 +111,7 @@ def fit_map(
             "fit_map has no candidates: state a Parameter, or a number for a term that is absent."
         )
     if labels is not None and problem.start is not None:
-        raise InputError(
-            "labels: a start from the data is that of one pixel; give starts to the parameters."
-        )
+        raise InputError("labels: start(data) is for one pixel; give starts to the parameters.")
     if labels is not None:
         return _fit_labels(
             *(problem, data, leaves, labels, shape),
@@ -127,7 +125,7 @@ def fit_map(
     table, distances = prior_starts(problem, starts, seed=seed)
     begin = jnp.asarray(table, dtype), jnp.asarray(distances, dtype)
     if problem.start is None:
-        spread_starts(problem, starts, seed=seed)  # refuses what nothing says where to search
+        spread_starts(problem, starts, seed=seed)  # refuses a parameter without a range to search
     pixels = int(np.prod(shape))
     chunk = min(chunk, pixels)
     flat = data.reshape(*own_shape, pixels)
@@ -201,8 +199,8 @@ def _pixel_leaves(problem: Problem, inputs: Any, shape: tuple[int, ...]) -> list
             found.append(None)
         else:
             raise InputError(
-                f"inputs: an array of shape {np.shape(leaf)} is neither the problem's own nor one "
-                f"of shape {(*inner, *shape)}, that of every pixel."
+                f"inputs: an array of shape {np.shape(leaf)} is neither the problem's own nor of "
+                f"shape {(*inner, *shape)}, with a value for every pixel."
             )
     return found
 
@@ -210,7 +208,8 @@ def _pixel_leaves(problem: Problem, inputs: Any, shape: tuple[int, ...]) -> list
 def _outcome(
     problem: Problem, ends: Ends, *, inflate: bool
 ) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """(P, problems) of every column of the outline; chi-square, degrees of freedom and state."""
+    """Return (P, problems) arrays of estimates, errors and intervals, chi-square, degrees of
+    freedom and state."""
     data, prior = (
         np.asarray(part, np.float64) for part in (ends.data_information, ends.prior_information)
     )
@@ -318,7 +317,7 @@ def _fit_labels(
 
         return jax.vmap(one)(inputs["place"], inputs["own"])
 
-    # Numbers of the likelihood belong to the data of a pixel, not to the pixels.
+    # Arrays of the likelihood have the shape of one pixel's data, without an axis of pixels.
     likelihood = jax.tree.map(
         lambda x: x[None] if hasattr(x, "ndim") and x.ndim else x, problem.likelihood
     )
@@ -343,7 +342,7 @@ def _fit_labels(
                 misfit=misfit,
                 seed=seed,
             )
-        except InputError as error:  # of these pixels alone
+        except InputError as error:  # concerns only the pixels of this label
             state[places] = STATES.index("undetermined")
             sentences.append(f"Label {label}: {error}")
             continue

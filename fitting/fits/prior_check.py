@@ -34,12 +34,13 @@ from ..inference.problem import Problem, log_prior_at
 from ..inference.search import Optimum
 from .widening import Widening
 
-LOOSE = 1e3  # factor on the width of a prior, with which the data decide alone
+LOOSE = 1e3  # factor on the width of a prior that leaves the decision to the data
 LEAST = 1e-4  # smallest share of the data in the information on a parameter that is compared
 
 
 def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[str, ...]:
-    """Sentences on the priors that differ significantly from the data, the largest first.
+    """Return sentences on the priors that differ significantly from the data, the largest
+    difference first.
 
     The false-alarm rate for all priors together is one in 1 / `CHANCE` fits."""
     space, joint = problem.space, problem.prior
@@ -85,9 +86,9 @@ def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[str, 
 def _joint_conflict(
     problem: Problem, joint: JointPrior, vector: Array, wide: Widening, chance: float
 ) -> tuple[float, str] | None:
-    """Compare a joint prior with the rest, in the directions that the data determine. The
-    difference between its mean and the posterior's has the covariance of the prior minus that of
-    the posterior (Hausman, Econometrica 46, 1978)."""
+    """Compare a joint prior with all other information, in the directions that the data determine.
+    The difference between its mean and the posterior's has the covariance of the prior minus that
+    of the posterior (Hausman, Econometrica 46, 1978)."""
     on_scale = partial(scores, joint, problem.space)
     z = np.asarray(on_scale(vector), np.float64)
     slope = np.asarray(jax.jacfwd(on_scale)(vector), np.float64)
@@ -102,7 +103,7 @@ def _joint_conflict(
 
 
 def loosen(prior: Any) -> Any:
-    """A prior so wide that data which contradict it decide alone."""
+    """Return a prior so wide that data which contradict it determine the estimate."""
     match prior:
         case Normal() | HalfNormal() | Marginal():
             return replace(prior, sd=LOOSE * prior.sd)
@@ -116,8 +117,9 @@ def loosen(prior: Any) -> Any:
 def blame_priors(
     problem: Problem, vector: np.ndarray, wide: Widening, before: Misfit, alone: Misfit
 ) -> tuple[str, ...]:
-    """Sentences on the priors that contradict a fit with `loosen` ones, the largest difference
-    first; empty if none does. In place of a misfit's where that fit describes the data."""
+    """Return sentences on the priors that contradict a fit with widened priors (see `loosen`), the
+    largest difference first; empty if no prior does. They replace the finding of a misfit if the
+    fit with widened priors describes the data."""
     space, joint = problem.space, problem.prior
     together = () if joint is None else places_of(joint, space)
     at = jnp.asarray(vector, jnp.result_type(float))
@@ -155,7 +157,7 @@ def _joint_difference(
     root = np.linalg.cholesky(np.asarray(joint.correlation, np.float64))
     scaled = np.linalg.solve(root, slope @ wide.gaussian_covariance @ slope.T)
     values, axes = np.linalg.eigh(np.linalg.solve(root, scaled.T))
-    told = values < 1 / LEAST  # in which the data say something
+    told = values < 1 / LEAST  # directions in which the data are informative
     along = (axes.T @ np.linalg.solve(root, z))[told]
     return _joint_in_words(joint, float(np.sum(along**2 / (1 + values[told]))), len(along), CHANCE)
 
@@ -192,7 +194,7 @@ def _standard_scale(prior: Prior, x: float) -> tuple[float, float]:
     place = float(ndtri(below))
     if abs(place) < 6:
         return place, float(density * np.sqrt(2 * np.pi) * np.exp(place**2 / 2))
-    # Beyond the digits of a share of 1, along the line through the quantiles of one and two.
+    # Where a share rounds to 1, extrapolate linearly from the quantiles at g = 1 and 2.
     one, two = (_quantile(prior, np.sign(place) * k) for k in (1.0, 2.0))
     slope = float(np.sign(place) / (two - one))
     return float(np.sign(place) + slope * (x - one)), slope

@@ -46,8 +46,8 @@ class Fit:
         optimum: the mode of the unconstrained values, and where the searches ended.
         posterior: draws.
         misfit: chi-square and the correlation of neighbouring residuals.
-        residuals: standardised, of the data's shape; of data in chunks, those of a sample. NaN
-            where a datum is missing.
+        residuals: standardised, of the data's shape; for data in chunks, the residuals of a sample.
+            NaN where a datum is missing.
         failures: why the fit did not converge, in sentences; empty if it did.
         findings: further sentences for the reader.
         noise: factor by which the noise of the data was widened because of a misfit; 1 for none.
@@ -150,8 +150,8 @@ class Fit:
 
         The density is Gaussian on the unconstrained scale, or Student's t if the widths are
         estimated from few groups. Intervals that were widened for a misfit stay as wide. The other
-        parameters of the earlier fit are marginalised. The new problem needs new data, because data
-        that are used again count twice.
+        parameters of the earlier fit are marginalised. Give the new problem new data: data used in
+        both fits would count twice.
 
         Args:
             names: a name, a pattern such as "camera.*", several of them, or new names by old ones
@@ -172,7 +172,7 @@ class Fit:
             >>> first = fit(level([1.9, 2.0]))
             >>> second = fit(level([2.0, 2.1], first.as_prior("m")))
             >>> one, = second.estimates
-            >>> round(one.value, 4), round(one.standard_error, 4)  # of all four, 0.2 / sqrt(4)
+            >>> round(one.value, 4), round(one.standard_error, 4)  # of four data, 0.2 / sqrt(4)
             (2.0, 0.1)
         """
         if self.failures:
@@ -195,8 +195,7 @@ class Fit:
         if self.posterior.freedom is not None:
             return (
                 *before,
-                "The prior comes from a fit whose groups share errors; its intervals allow for "
-                "them.",
+                "The prior comes from a fit whose groups share errors; its intervals include them.",
             )
         return before
 
@@ -204,8 +203,8 @@ class Fit:
         """A function of the parameters, with intervals from the draws.
 
         Args:
-            function: any JAX function that returns one array. Its arguments have the names of those
-                of `predict`; `**given` receives all parameters (paths too) and records by name.
+            function: any JAX function that returns one array. Its arguments are named like those of
+                `predict`; `**given` receives all parameters (paths too) and records by name.
             draws: number of draws.
 
         Returns:
@@ -233,7 +232,7 @@ class Fit:
         """Predicted data, with the uncertainty of the parameters and the noise.
 
         Args:
-            inputs: arrays that replace the problem's own; None for the data that were fitted.
+            inputs: arrays that replace the problem's inputs; None for the fitted data.
             draws: number of draws; the ends of 95 % intervals need many.
 
         Returns:
@@ -256,7 +255,7 @@ class Fit:
 
         Args:
             candidates: inputs of each candidate by its name, as `predict` takes them.
-            target: the quantity whose error shall decrease: a free number by its name or the last
+            target: the quantity whose error is to decrease: a free number by its name or the last
                 part of its path, or a JAX function that returns one number.
             repeats: number of times that each candidate would be measured.
 
@@ -295,8 +294,9 @@ class Fit:
             target: a free number by its name or the last part of its path, or a JAX function that
                 returns one number.
             noise: variance of a datum by source, in the square of the data's unit: a number, an
-                array of the data's shape, or a function of the prediction. None takes the sources
-                of the sensor of `SensorNoise`; for any other likelihood all noise is one source.
+                array of the data's shape, or a function of the prediction. None takes the noise
+                sources of the sensor in `SensorNoise`; for any other likelihood all noise is one
+                source.
             nuisances: names of parameters whose priors count together as one source ({"lights":
                 [...]}); every other parameter with a prior is a source of its own.
 
@@ -340,7 +340,7 @@ class Fit:
         return arviz.from_dict(groups)
 
     def write(self, folder: Path | str, *, title: str = "Fit") -> list[Path]:
-        """Writes the report: `report.html`, `results.json` and the draws as NetCDF.
+        """Write the report: `report.html`, `results.json` and the draws as NetCDF.
 
         Args:
             folder: made if needed.
@@ -432,13 +432,13 @@ def section(fit: Fit, title: str) -> Section:
         "Before and after the data",
         ("parameter", "s.d. before", "after / before"),
         rows,
-        "A ratio near 1: only the prior or the bounds are seen.",
+        "A ratio near 1: the estimate comes from the prior or the bounds, not from the data.",
     )
     terms = Table(
         "Candidate terms",
         ("term", "stays", "standard errors from absent", "needed"),
         tuple((one.name, str(one.kept), one.ratio, one.needed) for one in fit.choices),
-        "A term stays if BIC favours it and chance does not explain it.",
+        "A term is kept if BIC favours it and chance does not explain it.",
     )
     left_out = fit.problem.left_out
     gone = () if left_out is None else (left_out_table(left_out),)

@@ -1,4 +1,4 @@
-"""`fit`: from a problem to its posterior, with a verdict."""
+"""`fit` finds the best fit of a problem, its posterior, and a verdict on both."""
 
 import time
 import warnings
@@ -60,9 +60,9 @@ from .words import (
     verdict,
 )
 
-ROUNDS = 4  # of starts, as long as the best of all stands alone
+ROUNDS = 4  # of starts, as long as no other search confirms the best
 OTHER_SEED = 1_000_003  # between the seeds of rounds
-SINGLE_ROUNDING = 1e-6  # of a scaled eigenvalue computed with 7 digits
+SINGLE_ROUNDING = 1e-6  # rounding of a scaled eigenvalue computed in float32
 METHODS = {"laplace": Laplace, "emcee": Emcee, "nuts": Nuts}
 Method = Laplace | Emcee | Nuts
 
@@ -81,19 +81,20 @@ def fit(
 ) -> Fit:
     """Fit a problem: find the best optimum of many searches, its posterior, and a verdict.
 
-    For data in chunks (`Problem(..., chunk=...)`) the searches use a sample. Newton's method goes
-    from the best optimum to the mode of all data, which are read once a step. The verdict uses all
-    data. Residuals and bands are those of the sample, and a bar shows the progress of each reading.
+    For data in chunks (`Problem(..., chunk=...)`) the searches use a sample. Newton's method then
+    goes from the best optimum to the mode of all data, which are read once per step. The verdict
+    uses all data. Residuals and bands describe the sample. A bar shows the progress of each
+    reading.
 
-    A `Candidate` is kept only if the data support it: it passes Schwarz' criterion, and its
-    distance from the absent value is too large for chance. The weakest is dropped first. The
+    A `Candidate` is kept only if the data support it: it passes Schwarz' criterion, and chance does
+    not explain its distance from the absent value. The weakest candidate is dropped first. The
     estimates are those of the problem without the dropped terms, and `Fit.choices` gives the
     reasons.
 
     If finite differences at the optimum differ from the gradient, for example because edges of
     shadows move, the fit uses finite differences for its verdict and curvature, and a finding names
-    the parameters. Where a free place or shape in a scene moves such edges, a warning before the
-    first search gives the share that the gradient misses at the start.
+    the parameters. If a free position or shape in a scene moves such edges, a warning before the
+    first search gives the share of the change that the gradient misses at the start.
 
     A second fit of a problem with equal shapes and the same `predict` compiles nothing
     (`Problem.with_data`). Nothing is raised for a fit that does not converge: read `converged` and
@@ -105,9 +106,9 @@ def fit(
             searches.
         starts: number of searches, spread over bounds and priors; the best one is taken. If no
             other search ends at the same point, up to four times as many are run; if none does
-            then, the fit fails. A fitted noise width grows until a wrong optimum passes for noise.
-            With one, four of up to eight times as many searches must end at the same point, and a
-            single search always fails.
+            then, the fit fails. If the width of the noise is fitted, it grows at a wrong optimum
+            until the misfit counts as noise. Then four searches must end at the same point, up to
+            eight times as many searches are run, and a single search always fails.
         solver: the method of the searches: any least-squares solver or minimiser of optimistix
             (`optimistix.Dogleg(rtol=1e-8, atol=1e-8)`), or a class of jaxopt's minimisers
             (`jaxopt.LBFGSB`, or a `functools.partial` with its options). A least-squares solver
@@ -121,8 +122,8 @@ def fit(
         misfit: what to do where the data scatter more than the likelihood states. `fail`: the fit
             does not converge. `inflate`: the intervals widen by the square root of chi-square per
             degree of freedom (Birge's factor), which assumes that the model is approximately right.
-            The intervals of `Clustered` widen by themselves; with it, `inflate` also accepts a
-            misfit that is more than an offset and a gain of each group.
+            The intervals of `Clustered` widen by themselves; with `Clustered`, `inflate` also
+            accepts a misfit that an offset and a gain of each group do not explain.
         seed: of starts and draws.
         after: a fit of the same problem and seed whose chains continue, with more steps or draws in
             `posterior`. They end bit-identical to uninterrupted chains.
@@ -132,9 +133,9 @@ def fit(
         The fit.
 
     Raises:
-        InputError: for an argument that is no problem or no seed, a start with unknown names, a
-            model that is finite nowhere, data that leave a direction of the parameters
-            undetermined, chains in `after` of another problem, and NUTS without blackjax.
+        InputError: for an invalid problem or seed, a start with unknown names, a model that is
+            finite nowhere, data that leave a direction of the parameters undetermined, chains in
+            `after` of another problem, and NUTS without blackjax.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit
@@ -179,7 +180,7 @@ def fit(
             if isinstance(method, Laplace) or not after.posterior.blocks:
                 raise InputError(
                     "after: only chains go on; give a fit by posterior=Emcee() or Nuts(), and the "
-                    "same one."
+                    "same posterior here."
                 )
             optimum, choices = after.optimum, after.choices
             for choice in choices:
@@ -263,8 +264,8 @@ def _optimum(
 def _chosen(
     problem: Problem, how: _How, advance: Advance
 ) -> tuple[Problem, Optimum, tuple[Choice, ...]]:
-    """The problem without the candidates that fail the criterion, its optimum, and the reasons. The
-    weakest is dropped first, and the others are tested again without it."""
+    """Return the problem without the candidates that fail the criterion, its optimum, and the
+    reasons. The weakest candidate is dropped first, and the remaining ones are tested again."""
     optimum, gone = _optimum(problem, how, advance), []
     while True:
         choices = _choices(problem, optimum, how, advance)
@@ -296,7 +297,7 @@ def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) ->
         count = float(problem.stream.count)
     elif problem.present is not None:
         count = float(on_host(problem.present).sum())
-    with suppress(InputError):  # a term that is absent may leave a direction open
+    with suppress(InputError):  # without a term, a parameter may be undetermined
         end = _tested(problem, optimum, how, advance)
         information = np.linalg.inv(end.wide.covariance)
     if end is not None and end.wide.noise > 1:
@@ -321,8 +322,8 @@ def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) ->
 
 
 def _contradicted(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
-    """Sentences on priors for which a fit failed: with wider ones the data are described, and
-    disagree with the stated ones. Empty where that is no cause."""
+    """Return sentences on the priors that made a fit fail: with wider priors the model describes
+    the data, and the data disagree with the stated priors. Empty if priors are not the cause."""
     loose = problem.with_priors(loosen)
     if loose.free == problem.free and loose.prior is None:
         return ()
@@ -368,7 +369,8 @@ def _fits_width(problem: Problem) -> bool:
 
 
 def _searched(problem: Problem, starts: int, seed: int, solver: Any, advance: Advance) -> Optimum:
-    """Return the best of many searches. If no other search ends at the same optimum, run more."""
+    """Return the best of many searches. If no other search ends at the same optimum, run more
+    searches."""
     wide_noise = _fits_width(problem)
     begin = spread_starts(problem, starts, seed=seed)
     how: dict[str, Any] = {"solver": solver}
@@ -386,8 +388,8 @@ def _searched(problem: Problem, starts: int, seed: int, solver: Any, advance: Ad
 
 
 def _determined(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum:
-    """The optimum, refused if a direction is unidentifiable; a saddle comes with its own
-    curvature."""
+    """Return the optimum, or refuse it if a direction is unidentifiable; for a saddle, with the
+    curvature there."""
     precise = problem.data.dtype == jnp.float64
     rounding = UNDETERMINED if precise else SINGLE_ROUNDING
     judged = identifiability(problem.space, optimum.curvature, rounding=rounding)
@@ -401,7 +403,9 @@ def _determined(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum
         and identifiability(problem.space, exact.curvature, rounding=rounding).determined
     ):
         return replace(exact, stationary=False)
-    hint = () if precise else ("jax.config.update('jax_enable_x64', True) may tell, by 16 digits.",)
+    hint = (
+        () if precise else ("jax.config.update('jax_enable_x64', True), for 16 digits, may help.",)
+    )
     raise InputError(" ".join((*judged.sentences, *hint)))
 
 
@@ -427,8 +431,8 @@ def method_of(posterior: Method | str | None, *, sampling: Emcee | Nuts | None =
         )
     elif sampling is not None:
         raise InputError(
-            "sampling: write posterior=Emcee(...) or Nuts(...) with what it holds, and leave it "
-            "out."
+            "sampling: write posterior=Emcee(...) or Nuts(...) with the same options, and leave "
+            "sampling out."
         )
     if not isinstance(method, Method):
         raise InputError(f"posterior = {posterior!r}: use Laplace(), Emcee() or Nuts().")
@@ -462,13 +466,14 @@ def _inverse(information: np.ndarray) -> np.ndarray:
 
 
 def _stretched_log_density(vector: Vector, args: tuple[Problem, Array, Array]) -> Array:
-    """The log posterior, including the prior, stretched about its mode to a wider covariance."""
+    """Return the log posterior, including the prior, stretched about its mode to a wider
+    covariance."""
     problem, mode, stretch = args
     return log_density(mode + stretch @ (vector - mode), problem)
 
 
 def _tempered_log_density(vector: Vector, args: tuple[Problem, Array]) -> Array:
-    """The log posterior with every error of the data larger by a factor, and the prior
+    """Return the log posterior with the noise of the data multiplied by a factor, and the prior
     unchanged."""
     problem, factor = args
     return log_likelihood(vector, problem) / factor**2 + log_prior_at(problem, vector)

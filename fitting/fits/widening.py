@@ -27,8 +27,8 @@ from ..inference.problem import (
 from ..inference.search import Optimum
 from ..inference.streams import Advance, chunks
 
-SMALL = 1e-4  # share of a prediction's spread by which a residual's slope is found
-LEAST = 0.01  # spread of predictions that hardly differ, relative to them or to that of data
+SMALL = 1e-4  # step, as a share of the predictions' spread, for the slope of a residual
+LEAST = 0.01  # least spread of predictions, relative to their size or to the data's spread
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,9 @@ def widening(
 ) -> Widening:
     """The covariance that includes the misfit of the model.
 
-    Groups explain a misfit if they share errors and the residuals within a group, after an offset
-    and a gain are removed, are noise as stated. With `inflate` the remaining residuals may have any
-    size."""
+    Groups explain a misfit if they share errors, and if the residuals within a group, without an
+    offset and a gain, agree with the stated noise. With `inflate` the remaining residuals may have
+    any size."""
     if isinstance(problem.likelihood, Clustered):
         labels = problem.likelihood.labels
         every = labels if isinstance(labels, dict) else {"": labels}
@@ -167,8 +167,8 @@ def without_shared(
     labels: np.ndarray,
     shapes: tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]],
 ) -> Float[np.ndarray, "..."]:
-    """Residuals after subtracting the best multiples of two shapes in each group, by least
-    squares."""
+    """Return the residuals after subtracting, in each group, the least-squares multiples of two
+    shapes."""
     there = np.isfinite(residuals).ravel()
     r = np.where(there, residuals.ravel(), 0)
     first, second = (np.where(there, shape.ravel(), 0) for shape in shapes)
@@ -179,7 +179,7 @@ def without_shared(
 
 
 def _multiple(values: np.ndarray, shape: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """(groups,) the multiple of a shape that is nearest to the values."""
+    """Return (groups,) the multiple of a shape that best fits the values."""
     size = np.bincount(labels, shape**2)
     return np.bincount(labels, values * shape) / np.where(size > 0, size, 1)
 

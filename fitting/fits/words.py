@@ -19,11 +19,11 @@ from ..inference.search import SAME_PLACE, Optimum
 from ..inference.trust import convergence_in_words, is_trusted
 
 SKEWED = 0.3  # unconstrained standard deviation from which a Gaussian may mislead
-SAME_END = 0.02  # difference in cost of two optima; of many optima some are near each other
-MANY_OPTIMA = 0.4  # share of searches that end alone
-HARDLY = 0.95  # posterior over prior from which data say little beside those of an earlier fit
-APART = 5.0  # standard deviations between two optima
-NARROWEST = 1e-4  # scaled eigenvalue of a covariance below which a search need not agree
+SAME_END = 0.02  # difference in cost from which two searches count as different optima
+MANY_OPTIMA = 0.4  # share of searches ending alone from which four must agree
+HARDLY = 0.95  # posterior over an earlier fit's s.d., from which the data add little
+APART = 5.0  # standard deviations between two optima that are reported as different
+NARROWEST = 1e-4  # smallest scaled eigenvalue that is used to compare optima
 # Standard deviations from a bound to the median: .7 for a density that falls off from the bound,
 # 1.1 for half a Gaussian, 1.7 for a flat one.
 AT_END = 1.25
@@ -32,7 +32,7 @@ AT_END = 1.25
 def verdict(
     optimum: Optimum, checks: Misfit, explained: bool, *, wide_noise: bool = False
 ) -> list[str]:
-    """Why the end of a search is not an accepted fit; empty if it is."""
+    """Return why the end of a search is not accepted as a fit; empty if it is."""
     failures = []
     if optimum.saddle:
         failures.append(
@@ -56,8 +56,8 @@ def verdict(
     elif len(optimum.costs) > 1 and not is_confirmed(optimum, wide_noise=wide_noise):
         failures.append(
             f"Of {len(optimum.costs)} starts {agreeing(optimum)} ended as deep as this, the others "
-            "at shallower optima: a deeper one may have been missed; give more starts, narrower "
-            "bounds or a start."
+            "at shallower optima, so a deeper one may have been missed; give more starts, "
+            "narrower bounds or a start."
         )
     if not explained:
         failures += checks.faults
@@ -97,7 +97,7 @@ def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
 
 
 def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
-    """Another optimum that fits as well, if the searches found one."""
+    """Return a finding on other optima that fit as well, if the searches found any."""
     ends = natural_numbers(posterior.space, optimum.ends)
     spread = np.cov(posterior.samples.T).reshape(len(posterior.space), -1)
     size = np.sqrt(np.diagonal(spread))
@@ -116,7 +116,7 @@ def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
 
 
 def about_left_out(problem: Problem) -> list[str]:
-    """How far each effect that was left out for a fitted number may move it."""
+    """Return sentences on how far each dropped effect may move the target of `called_for`."""
     gone = () if problem.left_out is None else problem.left_out.dropped
     return [f"Leaving out {e.name} {e.why}." for e in gone if e.rank == "estimate"]
 
@@ -161,15 +161,15 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
         found.append(convergence_in_words(posterior))
     if problem.data.dtype != jnp.float64:
         found.append(
-            "Computed with 7 digits. jax.config.update('jax_enable_x64', True) gives 16, with "
-            "which searches find optima more accurately."
+            "The fit was computed with 7 digits. jax.config.update('jax_enable_x64', True) gives "
+            "16, with which searches find optima more accurately."
         )
     return tuple(found)
 
 
 def prior_share(space: ParameterSpace, posterior: Posterior) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations before the data (infinite without a prior), in each parameter's unit, and
-    posterior over prior (0 there)."""
+    """Return prior standard deviations (infinite without a prior), in each parameter's unit, and
+    posterior over prior standard deviations (0 without a prior)."""
     known = [prior_values(parameter) for parameter in space]
     before = np.array([np.inf if x is None else np.std(x) for x in known])
     return before, np.std(posterior.samples, axis=0) / before
@@ -186,7 +186,7 @@ def _prior_alone(space: ParameterSpace, posterior: Posterior) -> list[str]:
 
 
 def _bound_findings(space: ParameterSpace, posterior: Posterior) -> list[str]:
-    """Bounds within the reach of the posterior, on the scale of the parameter."""
+    """Return findings on bounds within reach of the posterior, on the scale of the parameter."""
     found = []
     _, share = prior_share(space, posterior)
     for parameter, natural, known in zip(space, posterior.samples.T, share, strict=True):

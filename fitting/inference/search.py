@@ -413,8 +413,10 @@ def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, sol
 
 def _jaxopt_end(problem: Problem, mean: Array, weight: Array, solver: Any, start: Array) -> Array:
     """Return the end of jaxopt's minimiser, with numbers scaled by their prior and the cost divided
-    by the number of data. L-BFGS-B needs a box, which is ten standard deviations wide to either
-    side. Without the scaling it misses up to a tenth of the optima."""
+    by the number of data.
+
+    L-BFGS-B needs a box, which is ten standard deviations wide to either side. Without the scaling
+    it misses up to a tenth of the optima."""
     count = max(int(np.size(problem.data)), 1)
 
     known = weight > 0

@@ -310,7 +310,7 @@ def test_a_seed_that_is_none_is_refused(seed):
     [
         (lambda height: height, 0, "draws = 0: give a whole number of at least 1"),
         (lambda height: height, 2.5, r"draws = 2\.5"),
-        (lambda height: {"h": height}, 9, "returns a dict that is no array; return one array"),
+        (lambda height: {"h": height}, 9, "returns a dict, not an array; return one array"),
         (lambda height: (height, jnp.ones(2)), 9, "returns a tuple that is no array"),
         ("height", 9, "'height' is no function"),
         (lambda height: np.sin(height), 9, "The function gives .* to NumPy"),
