@@ -20,8 +20,9 @@ _OF_PAGES = ("jinja2", "matplotlib.backends.backend_svg", "matplotlib.figure")
 
 
 def check_request(seconds: float, out: Path | None) -> None:
-    """`InputError` if a measuring command has no time, s, or cannot write its page; plotting is
-    imported here, since an interrupted run has little time for it."""
+    """Raise `InputError` if a measuring command has no time, s, or cannot write its page; plotting
+    is imported here, since an interrupted run has little time for it.
+    """
     if not seconds > 0:
         raise InputError(f"--seconds {seconds:g}: give a time above 0.")
     if out is not None and out.exists() and not out.is_dir():

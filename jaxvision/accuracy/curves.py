@@ -77,7 +77,7 @@ def curve(
             that of the reference.
 
     Example:
-        The midpoint rule on x^2 over [0, 1] errs by 1 / (12 n^2).
+        The midpoint rule on x^2 over [0, 1] has an error of 1 / (12 n^2).
 
         >>> from jaxvision.accuracy import Knob, Problem, curve
         >>> def midpoint(settings):

@@ -79,7 +79,7 @@ def norms_of(
 
 
 def check_norms(names: tuple[str, ...]) -> None:
-    """`InputError` for an unknown norm, or for none."""
+    """Raise `InputError` for an unknown norm, or for none."""
     for name in names:
         if name not in (*NORMS, "delta_e"):
             raise InputError(f"norm {name!r} is unknown; {nearest(name, (*NORMS, 'delta_e'))}.")

@@ -30,7 +30,7 @@ class Knob:
         random: whether the error depends on the seed. If not, the error is a bias, and results of
             one seed are compared with each other.
         whole: whether any whole number is a valid setting, not only those listed.
-        sets: public parameters that the knob stands for, as `fnmatch` patterns of the names below
+        sets: public parameters that the knob varies, as `fnmatch` patterns of the names below
             `jaxvision` or `fitting`.
     """
 

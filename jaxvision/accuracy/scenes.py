@@ -248,7 +248,7 @@ def _seconds_of(compute: Compute, clock: Clock | None) -> float:
 
 
 def _brightest(picture: np.ndarray) -> float:
-    """The radiance at which pixels are clipped; infinity if hardly a pixel is lit."""
+    """The radiance at which pixels are clipped; infinity if almost no pixel is lit."""
     quantile = float(np.quantile(picture.max(axis=1), _QUANTILE)) if picture.size else 0.0
     return _HEADROOM * quantile if quantile > 0 else np.inf
 

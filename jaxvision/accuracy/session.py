@@ -128,8 +128,9 @@ class Session:
             raise NotComparable(f"{self._of(setting)} is no array; give real numbers.") from None
 
     def _check(self, setting: Any, values: np.ndarray) -> None:
-        """`NotComparable` for anything but an array of real numbers in the common shape, and
-        `InputError` for numbers that are not finite."""
+        """Raise `NotComparable` for anything but an array of real numbers in the common shape, and
+        `InputError` for numbers that are not finite.
+        """
         of = self._of(setting)
         if not (np.issubdtype(values.dtype, np.number) or values.dtype == bool) or np.iscomplexobj(
             values
@@ -166,7 +167,7 @@ class Session:
         return ""
 
     def expected(self, setting: Any, *, calls: int) -> float:
-        """Predicted time in s of so many calls of a setting: the last time, scaled by the growth of
+        """Predicted time in s of `calls` calls of a setting: the last time, scaled by the growth of
         compile and run times between settings."""
         known = self.points.get(setting)
         if known is not None and known.compute is not None:

@@ -1,4 +1,4 @@
-"""Colour spaces: conversions on arrays whose last axis holds the three components.
+"""Colour spaces: conversions of arrays whose last axis is the three components.
 
 RGB is linear and relative (1 is white) unless a name says otherwise. XYZ has Y = 1 at the white. L*
 of Lab and Luv runs from 0 to 100. The hue of LCh is in rad in [0, 2 pi), that of HSV and HSL in

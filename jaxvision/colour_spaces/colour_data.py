@@ -27,7 +27,7 @@ _DAYLIGHT = {f"D{t // 100}": t * 1.4388 / 1.4380 for t in (5000, 5500, 6000, 650
 BY_FORMULA = ("A", "E", *_DAYLIGHT)  # illuminants whose formula extends beyond their tables
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 
-# What colour-science holds under the same names; a test compares them.
+# Values of colour-science under the same names; a test compares them.
 _WHITES = {  # x and y for the CIE 1931 observer
     "A": (0.44758, 0.40745),
     "C": (0.31006, 0.31616),
@@ -275,7 +275,7 @@ def rgb_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3"]:
 
     Source:
         Mallett and Yuksel, Spectral primary decomposition for rendering with sRGB reflectance
-        (Eurographics Symposium on Rendering, 2019), as colour-science holds it.
+        (Eurographics Symposium on Rendering, 2019), in the table of colour-science.
     """
     import colour
 

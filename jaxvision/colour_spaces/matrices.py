@@ -124,7 +124,7 @@ def change_rgb_space(
     Args:
         rgb: (..., 3) linear, relative.
         source: the space of `rgb`, a name of `colour_data.rgb_to_xyz_matrix`.
-        target: the wanted space, likewise.
+        target: the wanted space, another such name.
         adaptation: a name of `colour_data.cone_matrix`, by which the white of the source becomes
             the white of the target; None keeps the colours themselves.
 

@@ -282,7 +282,7 @@ def _pass(
     smooth = product(rows) / 2**bits
     if whole:
         exact = (product(rows.astype(jnp.int32)) + 2 ** (bits - 1)) >> bits
-        # a whole number cannot hold NaN
+        # an integer cannot be NaN
         value = jnp.where(jnp.isnan(smooth), smooth, exact.astype(plane.dtype))
         smooth = replace_gradient(value, smooth)
     return smooth.reshape(plane.shape)

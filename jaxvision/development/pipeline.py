@@ -93,7 +93,7 @@ def to_integers(picture: Scalars, *, bits: int = 8) -> UInt[Array, "..."]:
     dtypes = {8: jnp.uint8, 16: jnp.uint16}
     if bits not in dtypes:
         raise ValueError(f"bits must be 8 or 16, got {bits}.")
-    if picture.dtype.itemsize < 4:  # half precision does not hold the codes
+    if picture.dtype.itemsize < 4:  # half precision is too small for the codes
         picture = picture.astype(jnp.float32)
     clipped = jnp.clip(jnp.where(jnp.isnan(picture), 0, picture), 0, 1)
     return jnp.round(clipped * (2**bits - 1)).astype(dtypes[bits])

@@ -24,7 +24,7 @@ _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 
 
 def refuse_tracers(*records: Any) -> None:
-    """`ValueError` for a record with traced numbers, because pruning happens before tracing."""
+    """Raise `ValueError` for a record with traced numbers: pruning happens before tracing."""
     for leaf in jax.tree.leaves(records):
         if not is_known(leaf):
             raise ValueError(

@@ -243,7 +243,7 @@ def _box_cells(shape: Box, side: int) -> Parts:
 
 
 def has_faces_apart(shape: TriangleMesh) -> bool:
-    """Whether each triangle is a cell of its own."""
+    """Whether each triangle of a mesh is a separate cell."""
     return len(shape.faces) <= _TRIANGLES
 
 

@@ -138,7 +138,7 @@ def inspect(
         scene: surfaces and lights.
         camera: a whole camera, or a view, which covers only what reaches the lens.
         free: names of fields that a fit may change, each with its smallest and its largest value,
-            in the field's unit; all bounds hold over this whole range.
+            in the field's unit; all bounds are valid over this whole range.
         samples: as in `capture`; a thin lens needs them for defocus.
         motion: as in `capture`, or None; it needs a camera whose sensor has an exposure time.
         moments: of a motion, as in `capture`.
@@ -246,8 +246,8 @@ def prune(
         whole_paths, caustics: as in `inspect`.
 
     Returns:
-        What remains, with a certificate of what was removed. The indices of lights and surfaces
-        after a removed one decrease.
+        The remaining scene and camera, with a certificate of the removed effects. The indices of
+        lights and surfaces after a removed one decrease.
 
     Raises:
         ValueError: for records with traced numbers.

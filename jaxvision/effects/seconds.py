@@ -27,9 +27,9 @@ from .choice import bands_of, finished
 from .spectra import with_bands
 from .stages import Draft, Row
 
-_SIDE = 256  # pixels along the longer side of what is measured
+_SIDE = 256  # pixels along the longer side of the measured picture
 _TURNS = 5
-_LONGEST = 20.0  # s of turns, after which no other one begins
+_LONGEST = 20.0  # s, the time after which no further round of calls begins
 Advance = Callable[[int, int], Any]
 
 

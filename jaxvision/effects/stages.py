@@ -1,8 +1,8 @@
 """The interface of a stage of the camera: it returns rows, each with an effect and a way to drop
 it.
 
-Light goes scene -> optics -> sensor -> development, and each stage passes on what the next one
-needs. All numbers are NumPy float64, outside `jit`.
+Light passes scene -> optics -> sensor -> development, and each stage returns the data that the next
+one needs. All numbers are NumPy float64, outside `jit`.
 
     scene_stage(scene, view)                -> rows, Arriving     radiance.py
     optics_stage(view, arriving, ...)       -> rows, OnSensor     optics.py

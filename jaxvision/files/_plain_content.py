@@ -13,7 +13,7 @@ _BITS = 14_000  # largest number of bits of an integer: about as many digits as 
 
 
 def check_size(file: Path) -> None:
-    """`InputError` for a text file that is too large for its format."""
+    """Raise `InputError` for a text file that is too large for its format."""
     size = file.stat().st_size
     if size > LARGEST:
         raise InputError(f"{file}: holds {size >> 20} MiB, more than {LARGEST >> 20}; divide it.")
@@ -27,8 +27,9 @@ def damaged(file: Path, reason: str) -> InputError:
 
 
 def check_content(place: str, content: Any) -> None:
-    """`InputError` for deeply nested content and for very long numbers and names; `place` is the
-    file."""
+    """Raise `InputError` for deeply nested content and for very long numbers and names; `place` is
+    the file.
+    """
     waiting: list[tuple[Any, tuple[str, ...]]] = [(content, ())]
     while waiting:
         value, path = waiting.pop()

@@ -24,8 +24,9 @@ _PLY_TYPES = {
 
 
 def cut(vertices: np.ndarray, polygons: Polygons) -> list[np.ndarray]:
-    """(triangles, 3) of each polygon of at least three corners, as indices of its own corners;
-    vertices in m."""
+    """(triangles, 3) for each polygon of at least three corners, as indices into its list of
+    corners; vertices in m.
+    """
     counts = np.array([len(one) for one in polygons])
     found = [fan(count) for count in counts]
     for count in np.unique(counts[counts > 3]):
@@ -41,7 +42,7 @@ def cut(vertices: np.ndarray, polygons: Polygons) -> list[np.ndarray]:
 
 
 def fan(count: int) -> np.ndarray:
-    """The fan of triangles from the first of so many corners."""
+    """The fan of triangles from the first of `count` corners."""
     return np.stack([np.zeros(count - 2, int), np.arange(1, count - 1), np.arange(2, count)], 1)
 
 

@@ -84,7 +84,7 @@ def read_gltf(path: str | os.PathLike[str]) -> Gltf:
 
 
 def _check_places(file: Path, content: Mapping[str, Any]) -> None:
-    """`InputError` for a node with two parents, or whose rotation has no axis."""
+    """Raise `InputError` for a node with two parents, or whose rotation has no axis."""
     nodes = content.get("nodes")
     for i, node in enumerate(nodes if isinstance(nodes, list) else ()):
         if not isinstance(node, dict):

@@ -67,7 +67,8 @@ _DECODED = ("png", "tiff", "jpeg", "openexr", "targa", "bmp", "gif")
 # the names that plots use
 _NAMES = {"r": "red", "g": "green", "b": "blue", "a": "alpha", "y": "grey"}
 REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # x, y of R, G, B and white
-_MOST_ADDED = 1 << 26  # pixels of a display window beyond those that an EXR holds
+# largest number of pixels by which a display window may exceed the stored data of an EXR
+_MOST_ADDED = 1 << 26
 
 
 @contextmanager
@@ -103,8 +104,9 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def check_writable(path: Path, *, kind: type = np.float32) -> None:
-    """`InputError`, before the work for it, if an image file of that suffix cannot hold samples of
-    `kind` or cannot be written there."""
+    """Raise `InputError` if an image file of that suffix cannot contain samples of `kind`, or cannot
+    be written there. It is called before the work for the file.
+    """
     _check_format(path, np.dtype(kind))
     if path.is_dir():
         raise InputError(f"{path}: is a folder; choose another name for the image.")
@@ -312,7 +314,7 @@ def _place(
 
 
 def _refuse_unlike_pictures(file: Path, spec: Any, page: TiffPicture | None) -> None:
-    """`InputError` for content that is not a picture of light in rows and columns."""
+    """Raise `InputError` for content that is not a picture of light in rows and columns."""
     inks = spec.get_string_attribute("jpeg:ColorSpace") in ("CMYK", "YCCK")
     photometric = page.first(PHOTOMETRIC, 1) if page else 1
     if inks or photometric == INKS:
@@ -335,7 +337,7 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
     for i, name in enumerate(spec.channelnames):
         above, _, own = name.rpartition(".")
         layers.setdefault(above, {})[own] = i
-    # a render of this library holds its standard errors beside its radiance
+    # renders of this library have a layer of standard errors in addition to the radiance
     rendered = bool(spec.get_string_attribute("jaxvision:relativeError"))
     beside = [name for name in layers if rendered and name.split(".")[0] == "error"]
     if layer is None:
@@ -688,7 +690,7 @@ def as_float32(path: str | os.PathLike[str], numbers: np.ndarray) -> np.ndarray:
 
 
 def _check_format(file: Path, dtype: np.dtype) -> None:
-    """`InputError` unless the file's format supports samples of this type."""
+    """Raise `InputError` unless the file's format supports samples of this type."""
     check_utf8(file)
     suffix, kept = file.suffix.lower(), (np.uint8, np.uint16)
     fits = {

@@ -68,8 +68,8 @@ def read_mesh(
             the transform of the file's scene; None for all meshes, each transformed as in the
             file's scene.
         dtype: floating dtype; None is JAX's default.
-        uv: whether to read texture coordinates, of an OBJ (whose v grows upward, and is turned
-            here) or of a primitive.
+        uv: whether to read texture coordinates, of an OBJ (whose v points upward, and is reversed
+        here) or of a glTF primitive.
 
     Returns:
         The mesh.
@@ -96,7 +96,7 @@ def read_mesh(
         )
     loaded.apply_transform(_world_matrix(file, scale, rotation, position, matrix))
     exact = np.asarray(loaded.vertices, float)
-    with np.errstate(over="ignore"):  # `geometry.problems` names what is not finite
+    with np.errstate(over="ignore"):  # `geometry.problems` reports numbers that are not finite
         vertices = exact.astype(jnp.result_type(float) if dtype is None else dtype)
     faces = _nonempty_triangles(file, vertices, exact, np.asarray(loaded.faces, np.int32))
     normals = None
@@ -159,7 +159,7 @@ def _world_matrix(
 def _nonempty_triangles(
     file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray
 ) -> np.ndarray:
-    """The triangles with a positive area; files often hold some without. A warning reports
+    """The triangles with a positive area; files often contain some of area 0. A warning reports
     triangles lost by rounding, since the file's vertices are exact."""
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces.min() if faces.min() < 0 else faces.max()

@@ -369,7 +369,7 @@ def _number(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) ->
 
 
 def _check_ranges(where: str, numbers: Any, hints: tuple[Any, ...]) -> None:
-    """`ValueError` unless numbers are in the range of the annotation."""
+    """Raise `ValueError` unless numbers are in the range of the annotation."""
     stated = [x for hint in hints for x in getattr(hint, "__metadata__", ())]
     for allowed in [x for x in stated if isinstance(x, Range)][:1]:
         check_range(where, numbers, **allowed._asdict())
@@ -383,7 +383,7 @@ def _check_range_of(reading: Reading, where: str, number: Any, hints: tuple[Any,
 
 
 def check_keys(reading: Reading, where: str, table: Mapping[str, Any], known: Any) -> None:
-    """`InputError` for unknown keys in the table at `where`, with the nearest known name."""
+    """Raise `InputError` for unknown keys in the table at `where`, with the nearest known name."""
     for key in table:
         if key not in known:
             name = f"{where}.{key}".lstrip(".")

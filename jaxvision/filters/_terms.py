@@ -74,7 +74,7 @@ def _filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) ->
     inside, outside = _shares(kernel, image.shape[1:3], anchor)
     if border == "constant":
         return restore(total + jnp.asarray(fill, image.dtype).reshape(1, 1, 1, -1) * outside)
-    # where the weights cancel, the sum is the rounding error of so many additions
+    # where the weights cancel, their sum is only the rounding error of the additions
     rounding = kernel.shape[0] * kernel.shape[1] * jnp.finfo(image.dtype).eps
     least = rounding * _shares(jnp.abs(kernel), image.shape[1:3], anchor)[0]
     unit = binary_unit(kernel)

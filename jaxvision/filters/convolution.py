@@ -1,8 +1,8 @@
 """Correlation and convolution with any kernel, at any border.
 
-Pictures are (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a plane
-of its own; the result has the picture's shape, unit and floating dtype. Integers (uint8, uint16)
-become floating numbers of the same value and are never scaled. Kernels are (kh, kw), or
+Pictures are (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a
+separate plane; the result has the picture's shape, unit and floating dtype. Integers (uint8,
+uint16) become floating numbers of the same value and are never scaled. Kernels are (kh, kw), or
 (kh, kw, bands) with one kernel a band; they may be larger than the picture. `anchor` is the entry
 of the kernel that lies on the pixel of the result: by default (kh // 2, kw // 2), the middle of an
 odd kernel and the second of the two middle entries of an even one, as in scipy and OpenCV.

@@ -97,7 +97,7 @@ def filter_matrix(
         weights = form.matrix.data / binary_unit(kernel)
         magnitudes = jnp.abs(weights), form.matrix.indices
         whole = BCOO(magnitudes, shape=form.matrix.shape) @ ones
-        # where the weights cancel, the sum is the rounding error of so many additions
+        # where the weights cancel, their sum is only the rounding error of the additions
         least = kernel.size * jnp.finfo(kernel.dtype).eps * whole
         sums = BCOO((weights, form.matrix.indices), shape=form.matrix.shape) @ ones
         held = jnp.abs(sums) > jnp.maximum(least, smallest_divisor(kernel.dtype))

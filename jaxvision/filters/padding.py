@@ -69,8 +69,9 @@ class Ghosts(NamedTuple):
 
 
 def check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
-    """`ValueError` for an unknown border, with a list of all by their names in numpy and scipy, and
-    for one that the calling filter refuses."""
+    """Raise `ValueError` for an unknown border, with a list of all by their names in numpy and
+    scipy, and for one that the calling filter refuses.
+    """
     if border not in BORDERS:
         known = "; ".join(f'"{name}": {meaning}' for name, meaning in BORDERS.items())
         raise ValueError(f"border must be one of the following, got {border!r}. {known}.")
@@ -79,8 +80,9 @@ def check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
 
 
 def check_picture(picture: ArrayLike) -> None:
-    """`ValueError` for an array that is not a picture, (h, w) or (..., h, w, bands): fewer than two
-    axes, no pixels, or complex."""
+    """Raise `ValueError` for an array that is not a picture, (h, w) or (..., h, w, bands): fewer
+    than two axes, no pixels, or complex.
+    """
     shape = jnp.shape(picture)
     if len(shape) == 1 and shape[0]:
         raise ValueError(

@@ -61,7 +61,7 @@ def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
 def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats:
     """A level of a pyramid at the size of the next finer one.
 
-    The coarse pixels stand on even rows and columns, and the kernel interpolates between them.
+    The coarse pixels are placed on even rows and columns, and the kernel interpolates between them.
     Constants stay constant, except with border "zero".
 
     Args:

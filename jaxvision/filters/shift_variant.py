@@ -44,7 +44,7 @@ Kernels = Float[Array, "..."]  # (kh, kw, h, w)
 ScaleMap = Float[Array, "..."]  # (h, w)
 print_by_name(globals(), "Kernels", "ScaleMap")
 # (radius in pixels, scale of each pixel) -> weight, before the weights are normalised to sum 1
-_REFUSED = ("constant", "normalised_zero")  # each pixel has a kernel of its own
+_REFUSED = ("constant", "normalised_zero")  # each pixel has its own kernel
 
 Profile = Callable[[Float[Array, ""], ScaleMap], ScaleMap]
 

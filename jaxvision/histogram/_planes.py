@@ -96,7 +96,7 @@ def binning(image: Pixels, bins: int | np.integer | None, value_range: Range | N
 
 
 def check_codes_whole(stack: Stack, bins: Any, value_range: Any) -> None:
-    """`ValueError` for bins or a range with integer images, which are equalised code by code."""
+    """Raise `ValueError` for bins or a range with integer images: these are equalised by code."""
     if levels_of(stack) is not None and (bins, value_range) != (None, None):
         raise ValueError(
             f"an integer image is equalised code by code, without bins or value_range; got {bins} "

@@ -32,7 +32,7 @@ from ._planes import (
     plane_numbers,
 )
 
-# Partial sums of weights are kept apart in up to this many entries: see `_weighted_counts`.
+# Partial sums of weights have up to this many separate entries: see `_weighted_counts`.
 PARTIAL_SUMS = 2**20  # largest number of entries of all bins together
 RUN = 2**12  # smallest number of pixels that are summed at once
 DIGITS = 2**11  # step of a weight's upper digits, of which 2^13 weights sum exactly in float32
@@ -110,11 +110,11 @@ def soft_histogram(
 ) -> Histogram:
     """The differentiable histogram: each value shares its weight of 1 among the nearest bins.
 
-    Weight outside the range goes to the end bin, so the counts sum to the number of values in the
-    range, within a millionth for 25 million equal values in 256 bins. An integer code is at the
-    centre of its own unit interval. `departure` is the difference from the exact histogram. It
-    grows with the number of bins (fewer values near a centre). For data that are smooth on the
-    scale of a bin it decreases as the square of the bin's width.
+    Weight that would lie outside the range is added to the end bin, so the counts sum to the number
+    of values in the range, within a millionth for 25 million equal values in 256 bins. An integer
+    code is at the centre of its own unit interval. `departure` is the difference from the exact
+    histogram. It grows with the number of bins (fewer values near a centre). For data that are
+    smooth on the scale of a bin it decreases as the square of the bin's width.
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.

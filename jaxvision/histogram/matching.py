@@ -18,9 +18,9 @@ def match_histogram(image: Pixels, reference: Pixels) -> Shaped[Array, "..."]:
     The result is F_reference^-1(F_image(x)), linear between the values that occur. Integer images
     are matched as in scikit-image's `match_histograms`, but rounded to the nearest code instead of
     truncated. Floating images are matched by rank, without bins. NaN in the image stays NaN and is
-    left out of its ranks. A plane of the reference with NaN gives NaN. The gradient goes to the
-    values of `reference`. It is 0 with respect to `image`, because a small change leaves every rank
-    unchanged.
+    left out of its ranks. A plane of the reference with NaN gives NaN. The result has a gradient
+    with respect to the values of `reference`. The gradient with respect to `image` is 0, because a
+    small change leaves every rank unchanged.
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.

@@ -110,8 +110,9 @@ def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
 
 
 def _warn_of_rgb(*layers: Layer) -> None:
-    """A warning for pictures of three channels whose last channel is hardly ever 0 or 1, and so no
-    coverage."""
+    """Warn of a picture with three channels whose last channel is almost never 0 or 1, and thus not
+    a coverage.
+    """
     if any(not is_known(x) or x.ndim < 3 or x.shape[-1] != 3 or x.size < 100 for x in layers):
         return
     whole = [np.isin(np.asarray(x[..., -1]), (0, 1)).mean() for x in layers]

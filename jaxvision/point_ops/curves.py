@@ -161,7 +161,8 @@ def _raise_to_power(base: Scalars, exponent: Exponent, method: str) -> Scalars:
 
 @takes_numbers
 def clip(x: Scalars, low: Scalars | float, high: Scalars | float) -> Scalars:
-    """x limited to [low, high]; outside, the gradient goes to the limit.
+    """x limited to [low, high]. Outside, the gradient with respect to x is 0, and that with respect
+    to the limit 1.
 
     Args:
         x: (...) relative.

@@ -163,8 +163,9 @@ def _structure(source: SceneFile) -> Hashable:
 
 @lru_cache(maxsize=1)
 def _kept_tile(settings: RenderEntry, structure: Hashable) -> Callable[..., tuple[Pixels, Pixels]]:
-    """The program of the last picture. A similar scene uses it without compiling again. It holds no
-    scene, and is released at the first scene of another structure."""
+    """The program of the last picture. A similar scene uses it without compiling again. It contains
+    no scene, and is released at the first scene of another structure.
+    """
     return kept_whole(_tile_of(_along(settings), settings), f"tile {settings!r}")
 
 
@@ -210,8 +211,9 @@ def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., tuple[Pixels
 
 
 def _check_light(source: SceneFile, settings: RenderEntry) -> None:
-    """`InputError` if all light is ambient, which is a substitute for the light that the other
-    integrators trace."""
+    """Raise `InputError` if all light is ambient, which is a substitute for the light that the
+    other integrators trace.
+    """
     scene = source.scene
     shines = scene.lights or any(surface.emission is not None for surface in scene.surfaces)
     if settings.integrator != "direct" and not shines:
@@ -222,7 +224,7 @@ def _check_light(source: SceneFile, settings: RenderEntry) -> None:
 
 
 def _check_lens(source: SceneFile, settings: RenderEntry) -> None:
-    """`InputError` for a thin lens that a single ray per pixel would show as a pinhole."""
+    """Raise `InputError` for a thin lens that a single ray per pixel would show as a pinhole."""
     lens = isinstance(source.view, ThinLens) and np.isfinite(source.view.f_number)
     if lens and settings.samples == 1 and settings.integrator != "path":
         raise InputError(
@@ -288,7 +290,7 @@ def _solve_radiosity(source: SceneFile, settings: RenderEntry) -> tuple[Solve, R
 
 
 def _check_balance(scene: Scene, plan: Plan, table: Array) -> None:
-    """`ValueError` with the number of a surface if light is trapped between it and others."""
+    """Raise `ValueError` with the number of a surface if light is trapped between it and others."""
     materials = [surface.material for surface in scene.surfaces]
     diffuse = [np.asarray(own.diffuse) for own in materials if isinstance(own, Lambert)]
     albedo = np.pi * np.stack(np.broadcast_arrays(*diffuse))  # `plan_patches` refuses all others

@@ -123,7 +123,9 @@ def render_to_file(
 
 
 def _check_room(out: Path, unfinished: Path, source: SceneFile) -> None:
-    """`InputError` for a picture larger than the free disk space plus an earlier partial file."""
+    """Raise `InputError` for a picture larger than the free disk space plus an earlier partial
+    file.
+    """
     height, width = source.view.resolution
     # radiance and error, of the partial file and of the picture made from it
     wanted = 2 * 2 * 4 * height * width * source.bands

@@ -11,7 +11,7 @@ from ...errors import InputError
 
 NANOMETRE = 1e-9
 LEAST_NANOMETRES = 10.0  # shorter wavelengths are X-rays
-TURN = 6.2832  # rad, 2 pi rounded up to the digits that files hold
+TURN = 6.2832  # rad, 2 pi rounded up to the digits in files
 
 
 def representable(values: np.ndarray | Sequence[float]) -> np.ndarray:

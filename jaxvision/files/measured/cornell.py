@@ -95,7 +95,7 @@ def _take_wavelengths(file: Path, rows: list[Row]) -> list[float]:
 
 
 def _check_samples(file: Path, rows: list[Row], *, bands: int) -> None:
-    """`InputError` for rows without four angles in rad and a value for each band."""
+    """Raise `InputError` for rows without four angles in rad and a value for each band."""
     if not rows:
         raise InputError(f"{file}: the header is followed by no samples; copy the file again.")
     for number, row in rows:

@@ -216,8 +216,9 @@ def _check_rounding(
     exact: tuple[Scene, View],
     rounded: tuple[Scene, View],
 ) -> None:
-    """`InputError` for the first object that the dtype of the rendering cannot represent, and a
-    warning of objects that it represents coarsely."""
+    """Raise `InputError` for the first object that the dtype of the rendering cannot represent, and
+    a warning of objects that it represents coarsely.
+    """
     (scene, view), (kept, kept_view) = exact, rounded
     objects = [
         *zip(surfaces, scene.surfaces, kept.surfaces, strict=True),

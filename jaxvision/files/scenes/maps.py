@@ -4,8 +4,8 @@
     roughness = { map = "worn.png", channel = 1, scale = 0.5, uv = [[4, 0, 0], [0, 4, 0]] }
     specular = { texels = [[0.1, 0.3], [0.3, 0.1]], wrap = "clamp" }
 
-Pictures of whole numbers are sRGB where they stand for spectra, and linear fractions of the largest
-code where they stand for other numbers; pictures of floating numbers are linear.
+Integer pictures are sRGB if they replace spectra, and linear fractions of the largest code if they
+replace other numbers; floating pictures are linear.
 """
 
 from typing import Annotated, Any, Literal

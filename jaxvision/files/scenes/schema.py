@@ -100,8 +100,10 @@ def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]
 
 
 def override_settings(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:
-    """Settings of a file with the given ones (not None) in their place; samples and depth hold for
-    the file's integrator only. `InputError` for a wrong value, or one of another integrator."""
+    """The settings of a file, overridden by the given ones (not None). Samples and depth of the
+    file apply to the file's integrator only. `InputError` for a wrong value, or one of another
+    integrator.
+    """
     given = {name: value for name, value in given.items() if value is not None}
     kept = settings.model_dump()
     if given.get("integrator", settings.integrator) != settings.integrator:

@@ -5,9 +5,9 @@ Schlick's F from F0 = ((ior - 1) / (ior + 1))^2 and F_m from F0 = c, the GGX den
 roughness^2 and Smith's V. The specular parts are those of `TorranceSparrow` with Schlick's F from
 the mean of both F0, which is exact because Schlick's formula is linear in F0. The matt part keeps
 (1 - F0) at all angles here. With an index of 1.5 its albedo is 0.5 % too high at a viewing angle of
-60 degrees, and 2.2 % at 85. Products of textures are those of their texels, bilinear between
-these, where glTF multiplies what it has interpolated. Source: Khronos, glTF 2.0 Specification,
-appendix B.
+60 degrees, and 2.2 % at 85. Textures are multiplied texel by texel, and the product is interpolated
+bilinearly; glTF interpolates each texture first, and multiplies the results. Source: Khronos, glTF
+2.0 Specification, appendix B.
 """
 
 import warnings

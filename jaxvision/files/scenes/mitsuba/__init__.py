@@ -93,7 +93,7 @@ def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_coordinates(node: Node, surface: dict[str, Any], mapped: bool) -> None:
-    """`InputError` for a shape with a texture whose coordinates are not those of its record."""
+    """Raise `InputError` for a textured shape whose coordinates are not those of its record."""
     turned = node.take("to_world", np.ndarray, np.eye(4))[:3, :3]
     usual = node.take("flip_tex_coords", bool, node.kind == "obj") == (node.kind == "obj")
     if not mapped:

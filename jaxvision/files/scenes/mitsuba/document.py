@@ -113,8 +113,9 @@ class Node:
         return self.kind
 
     def must_be_read(self, *, tags: tuple[str, ...] = (), without: tuple[str, ...] = ()) -> None:
-        """`InputError` for the first value or child object that no reader has taken. Objects with a
-        tag in `tags` count as read, and values with a name in `without` have no effect here."""
+        """Raise `InputError` for the first value or child object that no reader has taken. Objects
+        with a tag in `tags` count as read, and values with a name in `without` have no effect here.
+        """
         for name in self.values:
             if name not in self._taken and name not in without:
                 hint = nearest(name, self._taken) if self._taken else "remove it"
