@@ -87,5 +87,5 @@ def keep(
 
 
 def print_json(sheet: Mapping[str, Any]) -> None:
-    """Prints one JSON document."""
+    """Print one JSON document."""
     print(json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False), flush=True)

@@ -89,7 +89,7 @@ def write_page(
     command: str,
     together: Sequence[Together] | None = None,
 ) -> tuple[Path, Path]:
-    """Writes the page and its numbers.
+    """Write the page and its numbers.
 
     Args:
         folder: for the files; it is made if needed.

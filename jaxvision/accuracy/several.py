@@ -73,8 +73,8 @@ def combined(
         The combination.
 
     Raises:
-        InputError: unless exactly one of the two is given, where no combination meets it, and where
-            no error is known at all or none of a random knob.
+        InputError: unless exactly one of tolerance and time is given, if no combination meets it,
+        and if no error is known, or none of a random knob.
     """
     if (tolerance is None) == (seconds is None) or not curves:
         raise InputError("combined needs curves, and either a tolerance or a time.")

@@ -52,8 +52,9 @@ def rows(
 
 
 def _cells(curve: Curve) -> list[str]:
-    """Return a cell for each tolerance. The first that no setting meets gives the best bound
-    reached."""
+    """Return a cell for each tolerance. The cell of the first tolerance that no setting meets gives
+    the best bound that was reached.
+    """
     found = [NOT_REACHED if trial is None else _cell(trial) for trial in reached(curve)]
     if NOT_REACHED in found:
         best = min((trial.error_high for trial in curve.trials), default=np.inf)

@@ -488,7 +488,7 @@ def _prepare() -> None:
 
 
 def start() -> None:
-    """Runs the command."""
+    """Run the command."""
     keep_memory()
     app()
 

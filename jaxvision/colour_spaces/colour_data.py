@@ -157,7 +157,7 @@ def _black_body_a(wavelengths: Float[np.ndarray, " bands"]) -> Float[np.ndarray,
 
 
 def _check_within(name: str, wanted: Float[np.ndarray, " bands"], low: float, high: float) -> None:
-    """Raises `InputError` for a wavelength, nm, beyond the ends of a table."""
+    """Raise `InputError` for a wavelength, nm, beyond the ends of a table."""
     outside = wanted[(wanted < low) | (wanted > high)]
     if outside.size:
         raise InputError(

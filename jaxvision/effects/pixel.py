@@ -27,7 +27,7 @@ A change of the charge by D changes DN by at most K sqrt((1 + c^2)(1 + q^2)) D. 
 change of the variance has less effect on the rms. All pixels have at least the noise in the dark.
 
 All quantities are NumPy float64, in electrons unless said otherwise. A quantity that reduces a
-bound is taken at the end of its range where it reduces it least.
+bound is taken at the end of its range where the reduction is smallest.
 """
 
 import math

@@ -57,7 +57,7 @@ def read_camera(
     wavelengths: Float[Array, " bands"] | None = None,
     draws: int | None = None,
 ) -> Camera:
-    """Reads a camera from a TOML file, or a shipped camera by its name.
+    """Read a camera from a TOML file, or a shipped camera by its name.
 
     Args:
         source: path of the file, or one of `shipped_cameras`.
@@ -106,7 +106,7 @@ def read_camera(
 def write_camera(
     camera: Camera, file: str | os.PathLike[str], *, draws: Camera | None = None, about: str = ""
 ) -> None:
-    """Writes a camera that `read_camera` reads back, bit-equal.
+    """Write a camera that `read_camera` reads back, bit-equal.
 
     Args:
         camera: for example the best fit.
@@ -132,7 +132,7 @@ def write_camera(
 
 
 def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> Sensor:
-    """Reads a sensor from a TOML file with the one table `[sensor]`.
+    """Read a sensor from a TOML file with the one table `[sensor]`.
 
     Args:
         source: path of the file.
@@ -169,7 +169,7 @@ def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> 
 def write_sensor(
     sensor: Sensor, file: str | os.PathLike[str], *, draws: Sensor | None = None, about: str = ""
 ) -> None:
-    """Writes a sensor that `read_sensor` reads back, bit-equal.
+    """Write a sensor that `read_sensor` reads back, bit-equal.
 
     Args:
         sensor: for example the best fit.

@@ -104,8 +104,8 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def check_writable(path: Path, *, kind: type = np.float32) -> None:
-    """Raise `InputError` if an image file of that suffix cannot contain samples of `kind`, or cannot
-    be written there. It is called before the work for the file.
+    """Raise `InputError` if an image file of that suffix cannot contain samples of `kind`, or
+    cannot be written there. Call it before the work for the file.
     """
     _check_format(path, np.dtype(kind))
     if path.is_dir():
@@ -721,7 +721,7 @@ def write_exr(
     channels: Sequence[str] = (),
     attributes: Mapping[str, str | int] | None = None,
 ) -> None:
-    """Writes an EXR of float32 samples from blocks of rows.
+    """Write an EXR of float32 samples from blocks of rows.
 
     The whole picture need not be in memory. The file appears only when it is complete.
 

@@ -32,7 +32,7 @@ _SQUARE = math.sqrt(math.pi / 4)
 
 
 def read_luminaire(file: str | os.PathLike[str]) -> Luminaire:
-    """Reads the photometric file of a lamp.
+    """Read the photometric file of a lamp.
 
     Args:
         file: an IES LM-63 file, or one of EULUMDAT, which ends in .ldt.

@@ -19,7 +19,7 @@ from .records import Reading, attach_draws, record_of, table_of, write_record
 
 
 def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> Material:
-    """Reads a material from its file.
+    """Read a material from its file.
 
     Args:
         file: a file written by `write_material`.
@@ -58,7 +58,7 @@ def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> 
 def write_material(
     material: Material, file: str | os.PathLike[str], *, draws: Material | None = None
 ) -> None:
-    """Writes a material that `read_material` reads back, bit-equal.
+    """Write a material that `read_material` reads back, bit-equal.
 
     Args:
         material: for example the best fit.

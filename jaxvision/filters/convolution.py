@@ -323,7 +323,7 @@ def _anchor(anchor: Sequence[int] | None, size: tuple[int, int]) -> Anchor:
 
 
 def _check_weighs(border: str, *, of: str) -> None:
-    """Raises `ValueError` for the border "normalised_zero" of a filter whose weights have sum 0."""
+    """Raise `ValueError` for the border "normalised_zero" of a filter whose weights have sum 0."""
     if border == "normalised_zero":
         raise ValueError(
             f'border "normalised_zero" divides by the sum of the weights, which is 0 for {of}: '

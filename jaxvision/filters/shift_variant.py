@@ -390,7 +390,7 @@ def _plane(picture: Picture) -> tuple[int, ...]:
 
 
 def _check_map(name: str, values: Float[Array, "..."], picture: Picture) -> None:
-    """Raises `ValueError` unless there is one value for each pixel of the picture's plane."""
+    """Raise `ValueError` unless there is one value for each pixel of the picture's plane."""
     plane = _plane(picture)
     if values.shape != plane:
         raise ValueError(f"{name} must be {plane}, one a pixel, got {values.shape}.")

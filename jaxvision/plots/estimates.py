@@ -211,7 +211,7 @@ def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None
 def corner(
     draws: Mapping[str, np.ndarray], *, truth: Mapping[str, float] | None = None
 ) -> "Figure":
-    """Draws of a posterior: each parameter, and each pair with its 68 and 95 % regions.
+    """Draw of a posterior: each parameter, and each pair with its 68 and 95 % regions.
 
     Args:
         draws: by name of the parameter, (draws,), or (chains, draws, ...) as in `Fit.draws`; each

@@ -23,7 +23,7 @@ Row = tuple[int, list[float]]  # the number of its line, and its numbers
 
 
 def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
-    """Reads the samples of a Cornell goniometer file, in the file's order.
+    """Read the samples of a Cornell goniometer file, in the file's order.
 
     Args:
         path: the file.
@@ -119,7 +119,7 @@ def _check_samples(file: Path, rows: list[Row], *, bands: int) -> None:
 def write_cornell(
     path: str | os.PathLike[str], samples: BRDFSamples, *, description: str = ""
 ) -> None:
-    """Writes samples in the Cornell layout, with 17 significant digits.
+    """Write samples in the Cornell layout, with 17 significant digits.
 
     Args:
         path: the file.

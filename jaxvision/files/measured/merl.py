@@ -43,7 +43,7 @@ def _nearest_valid(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
 def read_merl(
     path: str | os.PathLike[str], *, invalid: Literal["nearest", "zero"] = "nearest"
 ) -> HalfDifferenceTable:
-    """Reads the table of a MERL file.
+    """Read the table of a MERL file.
 
     Args:
         path: the file.

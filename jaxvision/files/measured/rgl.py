@@ -22,7 +22,7 @@ from ._tensor_file import fields_in, tensor_file
 
 
 def read_rgl(path: str | os.PathLike[str]) -> RGL:
-    """Reads the material of an RGL file, RGB or spectral.
+    """Read the material of an RGL file, RGB or spectral.
 
     Args:
         path: the file.
@@ -121,7 +121,7 @@ def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bo
 
 
 def write_rgl(path: str | os.PathLike[str], material: RGL, *, description: str = "") -> None:
-    """Writes a material as an RGL file, in float32 like the database.
+    """Write a material as an RGL file, in float32 like the database.
 
     Densities are written normalised; readers normalise them anyway.
 

@@ -97,7 +97,7 @@ def shipped_scenes() -> list[str]:
 
 
 def read_scene(path: str | os.PathLike[str]) -> SceneFile:
-    """Reads and checks a scene file, or a shipped scene by its name.
+    """Read and check a scene file, or a shipped scene by its name.
 
     Args:
         path: the file, TOML, Mitsuba's XML or glTF, or one of `shipped_scenes`.

@@ -1,7 +1,7 @@
 """Spectra in CSV files: the columns of wavelengths and values, and their units.
 
 The headers state them. Ambiguous headers are refused by name, because a wrong column or unit would
-give numbers of the right shape.
+give plausible but wrong numbers.
 """
 
 import csv
