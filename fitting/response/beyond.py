@@ -12,16 +12,16 @@ with u the code above black over full scale and X the exposure:
     film         the same, n > 1: an S-shaped curve
     tone         u = (1 - k) x + k (3 x^2 - 2 x^3), x = X^(1/g)
 
-Each kind, and all of them together, is a Gaussian with the mean and the covariance of its curves'
-ln X. No camera follows a formula exactly, so each has an additional deviation whose exponent varies
-randomly along ln u. It is small for a linear camera. The observed codes weight each Gaussian and
-condition it. The variance is that of their mixture. The mean of that mixture would lie between a
-pure gamma and a gamma with a toe, even if the codes indicate the former. The prediction is
-therefore the mean of another mixture, in which every single curve is a member with small
-deviations.
+Each of these kinds, and all kinds together, is modelled as a Gaussian with the mean and the
+covariance of its curves' ln X. No camera follows a formula exactly, so each Gaussian has an
+additional deviation whose exponent varies randomly along ln u. This deviation is small for a linear
+camera. Each Gaussian is weighted by its likelihood at the observed codes and conditioned on them.
+The variance is that of their mixture. The mean of this mixture would lie between a pure gamma and a
+gamma with a toe, even if the codes indicate a pure gamma. The prediction is therefore the mean of a
+second mixture, in which every single curve is a member with small deviations.
 
-In a test, each kind was predicted from the other five, for six ranges of codes. The 95 % band
-covers .74 to 1.00 of the codes above the range for film, and .92 or more for all others. For
+In a test, each kind was predicted from the other five, for six ranges of codes. Above the range,
+the 95 % band covers .74 to 1.00 of the codes for film, and .92 or more for all other kinds. For
 fourteen of fifteen other curves (tone curves of pictures, tangents, logarithms, sums of powers),
 the bands cover .82 or more below and .83 or more above the range. A linear camera with a knee above
 the observed codes is not predicted: .07 to .5.
@@ -36,13 +36,13 @@ from jaxtyping import Bool, Float
 
 from .code_bins import CodeBins
 
-ALL = 0.3  # prior weight of all kinds as one Gaussian; the kinds share the rest
-WANDERS = 0.03, 0.4  # rms of the exponent's departure: of a linear camera; for each unit of e - 1
-SIZES = 0.7, 1.0, 1.6  # of the departure, alike likely before the codes are seen
-CLOSE = 0.05, 0.3, 1.0  # the same of a single curve
-BETWEEN = 0.06  # rms of a factor of its ln X: curves of a kind lie between those listed
-REACH = 1.0  # of the departure, in ln u
-FEWEST, MOST = 4, 24  # seen codes to go on from; that are used
+ALL = 0.3  # prior weight of the Gaussian of all kinds; the single kinds share the rest
+WANDERS = 0.03, 0.4  # rms deviation of the exponent e: of a linear camera; per unit of e - 1
+SIZES = 0.7, 1.0, 1.6  # factors on the deviation, equally likely a priori
+CLOSE = 0.05, 0.3, 1.0  # the same factors for a single curve
+BETWEEN = 0.06  # rms of a factor on ln X, for curves between those listed
+REACH = 1.0  # correlation length of the deviation, in ln u
+FEWEST, MOST = 4, 24  # number of observed codes: needed; used at most
 SURELY_KNOWN = 1e-8  # variance of a code's ln X
 
 
@@ -52,7 +52,7 @@ def extrapolate(
     covariance: Float[np.ndarray, "bins bins"],
     seen: Bool[np.ndarray, " bins"],
 ) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, "bins bins"]]:
-    """The curve with the family's prediction at codes below and above the observed ones."""
+    """Return the curve with the family's prediction at codes below and above the observed ones."""
     places = np.flatnonzero(seen)
     if len(places) < FEWEST:
         return log_exposure, covariance
@@ -80,7 +80,8 @@ def _way(
     edge: int,
     beyond: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """ln X from the edge of the observed codes to those beyond, and its variance."""
+    """Return ln X at the codes beyond, relative to the edge of the observed codes, and its
+    variance."""
     used = places[np.unique(np.linspace(0, len(places) - 1, MOST).astype(int))]
     used = used[used != edge]
     both = np.concatenate([used, beyond])
@@ -116,9 +117,9 @@ def _mixture(
     measured: np.ndarray,
     error: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and variance beyond the observed codes, for a mixture of Gaussians weighted and
-    conditioned by the observed ones. Each has a mean, a covariance and a prior weight, with
-    deviations of several sizes."""
+    """Return mean and variance beyond the observed codes, for a mixture of Gaussians weighted and
+    conditioned by the observed codes. Each Gaussian has a mean, a covariance and a prior weight,
+    with deviations of several sizes."""
     own, evidence, means, variances = np.arange(len(measured)), [], [], []
     for (mean, covariance, prior), size in product(members, sizes):
         spread = covariance + size**2 * departure
@@ -149,7 +150,7 @@ def _wandering(log_u: Float[np.ndarray, " codes"], edge: float) -> Float[np.ndar
 
 @lru_cache(maxsize=8)
 def _family(shares: tuple[float, ...]) -> list[Float[np.ndarray, "curves bins"]]:
-    """ln X at codes u for the curves of each kind, up to a constant each."""
+    """Return ln X at codes u for the curves of each kind, each up to a constant."""
     u = np.array(shares)
     log_u = np.log(u)
     gammas = [g * log_u for g in np.linspace(1, 3, 9)]

@@ -25,9 +25,9 @@ from .read import ExposureStack, Plane
 from .solve import STEADIEST
 
 FEWEST_TO_LEAVE_OUT = 4  # exposures: any two of three agree on some curve
-GOOD_SHUTTER, AS_GOOD = 0.005, 3.0  # errors of ln t: of any shutter; times the least, as good as it
-MOST_ROUNDING = 2.0  # times the scatter of rounded times: more disagreement has other causes
-MOST_PIXELS = 100_000  # of a plane, by which an image is suspected
+GOOD_SHUTTER, AS_GOOD = 0.005, 3.0  # errors of ln t: of a good shutter; ratio to the least error
+MOST_ROUNDING = 2.0  # ratio to the scatter of rounded times from which other causes are likely
+MOST_PIXELS = 100_000  # pixels of a plane used to find a suspect image
 
 
 @dataclass(frozen=True)
@@ -35,16 +35,16 @@ class ChannelResponse:
     """The results for one plane.
 
     Attributes:
-        plane: with its codes and exposures.
+        plane: the codes and exposures.
         curve: log exposure of every code.
-        gamma: of the best pure gamma curve.
+        gamma: fit of the best pure gamma curve.
         radiance: the merged map.
-        clear: whether the curve omits pixels near clipped ones; it does unless too few would
-            remain.
+        clear: whether the curve omits pixels near clipped ones, as it does unless too few pixels
+            would remain.
         hidden_peaks: whether there are clipped peaks whose codes do not show it.
-        clear_of_hidden: whether the curve omits pixels near those too.
-        shared_rounding: rms error of its codes by the rounding of JPEG's colours that pixels of a
-            code share, DN; 0 where there is none.
+        clear_of_hidden: whether the curve also omits pixels near hidden peaks.
+        shared_rounding: rms error, in DN, from JPEG's colour rounding that all pixels of a code
+            share; 0 if there is none.
     """
 
     plane: Plane
@@ -112,8 +112,8 @@ def calibrate(
 def _recalibrate_with_exact_times(
     stack: ExposureStack, channels: list[ChannelResponse], sampling: Emcee | None, seed: int
 ) -> tuple[ExposureStack, list[ChannelResponse]]:
-    """The stack and its calibration with exact exposure times, if the images agree with these and
-    the stated times are rounded for display."""
+    """Return the stack and its calibration with exact exposure times, if the images agree with the
+    exact times and the stated times are rounded for display."""
     stated = _shutter_error_of(channels)
     times = np.unique(np.concatenate([channel.plane.exposures for channel in channels]))
     for exact in exact_times(times) if stated else ():
@@ -148,9 +148,8 @@ def _shutter_error_of(channels: Sequence[ChannelResponse]) -> float:
 
 
 def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> str:
-    """A sentence on the images whose removal makes the others agree, of several those with the best
-    agreement; empty if there are none. (A free curve can adapt to a wrong image near the end of a
-    stack.)"""
+    """Return a sentence on the images whose removal makes the others agree best; empty if there are
+    none. (A free curve can adapt to a wrong image near the end of a stack.)"""
     count = len(plane.files)
     if count < FEWEST_TO_LEAVE_OUT:
         return ""
@@ -235,8 +234,9 @@ def _calibrate(
 def _first_that_fits(
     curve_of: Callable[..., ResponseCurve], attempts: Sequence[np.ndarray]
 ) -> tuple[ResponseCurve, np.ndarray]:
-    """The curve for the first set of codes that has one and reaches mid-scale, or else for the
-    first that has one, with its codes. If none has, the last error is raised."""
+    """Return the curve, with its codes, for the first set of codes that gives a curve through
+    mid-scale, or else for the first set that gives a curve. If no set does, raise the last
+    error."""
     *others, (last, dim) = [(codes, dim) for dim in (False, True) for codes in attempts]
     for codes, may_be_dim in others:
         with contextlib.suppress(InputError):
@@ -277,11 +277,11 @@ def crop_alike(planes: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
-    """One map from the taps of a colour. Their exposures are relative to each one's mid-scale, so
-    the values of neighbours give the ratio."""
+    """Return one map from the taps of a colour. The exposures of a tap are relative to its own
+    mid-scale, so the ratio between taps comes from neighbouring pixels."""
     first = taps[0]
     bins, factor = first.curve.bins, np.float32(1)
-    if bins.anchor is not None:  # no pixel is at mid-scale, to which exposures are made relative
+    if bins.anchor is not None:  # no pixel is at mid-scale, where relative exposure is 1
         halfway = (bins.black + bins.edges[-1]) / 2
         factor = np.float32(np.exp(-np.interp(halfway, bins.centres, first.curve.log_exposure)))
     if len(taps) == 1:
@@ -295,7 +295,7 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
     reference = min(taps, key=lambda tap: tap.plane.start)
     for tap in taps:
         row, column = tap.plane.start
-        if tap.plane.step == (1, 1):  # a part of the frame
+        if tap.plane.step == (1, 1):  # one tap reads one part of the frame
             _put_beside(whole, tap)
             continue
         ahead = (
@@ -334,7 +334,7 @@ def _border_values(lines: np.ndarray) -> np.ndarray:
 
 
 def _log_radiance(channel: ChannelResponse) -> np.ndarray:
-    """NaN if no exposure determines it."""
+    """Return ln of the radiance; NaN if no exposure determines it."""
     found = channel.radiance
     known = (found.coverage > 0) & (found.radiance > 0)
     return np.log(np.where(known, found.radiance, np.nan))

@@ -20,8 +20,8 @@ MIXED = 4  # pixels over which neighbours are mixed: half a block of a JPEG
 CONTRASTS = 4.0, 6.0, 9.0, 13.0  # factors by which a blur may have reduced a peak, mildest first
 FEWEST_CLIPPED = 50  # pixels to estimate the code of the shorter exposure that clips in the longer
 BRIGHT = 0.6  # share of the clip level above which codes of the longer exposure are compared
-INTERVALS = 256  # of codes of the shorter exposure, within which they count as one
-SIDE, FEWEST_TILES = 4, 4  # tiles along a side of the picture; number of them with such pixels
+INTERVALS = 256  # groups of codes of the shorter exposure that are compared
+SIDE, FEWEST_TILES = 4, 4  # tiles along a side of the picture; fewest tiles with such pixels
 CHANCE = 0.05  # probability of finding hidden peaks where there are none
 
 
@@ -103,7 +103,7 @@ def _darker_p_value(
         square += np.bincount(tile[used], around**2, SIDE**2)
     if not square.any():
         return 1.0
-    tiles = square.sum() ** 2 / np.sum(square**2)  # that count
+    tiles = square.sum() ** 2 / np.sum(square**2)  # effective number of tiles
     if tiles < FEWEST_TILES:
         return 1.0
     difference = product.sum() / square.sum()
@@ -112,7 +112,7 @@ def _darker_p_value(
 
 
 def _ring(mask: np.ndarray) -> np.ndarray:
-    """Pixels within `MIXED` of a mask, without direct neighbours."""
+    """Return the pixels within `MIXED` of a mask, without its direct neighbours."""
     one, reach = mask.astype(np.float32), 2 * MIXED + 1
     wide, narrow = (uniform_filter(one, size, mode="constant") for size in (reach, 3))
     return reach**2 * wide - 9 * narrow > 0.5
@@ -123,7 +123,7 @@ def _without(
     regressor: Float[np.ndarray, " pixels"],
     group: Integer[np.ndarray, " pixels"],
 ) -> Float[np.ndarray, " pixels"]:
-    """The residual of a regression within each group."""
+    """Return the residual of a regression within each group."""
     square = np.bincount(group, regressor**2)
     slope = np.bincount(group, value * regressor) / np.where(square > 0, square, 1)
     return value - slope[group] * regressor

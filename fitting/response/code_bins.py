@@ -41,8 +41,9 @@ class CodeBins:
         return (np.log(above) + np.log(self.edges[1:] - self.black)) / 2
 
     def pace(self, codes: Float[np.ndarray, " codes"]) -> Float[np.ndarray, " codes"]:
-        """Ticks per DN of a scale on which measured curves have about constant roughness: 1 / z +
-        sqrt(F) / (F - z)^1.5, with F the full scale (z counted from black)."""
+        """Return the derivative of a scale on which measured curves have about constant roughness,
+        per DN: 1 / z + sqrt(F) / (F - z)^1.5, with z the code above black and F the full scale
+        above black."""
         z = codes - self.black
         full = self.edges[-1] - self.black + 0.5
         return 1 / z + np.sqrt(full) / (full - z) ** 1.5

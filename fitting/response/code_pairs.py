@@ -31,7 +31,7 @@ from .weights import Observations, WeightRule, observe
 
 CHUNK = 1 << 16  # pixels held in floating point at a time
 FLAT = 1e-3  # x below which sinh(x) / x is 1
-SMOOTHED = 0.3  # over what share of a code its exponent is smoothed; of the rest, near white
+SMOOTHED = 0.3  # smoothing of the exponent, as a share of a code or, near white, of the rest
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def statistics_of_parts(
             if rule.weight is not None:
                 _count_score(sums, seen, rule)
         every.append(sums)
-    # A noise model may be off in scale; the score is measured in the variance that is there.
+    # A noise model may be wrong by a factor; the score uses the measured variance.
     chi_square = np.sum([sums.chi_square for sums in every], axis=0)
     scale = chi_square / np.maximum(np.sum([sums.free for sums in every], axis=0), 1)
     noisy = scale @ np.sum([sums.noisy for sums in every], axis=0)
@@ -188,9 +188,9 @@ def _pull_of_noise(
     of_all: np.ndarray, bins: CodeBins, means: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The contribution to sum (noise share) h' / g' from noise across each end of a bin, where h
-    has a step. It uses the density of observations at the end, which is exact for a density that is
-    exponential across both bins. Half of it is assigned to either bin, so that sets of pixels add
-    up."""
+    has a step. It uses the density of observations at the end, which is exact if the density is
+    exponential across both bins. Half of the contribution is assigned to either bin, so that sets
+    of pixels add up."""
     width = np.diff(bins.edges)
     near, far = width[:-1], width[1:]
     below, above = of_all[:-1] / near, of_all[1:] / far
@@ -205,7 +205,8 @@ def _pull_of_noise(
 
 
 def _mean_over_centre(x: np.ndarray) -> np.ndarray:
-    """sinh(x) / x: the mean of an exponential over an interval, over its value in the middle."""
+    """Return sinh(x) / x: the mean of an exponential over an interval, divided by its value in the
+    middle."""
     far = np.abs(x) > FLAT
     return np.where(far, np.sinh(x) / np.where(far, x, 1), 1)
 

@@ -1,4 +1,4 @@
-"""The rounding of JPEG's colours, which is one error for all pixels of one hue.
+"""The rounding of JPEG's colours, an error that all pixels of one hue share.
 
 A JPEG picture holds integers Y, Cb and Cr, from which the decoder computes (ITU-T T.871)
 
@@ -23,16 +23,16 @@ from .weights import undithered_share
 TO_YCC = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])
 OF_CHROMA = np.array([[0.0, 1.402], [-0.344136, -0.714136], [1.772, 0.0]])  # in R, G and B
 COLOURS = ("red", "green", "blue")
-DECODED = 0.9  # of the pixels, that integers Y, Cb and Cr give; of any other colours, a quarter
-FEWEST = 1000  # coloured pixels that tell it
-MOST_PIXELS = 1 << 19  # looked at
+DECODED = 0.9  # share of pixels that integer Y, Cb and Cr explain; a quarter by chance
+FEWEST = 1000  # coloured pixels needed for a decision
+MOST_PIXELS = 1 << 19  # pixels examined
 
 
 def shared_rounding(
     codes: Sequence[UInt16[np.ndarray, "exposures h w"]], colour: str, clip: float
 ) -> Float[np.ndarray, "256"] | None:
-    """Standard deviation, DN, of the error that all pixels of a code in red, green and blue share;
-    None for pictures that were no JPEG."""
+    """Return the standard deviation, in DN, of the error that all pixels of a code share, for red,
+    green and blue; None for pictures that were never JPEG."""
     if max(int(one.max()) for one in codes) > 255:
         return None
     every = max(1, codes[0].size // MOST_PIXELS)
@@ -50,7 +50,7 @@ def shared_rounding(
     place = COLOURS.index(colour)
     own = pixels[:, place].astype(int)
     count = np.maximum(np.bincount(own, minlength=256), 1)
-    variance = np.ones(256)  # of the products' rounding, which either of the two undithers
+    variance = np.ones(256)  # variance of the products' rounding, in 1 / 12 DN^2
     total, share = np.zeros(256), np.zeros(256)
     for weight, chroma in zip(OF_CHROMA[place], whole[:, 1:].T, strict=True):
         if weight:
@@ -63,7 +63,8 @@ def shared_rounding(
 
 
 def add_shared_rounding(curve: ResponseCurve, shared: Float[np.ndarray, "256"]) -> ResponseCurve:
-    """A curve whose errors include that of the codes, and that of mid-scale, where g = 0."""
+    """Return a curve whose errors include the shared error of each code, and of mid-scale, where g
+    = 0."""
     error = shared[np.rint(curve.codes).astype(int)] * np.gradient(curve.log_exposure, curve.codes)
     middle, variance = curve.bins.middle, error**2
     added = np.diag(variance) + variance[middle]

@@ -71,15 +71,15 @@ from .weights import (
 
 PILOT_PIXELS = 2048  # of a class of steepness: enough for its noise model and a first curve
 PILOT_BINS = 140
-FEWEST_PIXELS, FEWEST_SHARE = 100, 0.005  # well exposed in two images; fewer may be hot pixels
+FEWEST_PIXELS, FEWEST_SHARE = 100, 0.005  # needed, well exposed in two images; fewer may be hot
 SIGNIFICANCE = 0.95  # of the chi-square test for a shutter error
-UNCORRECTED = 0.05  # bias that the score may leave, as a share of the variance of ln X
+UNCORRECTED = 0.05  # largest remaining bias of the score, as a share of the variance of ln X
 SAME = 1e-3  # step of ln t below which two exposures count as one
 RIPPLE = 0.055  # of g, for each unit of ln t by which a step between exposures exceeds `APART`
-BENT = 100.0  # smoothness below which the ripple is not reduced; a third of the measured median
+BENT = 100.0  # smoothness below which the ripple is not reduced: a third of the measured median
 FALLS = 0.5  # decrease in ln X from which a curve is refused
 NEAR, BENT_BY = 4.0, 2.5  # pixel noises: distance from the last observed code; error of ln X there
-DOUBTFUL = 0.5  # error of the slope by its correction, as a share of the relative variance
+DOUBTFUL = 0.5  # error of the slope from its correction, as a share of the relative variance
 
 
 @dataclass(frozen=True)
@@ -102,12 +102,12 @@ class ResponseCurve:
         shutter_bound: upper limit of tau, 95 %.
         smoothness: precision of the prior.
         design_effect: phi, the number of pixels that count as one independent pixel.
-        clustering: the same for neighbours with shared errors, if the number of effective pixels
-            had no limit.
-        noise: of the pixels, from the flattest places.
+        clustering: design effect of neighbours with shared errors, without a limit on the number of
+            effective pixels.
+        noise: noise model of the pixels, from the flattest places.
         statistics: sufficient statistics of the pairs of codes.
         held_out: prediction errors of each exposure from the others; None with fewer than three.
-        busy_places: (bins,) difference of `bin_means` when places with much detail are included; 0
+        busy_places: (bins,) change of `bin_means` when places with much detail are included; 0
             where chance explains it.
     """
 
@@ -164,8 +164,8 @@ def slope_error(noise: NoiseModel) -> float:
 
 
 def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> float:
-    """The standard deviation, in ln X, of a ripple of g that no pixel distinguishes from the
-    curve."""
+    """Return the standard deviation, in ln X, of a ripple of g that the pixels cannot distinguish
+    from the curve."""
     # From the errors of simulated stacks with S-shaped and sRGB responses: .01 at 2 1/4 stops, .038
     # at three; smaller for a smoother curve, in proportion to the prior's 1 / sqrt(smoothness).
     steps = np.diff(np.unique(np.log(exposures)))
@@ -222,8 +222,8 @@ def fit_response_curve(
 
     Raises:
         InputError: when fewer than 100 pixels are neither black nor clipped in two exposures, when
-            two exposures are equal, and when the exposures fall into sets that share no such pixel
-            or admit no rising curve.
+            two exposures are equal, when the exposures fall into sets that share no such pixel, and
+            when no rising curve fits.
     """
     copies = Copies()
     for i, seen in enumerate(codes):
@@ -257,7 +257,7 @@ def fit_response_curve(
     sample = _sample(classes, linked)
     in_use = _exposures_in_use(codes[:, sample], bins)
     codes, log_t = codes[in_use], np.log(exposures[in_use])
-    with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
+    with threadpool_limits(1, user_api="blas"):  # systems are too small for threads
         few, of_few = codes[:, sample], classes[sample]
         pilot = fit_pilot(few, of_few, log_t, coarse, least_error=least_error)
         means = make_rising(rebin(pilot.means, coarse, bins), bins)
@@ -270,7 +270,7 @@ def fit_response_curve(
         pairs = total(tiles)
         degrees_of_freedom(pairs)
         if pairs.pixels < max(FEWEST_PIXELS, FEWEST_SHARE * linked.sum()):
-            raise InputError(NO_CURVE)  # the pilot took what the images show for noise
+            raise InputError(NO_CURVE)  # the pilot explained the images as noise
         start = pilot.solution.suggested
         whole = solve(tiles, log_t, bins, start, least_error=least_error, rounds=rounds)
         rounding = float(interval_variance(whole.means)[bins.middle])
@@ -300,15 +300,15 @@ def _require_rising(curve: ResponseCurve) -> None:
     if falls.size and falls.max() > FALLS:
         at = int(np.argmax(falls))
         raise InputError(
-            f"codes from {codes[np.argmax(g[: at + 1])]:g} to {codes[at]:g} come out of falling "
-            f"exposure, by {falls[at]:.1f} in ln X: exposures far apart leave the curve open, and "
+            f"from code {codes[np.argmax(g[: at + 1])]:g} to {codes[at]:g} the exposure falls "
+            f"by {falls[at]:.1f} in ln X: exposures far apart do not determine the curve, and "
             "moving or misaligned images contradict it; add exposures a stop from these, or align "
             "them."
         )
 
 
 def _sample(classes: np.ndarray, linked: np.ndarray) -> np.ndarray:
-    """Linked pixels for the pilot, equally many of each class."""
+    """Return linked pixels for the pilot, the same number from each class."""
     picked = []
     for kind in range(int(classes.max()) + 1):
         own = np.flatnonzero(linked & (classes == kind))
@@ -332,7 +332,8 @@ def _parts(
 
 
 def _well_exposed(codes: np.ndarray, bins: CodeBins) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels that are unclipped in two images, and those beyond mid-scale in one."""
+    """Return the pixels that are unclipped in two images, and the pixels beyond mid-scale in
+    one."""
     usable = np.where(bins.lookup >= 0, hat_rule(bins).by_bin[0][bins.lookup], 0) > 0
     bright = usable & (np.arange(len(usable)) > bins.centres[bins.middle])
     return usable[codes].sum(axis=0) >= 2, bright[codes].any(axis=0)
@@ -374,7 +375,7 @@ def _shutter_error(found: Solution) -> float | None:
 
 
 def _bound(shutter_error: float, free: int) -> float:
-    """95 % upper limit on tau from the rms of so many errors."""
+    """Return the 95 % upper limit on tau from the rms of `free` errors."""
     return shutter_error * float(np.sqrt(free / chdtri(free, SIGNIFICANCE))) if free else np.inf
 
 

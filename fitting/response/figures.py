@@ -21,7 +21,7 @@ MOST_GROUPS = 9
 MOST_MAPS = 4  # groups whose maps are drawn
 MIDDLE_GREY = 0.18  # of white
 DOTS = 1500  # pixels drawn per channel
-LEGEND = 0.2  # of the height of an axis, that its legend takes
+LEGEND = 0.2  # share of the height of an axis for its legend
 
 
 def curve_figure(calibration: ResponseCalibration) -> Figure:
@@ -29,7 +29,7 @@ def curve_figure(calibration: ResponseCalibration) -> Figure:
     figure, panels = _panels(calibration, height=3.4)
     for axis, channels in panels:
         for i, channel in enumerate(channels):
-            # The widest line lies lowest, so that curves that agree are all seen.
+            # The widest line is drawn first, so that curves that agree are all visible.
             _draw_curve(axis, channel, width=1.5 + 2.0 * (len(channels) - 1 - i))
         axis.set(xscale="log", yscale="log")
         axis.set_xlabel("code above black (DN)")

@@ -21,7 +21,7 @@ from .shape import (
 )
 from .solve import ROUGHEST
 
-DRAWN = 0.1  # standard error of ln exposure, up to which the figure shows a departure
+DRAWN = 0.1  # standard error of ln exposure up to which the figure shows a departure
 CLUSTERED = 2.0  # number of pixels that count as one, from which it is reported
 MOSTLY_SEEN = 0.8  # share of observed codes below which the extrapolated ones are reported
 FEW_FREE = 2  # number of determined shutter errors below which the prior dominates
@@ -100,8 +100,8 @@ def _lowest_above_assumed_black(channels: Sequence[ChannelResponse]) -> int | No
 
 
 def _own_blacks_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """A finding if all images have the same lowest code, which few pixels have at the longest
-    exposure."""
+    """Return a finding if all images have the same lowest code, and few pixels have it at the
+    longest exposure."""
     for channel in channels:
         plane = channel.plane
         lowest = np.array([int(image.min()) for image in plane.codes])
@@ -172,8 +172,8 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
-    """The exposure times to check if they scatter more than shutters do: the most deviating image,
-    or all times. Empty if they do not."""
+    """Return which exposure times to check, if they scatter more than real shutters do: the time of
+    the most deviating image, or all times. Empty if they do not."""
     shaky = [c for c in channels if (c.curve.shutter_error or 0.0) > SHAKY]
     if not shaky:
         return ""
@@ -354,7 +354,8 @@ def _colours_apart_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _power_of(curve: ResponseCurve, reference: ResponseCurve) -> tuple[float, float]:
-    """The exponent between the exposures of two curves, with its error if all codes err alike."""
+    """Return the exponent between the exposures of two curves, and its error if the errors of all
+    codes are correlated."""
     codes = curve.codes[curve.seen]
     x = np.interp(codes, reference.codes, reference.log_exposure)
     x = np.where(np.interp(codes, reference.codes, reference.seen) > 0.5, x, 0.0)

@@ -3,17 +3,16 @@
 A camera that sharpens adds to a code a share of its difference from the surrounding codes. Pixels
 with equal light then have different codes where the picture is busy. This is not noise. Unless the
 response is a pure gamma, it biases a curve in proportion to the local variance a of the logarithm.
-Classes of pixels differ in a, so the curves g_(k) of all classes but one determine the slope, and
-with it the deviation d of the curve for all places:
+Classes of pixels differ in a. The curves g_(k), each fitted without class k, therefore determine
+the slope, and with it the deviation d of the curve for all places:
 
     d = a_all  sum_k (a_(k) - m) g_(k) / sum_k (a_(k) - m)^2,    m the mean of the a_(k).
 
-Its covariance V comes from the scores of tiles. If d is significant by an F test of the mean q of
-d^2 / V over the codes, lambda d = (1 - 1 / q) d is subtracted (James & Stein 1961). Whether d is a
-bias at all remains uncertain with these weights, so the covariance grows by lambda^2 V + lambda (1
-- lambda) d d^T. Nothing is subtracted if activity correlates with the codes, as on a ramp, or is
-equal everywhere. Misregistered images are not corrected either, because their errors are not
-proportional to a.
+The covariance V of d comes from the scores of tiles. If d is significant by an F test of the mean q
+of d^2 / V over the codes, lambda d = (1 - 1 / q) d is subtracted (James & Stein 1961). Taking d as
+a bias with probability lambda, the covariance grows by lambda^2 V + lambda (1 - lambda) d d^T.
+Nothing is subtracted if activity correlates with the codes, as on a ramp, or is equal everywhere.
+Misregistered images are not corrected either, because their errors are not proportional to a.
 """
 
 from collections.abc import Sequence
@@ -30,8 +29,8 @@ from .weights import NoiseModel, noise_variance
 
 FEWEST_CLASSES = 3
 CHANCE = 0.975  # of the F test
-QUIET = 2.0  # times the noise of the quietest places, up to which all are in register
-APART = 0.5  # of the mean activity, its deviation at a code, from which it shows its effect
+QUIET = 2.0  # ratio to the noise of the quietest places, up to which images are registered
+APART = 0.5  # least spread of the activity at a code, relative to its mean
 
 
 def is_registered(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
@@ -51,7 +50,7 @@ def correct_to_flat_places(
     log_t: Float[np.ndarray, " exposures"],
     bins: CodeBins,
 ) -> Solution:
-    """A solution without the contribution of busy places."""
+    """Return a solution without the contribution of busy places."""
     size, phi = len(found.means), found.used.design_effect
     each = [[equations_of(cell, log_t, found.basis) for cell in tile] for tile in cells]
     matrices = [np.sum([cell.matrix for cell in kind], axis=0) for kind in zip(*each, strict=True)]
@@ -85,7 +84,7 @@ def correct_to_flat_places(
 def _separation(weights: np.ndarray, activity: np.ndarray) -> float:
     """Standard deviation of the activity among observations of one code. It is small if codes
     correlate with places, as on a ramp, and if all places are equal. The result is the median over
-    codes, with weights (classes, bins)."""
+    codes; `weights` are (classes, bins)."""
     seen = weights[:, weights.sum(axis=0) > 0]
     mean = activity @ seen / seen.sum(axis=0)
     variance = activity**2 @ seen / seen.sum(axis=0) - mean**2

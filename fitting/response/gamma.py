@@ -1,8 +1,9 @@
-"""The gamma of a response, f(x) = x^(1/gamma), with the error of the shutter in its uncertainty.
+"""The gamma of a response, f(x) = x^(1/gamma), with an uncertainty that includes shutter errors.
 
 With a pure gamma, g(z) = gamma ln(z - black) + const is one column of the code-pair statistics. All
 pixels then enter through a few sums (`code_pairs.py`), and a step of a sampler costs microseconds.
-Their score avoids the attenuation of the slope by noisy and rounded codes in a log regression.
+The score corrects the attenuation of the slope that noisy and rounded codes cause in a log
+regression.
 
 The pixels of one image share the error of its exposure time, delta_j ~ N(0, tau^2). Its component
 delta = c (ln t - mean) is indistinguishable from another gamma and changes it by the factor 1 + c
@@ -42,11 +43,11 @@ from .curve import ResponseCurve, slope_error
 from .shutter import SHUTTER_PRIOR, TABULATED, prior_of
 from .solve import BELIEVED, shutter_basis, spread_of_times
 
-BLACK_STEP = 0.1  # DN by which black is moved to see what it does to gamma
-EDGES = 0.05, 0.95  # of the range of codes, between which weightings are compared
+BLACK_STEP = 0.1  # change of black, DN, for the derivative of gamma
+EDGES = 0.05, 0.95  # shares of the range of codes between which weightings are compared
 FEWEST_CODES = 10
-FEWEST_SHOWN = 3  # shutter errors that show, from which those of the free curve bound a gamma's
-REACH, HALVINGS = 40.0, 50  # standard deviations in which a quantile is sought, by bisection
+FEWEST_SHOWN = 3  # visible shutter errors needed for the upper limit on tau
+REACH, HALVINGS = 40.0, 50  # bisection for a quantile: range in standard deviations, steps
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
     "shutter_error", symbol="τ", unit="relative", transform="log", prior=SHUTTER_PRIOR
@@ -55,8 +56,8 @@ SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
 
 
 def space_of(free: int, *, stated: float = 0.0) -> ParameterSpace:
-    """The parameters gamma and shutter error (or the error in addition to a stated one), by the
-    number of visible shutter errors."""
+    """Return the parameters gamma and shutter error (or the error in addition to a stated one), for
+    a number of visible shutter errors."""
     return GAMMA, replace(SHUTTER_ERROR, prior=prior_of(free, stated=stated))
 
 
@@ -140,7 +141,7 @@ class Mixture:
         return quantile_estimate(what, centre, spread, ends, method="marginal", group=group)
 
     def tau_estimate(self, what: Parameter, group: str, *, stated: float = 0.0) -> Estimate:
-        """The estimate of tau, with its median as the value."""
+        """Return the estimate of tau, whose value is the median."""
         tau = np.hypot(np.exp(self.log_tau), stated)
         ends = np.interp(QUANTILES, np.cumsum(self.weights), tau)
         spread = float(np.sqrt(self.weights @ (tau - self.weights @ tau) ** 2))
@@ -161,13 +162,13 @@ class GammaFit:
     """The best gamma of a response.
 
     Attributes:
-        gamma: with its intervals.
+        gamma: estimate with intervals.
         shutter_error: tau, rms of the error of ln t.
         posterior: of (gamma, tau); where tau is stated, its second number is the error in addition
             to the stated one.
-        departure: (bins,) ln X of the measured curve less that of the best gamma; NaN for codes
+        departure: (bins,) ln X of the measured curve minus ln X of the best gamma; NaN for codes
             without observations.
-        srgb_departure: (bins,) less that of the sRGB curve.
+        srgb_departure: (bins,) the same difference from the sRGB curve.
         dispersion: misfit of the best gamma over that of the free curve.
         findings: sentences on what the data cannot distinguish.
         left_out: errors that the rig states and that are negligible.
@@ -256,8 +257,9 @@ def _undetectable(
     black_sd: float,
     exposure_sd: float,
 ) -> tuple[LeftOut, ...]:
-    """Stated errors of the black level, which change ln X by `of_black`, and of the exposures that
-    no pixel can detect, where so many pixels count as one."""
+    """Return the stated errors of the black level and of the exposures that are too small to
+    detect. A black error of one standard deviation changes ln X by `of_black`; the design effect is
+    the number of pixels that count as one."""
     # The energy of the code pairs, v' A v / 2 for a shift v of the curve and of the log exposures,
     # is half the squared shift in standard deviations of all pixels, with their irradiances
     # eliminated. Therefore |h|^2 = v' A v for an error of one standard deviation.
@@ -387,8 +389,8 @@ def _gamma_sums(
     known: float = 0.0,
     stated: float = 0.0,
 ) -> GammaSums:
-    """The sums. A stated shutter error too small to enter them (none is `known`) still gives the
-    prior."""
+    """Return the sums. A stated shutter error that is too small to enter them (`known` is then
+    None) still determines the prior."""
     overstated = dispersion * curve.design_effect
     size, matrix = len(column), curve.statistics.matrix / overstated
     score = curve.statistics.score / overstated

@@ -16,14 +16,14 @@ from scipy.ndimage import uniform_filter
 
 from ..frame_checks.frame import OddFrames
 
-QUANTILES = 0.5, 0.35, 0.65, 0.2, 0.8  # at which images are cut
+QUANTILES = 0.5, 0.35, 0.65, 0.2, 0.8  # quantiles at which images are thresholded
 CUTS = 3  # at most
-WIDEST = 1024  # pixels of a side of what is compared, from the middle
-CLEAR = 0.03, 0.95  # of the range of codes, between which a cut must lie
-FARTHEST = 8  # of the picture's sides: the farthest shift is a part of so many
-LEAST = 2.0  # pixels from which an image is left out; one displaced by less is moved back
-SURE = 6.0  # standard deviations by which agreement must rise
-ALIKE = 0.5  # Cohen's kappa of the agreement where the images are said to lie
+WIDEST = 1024  # largest side, in pixels, of the compared part, from the middle
+CLEAR = 0.03, 0.95  # shares of the range of codes between which a threshold must lie
+FARTHEST = 8  # largest shift: the picture's side divided by this number
+LEAST = 2.0  # shift, in pixels, from which an image is left out and not moved back
+SURE = 6.0  # standard deviations by which a shift must increase the agreement
+ALIKE = 0.5  # Cohen's kappa of the agreement needed at the found shift
 
 
 def moved_exposures(
@@ -33,10 +33,10 @@ def moved_exposures(
     full_scale: float,
     cell: tuple[int, int] = (1, 1),
 ) -> tuple[list[OddFrames], dict[str, tuple[int, int]]]:
-    """Exposures that are displaced relative to most others, and by name the rows and columns of
-    those displaced by a pixel, to lay them on the others."""
+    """Return the exposures that are displaced relative to most others. For images displaced by
+    about a pixel, also return, by name, the rows and columns by which to move them back."""
     if len({np.shape(frame) for frame in frames}) != 1:
-        return [], {}  # refused where they are read
+        return [], {}  # sizes differ; refused where frames are read
     size: Any = list(cell)  # SciPy's types know one number for all axes only
     smooth = [uniform_filter(_middle(frame), size) for frame in frames]
     steps = [_shift(one, other, full_scale) for one, other in pairwise(smooth)]
@@ -96,10 +96,10 @@ def _shift(
     share = agree / np.maximum(common, 1)
     best = np.unravel_index(np.argmax(np.where(common > common.max() / 2, share, -1)), share.shape)
     middle = (reach[0], reach[1])
-    # Agreeing less agreeing pixels: each changes the sum by 2, of those that differ in one of both.
+    # Each pixel that agrees at only one of the two shifts changes the sum by 2.
     scatter = 2 * np.sqrt(len(pairs) * (1 - min(share[middle], 1)) * common[middle] / 2 + 1)
     rise = (share[best] - share[middle]) * common[middle]
-    chance = np.mean([a.mean() * b.mean() for a, b in pairs])  # agreement of unlike images
+    chance = np.mean([a.mean() * b.mean() for a, b in pairs])  # agreement of unrelated images
     if rise < SURE * scatter or share[best] - chance < ALIKE * (1 - chance):
         return np.zeros(2)
     return np.array(best, float) - middle
@@ -108,8 +108,8 @@ def _shift(
 def _cut(
     one: np.ndarray, other: np.ndarray, quantile: float, full_scale: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Pixels that are brighter (1) or darker (-1) than a quantile in two images; None if it is
-    black or saturated in one."""
+    """Return pixels that are brighter (1) or darker (-1) than a quantile, for two images; None if
+    the quantile is black or saturated in one image."""
     found = []
     for image in (one, other):
         level, black = np.quantile(image, quantile), float(image.min())
@@ -120,7 +120,7 @@ def _cut(
 
 
 def _middle(frame: Shaped[np.ndarray, "h w *channels"]) -> Float[np.ndarray, "h w"]:
-    """The middle of a large picture, as grey."""
+    """Return the middle of a large picture, as grey values."""
     top, left = (max(0, size - WIDEST) // 2 for size in frame.shape[:2])
     middle = np.asarray(frame[top : top + WIDEST, left : left + WIDEST], float)
     return middle.mean(axis=2) if middle.ndim == 3 else middle

@@ -26,10 +26,10 @@ PASSES = 4
 KEPT = 0.3  # smallest share of a class's pixels that its noise model must keep
 FIRST_SMOOTHNESS = 300.0  # the median of the 201 measured curves
 FIRST_ERROR = 0.01  # of the shutter
-SLOWEST = 3.0  # factor by which a response may rise more slowly than a linear one
+SLOWEST = 3.0  # largest factor by which a response may rise more slowly than a linear one
 LOG_ODDS = 10.0  # log evidence that a bent curve needs over a smoother one
-MOST_CELLS, FEWEST_CELLS = 48, 6  # of predicted exposure, for a noise model
-REWEIGHTED = 4  # fits of a noise model, each with the weights of the last
+MOST_CELLS, FEWEST_CELLS = 48, 6  # cells of predicted exposure for a noise model: most, fewest
+REWEIGHTED = 4  # fits of a noise model, each with weights from the fit before
 IN_CELL, FEWEST_IN_CELL = 40, 10  # observations per cell: intended, and least that counts
 NO_CURVE = (
     "the images agree on no response curve; check the exposure times, the black level, that "
@@ -75,7 +75,7 @@ def fit_pilot(
     for turn in range(PASSES):
         statistics = pair_statistics(codes, classes, offset_t, bins, rule, means)
         free = degrees_of_freedom(statistics)
-        misfit = max(1.0, statistics.chi_square / free) if turn else 1.0  # of noises and curve
+        misfit = max(1.0, statistics.chi_square / free) if turn else 1.0  # of the models
         hyper = replace(hyper, design_effect=misfit)
         rounds = MOST_ROUNDS if turn == PASSES - 1 else 1
         found = solve([statistics], log_t, bins, hyper, least_error=least_error, rounds=rounds)
@@ -92,7 +92,7 @@ def fit_pilot(
         offset_t = log_t + found.delta
         hyper = found.suggested if turn else Hyperparameters(FIRST_SMOOTHNESS, FIRST_ERROR)
         seen = observe(binned, classes, offset_t, means, rule, screened=False)
-        # Of a class that loses more of its pixels, the errors are not noise.
+        # If a class loses more of its pixels, their errors are not noise.
         alive &= np.bincount(seen.classes, minlength=count) >= KEPT * full
         if not alive.any():
             raise InputError(NO_CURVE)
@@ -106,7 +106,8 @@ def fit_pilot(
 
 
 def degrees_of_freedom(statistics: PairStatistics) -> float:
-    """Observations minus one for each pixel, which determine a curve."""
+    """Return the number of observations minus the number of pixels, the observations that determine
+    a curve."""
     free = float(statistics.observations.sum() - statistics.pixels)
     if free <= 0:
         raise InputError(NO_CURVE)
@@ -154,8 +155,9 @@ def fit_noise(
     centre = ((edges[1:] + edges[:-1]) / 2)[filled]
     interval = np.interp(centre, means, interval_variance(means))
     terms = np.exp(-centre[:, None] * np.arange(3))
-    # Relative errors count: a few cells full of misfit must not set the noise of all others. They
-    # are errors relative to the model: relative to what was measured, small values would win.
+    # The fit minimises relative errors, so that a few cells full of misfit do not set the noise of
+    # all cells. Errors are relative to the model, because errors relative to the data favour small
+    # values.
     expected, found = measured, np.zeros(terms.shape[1])
     for _ in range(REWEIGHTED):
         precision = np.sqrt(count[filled]) / np.maximum(expected, 1e-12)

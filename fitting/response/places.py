@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int, Integer
 from scipy.ndimage import uniform_filter
 
 CLASSES = 6  # of steepness and of activity, equally full
-REACH = 5  # pixels along a side of what is around one
+REACH = 5  # side, in pixels, of the neighbourhood of a pixel
 TILES = 16  # a power of two
 
 
@@ -97,7 +97,7 @@ def _around(image: np.ndarray) -> np.ndarray:
 def equal_classes(
     values: Float[np.ndarray, " pixels"], counted: Bool[np.ndarray, " pixels"]
 ) -> Int[np.ndarray, " pixels"]:
-    """Classes of steepness or activity with equally many valid pixels."""
+    """Return classes of steepness or activity, each with the same number of valid pixels."""
     edges = np.quantile(values[counted], np.arange(1, CLASSES) / CLASSES)
     return np.digitize(values, edges).astype(np.int32)
 

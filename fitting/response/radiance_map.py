@@ -26,7 +26,7 @@ from .code_pairs import CHUNK
 from .curve import ResponseCurve
 from .weights import cells_of, noise_rule, noise_variance, weighted_mean
 
-REWEIGHTED = 3  # times that a pixel which is mostly noise is weighted by what it came out as
+REWEIGHTED = 3  # iterations that weight a mostly noisy pixel by its own estimate
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def _noise_radiance(
     x = table[codes]
     used = (codes > 0) & (codes < curve.bins.edges[-1])
     above = np.exp(curve.log_exposure)
-    steps = np.gradient(above) / np.gradient(curve.codes)  # X of one code
+    steps = np.gradient(above) / np.gradient(curve.codes)  # change of X per code
     merged, total = _mean_radiance(used * t, t, x)
     for _ in range(REWEIGHTED):
         expected = np.maximum(merged * t, above[0])

@@ -24,11 +24,11 @@ from ..observation import Load, cropped_to_region, read_frame, read_stack, split
 from ..rig import Camera, Exposure, Rig, SiteCamera, as_rig, require
 from .moved import moved_back, moved_exposures
 
-LONGER = 8.0  # a pixel that stays alike while its exposure grows so much sees no light
+LONGER = 8.0  # increase of the exposure during which a pixel without light stays constant
 BRIGHTER = 1.9
-MOSTLY = 0.5  # share of pixels beyond which a longer exposure is called darker than a shorter
-FEWEST_ALIKE = 0.005  # share of the pixels that such a level rests on
-LOWEST_STUCK = 0.01  # quantile of the stuck codes
+MOSTLY = 0.5  # share of darker pixels from which a longer exposure counts as darker
+FEWEST_ALIKE = 0.005  # least share of constant pixels that determines a level
+LOWEST_STUCK = 0.01  # quantile of the constant codes
 
 Codes = UInt16[np.ndarray, "exposures h w"]
 
@@ -245,7 +245,7 @@ def _planes(
         raise InputError(
             f"{where}: {entries[-1].file}, the longest, is darker than {entries[0].file}, the "
             f"shortest, at {format_percent(darker)} of the pixels; check the order of the times, "
-            "and that the images are no negatives."
+            "and that the images are not negatives."
         )
     scene = _scene_mask(rig, mask, frames[0].shape[:2], where)
     files = tuple(entry.file for entry in entries)
@@ -256,7 +256,7 @@ def _planes(
     masks = split_channels(grid, rig.camera)
     planes = []
     (step, _), starts = _grid_of(converter), _starts(rig.camera, frames[0].shape)
-    coarser = 2 if rig.camera.pattern else 1  # colours of a mosaic have half of its pixels
+    coarser = 2 if rig.camera.pattern else 1  # of the rows and columns, per colour
     apart = (rig.camera.cell[0] // coarser, rig.camera.cell[1] // coarser)
     for i, name in enumerate(channels[0]):
         codes = np.stack([frame[name] for frame in channels])
@@ -314,8 +314,8 @@ def floor_level(
     if dark.sum() <= FEWEST_ALIKE * dark.size:
         return 0.0
     level = float(np.median(before[dark]))
-    # Noise leaves a few pixels of any code alike. Others of that code rise with the light, and so
-    # do these as the exposure grows on.
+    # By chance, noise keeps a few pixels of any code constant. Other pixels of that code rise with
+    # the light, and these rise too as the exposure grows further.
     at_level = np.abs(before - level) <= step
     risen = [np.mean((after - before > step)[at_level])]
     if longer[0] < len(codes) - 1:
@@ -356,7 +356,7 @@ def _scene_mask(
 ) -> np.ndarray:
     if mask is None:
         return np.ones(shape, bool)
-    if mask.shape != shape:  # as it is where it has the size of the region already
+    if mask.shape != shape:  # a mask of the region's size is used unchanged
         mask = cropped_to_region(mask, rig.camera, rig.path("the mask"))
     if mask.shape != shape:
         raise InputError(f"{where} are {shape} pixels, the mask is {mask.shape}; resize it.")

@@ -26,9 +26,9 @@ from .solve import Hyperparameters, Solution, bin_centre_curve, inverse, solve
 from .weights import cells_of, weighted_mean
 
 FEWEST_PREDICTING = 3  # exposures: leaving one out must leave two
-FEWEST_EXPOSURES = 5  # of a jackknife: with fewer, what is left holds another part of the curve
-CHANCE = 0.05  # of a variance between parts that is no more than their pixels'
-FEWEST_PREDICTED = 30  # pixels of a left-out exposure that judge its prediction
+FEWEST_EXPOSURES = 5  # of a jackknife: with fewer, the rest determines another part of the curve
+CHANCE = 0.05  # probability of a false finding of excess variance
+FEWEST_PREDICTED = 30  # fewest pixels for the prediction error of a left-out exposure
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def exposure_jackknife(
     whole = without(None)
     departures = _jackknife([bin_centre_curve(fit.means, coarse) for fit in fits])
     matrix = whole.equations[0].matrix / hyper.design_effect**2 / fraction
-    explained = 2 * _pixel_variance(whole, matrix, coarse)  # a pair goes with either exposure
+    explained = 2 * _pixel_variance(whole, matrix, coarse)  # either exposure loses a pair
     fine, x = np.log(bins.centres - bins.black), np.log(coarse.centres - coarse.black)
     on_fine = Repeats(
         np.stack([np.interp(fine, x, row) for row in departures]), np.interp(fine, x, explained)

@@ -17,7 +17,7 @@ from .findings import findings
 from .gamma import GAMMA, SHUTTER_ERROR
 from .shape import Shape, largest_departure, shapes
 
-UNKNOWN = 1e6  # factor by which a curve may err at a code of which nothing is known
+UNKNOWN = 1e6  # error factor of a curve above which a code counts as unknown
 
 
 def section(calibration: ResponseCalibration) -> Section:
@@ -57,7 +57,7 @@ def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
     log_exposure = np.concatenate([curve.log_exposure for curve in curves])
     error = np.concatenate([curve.standard_error for curve in curves])
     exposure, half = np.exp(log_exposure), np.concatenate([c.half_width for c in curves])
-    half = np.where(half > np.log(UNKNOWN), np.inf, half)  # far beyond all pixels
+    half = np.where(half > np.log(UNKNOWN), np.inf, half)  # unknown codes
     return {
         "channel": np.repeat(labels, [len(curve.codes) for curve in curves]),
         "code": np.concatenate([curve.codes for curve in curves]),

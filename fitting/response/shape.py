@@ -24,10 +24,10 @@ from .curve import ResponseCurve
 PURE = 0.05  # departure in ln exposure up to which gamma is given
 SURE = 0.05  # standard error of ln exposure up to which a departure is judged
 QUIET = 0.1  # relative noise of one pixel up to which a departure is judged
-EDGES = 0.05, 0.95  # of the range of codes, between which a departure is judged
+EDGES = 0.05, 0.95  # shares of the range of codes between which a departure is judged
 CHANCE = 0.01  # probability of a significant departure if all channels are pure gammas
 MOST_CODES, DRAWS = 64, 20000
-SURELY_KNOWN = 1e-3  # standard error below which codes weigh alike
+SURELY_KNOWN = 1e-3  # standard error below which codes have equal weights
 
 
 @dataclass(frozen=True)
@@ -124,6 +124,6 @@ def _beyond_chance(
     known, axes = np.linalg.eigh(covariance / np.outer(error, error))
     normal = np.random.default_rng(0).standard_normal((DRAWS, len(judged)))
     most = np.abs(normal @ (axes * np.sqrt(np.maximum(known, 0))).T).max(axis=1)
-    allowed = 2 * ndtr(-np.quantile(most, 1 - chance))  # of a single code
+    allowed = 2 * ndtr(-np.quantile(most, 1 - chance))  # significance level of a single code
     limit = stdtrit(curve.freedom[judged], 1 - allowed / 2)
     return np.abs(left @ curve.log_exposure[judged]) > limit * error, error

@@ -1,8 +1,8 @@
 """The effect of errors of the exposure times, delta_j ~ N(0, tau^2), on a curve.
 
 A common exponent of the times is indistinguishable from another curve. Its size, tau, follows from
-the visible errors. Few of the errors are visible. With three exposures there is one, which may be
-small by chance when tau is not. An error of the curve is therefore a mixture over tau,
+the visible errors. Few of the errors are visible. With three exposures only one is, and it may be
+small by chance although tau is large. The error of the curve is therefore a mixture over tau,
 
     sum_k w_k N(0, v + r tau_k^2),    w_k ~ p(shown errors | tau_k) p(tau_k),
 
@@ -23,14 +23,14 @@ from ..inference.priors import LogNormal
 from .solve import STEADIEST
 
 SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
-SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=2.5)  # where images show it: within a factor of 12
+SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=2.5)  # with visible errors: a factor of 12
 BEYOND = 0.1  # median of the error in addition to a stated one, as a share of the stated one
 BEYOND_LOG_SD = 1.5  # of its logarithm
 TABULATED = (1e-6, 1.0)  # range of tau over which errors are mixed
 GRID = 101  # of ln tau
-MOST_STEPS, NEAR = 100, 1e-6  # toward a quantile
+MOST_STEPS, NEAR = 100, 1e-6  # Newton steps toward a quantile, and their tolerance
 UNINFORMATIVE = 1e-9  # share of the information below which the images do not determine an error
-LEAST = 1e-6  # weight up to which a tau is left out
+LEAST = 1e-6  # largest weight of a tau that is left out
 MOST_FREE = 1e6  # degrees of freedom from which they count as infinite
 LEVELS = ndtr(1.0), 0.975
 FREEDOMS = np.geomspace(0.2, MOST_FREE, 400)

@@ -31,11 +31,11 @@ from .code_pairs import PairStatistics
 
 SMOOTHEST = 1e8  # precision at which the exponent is constant to a few parts in 10,000
 ROUGHEST = 30.0  # a tenth of the median of the 201 measured curves; a rougher curve is a misfit
-MOST_ROUNDS = 30  # of the hyperparameters
+MOST_ROUNDS = 30  # updates of the hyperparameters
 SETTLED = 0.05  # step of the logarithm of the smoothness at which it has converged
 STEADIEST, SHAKIEST = 1e-6, 0.2  # smallest assumed and largest accepted error of ln t
 COUNTED = 1 << 14  # number of pixels beyond which more pixels do not reduce the errors
-BELIEVED = 0.02  # shutter error from which a bow of the offsets is taken for a misfit of the curve
+BELIEVED = 0.02  # shutter error above which smoothly varying offsets count as a misfit of the curve
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def solve(
     while True:
         believed = min(hyper.shutter_error, max(BELIEVED, least_error))
         prior = np.zeros_like(matrix)
-        # The energy of g - a moved, a ~ N(0, 1) integrated out, and that at the likeliest a.
+        # The energy of g - a moved: with a ~ N(0, 1) marginalised, and at the most likely a.
         gained = 1 + hyper.smoothness * (pull @ moved)
         of_black = np.outer(pull, pull) * hyper.smoothness / gained
         energy, rest = rough - of_black, rough - of_black * (1 + 1 / gained)
@@ -166,7 +166,8 @@ def solve(
         taken_up = hyper.smoothness * np.sum(rest * covariance[curve, curve])
         determined = max(size - 3 + 1 / gained - taken_up, 1.0)
         known = max(free - covariance[errors, errors].trace() / believed**2, 1e-3)
-        # A sum of squares: g R g of a smooth curve is a difference of numbers 1e9 times as large.
+        # Computed as a sum of squares: for a smooth curve, g R g would cancel numbers 1e9 times
+        # larger.
         straight = g - hyper.smoothness * (pull @ g) / gained * moved
         energy_left = np.sum((increments @ straight) ** 2)
         smoothness = max(determined / (energy_left + determined / SMOOTHEST), ROUGHEST)
@@ -177,7 +178,7 @@ def solve(
         pace = smoothness / hyper.smoothness
         if rounds <= 0:
             known_by = matrix / hyper.design_effect + prior
-            held = np.log(known_by.trace() / size)  # what `inverse` adds
+            held = np.log(known_by.trace() / size)  # the term that `inverse` adds
             evidence = mean @ right / hyper.design_effect + held + np.linalg.slogdet(covariance)[1]
             evidence += (size - 2) * np.log(hyper.smoothness) - 2 * free * np.log(believed)
             evidence -= np.log(gained)
@@ -193,7 +194,7 @@ def solve(
                 effect,
                 float(evidence / 2),
             )
-        # The fixed point nears its end from one side, by a share of the way: two steps at once.
+        # The iteration converges linearly from one side, so the step is doubled.
         ahead = float(np.clip(smoothness * pace, ROUGHEST, SMOOTHEST))
         hyper = replace(suggested, smoothness=ahead) if rounds > 1 else suggested
         if abs(np.log(pace)) < SETTLED:
@@ -283,6 +284,6 @@ def _column(values: np.ndarray, like: np.ndarray) -> np.ndarray:
 
 
 def spread_of_times(exposures: Float[np.ndarray, " exposures"]) -> float:
-    """sum (ln t - mean)^2, which determines the precision of a common exponent."""
+    """Return sum (ln t - mean)^2, which determines the precision of a common exponent."""
     log_t = np.log(exposures)
     return float(np.sum((log_t - log_t.mean()) ** 2))

@@ -17,9 +17,9 @@ from jaxtyping import Float, Int
 from .code_bins import CodeBins, interval_variance
 
 LOOSEST = 0.15  # log standard deviation of usable codes: second-order terms are a percent or two
-WIDEST = 0.2  # log standard deviation of codes that are read, wider so that usable ones stay clear
+WIDEST = 0.2  # log standard deviation of codes that are read; wider than that of usable codes
 COARSEST = 0.015  # log standard deviation of rounding that no noise dithers and all pixels share
-APART = 1.4  # step of ln t from which coarse codes are the only partners of fine ones
+APART = 1.4  # step of ln t from which coarse codes are the only ones paired with fine codes
 HAT_DEVIATION = 0.1  # log standard deviation at mid-scale before a noise model is known
 HAT_BRIM = 0.08  # height of the hat below which codes are not used, because their noise is unknown
 OUTLIER = 5.0  # standard deviations of a residual from which its pixel is left out
@@ -144,7 +144,7 @@ def _class_tables(
     clear = grid + reach <= grid[-1]
     inside = sharp & clear & (grid - reach >= grid[np.argmax(looked_at)])
     if np.isfinite(coarsest) and inside.any():
-        # A limit within a code would leave that code with light of one side alone.
+        # A limit inside a code would admit only light from one side of that code.
         edges = (means[:-1] + means[1:]) / 2
         inside &= grid >= edges[np.searchsorted(edges[:-1], grid[np.argmax(inside)])]
     share = 1 - rounded / variance
@@ -184,7 +184,7 @@ def observe(
     *,
     screened: bool = True,
 ) -> Observations:
-    """Weights and residuals of the linked pixels among the given ones."""
+    """Return weights and residuals of the linked pixels among the given pixels."""
     by_each = means[binned] - log_t[:, None]
     rough = rule.by_bin.ravel()[np.maximum(binned, 0) + classes * len(means)]
     weights = np.where(binned >= 0, rough, 0)
@@ -199,7 +199,7 @@ def observe(
     weights, by_each = weights[:, linked], by_each[:, linked]
     log_irradiance = weighted_mean(weights, by_each)
     residuals = by_each - log_irradiance
-    known = rule.weight is not None  # before a curve is known, residuals are meaningless
+    known = rule.weight is not None  # residuals need a curve
     steady = (weights * residuals**2 < (OUTLIER**2 if known and screened else np.inf)).all(axis=0)
     return Observations(
         binned=np.maximum(binned[:, linked][:, steady], 0),
