@@ -34,7 +34,7 @@ from .command_line import (
 )
 
 PERCENT_MEANT = 100.0  # a bare number from 1 to this is taken as a forgotten per cent
-MEASURED = 240.0  # s before --accuracy or --seconds choose, by default
+MEASURED = 240.0  # s, default time of the measurement before --accuracy or --seconds choose
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 SceneArgument = Annotated[
     str,

@@ -25,8 +25,8 @@ from ..programs import kept_in
 UNREAD = 141  # the exit status of shells: 128 + SIGPIPE
 # base class of all usage errors, which is not exported
 _USAGE_ERROR: Any = typer.BadParameter.mro()[1]
-PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
-_SIDE_BY_SIDE = 4  # largest number of records in a table
+PLAIN_WIDTH = 140  # width in columns if the output is not a terminal
+_SIDE_BY_SIDE = 4  # largest number of records side by side in a table
 # The word that the help shows for an option's value, if it has no word of its own.
 _WORDS = {int: "N", float: "NUMBER", str: "TEXT", Path: "PATH"}
 _WORDS_BY_NAME = {"seconds": "SECONDS", "measure": "SECONDS"}
@@ -251,7 +251,7 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
                         print(f"{command}: {times - 1} more files: {about}", file=sys.stderr)
     except InputError as error:
         leave(command, str(error), 2)
-    except BrokenPipeError:  # who reads the output, such as `head`, has read enough
+    except BrokenPipeError:  # the reader of the output, such as `head`, has stopped reading
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(UNREAD) from None
     except OSError as error:

@@ -66,7 +66,8 @@ def demosaic(
     """
     check_choice("method", method, DEMOSAICINGS)
     pattern = as_pattern(pattern)
-    if raw.ndim > 2 and raw.shape[-1] == 1:  # no mosaic is one pixel wide, or three
+    # a last axis of one or three is the bands, because a mosaic is wider
+    if raw.ndim > 2 and raw.shape[-1] == 1:
         raw = raw[..., 0]
     elif raw.ndim > 2 and raw.shape[-1] == 3:
         raise ValueError(

@@ -19,7 +19,8 @@ from ..scene import Camera, Scene
 from .stages import Draft, Ends
 
 Box = Mapping[str, tuple[Any, Any]]
-_OF_A_LENS = "view.f_number", "view.focal_length"  # a pinhole's are those of the working opening
+# a pinhole in place of a lens has the values at the working aperture
+_OF_A_LENS = "view.f_number", "view.focal_length"
 _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 
 

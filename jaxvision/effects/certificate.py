@@ -198,8 +198,8 @@ class Pruned:
             times its transpose. None where the bands are unchanged.
         certificate: of the kept and removed effects.
         depth: number of segments of a path, or None for direct light.
-        threshold: W m^-2 sr^-1 for `render`, which then takes lights in order of what they show;
-            None for all lights.
+        threshold: W m^-2 sr^-1 for `render`, which then leaves out lights that together
+            contribute at most this radiance; None: all lights are used.
     """
 
     scene: Scene

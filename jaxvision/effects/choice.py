@@ -22,7 +22,7 @@ from .reflection import fills
 from .spectra import folded, with_bands
 from .stages import Draft, Gone, Row
 
-_TRIES = 64  # thresholds, each at most half of the one before
+_TRIES = 64  # largest number of thresholds, each at most half of the previous one
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Choice:
         self.bounds: dict[int, float] = {}
         self.barred: set[int] = set()
         self.all_bands = ""  # why none of them can be dropped
-        # what ordinary effects may change: half, where lights in order may take the rest
+        # tolerance for ordinary effects: half if lights may be left out in parts of the picture
         many = start.depth is None and not free and _many(finished(records[0], start))
         self.allowed = goal.value / 2 if many else goal.value
 
@@ -108,17 +108,19 @@ class Choice:
             self._order_lights()
 
     def _order_lights(self) -> None:
-        """Leave out of each part of the picture the lights that show least there, with what the
-        other effects left of the tolerance."""
+        """Use the rest of the tolerance to leave out, in each part of the picture, the lights that
+        contribute least there.
+        """
         scene = finished(self.records[0], self.draft)
         if not _many(scene):
             return
-        why = f"traces {len(scene.lights)} lights in order of what they show, until the others"
+        why = f"traces {len(scene.lights)} lights in order of their largest contribution, until the"
 
         def row(threshold: float) -> Row:
-            told = f"{why} show at most {threshold:.3g} W m^-2 sr^-1 together"
+            told = f"{why} rest adds at most {threshold:.3g} W m^-2 sr^-1"
             effect = Effect("lights in order", True, told, threshold, unit=RADIANCE)
-            own = np.full_like(self.chain.rows[0].amount, threshold)  # the first is of a light
+            # of the shape of the first row, which is for a light
+            own = np.full_like(self.chain.rows[0].amount, threshold)
             return Row(effect, own, lambda draft: replace(draft, threshold=threshold), saves=0.5)
 
         threshold, left = 1.0, self.goal.value - self.total - self.estimated

@@ -30,7 +30,7 @@ from .certificate import DN, Effect
 from .pixel import INF
 from .stages import Draft, Ends, Row
 
-FILMIC_SLOPE = 1.8012  # the largest of the ACES curve, at 0.12
+FILMIC_SLOPE = 1.8012  # the largest slope of the ACES curve, at 0.12
 SRGB_SLOPE = 12.92
 
 

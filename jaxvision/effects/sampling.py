@@ -16,7 +16,7 @@ from .pixel import clean
 from .stages import Draft, Ends, Row
 
 _PARTS = ("rim", "distortion", "diffraction")
-_MIDDLE = math.sqrt(0.5)  # from a pixel's middle to its corner, pixels
+_MIDDLE = math.sqrt(0.5)  # distance from a pixel's middle to its corner, pixels
 _COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sqrt 5
 
 

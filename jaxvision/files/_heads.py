@@ -24,7 +24,7 @@ class PngChunks:
 
     fault: str | None  # description of the damage; None if all chunks of the picture are complete
     depth: int = 8  # bits of a sample as stored; of a palette's index for a palette
-    colour_type: int = 0  # of IHDR; 3 for a palette
+    colour_type: int = 0  # colour type in IHDR; 3 for a palette
     # significant bits of each channel (sBIT); empty if not stated
     significant: tuple[int, ...] = ()
     frames: int = 1  # pictures of an animation; 1 for a plain picture
@@ -100,7 +100,7 @@ def _scales(kept: dict[bytes, bytes]) -> Iterator[str]:
         yield f"its transfer curve (cICP: {curve}): codes are as stored"
 
 
-_SMALLER_COPIES = (0x010001, 0x010002)  # kinds of a Multi-Picture Format entry
+_SMALLER_COPIES = (0x010001, 0x010002)  # kinds of entries of the Multi-Picture Format
 _PICTURE_LIST, _ENTRY = 0xB002, 16
 _END = 0xD9  # marker of the end of the picture
 

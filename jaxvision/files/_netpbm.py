@@ -30,8 +30,8 @@ class NetpbmHead:
     magic: bytes  # its first two letters
     columns: int  # of the picture
     rows: int  # of the picture
-    largest: float  # code, 1 for a bitmap; of a PFM its scale
-    start: int  # of the samples, bytes
+    largest: float  # largest code, 1 for a bitmap; for a PFM its scale
+    start: int  # bytes before the samples
 
     @property
     def bits(self) -> int | None:

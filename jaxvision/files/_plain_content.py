@@ -6,7 +6,7 @@ from typing import Any
 
 from ..errors import InputError
 
-LARGEST = 16 << 20  # bytes of a text file
+LARGEST = 16 << 20  # largest size of a text file, bytes
 DEEPEST = 64  # largest depth of nested tables and arrays
 LONGEST_NAME = 500  # characters
 _BITS = 14_000  # largest number of bits of an integer: about as many digits as Python prints

@@ -16,7 +16,7 @@ from ._plain_content import damaged
 
 _SIZE = re.compile(rb"([+-])([XY]) (\d+) ([+-])([XY]) (\d+)$")
 _BIAS = 128 + 8  # bias of the exponent, for a mantissa below 256
-END_OF_RANGE = 2.0**127  # the exponent of this and more does not fit 8 bits
+END_OF_RANGE = 2.0**127  # exponents of values from here on need more than 8 bits
 _LONGEST_HEAD = 1 << 16
 _LARGEST = 1 << 30  # pixels
 

@@ -24,14 +24,14 @@ _LETTERS = {1: "B", 2: "B", 3: "H", 4: "I", 5: "II", 7: "B", 10: "ii", 13: "I", 
 _QUOTIENTS = (5, 10)
 SUBFILE, ROWS, COLUMNS, BITS, PHOTOMETRIC, COLOUR_MAP, SUB_IFDS = 254, 257, 256, 258, 262, 320, 330
 ALPHA, MULTIPLIED = 338, 1  # kind of an extra channel: alpha by which colours are multiplied
-GDAL_WORDS, GDAL_MISSING = 42112, 42113  # XML, among it scale and offset; a number, as a text
+GDAL_WORDS, GDAL_MISSING = 42112, 42113  # XML with scale and offset, among others; a number as text
 SAMPLE_FORMAT = 339  # 1: whole numbers without a sign, 3: floating numbers
 BLACKS_SIZE, BLACKS, BLACKS_ALONG = 50713, 50714, (50715, 50716)  # of DNG: rows and columns; levels
 CFA_SIZE, CFA_COLOURS = 33421, 33422
 WHITE_IS_ZERO, PALETTE, INKS, MOSAIC = 0, 3, 5, 32803  # photometric interpretations
 LIGHT = (0, 1, 2, 3, 4, 6, MOSAIC, 34892)  # grey, RGB, palettes, YCbCr, mosaics, linear raw
 REDUCED, MASK = 1, 4  # bits of SUBFILE: a smaller copy, a mask of another picture
-_MOST_VALUES = 3 << 16  # of a colour map
+_MOST_VALUES = 3 << 16  # largest number of values in a tag, that of a colour map
 _MOST_PICTURES = 1 << 16
 _MOST_INNER = 64  # largest number of subdirectories of one picture
 

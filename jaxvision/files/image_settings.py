@@ -113,12 +113,12 @@ def _attributes(file: Path) -> dict[str, Any]:
     source = oiio.ImageInput.open(str(file))
     if source is None:
         with suppress(UnicodeDecodeError):  # it quotes the file
-            oiio.geterror()  # else it is printed when the process ends
+            oiio.geterror()  # otherwise the message is printed when the process ends
         return {}
     found = {}
     try:
         for attribute in source.spec().extra_attribs:
-            with suppress(UnicodeDecodeError):  # its name or value, damaged, is no text
+            with suppress(UnicodeDecodeError):  # a damaged name or value is not text
                 value = attribute.value
                 # TIFF gives a list with one number
                 if isinstance(value, tuple) and len(value) == 1:

@@ -91,7 +91,7 @@ def replaced_on_success(path: Path) -> Iterator[Path]:
             if error.filename in (None, str(partial)):
                 raise _unwritable(path, error) from error
             raise
-        except InputError as error:  # a library's reason names the file that it wrote
+        except InputError as error:  # a library's message names the temporary file
             raise InputError(str(error).replace(str(partial), str(path))) from error
         finally:
             partial.unlink(missing_ok=True)
@@ -757,7 +757,7 @@ def _write(
     sample = "float" if dtype == np.float32 else str(dtype)
     sink = oiio.ImageOutput.create(str(file))
     spec = oiio.ImageSpec(width, height, channels, sample)
-    spec.attribute("DateTime", "")  # equal pictures are equal files
+    spec.attribute("DateTime", "")  # no date, so that equal pictures give equal files
     if names:
         spec.channelnames = tuple(names)
     for name, value in attributes.items():
@@ -792,7 +792,7 @@ def _is_written(file: Path, written: np.ndarray) -> bool:
 
 
 _NOT_NUMPY = (ValueError, TypeError, OSError, EOFError, MemoryError, SyntaxError, TokenError)
-# Sums do not agree; compression or encryption is of another kind.
+# Checksums differ, or the compression or encryption is not supported.
 _NOT_ARCHIVE = (BadZipFile, zlib.error, NotImplementedError, RuntimeError)
 
 

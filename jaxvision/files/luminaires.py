@@ -24,7 +24,7 @@ from ..lights.goniometric import LUMINOUS_EFFICACY, System
 from ._plain_content import check_size
 
 FOOT = 0.3048  # m
-MOST = 5000  # angles of either kind
+MOST = 5000  # largest number of vertical or horizontal angles
 RATIO = 0.05  # allowed deviation from a stated light output ratio, for a coarse grid of angles
 MORE = 1.2  # largest light output over the lamps' lumens, with a ballast's factor
 _BRIGHTEST = 1e9  # cd, the largest plausible intensity: a lighthouse has about 1e6

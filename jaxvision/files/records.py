@@ -104,7 +104,7 @@ def attach_draws(file: Path, record: Record, count: int) -> Record:
     try:
         stored = read_arrays(beside)
         (there,) = {len(values) if values.ndim else 0 for values in stored.values()}
-    except ValueError as error:  # several lengths, or none
+    except ValueError as error:  # several lengths, or no array
         raise InputError(f"{beside}: not a file of draws; save the fit again.") from error
     if not 1 <= count <= there:
         raise InputError(f"{beside}: {count} draws were asked for, {there} are there.")

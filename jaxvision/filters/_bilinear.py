@@ -17,7 +17,7 @@ from jaxtyping import Array
 from ..core._loops.fusion import bilinear
 from ._methods import METHODS, Anchor, Kernel, Result, Stack, padded
 
-# Inner products, one a tap, up to this many; a transform beyond.
+# Largest number of taps for which inner products are used; beyond it a transform is used.
 _MOST_PRODUCTS = 25
 
 

@@ -24,7 +24,7 @@ Kernel = Float[Array, "_ _ _"]
 Anchor = tuple[int, int]
 Planes = Float[Array, "n c _ _"]
 
-# Taps in one loop: beyond some 225 XLA's code for the loop is 20 times slower.
+# Largest number of taps in one loop: beyond about 225, XLA's code for the loop is 20 times slower.
 _MOST_TAPS = 128
 # Relative accuracy of a sum by transforms in float32 and in float64, by the bytes of the dtype.
 _RIGHT = {4: 1e-4, 8: 1e-9}

@@ -59,7 +59,8 @@ def binomial_kernel(size: int) -> np.ndarray:
         [1. 4. 6. 4. 1.]
     """
     n = _check_kernel(size) - 1
-    # divided as whole numbers: the largest exceed a float, their quotients do not
+    # divided as integers, because the largest exceed the range of a float but their quotients do
+    # not
     return np.array([math.comb(n, k) / 2**n for k in range(size)])
 
 

@@ -53,7 +53,7 @@ _REFUSALS = {
 }
 
 
-# Pixels and bands from which on three or four rows are more likely to be channels.
+# Numbers of pixels and bands, from which three or four rows are more likely to be channels.
 _CHANNELS_FIRST = 32
 
 

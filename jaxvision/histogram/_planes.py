@@ -27,7 +27,7 @@ FLOAT_BINS = 256
 CODES_ABOVE = 16.0  # a floating image with values so far above white contains codes
 # Pixels of one scatter: its indices stay in the cache (10x at 2048 x 2048).
 BLOCK = 2**16
-PAIRED = 4  # planes of 8-bit codes whose pairs are counted
+PAIRED = 4  # largest number of 8-bit planes for which pairs of codes are counted
 
 
 class Binning(NamedTuple):

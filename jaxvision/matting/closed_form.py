@@ -115,7 +115,7 @@ def _solve(
 ) -> Matte:
     """The matte from checked arguments, with one program for each size."""
     known = ((trimap <= BACKGROUND) | (trimap >= FOREGROUND)).astype(image.dtype)
-    # pixels that are neither known nor unknown
+    # a pixel whose trimap is NaN is neither known nor unknown
     known = jnp.where(jnp.isnan(trimap), jnp.nan, known)
     alpha_known = (trimap >= FOREGROUND).astype(image.dtype)
     laplacian = matting_laplacian(image, epsilon=epsilon)

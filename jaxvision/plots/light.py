@@ -189,7 +189,7 @@ def _components(materials: Mapping[str, Material]) -> dict[str, Material]:
 
 FINE = 0.01  # largest difference of neighbouring points, relative to the largest value
 NARROWEST = 1e-6  # smallest distance of points, relative to the range
-_AT_ONCE = 128  # points in one call, so that one program serves all rounds
+_AT_ONCE = 128  # number of points in one call, so that one program serves all rounds
 _ROUNDS = 40
 
 

@@ -49,7 +49,7 @@ _PASS = 32  # bytes of memory per value in a pass of light tracing, measured for
 Advance = Callable[[int, int], None]
 Rows = Callable[[], Iterator[np.ndarray]]
 Part = tuple[np.ndarray, tuple[float, float], str]  # a result, its seconds, and who computed it
-Seconds = tuple[float, float, int]  # of all pixels, and of compiling
+Seconds = tuple[float, float, int]  # s for all pixels, s for compiling, and the number of workers
 _PROCESS = f"{platform.node()} {os.getpid()}"
 ERROR = "error"  # the layer of standard errors
 

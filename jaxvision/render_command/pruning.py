@@ -23,7 +23,7 @@ from ..scene import Camera, View
 from .integrators import named_text
 
 CUT = "path", "light"  # integrators whose paths may be limited to fewer segments
-_NAMED = 4  # effects in one line
+_NAMED = 4  # largest number of effects named in one line
 _ENDLESS = 400  # number of segments that stands for paths followed to their end, as by radiosity
 Box = dict[str, tuple[Any, Any]]
 

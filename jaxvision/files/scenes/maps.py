@@ -55,7 +55,7 @@ def make_map(
     if values.ndim != 3 or values.shape[2] <= (channel or 0):
         raise InputError(f"a map has rows, columns and channels, got shape {values.shape}.")
     values = values[..., [channel]] if channel is not None else values
-    if values.shape[2] in (2, 4):  # the last is its coverage
+    if values.shape[2] in (2, 4):  # the last channel is the coverage
         values = values[..., :-1]
     count = {"spectrum": bands.count, "number": 1, "normal": 3}[stands_for]
     if stands_for == "number" and values.shape[2] == 3:

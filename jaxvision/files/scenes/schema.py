@@ -25,7 +25,7 @@ _USUAL = {
 }
 
 
-# Keys that change nothing with an integrator.
+# Keys that have no effect with an integrator.
 _IDLE = {
     "direct": ("depth", "patches", "gather"),
     "rays": ("patches", "gather"),

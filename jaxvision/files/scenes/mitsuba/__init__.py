@@ -27,7 +27,7 @@ from .materials import material_of
 from .shapes import shape_of
 from .spectra import light_of
 
-_DEEP = 16  # segments of a path that Mitsuba would not limit
+_DEEP = 16  # largest number of segments of a path that Mitsuba would not limit
 _READ = ("shape", "bsdf", "emitter", "sensor", "integrator")
 
 

@@ -11,7 +11,7 @@ from .transforms import Affine, keeps_shape, lengths_of_axes, mirrors
 
 SENSORS = ("perspective", "thinlens", "orthographic")
 _DIAGONAL = float(np.hypot(36, 24))  # mm, of the film to which `focal_length` refers
-_CLIPS = {"near_clip": 1e-2, "far_clip": 1e4}  # m, where Mitsuba has them if nothing is given
+_CLIPS = {"near_clip": 1e-2, "far_clip": 1e4}  # m, Mitsuba's defaults
 _UNUSED = (*_CLIPS, "shutter_open", "shutter_close")
 
 
@@ -21,7 +21,7 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
     kind = node.must_be(*SENSORS)
     rows, columns = _resolution(node.only("film"), node.label)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
-    if kind == "orthographic":  # how far its axis is stretched changes no picture
+    if kind == "orthographic":  # a scaling along the axis does not change the picture
         across, along = lengths_of_axes(to_world)[[0, 2]]
         to_world = to_world @ np.diag([1, 1, across / along, 1])
     if mirrors(to_world) or not keeps_shape(to_world):

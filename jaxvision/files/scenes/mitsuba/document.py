@@ -15,7 +15,7 @@ from ..._plain_content import DEEPEST, check_size
 from .transforms import transform_of
 
 _PLAIN = {"float", "integer", "boolean", "string", "vector", "point", "rgb", "spectrum"}
-_DEEPEST = 16  # files that include each other
+_DEEPEST = 16  # largest depth of files that include each other
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def _disc(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
     """The disc of radius 1 with its front toward z."""
     if not keeps_shape(to_world, axes=2):
         raise InputError(f"{node.label}: is stretched to an ellipse; give it as a mesh.")
-    normal = np.linalg.inv(to_world[:3, :3])[2]  # normals go by the transposed inverse
+    normal = np.linalg.inv(to_world[:3, :3])[2]  # normals are transformed by the transposed inverse
     return {
         "shape": "disc",
         "centre": _point(to_world, np.zeros(3)),
