@@ -204,7 +204,9 @@ def _laws(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> tuple[La
 
 
 def _distance(law: Law, coarse: Any, fine: Any) -> float:
-    """Return the distance of two settings in the variable of a law; 1 for words."""
+    """Return the distance of two settings in the variable of a law; 1 for settings that are
+    words.
+    """
     if not all(isinstance(one, int | float) and one > 0 for one in (coarse, fine)):
         return 1.0
     return abs(variable(fine, law) - variable(coarse, law)) or 1.0

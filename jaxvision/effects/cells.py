@@ -106,7 +106,7 @@ def lens_radius(lens: ThinLens) -> float:
 
 
 def anywhere(eye: Eye) -> Eye:
-    """The same for an arbitrary viewer, such as another surface that receives the light."""
+    """The eye replaced by an arbitrary viewer, such as another surface that receives the light."""
     return eye._replace(everywhere=True)
 
 

@@ -21,7 +21,7 @@ def photon_conversion(pixel: Pixel) -> Bound:
 
 
 def colour_filter(pixel: Pixel) -> Bound:
-    """Not an effect with a size: it selects the band of each pixel."""
+    """Not an effect with a bound: it selects the band of each pixel."""
     return Bound(INF, "defines which bands a pixel measures")
 
 

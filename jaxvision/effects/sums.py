@@ -351,7 +351,8 @@ def lobe_sent(sums: Sums, k: int, *, around: bool = False) -> np.ndarray:
 
 def looked_at(sums: Sums, radiance: np.ndarray) -> np.ndarray:
     """Return the largest radiance, (bands,), that a ray may see of lights with (l, bands). A light
-    with a place hides the lights behind it, and skies add."""
+    at a finite distance hides the lights behind it, and the radiances of skies add.
+    """
     skies = np.array([source.kind == "sky" for source in sums.sources], bool)[:, None]
     around = np.where(skies, radiance, 0).sum(0)
     return np.maximum(around, np.where(skies, 0, radiance).max(0, initial=0))

@@ -1,4 +1,4 @@
-"""Cameras from TOML files: one table for each record, its keys the record's fields.
+"""Cameras from TOML files: one table for each record, with the record's fields as keys.
 
     [view]
     kind = "Pinhole"              # name of the record, where several are possible

@@ -60,7 +60,8 @@ def read_mesh(
         rotation: (3, 3) no unit, rows are the file's axes in the world; None: the world's axes.
         position: (3,) m.
         matrix: (3, 4) rows of an affine map of the file's points, as columns, to m in the world;
-            replaces scale, rotation and position. A map that mirrors keeps the outside outside.
+            replaces scale, rotation and position. A map that mirrors the mesh does not turn it
+            inside out.
         smooth: whether to use the file's normals at the vertices or, if it has none, the means of
             the adjacent triangles weighted by their angles; otherwise triangles are flat.
         flip: whether to reverse every triangle and every normal.

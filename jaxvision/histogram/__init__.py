@@ -2,7 +2,7 @@
 partial, locally adaptive) and matching.
 
 Images are (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a
-separate plane. `uint8` and `uint16` images are counted code by code and exactly. Floating images
+separate plane. `uint8` and `uint16` images are counted exactly, code by code. Floating images
 have relative values, counted in equal bins of a stated range. NaN is never counted.
 """
 

@@ -71,7 +71,7 @@ def closed_form_matte(
         ValueError: for shapes that do not match, for integer codes, and for an `epsilon` or
             `confidence` that is not above 0 (unless traced).
         InputError: for NaN, and for a trimap without foreground or without background (unless
-            traced). Under a trace NaN gives a NaN matte, and such a trimap a constant one.
+            traced). If traced, NaN gives a matte of NaN, and such a trimap gives a constant matte.
 
     Example:
         >>> picture = np.repeat([[[0.1], [0.1], [0.5], [0.9], [0.9]]], 3, axis=0)  # a soft edge

@@ -57,8 +57,8 @@ def estimate_foreground(
 
     Raises:
         ValueError: for shapes that do not match and, unless traced, for an alpha outside [0, 1] or
-            not finite and a `regularisation` that is not above 0. Under a trace a single NaN makes
-            both pictures NaN throughout.
+            not finite and a `regularisation` that is not above 0. If traced, a single NaN makes
+            both pictures NaN everywhere.
 
     Example:
         >>> alpha = np.array([[[1.0], [0.5], [0.0], [0.0]]] * 4)
