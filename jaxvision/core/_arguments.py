@@ -1,5 +1,5 @@
 """Conversion and checks of arguments. Plain numbers and lists become arrays. A function of one
-point refuses several points, and directions must be unit.
+point rejects several points, and directions must be unit vectors.
 
 Values are checked if they are concrete, outside `jax.jit` and similar transforms. NaN passes.
 """
@@ -39,28 +39,28 @@ from .plain_arrays import plain_array, warn_of_range, within_integers
 P = ParamSpec("P")
 R = TypeVar("R")
 
-UNIT_WITHIN = 1e-3  # of a length of 1: components written with three digits
+UNIT_WITHIN = 1e-3  # tolerance of a unit length, for components written with three digits
 PLAIN = (bool, int, float, list, tuple, str)
 
 
 class _Wanted(NamedTuple):
     """The expected content of a parameter."""
 
-    # in which a word is any length, and a first `...` any axes
+    # the allowed shapes, in which a word stands for any length, and a leading `...` for any axes
     shapes: tuple[tuple[int | str, ...], ...]
-    is_exact: bool  # whether these are all; functions of pictures and colours answer for themselves
+    is_exact: bool  # whether to check the shape here; functions of pictures check it themselves
     is_picture: bool  # whether it has rows and columns
-    may_be_absent: bool  # whether None is meant
+    may_be_absent: bool  # whether None is allowed
     is_direction: bool  # whether its length must be 1, or 0 where there is no surface
-    is_wavelength: bool  # whether it is in metres, of light
-    keeps_integers: bool  # whether whole numbers stay so: there may be codes
-    keeps_numbers: bool  # whether a plain number stays so, which may be no number of the dtype
+    is_wavelength: bool  # whether it is a wavelength of light in metres
+    keeps_integers: bool  # whether integers stay integers, because they may be codes
+    keeps_numbers: bool  # whether a Python number stays one, as the dtype may not represent it
 
 
 def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
-    """Make a function of arrays accept numbers, lists and NumPy arrays, in the floating dtype of
-    its other arguments. `ValueError` for wrong shapes, directions and keys; `TypeError` for
-    optional arguments by place and unknown names."""
+    """Make a function of arrays accept numbers, lists and NumPy arrays, converted to the floating
+    dtype of its other arguments. Raise `ValueError` for wrong shapes, directions and keys, and
+    `TypeError` for optional arguments given by position and for unknown names."""
 
     @wraps(function)
     def converting(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -104,13 +104,13 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def warn_of_idle_fill(fill: Any, border: str) -> None:
-    """Warn of a given fill value, in any unit, that a border does not use."""
+    """Warn if a fill value is given, in any unit, that the border does not use."""
     if border != "constant" and is_known(fill) and np.any(np.asarray(fill) != 0):
         warn_caller(f'fill has no effect with border "{border}"; set border = "constant".')
 
 
 def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """A decorator, below `takes_numbers`, that raises `ValueError` for known arguments outside
+    """Decorate a function, below `takes_numbers`, to raise `ValueError` for known arguments outside
     their range."""
 
     def of(function: Callable[P, R]) -> Callable[P, R]:
@@ -129,8 +129,8 @@ def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def _is_plain(value: Any, want: _Wanted) -> bool:
-    """Whether to convert the value to an array, or an array to floating numbers. Unsigned integers
-    may be codes, which the functions of pictures and colours handle themselves."""
+    """Whether to convert the value to an array of floating numbers. Unsigned integers may be codes,
+    which the functions of pictures and colours handle themselves."""
     if isinstance(value, int | float) and want.keeps_numbers:
         return False
     if isinstance(value, PLAIN) or want.keeps_integers:
@@ -144,11 +144,11 @@ def _is_plain(value: Any, want: _Wanted) -> bool:
 class _Expected(NamedTuple):
     """What a function expects, by parameter."""
 
-    # in order; None unless it is an array of numbers, or either an array or a record
+    # in order; None for a parameter that takes no array of numbers
     contents: dict[str, _Wanted | None]
     keys: dict[str, bool]  # random keys, and whether they may be None
-    records: dict[str, tuple[tuple[type, ...], bool]]  # their kinds, and whether they may be None
-    positional: int  # number of arguments by place
+    records: dict[str, tuple[tuple[type, ...], bool]]  # their types, and whether they may be None
+    positional: int  # number of arguments that may be given by position
 
 
 @cache
@@ -170,7 +170,7 @@ def _expected(function: Callable[..., Any]) -> _Expected:
 
 
 def _parts(hint: Any) -> tuple[Any, ...]:
-    """Return the members of a union, with aliases by name; any other hint by itself."""
+    """Return the members of a union, without resolving named aliases; any other hint by itself."""
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 
@@ -209,8 +209,8 @@ def _dtypes(part: Any) -> Any:
 
 
 def _common_dtype(values: dict[str, Any]) -> Any:
-    """The dtype of the floating arrays among the arguments, including those in records; else JAX's
-    default."""
+    """Return the widest dtype of the floating arrays among the arguments, including arrays in
+    records; JAX's default if there are none."""
     leaves = [x for x in jax.tree.leaves(list(values.values())) if isinstance(x, jax.Array)]
     floating = [x.dtype for x in leaves if jnp.issubdtype(x.dtype, jnp.floating)]
     return max(floating, key=lambda dtype: dtype.itemsize, default=jnp.result_type(float))
@@ -231,7 +231,7 @@ def _as_array(
 
 
 def check_unit(name: str, vectors: Array | np.ndarray) -> None:
-    """`ValueError` for known vectors, (..., 3), with a length other than 1 or 0."""
+    """Raise `ValueError` for known vectors, (..., 3), with a length other than 1 or 0."""
     lengths = np.linalg.norm(np.asarray(vectors, np.float64), axis=-1)
     rounding = 4 * float(jnp.finfo(vectors.dtype).eps)
     wrong = (lengths != 0) & (np.abs(lengths - 1) > max(UNIT_WITHIN, rounding))
@@ -263,7 +263,7 @@ def _no_numbers(function: Callable[..., Any], name: str, value: Any) -> ValueErr
 
 
 def _unnamed_error(function: Callable[..., Any], placed: int, args: tuple[Any, ...]) -> TypeError:
-    """The error message for too many positional arguments."""
+    """Return the error for too many positional arguments."""
     by_name = list(signature(function).parameters)[placed:]
     extra = zip(by_name, args[placed:], strict=False)
     given = ", ".join(f"{name}={shorten(value)}" for name, value in extra)
@@ -275,7 +275,7 @@ def _unnamed_error(function: Callable[..., Any], placed: int, args: tuple[Any, .
 def _unknown_error(
     function: Callable[..., Any], given: Iterable[str], known: Collection[str]
 ) -> TypeError:
-    """The error message for an unknown argument name."""
+    """Return the error for an unknown argument name."""
     word = next(name for name in given if name not in known)
     who = getattr(function, "__name__", "function")
     return TypeError(f"{who} has no argument {word!r}; {nearest(word, known)}.")

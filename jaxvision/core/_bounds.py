@@ -1,8 +1,8 @@
-"""Bounds on the effects of a kind: the largest light of a lamp, the suprema of a material's
-shading, and the records and angles that these functions take.
+"""Bounds that each type of lamp and material defines: the largest light of a lamp, the suprema of a
+material's shading, and the records and angles that these functions take.
 
-A bound is NumPy float64, outside of `jit`. It is computed for a record at both ends of its free
-parameters, and uses for each field the end at which it is largest.
+A bound is NumPy float64, computed outside `jit`, from a record at both ends of the range of its
+free parameters. For each field it uses the end that gives the larger bound.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,7 +22,7 @@ SIGNS = np.array([*product((-1.0, 1.0), repeat=3)])
 @register_dataclass
 @dataclass(frozen=True, eq=False)
 class Ends(Generic[T]):
-    """A record at the two ends of its free parameters; the same record twice if nothing is free.
+    """A record at both ends of the range of its free parameters; twice the same if none is free.
 
     Attributes:
         low: the record with each number at its low end.
@@ -36,7 +36,7 @@ class Ends(Generic[T]):
         return iter((self.low, self.high))
 
     def of(self, name: str) -> "Ends[Any]":
-        """A field at both ends; repeated calls return the same object."""
+        """Return a field at both ends; repeated calls return the same object."""
         key = f"of {name}"
         if key not in self.__dict__:
             self.__dict__[key] = Ends(getattr(self.low, name), getattr(self.high, name))
@@ -44,7 +44,7 @@ class Ends(Generic[T]):
 
 
 def once(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
-    """A function of ends that is computed once for each and cached with it."""
+    """Cache a function of `Ends` in the object itself, so that it is computed once."""
 
     @wraps(function)
     def asked(ends: Ends[Any]) -> T:
@@ -56,13 +56,13 @@ def once(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
 
 
 def numbers(x: object) -> np.ndarray:
-    """The numbers of a field in float64."""
+    """Return the numbers of a field in float64."""
     return np.asarray(x, np.float64)
 
 
 def box_about(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The corners, (8 n, 3), of the boxes from `low` to `high`, (n, 3) each, in m; the points
-    themselves where the two are equal."""
+    """Return the corners, (8 n, 3), of the boxes from `low` to `high`, (n, 3) each, in m; the
+    points `low` themselves if both are equal."""
     if np.array_equal(low, high):
         return np.atleast_2d(low)
     middle, half = (low + high) / 2, np.abs(high - low) / 2
@@ -70,13 +70,13 @@ def box_about(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def unit(v: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) scaled to length 1, 0 for zero vectors; no unit."""
+    """Scale vectors (..., 3) to length 1; zero vectors stay 0."""
     length = np.linalg.norm(v, axis=-1, keepdims=True)
     return v / np.where(length > 0, length, 1)
 
 
 def angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """rad between unit vectors."""
+    """Return the angle between unit vectors, rad."""
     chord = np.linalg.norm(a - b, axis=-1)
     return 2 * np.arcsin(np.minimum(chord / 2, 1))
 
@@ -109,8 +109,8 @@ class Lobe(NamedTuple):
         spectrum: (bands,) or (1,), k_s.
         most: function from angles to the largest f_r cos / k_s, (c, s) in sr^-1.
         size: the largest integral of f_r cos / k_s over all light directions, no unit.
-        slope: sr^-1 rad^-1, the largest derivative of f_r cos / k_s by the light direction above
-            the horizon; None where none is known.
+        slope: sr^-1 rad^-1, the largest derivative of f_r cos / k_s with respect to the light
+            direction above the horizon; None if unknown.
         neutral: whether its shape is the same for all bands.
         step: whether it jumps to 0 at the horizon instead of falling like the cosine.
     """
@@ -124,15 +124,15 @@ class Lobe(NamedTuple):
 
     @property
     def gain(self) -> float:
-        """2 pi times the largest f_r cos of any angles, over `size`: the largest factor by which
-        the lobe's share of a small solid angle may exceed that angle over 2 pi. No unit."""
+        """Return 2 pi times the largest f_r cos / k_s, divided by `size`: the largest factor by
+        which the share of the lobe in a small solid angle may exceed this angle / 2 pi. No unit."""
         one = np.ones((1, 1))
         peak = self.most(Angles(0 * one, one, 0 * one, one, 0 * one, one))
         return 2 * np.pi * float(peak.max()) / self.size if self.size > 0 else np.inf
 
 
 def power_of(cosines: np.ndarray, n: float) -> np.ndarray:
-    """cos+^n, which is 1 for n = 0 at any angle."""
+    """Return max(cos, 0)^n, which is 1 for n = 0 at any angle."""
     return np.where(cosines > 0, np.maximum(cosines, 1e-300) ** n, 0 if n > 0 else 1)
 
 
@@ -143,11 +143,11 @@ class Reflection(NamedTuple):
         body: (bands,) sr^-1, sup of the diffuse part's f_r.
         lobe: bound of the specular lobe, or None.
         plain: (bands,) sr^-1, the largest difference between the body (without its share `grazing`)
-            and a Lambertian BRDF of the same k_d; 0 for a Lambertian one.
+            and a Lambertian BRDF of the same k_d; 0 for a Lambertian body.
         mirror: (bands,) or (1,), reflectance of a mirror, or None.
         why: "", or the reason why there is no bound; then `body` is inf.
-        grazing: share of `body` that bounds f_r cos(theta_i), not f_r: it does not vanish toward
-            the horizon.
+        grazing: share of `body` that bounds f_r cos(theta_i) instead of f_r, so that it does not
+            vanish toward the horizon.
         rough: field whose removal makes the body Lambertian, and the name of that simplification;
             or None.
         facets: for a lobe with an interface, the smallest reflectance over bands and angles, and
@@ -169,7 +169,7 @@ class Reflection(NamedTuple):
 
 
 def peak(x: Any, name: str) -> np.ndarray:
-    """The largest size of a spectrum at the two ends."""
+    """Return the largest magnitude of a spectrum at the two ends, for each band."""
     return np.maximum(*(np.abs(numbers(getattr(end, name))) for end in x))
 
 
@@ -214,5 +214,5 @@ class Source(NamedTuple):
 
     @property
     def extended(self) -> bool:
-        """Whether it has a radiance and a ray may hit it."""
+        """Whether the light has a radiance and a ray may hit it."""
         return self.kind in ("area", "sky")

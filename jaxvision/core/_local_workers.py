@@ -1,7 +1,7 @@
-"""Processes of this machine as Dask workers: start and restart.
+"""Start and restart processes on this machine as Dask workers.
 
-Each has one thread, also inside XLA and BLAS, a share of the memory, and the environment variables
-of this process that affect JAX's results.
+Each process has one thread, including XLA and BLAS, a share of the memory, and the environment
+variables of this process that affect JAX's results.
 """
 
 import logging
@@ -16,16 +16,16 @@ from ..errors import InputError
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
 
-LOSSES = 100  # workers that may be lost with one task before it is given up
-LOOK = 5.0  # s, between two looks at the workers while a result is awaited
-MEMORY = 0.9  # of the machine, for all workers together
-STARTS = 3  # of all workers, where one is lost before it is there
+LOSSES = 100  # a task is given up when more workers have died with it
+LOOK = 5.0  # s between two checks of the workers while a result is awaited
+MEMORY = 0.9  # fraction of the machine's memory for all workers together
+STARTS = 3  # attempts to start all workers, if one dies during its start
 
 
 @contextmanager
 def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
-    """A client of processes of this machine, of one thread each, that share this process's compiled
-    programs and need `memory` bytes each."""
+    """Yield a client of `count` processes on this machine. Each has one thread and needs `memory`
+    bytes; all share the compiled programs of this process."""
     from dask import config
     from distributed import Client
     from distributed.system import MEMORY_LIMIT
@@ -39,26 +39,26 @@ def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
         )
 
     single = {
-        "NPROC": "1",  # of XLA's thread pool
+        "NPROC": "1",  # size of XLA's thread pool
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
         "MKL_NUM_THREADS": "1",
     }
-    # results, and the place of compiled programs
+    # variables that affect results, and the folder of compiled programs
     jax_variables = {k: v for k, v in os.environ.items() if k.startswith(("JAX_", "XLA_"))}
     options = {
         "distributed.nanny.pre-spawn-environ": single | jax_variables,
         "distributed.scheduler.allowed-failures": LOSSES,
         "distributed.deploy.lost-worker-timeout": f"{LOOK} s",
-        # Samples of a stack as deep as JAX's fill the memory of a worker for an hour.
+        # The profiler's samples of JAX's deep call stacks would fill the memory of a worker.
         "distributed.worker.profile.enabled": False,
-        # Compiled programs cannot be moved to disk, and a worker that waits for memory waits for
-        # ever; one that takes more than its share is started again.
+        # Compiled programs cannot be moved to disk, so a worker that pauses for memory would wait
+        # forever. A worker that takes more than its share is restarted.
         "distributed.worker.memory.target": False,
         "distributed.worker.memory.spill": False,
         "distributed.worker.memory.pause": False,
     }
-    # Python's resource tracker outlives an interrupted command and warns of what ended with it.
+    # Python's resource tracker outlives an interrupted command and would warn of its resources.
     sys.warnoptions.append("ignore:resource_tracker")
     with config.set(options), _start(count) as made, Client(made) as client:
         yield client
@@ -88,7 +88,7 @@ def replace_lost(client: "Client") -> None:
     if len(there) >= wanted:
         return
     for name, nanny in list(made.workers.items()):
-        if getattr(nanny, "pid", -1) is None:  # it waits for a process that is no more
+        if getattr(nanny, "pid", -1) is None:  # it waits for a process that has died
             made.workers.pop(name, None)
             made.sync(nanny.close)
     made.scale(wanted)

@@ -1,4 +1,4 @@
-"""The maps in a record: where they are, and numbers in their place."""
+"""Find the maps in a record, and replace them by numbers."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import fields
@@ -12,17 +12,17 @@ from ._types import Varying
 
 Record = TypeVar("Record")
 
-# The smallest and the largest number or spectrum of a map.
+# Functions that return the smallest and the largest number or spectrum of a map.
 ENDS = (lambda own: own.values.min(axis=(0, 1))), (lambda own: own.values.max(axis=(0, 1)))
 
 
 def is_map(x: Any) -> bool:
-    """Whether it is a `Map` or a map prepared for a renderer."""
+    """Whether `x` is a `Map` or a map prepared for a renderer."""
     return isinstance(x, Varying)
 
 
 def maps_of(record: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """The maps in a record and their places in it, such as ("material.diffuse", Map)."""
+    """Yield the maps in a record with their paths in it, such as ("material.diffuse", Map)."""
     if isinstance(record, Varying):
         yield place, record
     elif isinstance(record, eqx.Module):
@@ -32,10 +32,10 @@ def maps_of(record: Any, place: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def replace_maps(record: Record, number: Callable[[Any], Any]) -> Record:
-    """A record, or a tuple of them, with a number or spectrum in place of each map."""
+    """Replace each map of a record, or of a tuple of records, by a number or spectrum."""
     return jax.tree.map(lambda x: number(x) if is_map(x) else x, record, is_leaf=is_map)
 
 
 def mean_of(values: Any) -> Array:
-    """The mean over a map, in the unit of its values."""
+    """Return the mean over a map, in the unit of its values."""
     return values.values.mean(axis=(0, 1))

@@ -14,7 +14,7 @@ print_by_name(globals(), "Points")
 
 
 def through_points(x: Scalars, inputs: Points, outputs: Points, slopes: Points) -> Scalars:
-    """The curve between the first and the last point."""
+    """Evaluate the curve at `x`, between the first and the last point."""
     k = jnp.clip(jnp.searchsorted(inputs, x, side="right") - 1, 0, inputs.shape[0] - 2)
     width = (inputs[1:] - inputs[:-1])[k]
     t = (x - inputs[k]) / width
@@ -27,7 +27,8 @@ def through_points(x: Scalars, inputs: Points, outputs: Points, slopes: Points) 
 
 
 def monotone_slopes(inputs: Points, outputs: Points) -> Points:
-    """The weighted harmonic mean of the slopes of the neighbouring chords, 0 at an extremum."""
+    """Return the slope at each point: the weighted harmonic mean of the slopes of the neighbouring
+    chords, or 0 at an extremum."""
     width = jnp.diff(inputs)
     chord = jnp.diff(outputs) / width
     if inputs.shape[0] == 2:
@@ -47,7 +48,7 @@ def monotone_slopes(inputs: Points, outputs: Points) -> Points:
 
 
 def _end_slope(near: Array, far: Array, chord: Array, next_chord: Array) -> Array:
-    """The slope of the parabola through three points, limited against overshoot."""
+    """Return the slope at the end of a parabola through three points, limited against overshoot."""
     slope = ((2 * near + far) * chord - near * next_chord) / (near + far)
     slope = jnp.where(slope * chord <= 0, 0, slope)
     steep = (chord * next_chord < 0) & (jnp.abs(slope) > 3 * jnp.abs(chord))

@@ -54,7 +54,7 @@ RENAMED = {  # public functions
 
 
 def renamed(old: str) -> str | None:
-    """The new name of a renamed public function, with a warning; else None."""
+    """Return the new name of a renamed public function, with a warning; else None."""
     new = RENAMED.get(old)
     if new is not None:
         warnings.warn(
@@ -64,7 +64,7 @@ def renamed(old: str) -> str | None:
 
 
 def module_of(old: str) -> ModuleType | None:
-    """The module with that former name, with a warning; None for any other name."""
+    """Return the module that had this name before, with a warning; None for any other name."""
     if old not in MOVED:
         return None
     _warn(old, stacklevel=4)
@@ -77,7 +77,7 @@ def module_of(old: str) -> ModuleType | None:
 def find_modules_by_old_names() -> None:
     """Make `import` find modules, and those inside them, by their former names."""
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
-        sys.meta_path.insert(0, _Finder())  # before files are looked for below a moved package
+        sys.meta_path.insert(0, _Finder())  # before Python looks for files in a moved package
 
 
 class _Finder:

@@ -1,10 +1,10 @@
 """NaN-safe primitives: finite values and finite gradients at the edges of their domain.
 
-A risky operation gets a harmless argument where it would fail, and its output is then masked
-("double where"). Reverse-mode differentiation then never multiplies zero by infinity. Compiled code
-may compute the condition twice with different rounding, so the argument may be replaced without the
-output being masked. The result must be right even then. The replacement is therefore a number at
-the edge of the domain, or the argument has its own condition, well away from the mask's.
+Where an operation would fail, it gets a harmless argument and its output is masked ("double
+where"). Reverse-mode differentiation then never multiplies zero by infinity. Compiled code may
+compute the condition twice with different rounding, so the argument may be replaced although the
+output is not masked. The result must be right even then. The replacement is therefore a number at
+the edge of the domain, or the argument has its own condition, far from that of the mask.
 
 Functions work elementwise, on vectors over the last axis of (..., 3) arrays or on `Vec` records,
 and keep any floating dtype.
@@ -27,19 +27,19 @@ Tree = TypeVar("Tree")
 
 
 def smallest_divisor(dtype: DTypeLike) -> float:
-    """The length below which a divisor counts as zero, tiny ** (1/4): 3e-10 in float32, 1e-77 in
-    float64; the inverse cube in a gradient stays finite."""
+    """Return the length below which a divisor counts as zero, tiny ** (1/4): 3e-10 in float32,
+    1e-77 in float64. Its inverse cube, which occurs in gradients, is finite."""
     return float(jnp.finfo(dtype).tiny) ** 0.25
 
 
 def log_of_zero(dtype: DTypeLike) -> float:
-    """The value used for log(0): the logarithm of the smallest normal number of `dtype`."""
+    """Return the value used for log(0): the logarithm of the smallest normal number of `dtype`."""
     return float(np.log(jnp.finfo(dtype).tiny))
 
 
 @takes_numbers
 def dot(u: Vec3, v: Vec3) -> Scalars:
-    """Inner product of vectors.
+    """Return the inner product of vectors.
 
     Args:
         u: (..., 3) or `Vec`, in any unit.
@@ -57,9 +57,9 @@ def dot(u: Vec3, v: Vec3) -> Scalars:
 
 
 def exact_cross(u: Vec3, v: Vec3) -> Vec:
-    """u x v of nearly parallel vectors, in the product of their units, a thousand times more
-    accurate than plain differences. Halves of factors have exact products, which compiled code
-    cannot contract (Dekker, Numerische Mathematik 18 (1971))."""
+    """Return u x v for nearly parallel vectors, in the product of their units, a thousand times
+    more accurate than plain differences. Each factor is split into two halves, whose products are
+    exact in compiled code too (Dekker, Numerische Mathematik 18 (1971))."""
     a, b = as_vec(u), as_vec(v)
     return Vec(
         difference_of_products(a.y, b.z, a.z, b.y),
@@ -70,7 +70,7 @@ def exact_cross(u: Vec3, v: Vec3) -> Vec:
 
 @jax.custom_jvp
 def difference_of_products(a: Scalars, b: Scalars, c: Scalars, d: Scalars) -> Scalars:
-    """a b - c d."""
+    """Return a b - c d, from exact products."""
     (ah, al), (bh, bl), (ch, cl), (dh, dl) = map(_halves, (a, b, c, d))
     middle = (ah * bl - ch * dl) + (al * bh - cl * dh)
     return (ah * bh - ch * dh) + (middle + (al * bl - cl * dl))
@@ -83,7 +83,7 @@ def _difference_of_products_jvp(primals, tangents):
 
 
 def _halves(x: Scalars) -> tuple[Scalars, Scalars]:
-    """The upper half of the digits, and the remainder."""
+    """Return the number with the upper half of its digits, and the remainder."""
     bits, low = {2: (jnp.int16, 6), 4: (jnp.int32, 12), 8: (jnp.int64, 27)}[x.dtype.itemsize]
     kept = jax.lax.bitcast_convert_type(x, bits) & -(1 << low)
     upper = jax.lax.bitcast_convert_type(kept, x.dtype)
@@ -92,7 +92,7 @@ def _halves(x: Scalars) -> tuple[Scalars, Scalars]:
 
 @takes_numbers
 def safe_sqrt(x: Scalars) -> Scalars:
-    """sqrt(max(x, 0)), with gradient 0 at and below x = 0.
+    """Return sqrt(max(x, 0)), with gradient 0 at and below x = 0.
 
     Args:
         x: (...) in any unit.
@@ -109,21 +109,22 @@ def safe_sqrt(x: Scalars) -> Scalars:
 
 
 def safe_log(x: Scalars, *, floor: float | None = None) -> Scalars:
-    """log(x) with x clamped below at `floor` (the smallest normal number), where the gradient is
-    0."""
+    """Return log(max(x, floor)), with gradient 0 at and below `floor` (default: the smallest normal
+    number)."""
     smallest = jnp.asarray(jnp.finfo(x.dtype).tiny if floor is None else floor, x.dtype)
     return jnp.log(jnp.where(x <= smallest, smallest, x))
 
 
 def reciprocal(x: Scalars) -> Scalars:
-    """1 / x, in the inverse of its unit; value and gradient are 0 at and below x = 0."""
+    """Return 1 / x, in the inverse of its unit; value and gradient are 0 at and below x = 0."""
     zero = x <= 0
     return jnp.where(zero, 0, 1 / jnp.where(zero, 1, x))
 
 
 def or_one(b: Scalars, where: Bool[Array, "..."] | None = None) -> Scalars:
-    """b, in its unit, if the condition is true (default: b > 0 or NaN); else 1, with gradient 0,
-    for a quotient that its caller masks. The condition may be false only for tiny b."""
+    """Return b, in its unit, if the condition is true (default: b > 0 or NaN), else 1 with gradient
+    0. It is a divisor for a quotient that the caller masks. The condition may be false only for
+    tiny b."""
     return jnp.where(~(b <= 0) if where is None else where, b, 1)
 
 
@@ -133,41 +134,41 @@ def divide(
     where: Bool[Array, "..."] | None = None,
     otherwise: Scalars | float | int = 0,
 ) -> Scalars:
-    """a / b, in the quotient of their units, if the condition is true (default: b > 0 or NaN); else
-    `otherwise`, with gradient 0 in a and b."""
+    """Return a / b, in the quotient of their units, if the condition is true (default: b > 0 or
+    NaN); else `otherwise`, with gradient 0 in a and b."""
     safe = ~(b <= 0) if where is None else where
     return jnp.where(safe, a / or_one(b, safe), otherwise)
 
 
 def magnitude(x: Float[Array, "..."], axis: int | tuple[int, ...] | None = -1) -> Scalars:
-    """Largest absolute value along the axes, which are kept with length 1; a constant for
-    gradients, 1 if all of x is 0. Squares of x divided by it neither overflow nor underflow."""
+    """Return the largest absolute value along the axes, which are kept with length 1; 1 if all of x
+    is 0. It is a constant for gradients. Squares of x divided by it neither over- nor underflow."""
     return or_one(jax.lax.stop_gradient(jnp.max(jnp.abs(x), axis=axis, keepdims=True)))
 
 
 def binary_unit(x: Float[Array, "..."]) -> Scalars:
-    """The power of two at the largest finite value of x, in its unit, so that division by it is
-    exact; 1 if all of x is 0. A constant for gradients."""
+    """Return the largest power of two up to the largest finite |x|, in its unit, so that division
+    by it is exact; 1 if all of x is 0. It is a constant for gradients."""
     finite = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)
     largest = or_one(jax.lax.stop_gradient(jnp.max(finite)))
     return jnp.ldexp(jnp.ones_like(largest), jnp.frexp(largest)[1] - 1)
 
 
 def running_sum(weights: Float[Array, "... n"]) -> Float[Array, "... n"]:
-    """Cumulative sums of weights >= 0, in their unit, that increase only where a weight is above 0;
-    XLA's own may decrease by rounding."""
+    """Return cumulative sums of weights >= 0, in their unit, which increase only where a weight is
+    above 0. XLA's own cumulative sums may decrease by rounding."""
     total = jnp.where(weights > 0, jnp.cumsum(weights, axis=-1), 0)
     return jax.lax.cummax(total, axis=total.ndim - 1)
 
 
 def select(condition: Bool[Array, "..."], a: Tree, b: Tree) -> Tree:
-    """The arrays of tree `a` where the condition is true, else those of `b`."""
+    """Return the arrays of tree `a` where the condition is true, else those of `b`."""
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
 def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
-    """(v / s, s) with s, a constant for gradients, the largest component in magnitude, so that
-    squares neither overflow nor underflow; s = 1 for zero and non-finite vectors."""
+    """Return (v / s, s), with s the magnitude of the largest component, so that squares neither
+    overflow nor underflow. s is a constant for gradients, and 1 for zero and non-finite vectors."""
     a = as_vec(v)
     largest = jnp.maximum(jnp.maximum(jnp.abs(a.x), jnp.abs(a.y)), jnp.abs(a.z))
     usable = (largest > 0) & jnp.isfinite(largest)
@@ -178,7 +179,7 @@ def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
 
 @takes_numbers
 def norm(v: Vec3) -> Scalars:
-    """Euclidean length of vectors; gradient 0 at the zero vector.
+    """Return the Euclidean length of vectors; its gradient at the zero vector is 0.
 
     Args:
         v: (..., 3) or `Vec`, in any unit.
@@ -196,7 +197,7 @@ def norm(v: Vec3) -> Scalars:
 
 @takes_numbers
 def normalize(v: Vec3) -> Vec3:
-    """Vectors scaled to unit length, v / |v|; the zero vector stays zero.
+    """Scale vectors to unit length, v / |v|; the zero vector stays zero.
 
     Args:
         v: (..., 3) or `Vec`, in any unit.
@@ -233,7 +234,7 @@ _ARCTAN_BELOW = (
 
 
 def polynomial(coefficients: Sequence[float] | Sequence[Scalars], x: Scalars) -> Scalars:
-    """c_0 x^n + c_1 x^(n - 1) + ... + c_n, by Horner's rule."""
+    """Return c_0 x^n + c_1 x^(n - 1) + ... + c_n, by Horner's rule."""
     value = jnp.full_like(x, coefficients[0])
     for coefficient in coefficients[1:]:
         value = value * x + coefficient
@@ -241,8 +242,8 @@ def polynomial(coefficients: Sequence[float] | Sequence[Scalars], x: Scalars) ->
 
 
 def chebyshev(coefficients: Sequence[float], t: Scalars) -> Scalars:
-    """The sum of c_k T_k(t), t in [-1, 1], by Clenshaw's recurrence, without coefficients too small
-    for the dtype."""
+    """Return the sum of c_k T_k(t) over Chebyshev polynomials T_k, t in [-1, 1], by Clenshaw's
+    recurrence. Trailing coefficients too small for the dtype are dropped."""
     least = float(jnp.finfo(t.dtype).eps) / 16
     used = max(k for k, c in enumerate(coefficients) if abs(c) > least)
     b, after = jnp.zeros_like(t), jnp.zeros_like(t)
@@ -253,8 +254,8 @@ def chebyshev(coefficients: Sequence[float], t: Scalars) -> Scalars:
 
 @jax.custom_jvp
 def arctan2(y: Scalars, x: Scalars) -> Scalars:
-    """Angle of (x, y), y >= 0, in [0, pi] rad, within two ULP; 0, with gradient 0, at the origin.
-    It vectorises on the CPU, unlike XLA's own."""
+    """Return the angle of (x, y), y >= 0, in [0, pi] rad, within two ULP; 0, with gradient 0, at
+    the origin. Unlike XLA's function it vectorises on the CPU."""
     ahead = jnp.abs(x)
     low, high = jnp.minimum(ahead, y), jnp.maximum(ahead, y)
     wide = low > 0.66 * high  # arctan(r) = pi / 4 + arctan((r - 1) / (r + 1))
@@ -307,8 +308,8 @@ _SINE_COSINE = {
 
 @jax.custom_jvp
 def sine_cosine(turns: Scalars) -> tuple[Scalars, Scalars]:
-    """(sin, cos) of an angle in turns, 2 pi rad each, exact at quarter turns and else within two
-    ULP. It vectorises on the CPU, unlike XLA's own."""
+    """Return (sin, cos) of an angle in turns, 2 pi rad each; exact at quarter turns, else within
+    two ULP. Unlike XLA's functions it vectorises on the CPU."""
     quarters = jnp.round(4 * turns)
     x = (turns - quarters / 4) * (2 * np.pi)
     square = x * x
@@ -330,7 +331,7 @@ def _sine_cosine_jvp(primals, tangents):
 
 @takes_numbers
 def angle_between(u: Directions, v: Directions) -> Float[Array, "..."]:
-    """Angle between unit vectors, with full relative accuracy near 0 and pi.
+    """Return the angle between unit vectors, with full relative accuracy near 0 and pi.
 
     It is 2 atan2(|u - v|, |u + v|); arccos of the inner product would lose all digits there.
 
@@ -357,7 +358,7 @@ def angle_between(u: Directions, v: Directions) -> Float[Array, "..."]:
 
 @takes_numbers
 def log_cos_between(u: Directions, v: Directions) -> Float[Array, "..."]:
-    """Logarithm of the cosine between unit vectors, accurate at small angles and near right angles.
+    """Return the logarithm of the cosine between unit vectors, accurate also near 0 and 90 degrees.
 
     Below 60 degrees it uses cos = 1 - |u - v|^2 / 2: the chord is precise at small angles, and the
     inner product near a right angle.
@@ -379,8 +380,8 @@ def log_cos_between(u: Directions, v: Directions) -> Float[Array, "..."]:
     deficit = dot(chord, chord) / 2
     near, behind = deficit < 0.5, cosine <= 0
     less = jnp.where(near, -deficit, 0)
-    # XLA may compute a comparison twice and round its sums differently: should the two disagree,
-    # what stands in for a cosine of 0 is as good as 0.
+    # XLA may compute `behind` twice with different rounding. If the two disagree, `least` replaces
+    # a cosine that is 0 within rounding.
     least = smallest_divisor(deficit.dtype)
     ahead = jnp.where(near, 1 - deficit, jnp.where(behind, least, cosine))
     logarithm = _log_of_sum(ahead, less)
@@ -388,8 +389,8 @@ def log_cos_between(u: Directions, v: Directions) -> Float[Array, "..."]:
 
 
 def log1p(x: Scalars) -> Scalars:
-    """log(1 + x), no unit, within 2.5 ULP, where XLA's own errs by 128 ULP in float64 between
-    -0.414 and -0.29."""
+    """Return log(1 + x), no unit, within 2.5 ULP. XLA's own function has errors of 128 ULP in
+    float64 between -0.414 and -0.29."""
     if x.dtype != jnp.float64:
         return jnp.log1p(x)
     low = x < -0.25
@@ -398,8 +399,8 @@ def log1p(x: Scalars) -> Scalars:
 
 @jax.custom_jvp
 def _log_of_sum(rounded: Scalars, less: Scalars) -> Scalars:
-    """log(1 + less), no unit, from the rounded sum `rounded`, whose rounding is corrected (Kahan);
-    log1p costs twice as much."""
+    """Return log(1 + less), no unit, from the rounded sum `rounded`, whose rounding error is
+    corrected (Kahan). log1p costs twice as much."""
     kept = rounded - 1
     lost = kept == 0
     corrected = jnp.where(less == 0, 1, less / jnp.where(lost, 1, kept))
@@ -413,8 +414,8 @@ def _log_of_sum_jvp(primals, tangents):
 
 
 def power(base: Scalars, exponent: Scalars) -> Scalars:
-    """base ** exponent with finite gradients in both; 0 ** positive = 0, and a negative base counts
-    as 0."""
+    """Return base ** exponent with finite gradients in both; 0 ** positive = 0, and a negative base
+    counts as 0."""
     zero = base <= 0
     least = smallest_divisor(base.dtype) ** 2
     return jnp.where(zero, 0, jnp.power(jnp.where(zero, least, base), exponent))
@@ -422,7 +423,7 @@ def power(base: Scalars, exponent: Scalars) -> Scalars:
 
 @jax.custom_jvp
 def replace_gradient(value: Scalars, smooth: Scalars) -> Scalars:
-    """`value`, differentiated as if it were `smooth`."""
+    """Return `value`, differentiated as if it were `smooth`."""
     del smooth
     return value
 

@@ -5,14 +5,14 @@ two numbers, p = nearest + rest, for which
 
     x^p = x^nearest (1 + rest log x)
 
-needs the logarithm to one digit only, which the bits of x, read as an integer, give.
+needs the logarithm to one digit only. The bits of x, read as an integer, give it.
 
-XLA's exp has an error of one ULP, its expm1 of five. Here y = k ln 2 + r, and
+XLA's exp has an error of one ULP, its expm1 an error of five. Here y = k ln 2 + r, and
 
     exp(-y) = 2^-k (1 + t),    1 - exp(-y) = (1 - 2^-k) - 2^-k t,    t = exp(-r) - 1, |t| < 0.42,
 
-from which both follow with the rounding error of each sum. The powers of two are variables of the
-program, because a compiler would simplify the sums with constants.
+from which both functions follow, with the rounding error of each sum. The powers of two are
+variables of the program, because a compiler would simplify sums with constants.
 """
 
 import math
@@ -29,11 +29,12 @@ from ._numerics import difference_of_products, polynomial, power
 from ._types import Scalars
 
 _LN_2 = float(np.log(2))
-Exponent = tuple[Scalars, Scalars | float]  # the nearest number of the dtype, and what it leaves
+Exponent = tuple[Scalars, Scalars | float]  # the nearest number of the dtype, and the remainder
 
 
 def exact(value: Scalars | Fraction | float, dtype: DTypeLike) -> Exponent:
-    """A number, no unit, as the sum of two numbers of the dtype; an array is its own nearest."""
+    """Split a number, no unit, into a sum of two numbers of the dtype. For an array the second
+    number is 0."""
     known = _fraction(value)
     if known is None:
         return jnp.asarray(value), 0.0
@@ -42,13 +43,13 @@ def exact(value: Scalars | Fraction | float, dtype: DTypeLike) -> Exponent:
 
 
 def is_above(x: Scalars, limit: Fraction) -> Bool[Array, "..."]:
-    """Whether x is above a limit that need not be representable in its dtype."""
+    """Whether x is above a limit, which the dtype of x need not represent exactly."""
     nearest = np.asarray(float(limit), x.dtype)
     return x >= nearest if Fraction(float(nearest)) > limit else x > nearest
 
 
 def exact_inverse(value: Scalars | float, dtype: DTypeLike) -> Exponent:
-    """1 / value as the sum of two numbers."""
+    """Return 1 / value as the sum of two numbers."""
     known = _fraction(value)
     if known:
         return exact(1 / known, dtype)
@@ -59,22 +60,22 @@ def exact_inverse(value: Scalars | float, dtype: DTypeLike) -> Exponent:
 
 
 def _fraction(value: Scalars | Fraction | float) -> Fraction | None:
-    """The value of a finite Python number."""
+    """Return the exact value of a finite Python number; None for anything else."""
     if isinstance(value, int | float | Fraction) and np.isfinite(float(value)):
         return Fraction(value)
     return None
 
 
 def power_in_parts(base: Scalars, exponent: Exponent) -> tuple[Scalars, Scalars]:
-    """base^exponent as the sum of the power to the nearest exponent and a finite remainder. A base
-    below 0 counts as 0."""
+    """Return base^exponent as two terms: the power to the nearest exponent, and a finite remainder.
+    A base below 0 counts as 0."""
     nearest, rest = exponent
     raised = power(base, nearest)
     return raised, _finite(raised) * (rest * _logarithm(base))
 
 
 def exact_power(base: Scalars, exponent: Exponent) -> Scalars:
-    """base^exponent, within two ULP; a base below 0 counts as 0."""
+    """Return base^exponent, within two ULP; a base below 0 counts as 0."""
     nearest, rest = exponent
     raised = power(base, nearest)
     known = isinstance(rest, float) and rest == 0
@@ -82,11 +83,12 @@ def exact_power(base: Scalars, exponent: Exponent) -> Scalars:
 
 
 def power_of_sum(x: Scalars, shift: Fraction, factor: Fraction, exponent: Fraction) -> Scalars:
-    """factor (x + shift)^exponent. The rounding error e of the sum s is corrected after the power,
+    """Return factor (x + shift)^exponent. The rounding error e of the sum s is corrected after the
+    power,
 
         (s + e)^p = s^p (1 + p e / s).
 
-    The error of the sum takes six operations: Knuth, The Art of Computer Programming 2, section
+    The error e is computed by six operations: Knuth, The Art of Computer Programming 2, section
     4.2.2.
     """
     shifted, shift_rest = exact(shift, x.dtype)
@@ -98,7 +100,7 @@ def power_of_sum(x: Scalars, shift: Fraction, factor: Fraction, exponent: Fracti
     raised, one = power(total, nearest), jnp.ones_like(x)
     value = scale * raised
     relative = nearest * (lost / jnp.where(total <= 0, 1, total)) + rest * _logarithm(total)
-    # what the product lost counts twice where the correction crosses a power of two downwards
+    # the rounding error of the product, which counts twice if the correction crosses a power of two
     cut = difference_of_products(scale * one, raised, value, one)
     missing = _finite(value) * jax.lax.stop_gradient(relative + scale_rest / scale)
     return value + (missing + jnp.where(jnp.isinf(value), 0, jax.lax.stop_gradient(cut)))
@@ -109,15 +111,16 @@ def _finite(x: Scalars) -> Scalars:
 
 
 def _logarithm(x: Scalars) -> Scalars:
-    """log x of a positive number to 0.03, a constant for gradients: its exponent is the whole part
-    of the binary logarithm, and its mantissa nearly the fraction."""
+    """Return log x of a positive number to 0.03, as a constant for gradients. The exponent of x is
+    the whole part of the binary logarithm, and the mantissa is nearly the fraction."""
     whole, bias, digits = _format(x)
     bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(x), whole).astype(x.dtype)
     return _LN_2 * (bits * 2.0**-digits - (bias - 0.043))
 
 
 def _format(x: Scalars) -> tuple[DTypeLike, int, int]:
-    """(integers of the same size, bias of the exponent, binary digits of the mantissa)."""
+    """Return the integer dtype of the same size, the bias of the exponent, and the number of binary
+    digits of the mantissa."""
     limits = jnp.finfo(x.dtype)
     whole = {2: jnp.int16, 4: jnp.int32, 8: jnp.int64}[x.dtype.itemsize]
     return whole, int(limits.maxexp) - 1, int(limits.nmant)
@@ -134,18 +137,19 @@ def power_of_two_in(x: Scalars) -> Scalars:
 
 
 def exp2(x: Scalars) -> Scalars:
-    """2^x, as `times_exp2` of 1."""
+    """Return 2^x, as accurate as `times_exp2`."""
     return times_exp2(jnp.ones_like(x), x)
 
 
 @jax.custom_jvp
 def times_exp2(value: Scalars, x: Scalars) -> Scalars:
-    """value 2^x, with 2^x within one ULP, where XLA's own errs by |x| / 2 ULP; infinite above the
-    range of the dtype, 0 below it."""
+    """Return value 2^x, with 2^x within one ULP (XLA's own exp2 has an error of |x| / 2 ULP). It is
+    infinite above the range of the dtype, 0 below it."""
     whole, bias, digits = _format(x)
     limited = jnp.clip(x, -3 * (bias - 1), 3 * (bias - 1))
     steps = jnp.round(limited)
-    first = jnp.round(steps / 3)  # three numbers of one sign, so that no product but the last ends
+    # three steps of one sign, so that only the last product may leave the range of the dtype
+    first = jnp.round(steps / 3)
     second = jnp.round((steps - first) / 2)
     product = value * jnp.exp2(limited - steps)
     for step in (first, second, steps - first - second):
@@ -161,8 +165,9 @@ def _times_exp2_jvp(primals, tangents):
     return product, times_exp2(change, x) + _LN_2 * product * dx
 
 
-# By the bytes of a number: integers of its size, the bias of its exponent, the binary digits of its
-# mantissa, the terms of the series of t, ln 2 to 15 or 32 digits, and its rest.
+# For numbers of 4 and 8 bytes: the integer dtype of the same size, the bias of the exponent, the
+# binary digits of the mantissa, the number of terms of the series of t, ln 2 to 15 or 32 binary
+# digits, and its remainder.
 _FORMAT = {
     4: (jnp.int32, 127, 23, 8, 22713 / 2**15, 1.4286068203094172321e-6),
     8: (jnp.int64, 1023, 52, 15, 2977044471 / 2**32, 1.9082149292705877161e-10),
@@ -175,16 +180,17 @@ class Decay(NamedTuple):
     left: Scalars  # (...) between 0.7 and 1.5
     left_rest: Scalars  # (...)
     scale: Scalars  # (...) a power of two
-    further: Scalars  # (...) another one, so that the product may leave the range of the dtype
+    further: Scalars  # (...) another power of two, for products outside the range of the dtype
     lost: Scalars  # (...)
     lost_rest: Scalars  # (...)
 
 
 def decay(x: Scalars, rest: Scalars) -> Decay:
-    """The parts of exp(-(x + rest)), x >= 0 and rest far smaller, no units, to 1e-9 in float32 and
-    1e-17 in float64; `left` is 0 below the smallest number to the power 3/2."""
+    """Return the parts of exp(-(x + rest)), with x >= 0 and rest far smaller, no units, to 1e-9 in
+    float32 and 1e-17 in float64. `left` is 0 if the result is below the 3/2 power of the smallest
+    number."""
     whole, bias, digits, terms, ln_2, ln_2_rest = _FORMAT[x.dtype.itemsize]
-    half = bias // 2  # below the half of the range even the rests keep their digits
+    half = bias // 2  # with at most half of the exponent range, the remainders keep their digits
     most = half + bias - 1
     faint = x > most * math.log(2)
     near = jnp.where(faint, 0, x)

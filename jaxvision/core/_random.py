@@ -1,4 +1,4 @@
-"""Uniform numbers as a function of their place of use, without state or order.
+"""Uniform random numbers as a function of the pixel, sample and dimension that use them.
 
 A number is identified by (pixel, sample, dimension) and a seed. It is a hash of those four words,
 so any pixel can be computed alone, again, or in any order, with the same bits. The hash costs three
@@ -22,9 +22,9 @@ class Stream(eqx.Module):
     """The random numbers of one sample of one pixel."""
 
     pixel: UInt32[Array, "*pixels"]  # the number of the pixel
-    # the number of the sample in its pixel; None where a pixel has one ray, and no random numbers
+    # the index of the sample in its pixel; None if a pixel has one ray and no random numbers
     sample: Word | None
-    seed: UInt32[Array, "2"] | None  # two words, from `seed_of`; None likewise
+    seed: UInt32[Array, "2"] | None  # two words, from `seed_of`; None if `sample` is None
 
 
 def seed_of(key: Key) -> UInt32[Array, "2"]:
@@ -33,17 +33,17 @@ def seed_of(key: Key) -> UInt32[Array, "2"]:
 
 
 def uniforms(stream: Stream, block: Word | int, dtype: DTypeLike) -> Float[Array, "4"]:
-    """Four independent numbers of dimensions 4 `block` to 4 `block` + 3, (4,) uniform in [0, 1) on
-    a grid of 2^-24 in float32, else of 2^-32."""
+    """Return four independent numbers, for the dimensions 4 `block` to 4 `block` + 3: (4,) uniform
+    in [0, 1), multiples of 2^-24 in float32, else of 2^-32."""
     words = _words(stream, stream.sample, block)
     return jnp.stack([_unit(word, dtype) for word in words])
 
 
 def lattice_point(stream: Stream, dimensions: int, dtype: DTypeLike) -> Float[Array, " n"]:
-    """A sample's position in its pixel, 2 or 4 numbers uniform in [0, 1): point k of a Kronecker
-    sequence, (k alpha_i + shift_i) mod 1, in whole multiples of 2^-32. alpha_i = phi^-i with
-    phi^(d+1) = phi + 1 (Roberts, 2018), and each pixel has a random shift (Cranley and Patterson,
-    SIAM J. Numerical Analysis 13 (1976))."""
+    """Return a sample's position in its pixel, 2 or 4 numbers uniform in [0, 1). For sample k it is
+    point k of a Kronecker sequence, (k alpha_i + shift_i) mod 1, in whole multiples of 2^-32.
+    alpha_i = phi^-i with phi^(d+1) = phi + 1 in d dimensions (Roberts, 2018), and each pixel has a
+    random shift (Cranley and Patterson, SIAM J. Numerical Analysis 13 (1976))."""
     shifts = _words(stream, jnp.uint32(0), _OF_LATTICE)
     steps = _steps(dimensions)
     sample = jnp.uint32(0) if stream.sample is None else stream.sample
@@ -51,11 +51,11 @@ def lattice_point(stream: Stream, dimensions: int, dtype: DTypeLike) -> Float[Ar
     return jnp.stack([_unit(word, dtype) for word in words])
 
 
-_OF_LATTICE = 0xFFFFFFFF  # a block that no path reaches
+_OF_LATTICE = 0xFFFFFFFF  # the block of the lattice's shifts, which no path uses
 
 
 def _steps(dimensions: int) -> list[np.uint32]:
-    """2^32 phi^-i for i = 1 .. d, with phi the positive root of phi^(d+1) = phi + 1."""
+    """Return 2^32 phi^-i for i = 1 .. d, with phi the positive root of phi^(d+1) = phi + 1."""
     root = 2.0
     for _ in range(64):
         root = (1 + root) ** (1 / (dimensions + 1))
@@ -71,16 +71,17 @@ def _words(stream: Stream, sample: Word | None, block: Word | int) -> tuple[Word
 
 
 def _unit(word: Word, dtype: DTypeLike) -> Scalar:
-    """The word as a fraction of 2^32, from as many leading bits as `dtype` holds."""
+    """Return the word / 2^32, from as many leading bits as `dtype` can represent."""
     bits = min(jnp.finfo(dtype).nmant + 1, 32)
-    # by way of int32, which CPUs convert many at a time
+    # through int32, for which CPUs have vector conversions
     leading = (word >> (32 - bits)) if bits < 32 else word
     number = leading.astype(jnp.int32) if bits < 32 else leading
     return number.astype(dtype) * jnp.asarray(2.0**-bits, dtype)
 
 
 def _hash(x: Word, y: Word, z: Word, w: Word) -> tuple[Word, Word, Word, Word]:
-    """pcg4d of Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT 9(3) (2020)."""
+    """Hash four words by pcg4d of Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT
+    9(3) (2020)."""
     x, y, z, w = (v * jnp.uint32(1664525) + jnp.uint32(1013904223) for v in (x, y, z, w))
     x, y, z, w = _mix(x, y, z, w)
     x, y, z, w = (v ^ (v >> 16) for v in (x, y, z, w))

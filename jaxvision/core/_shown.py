@@ -17,14 +17,15 @@ from ..errors import nearest
 
 WIDE = 88  # columns of a printed record
 _SYMBOL = r"(?:W|J|m|s|K|Hz|F|eV|rad|sr|DN|e-|photons?|pixels?|rows)(?:\^-?\d+)?(?!\w)"
-# A unit behind the shape that begins what a docstring says of a field.
+# The unit after the shape, at the beginning of a field's description in a docstring.
 UNIT = re.compile(rf"(?:\([^)]*\) (?:or )?)+({_SYMBOL}(?: (?:per )?{_SYMBOL})*)")
 SHORT = 12  # numbers of an array that are printed one by one
 
 
 class Shown(eqx.Module):
-    """A record that prints its numbers, with units by `str`, long arrays as shape and range,
-    without fields that are None; an unknown field raises `TypeError` with the nearest one."""
+    """A record that prints its numbers, with units by `str`. Long arrays are printed as shape and
+    range, and fields that are None are left out. An unknown field raises `TypeError` that names the
+    nearest field."""
 
     def __new__(cls, *args: Any, **given: Any):  # `Self`, which checkers of types infer
         for name in given:
@@ -43,7 +44,7 @@ class Shown(eqx.Module):
         return _shown(self, units=True)
 
     def _repr_html_(self) -> str:
-        """The table that a notebook shows: each field, its numbers, and its unit and meaning."""
+        """Return the table that a notebook shows: fields with their numbers, units and meaning."""
         head = f"<tr><th>{type(self).__name__}</th><th></th><th></th></tr>"
         rows = "".join(
             f'<tr><td style="text-align: left; padding-left: {1 + depth}em">{escape(name)}</td>'
@@ -118,7 +119,7 @@ def _written(numbers: np.ndarray) -> str:
 def _list_items(
     head: str, given: list[tuple[str, Any, str]], tail: str, indent: str, *, units: bool
 ) -> str:
-    """(name, value, unit) of each on one line if it fits, else one entry per line."""
+    """Write each (name, value, unit) on one line if they fit, else one entry per line."""
     line = head + ", ".join(n + _shown(one, units=units) + unit for n, one, unit in given) + tail
     if len(indent) + len(line) <= WIDE and "\n" not in line:
         return line
@@ -130,7 +131,7 @@ def _list_items(
 
 
 def aligned_columns(rows: Sequence[tuple[str, ...]]) -> str:
-    """Rows with equal numbers of cells as lines with aligned columns."""
+    """Write rows with equal numbers of cells as lines with aligned columns."""
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

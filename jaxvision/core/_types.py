@@ -25,7 +25,7 @@ from .plain_arrays import plain_array, warn_of_range, within_integers
 
 
 class _OneOf(type):
-    """The class of an alias for several kinds."""
+    """The class of an alias for several types."""
 
     kinds: tuple[type, ...]
 
@@ -34,8 +34,8 @@ class _OneOf(type):
 
 
 def print_by_name(aliases: dict[str, Any], *names: str) -> None:
-    """Make each alias of array types or records in `aliases`, a module's `globals()`, a class of
-    that name, which signatures and type errors then show."""
+    """Replace each named alias in `aliases`, a module's `globals()`, by a class of that name, so
+    that signatures and type errors show the name."""
     module = aliases["__name__"].partition(".")[0]
     for name in names:
         alias = aliases[name]
@@ -56,7 +56,7 @@ def members_of(hint: Any) -> tuple[Any, ...]:
     return tuple(one for part in parts for one in members_of(part)) if parts else (hint,)
 
 
-LONGEST_WAVE = 1e-2  # m; what is longer was meant in nm or um
+LONGEST_WAVE = 1e-2  # m; larger numbers are probably in nm or um
 
 Scalar = Float[Array, ""]
 BAYER_PHASES = ("RGGB", "GRBG", "GBRG", "BGGR")
@@ -66,7 +66,7 @@ Colour = Float[Array, " bands"]
 Spectrum = Float[Array, "... bands"]
 Image = Float[Array, "*batch h w bands"]
 Key = PRNGKeyArray | Shaped[Array, "2"]
-# What NumPy makes an array of: NumPy's own alias, which misses these kinds where `isinstance` asks.
+# Everything that NumPy converts to an array. NumPy's own alias misses these types in `isinstance`.
 ArrayLike = npt.ArrayLike | tuple[Any, ...] | float | int
 print_by_name(globals(), "Scalar", "Scalars", "Colour", "Spectrum", "Image", "Key", "ArrayLike")
 
@@ -74,13 +74,13 @@ Record = TypeVar("Record")
 
 
 class Varying(eqx.Module):
-    """Base of `scene.Map`: numbers that vary over a surface, in place of a material's own."""
+    """Base of `scene.Map`: numbers that vary over a surface and replace a material's constant."""
 
     values: eqx.AbstractVar[Array]
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The shape of the numbers at one place, as of the field that they replace."""
+        """The shape of the numbers at one point, equal to that of the field that they replace."""
         return self.values.shape[2:]
 
     @property
@@ -93,7 +93,7 @@ class Varying(eqx.Module):
 
 
 def as_float(x: Any) -> Array:
-    """An array of strong floating dtype.
+    """Convert numbers to an array of strong floating dtype.
 
     A weakly typed leaf would cause a second trace when a strong one follows.
 
@@ -107,7 +107,7 @@ def as_float(x: Any) -> Array:
         >>> print(jv.as_float([1, 2]), jv.as_float(np.float32(3)).dtype)
         [1. 2.] float32
     """
-    if isinstance(x, Varying):  # of a material, as `check_fields` sees to
+    if isinstance(x, Varying):  # `check_fields` ensures that it belongs to a material
         return cast(Array, x)
     array = _as_numbers(x)
     if jnp.issubdtype(array.dtype, jnp.floating) and not array.weak_type:
@@ -142,8 +142,9 @@ def _as_numbers(x: Any) -> Array:
 
 
 def _field() -> str:
-    """The record and field, with a colon, while Equinox converts that field; else nothing. Equinox
-    gives a converter only the value; the field is read from the calling frames."""
+    """Return the names of record and field, with a colon, while Equinox converts this field; else
+    "". Equinox passes only the value to a converter, so the field is read from the calling
+    frames."""
     frame = sys._getframe(1)
     while frame and frame.f_globals.get("__name__") in (__name__, "jaxvision.core._vector"):
         frame = frame.f_back
@@ -160,13 +161,13 @@ def is_record(kind: Any) -> bool:
 
 
 def common_dtype(*records: object) -> jnp.dtype:
-    """The floating dtype that all numbers of the records share."""
+    """Return the common floating dtype of all numbers in the records."""
     leaves = jax.tree.leaves(records)
     return jnp.result_type(*(x for x in leaves if jnp.issubdtype(x.dtype, jnp.floating)))
 
 
 def as_optional_float(x: Any) -> Array | None:
-    """`as_float` for a value that may be None.
+    """Apply `as_float` to a value that may be None.
 
     Args:
         x: numbers in any unit, or None for an absent effect.
@@ -182,8 +183,8 @@ def as_optional_float(x: Any) -> Array | None:
 
 
 def as_relative(x: Any) -> Array:
-    """An array of colours or coverage in its own floating dtype; `ValueError` for codes and complex
-    numbers, which as fractions would wrap or round to 0."""
+    """Convert colours or coverage to an array in their own floating dtype. Raise `ValueError` for
+    integer codes and complex numbers; as fractions, integers would wrap or round to 0."""
     array = _as_numbers(x)
     if not jnp.issubdtype(array.dtype, jnp.floating):
         codes = jnp.issubdtype(array.dtype, jnp.unsignedinteger)
@@ -205,8 +206,8 @@ def map_beside(values: Any, picture: Array) -> Any:
 
 
 def refuse_codes(values: Any) -> None:
-    """`ValueError` for a picture of known floating values that are codes such as 0 to 255: 16 or
-    more, all whole, the largest above 100. No light is whole everywhere."""
+    """Raise `ValueError` for a picture whose known floating values are codes such as 0 to 255: at
+    least 16 values, all whole, the largest above 100. Measured light is not whole everywhere."""
     if not is_known(values) or np.size(values) < 16:
         return
     known = np.asarray(values)
@@ -219,9 +220,9 @@ def refuse_codes(values: Any) -> None:
 
 
 def as_dtype(record: Record, dtype: Any) -> Record:
-    """A record with every floating leaf in one dtype.
+    """Convert all floating numbers of a record to one dtype.
 
-    float32 against float64 is the caller's choice, made at each call.
+    The caller chooses between float32 and float64 at each call.
 
     Args:
         record: any tree of arrays, in any units.
@@ -242,13 +243,13 @@ def as_dtype(record: Record, dtype: Any) -> Record:
 
 
 def axes_of(alias: Any) -> tuple[int | str, ...]:
-    """The axes of an alias of arrays: a number for a fixed length, else a word."""
+    """Return the axes of an array alias: a number for a fixed length, else a word."""
     return tuple(int(axis) if axis.isdigit() else axis for axis in alias.dim_str.split())
 
 
 def check_shape(name: str, x: Any, *expected: tuple[int | str, ...], advice: str = "") -> None:
-    """`ValueError`, ending in `advice`, unless `x` is None or of an expected shape: a word is any
-    length, a first `...` or `*word` any axes."""
+    """Raise `ValueError`, which ends in `advice`, unless `x` is None or has an expected shape. In a
+    shape, a word stands for any length, and a leading `...` or `*word` for any axes."""
     if x is None:
         return
     shape = jnp.shape(x)
@@ -259,7 +260,7 @@ def check_shape(name: str, x: Any, *expected: tuple[int | str, ...], advice: str
 
 
 def is_any_axes(axis: int | str) -> bool:
-    """Whether it stands for any number of axes."""
+    """Whether an entry of a shape stands for any number of axes."""
     return isinstance(axis, str) and (axis == "..." or axis.startswith("*"))
 
 
@@ -273,14 +274,14 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
 
 
 def check_kind(name: str, value: Any, *kinds: type | UnionType) -> None:
-    """Raises `ValueError` unless `value` is a record of one of the kinds. None, an absent effect,
-    is accepted."""
+    """Raise `ValueError` unless `value` is a record of one of the types. None, an absent effect, is
+    accepted."""
     if value is not None:
         check_given(name, value, *kinds)
 
 
 def check_given(name: str, value: Any, *kinds: type | UnionType) -> None:
-    """As `check_kind`, for a required value: None is refused."""
+    """Do what `check_kind` does, for a required value: None raises `ValueError` too."""
     known: tuple[Any, ...] = tuple(kind for union in kinds for kind in members_of(union))
     if isinstance(value, known):
         return
@@ -296,8 +297,8 @@ def check_given(name: str, value: Any, *kinds: type | UnionType) -> None:
 
 
 def check_key(name: str, value: Any, *, several: bool = True, absent: bool = True) -> None:
-    """Raises `ValueError` unless `value` may be a random key, with `several` an array of keys, with
-    `absent` None."""
+    """Raise `ValueError` unless `value` is a random key. `several` also allows an array of keys,
+    and `absent` None."""
     if value is None:
         if absent:
             return
@@ -319,7 +320,7 @@ def check_key(name: str, value: Any, *, several: bool = True, absent: bool = Tru
 
 
 def _is_raw_key(value: Any) -> bool:
-    """Whether it may be one or more untyped keys: words of JAX's default generator."""
+    """Whether `value` may be one or more untyped keys: words of JAX's default generator."""
     if isinstance(value, np.ndarray) and value.dtype == np.uint64:
         value = value.astype(jax.dtypes.canonicalize_dtype(np.uint64))
     words = _key_shape(getattr(jax.config, "jax_default_prng_impl", "threefry2x32"))
@@ -328,12 +329,12 @@ def _is_raw_key(value: Any) -> bool:
 
 @cache
 def _key_shape(generator: str) -> tuple[int, ...]:
-    """The shape of a key of that generator of random numbers."""
+    """Return the shape of a key of this generator of random numbers."""
     return jax.eval_shape(lambda: jax.random.key_data(jax.random.key(0, impl=generator))).shape
 
 
 def check_count(name: str, value: Any, least: int, *, odd: bool = False) -> None:
-    """Raises `ValueError` unless `value` is a whole number (not an array) of at least `least`, and
+    """Raise `ValueError` unless `value` is a whole number (not an array) of at least `least`, and
     odd if required."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < least or (odd and value % 2 == 0):
@@ -342,13 +343,14 @@ def check_count(name: str, value: Any, least: int, *, odd: bool = False) -> None
 
 
 def check_choice(name: str, value: Any, choices: Collection[str]) -> None:
-    """Raises `ValueError` unless `value` is one of those words."""
+    """Raise `ValueError` unless `value` is one of the choices."""
     if value not in choices:
         raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}.")
 
 
 def as_tile(pattern: Any) -> Any:
-    """The rows of a pattern that may be named by the phase of a Bayer mosaic, such as "RGGB"."""
+    """Return the rows of a pattern; the phase of a Bayer mosaic, such as "RGGB", stands for its
+    rows."""
     if not isinstance(pattern, str):
         return pattern
     check_choice("phase", pattern.upper(), BAYER_PHASES)
@@ -359,8 +361,8 @@ def as_tile(pattern: Any) -> Any:
 def check_tile(
     name: str, pattern: Any, *, bands: int | None = None, holder: str = "the picture"
 ) -> None:
-    """`ValueError` unless the rows of `pattern` have one length and contain each band from 0 to the
-    largest, `bands` of them for `holder`."""
+    """Raise `ValueError` unless the rows of `pattern` have equal lengths and contain each band from
+    0 to the largest. With `bands`, their number must equal that of `holder`."""
     if not isinstance(pattern, tuple) or not all(
         isinstance(row, tuple) and all(isinstance(cell, int | np.integer) for cell in row)
         for row in pattern
@@ -384,14 +386,14 @@ def check_tile(
 
 
 def is_known(x: Any) -> bool:
-    """Whether the numbers of `x` are known; they are not during tracing."""
+    """Whether the numbers of `x` are known, that is, not traced."""
     return not isinstance(getattr(x, "values", x) if isinstance(x, Varying) else x, Tracer)
 
 
 def require_metres(
     name: str, wavelengths: np.ndarray | np.floating, *, longest: float = LONGEST_WAVE
 ) -> None:
-    """`ValueError` for wavelengths above `longest`, m, which must be in another unit."""
+    """Raise `ValueError` for wavelengths above `longest`, m, which are probably in another unit."""
     largest = np.max(wavelengths, initial=0)
     if largest > longest:
         raise ValueError(f"{name} is in metres, got {largest:.6g}; 550 nm are 550e-9.")
@@ -407,8 +409,8 @@ def check_range(
     finite: bool = True,
     nan: bool = False,
 ) -> None:
-    """Raises `ValueError` unless every number of `value` lies in [low, high], or in (low, high]
-    with `above`; with `nan`, NaN is allowed. None (absent) and tracers are accepted."""
+    """Raise `ValueError` unless every number of `value` lies in [low, high], or in (low, high] with
+    `above`; `nan` allows NaN. None (absent) and tracers are accepted."""
     if value is None or not is_known(value):
         return
     numbers = np.asarray(value)
@@ -427,7 +429,7 @@ def check_range(
 
 
 def check_direction(name: str, value: Any) -> None:
-    """Raises `ValueError` for a vector of length 0; tracers are accepted."""
+    """Raise `ValueError` for a vector of length 0; tracers are accepted."""
     if is_known(value) and not np.asarray(value).any():
         raise ValueError(f"{name} must have a direction, got a vector of length 0.")
 
@@ -446,14 +448,14 @@ FINITE = Range(-np.inf)
 NOT_NEGATIVE = Range(0)
 POSITIVE = Range(0, above=True)
 FRACTION = Range(0, 1)
-AMOUNT = Range(0, finite=False, nan=True)  # of light, size, roughness; NaN shows in the picture
+AMOUNT = Range(0, finite=False, nan=True)  # for light, size, roughness; NaN is seen in the picture
 DIVISOR = Range(0, above=True, finite=False, nan=True)
 SHARE = Range(0, 1, nan=True)
 
 
 def check_fields(record: Any, **ranges: Range) -> None:
-    """`ValueError` unless the arrays of a record have their annotated shapes, with one size for an
-    axis name, lie in `ranges` (by field), and its records are of their kind."""
+    """Raise `ValueError` unless the arrays of a record have their annotated shapes (equal sizes for
+    equal axis names) and lie in `ranges` (by field), and its records have their annotated types."""
     sizes: dict[int | str, int] = {}
     kind = type(record).__name__
     for name, (shapes, kinds) in _field_shapes(type(record)).items():
@@ -481,7 +483,7 @@ def check_fields(record: Any, **ranges: Range) -> None:
 def _field_shapes(
     record: type,
 ) -> dict[str, tuple[tuple[tuple[int | str, ...], ...], tuple[type, ...]]]:
-    """The allowed shapes and record kinds of each field."""
+    """Return the allowed shapes and record types of each field."""
     hints, found = get_type_hints(record), {}
     for field in fields(record):
         hint = hints[field.name]

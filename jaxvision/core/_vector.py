@@ -1,6 +1,7 @@
 """A Cartesian vector as a record of three components, for hot paths.
 
-A trailing axis of 3 wastes vector units. Under `vmap` three components become three long arrays.
+A trailing axis of 3 does not use vector units well, whereas three components become three long
+arrays under `vmap`.
 Functions of vectors take a (..., 3) array or a `Vec` and return the same type. A sum or difference
 of both types is a `Vec`.
 """
@@ -71,7 +72,7 @@ print_by_name(globals(), "Vec3", "Vector", "Direction", "Directions")
 
 @takes_numbers
 def as_vec(v: Vec3) -> Vec:
-    """The components of a vector.
+    """Return a vector as its components.
 
     Args:
         v: (..., 3) array, or a `Vec`, which is returned unchanged.
@@ -88,13 +89,13 @@ def as_vec(v: Vec3) -> Vec:
 
 
 def vector_field(v: Any) -> Vec:
-    """`as_vec` for a record's field, with the field's name in the error message."""
+    """Apply `as_vec` to a record's field, with the field's name in the error message."""
     return v if isinstance(v, Vec) else as_vec(as_float(v))
 
 
 @takes_numbers
 def as_array(v: Vec3) -> Float[Array, "... 3"]:
-    """The array of a vector.
+    """Return a vector as an array.
 
     Args:
         v: a `Vec`, or a (..., 3) array, which is returned unchanged.
@@ -110,19 +111,19 @@ def as_array(v: Vec3) -> Float[Array, "... 3"]:
 
 
 def scaled(v: Vec3, scale: Scalars) -> Vec3:
-    """Each vector times its own scalar: (..., 3) or `Vec`, times (...)."""
+    """Multiply each vector by its own scalar: (..., 3) or `Vec`, times (...)."""
     return v * scale if isinstance(v, Vec) else v * scale[..., None]
 
 
 def masked(keep: Bool[Array, "..."], v: Vec3) -> Vec3:
-    """Each vector where its flag (...) is true, else the zero vector."""
+    """Return each vector where its flag (...) is true, else the zero vector."""
     if isinstance(v, Vec):
         return Vec(*(jnp.where(keep, component, 0) for component in v))
     return jnp.where(keep[..., None], v, 0)
 
 
 def where(condition: Bool[Array, "..."], u: Vec, v: Vec) -> Vec:
-    """`u` where the condition is true, else `v`."""
+    """Return `u` where the condition is true, else `v`."""
     return Vec(
         jnp.where(condition, u.x, v.x),
         jnp.where(condition, u.y, v.y),

@@ -6,15 +6,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-_WITHIN = ("jaxvision", "jax", "equinox", "contextlib", "functools")  # frames below the caller's
+# packages whose frames are skipped on the way to the caller's line
+_WITHIN = ("jaxvision", "jax", "equinox", "contextlib", "functools")
 
-# The warnings of the caller's call that is under way; None between calls.
+# The warnings given during the current call from outside; None between calls.
 _of_call: ContextVar[list[str] | None] = ContextVar("_of_call", default=None)
 
 
 @contextmanager
 def one_call() -> Iterator[None]:
-    """Context of a call from outside the library, including calls inside it."""
+    """Mark a call from outside the library, which includes all calls inside it."""
     outer = _of_call.get()
     call = _of_call.set([] if outer is None else outer)
     try:
@@ -24,7 +25,7 @@ def one_call() -> Iterator[None]:
 
 
 def warn_caller(text: str) -> None:
-    """Warn at the line outside the library, once per call from there."""
+    """Warn at the caller's line outside the library, once per call from there."""
     given = _of_call.get()
     if given:
         return

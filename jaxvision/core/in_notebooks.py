@@ -11,8 +11,8 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PREVIEW = 320  # pixels of the longer side of a picture
-DOTS_PER_INCH = 64  # of a figure
+PREVIEW = 320  # largest side of a picture in pixels
+DOTS_PER_INCH = 64  # resolution of a figure
 
 
 def record_html(
@@ -23,7 +23,7 @@ def record_html(
     summary: str = "",
     notes: Iterable[str] = (),
 ) -> str:
-    """A table in HTML, with a title above, a line and notes below; all text is escaped."""
+    """Return a table in HTML, with a title above, and a line and notes below; text is escaped."""
 
     def row(cells: Sequence[str], tag: str) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
@@ -39,7 +39,7 @@ def record_html(
 
 
 def picture_html(png: bytes, html: str, *, meaning: str) -> str:
-    """HTML of a picture next to a table; `meaning` is the picture's text alternative."""
+    """Return HTML of a picture next to a table; `meaning` is the picture's text alternative."""
     data = base64.b64encode(png).decode()
     return (
         '<div style="display: flex; flex-wrap: wrap; gap: 1em">'

@@ -3,9 +3,9 @@
 Python raises `KeyboardInterrupt` only after XLA has finished compiling or computing, which may take
 minutes. In a callback the exception is lost. During the import of a compiled library, or while
 XLA's threads still work, it may crash the process. Therefore a separate thread receives the signal,
-prints the line and ends the process. The files of a command are complete at every moment, as `kill
--9` requires, and the same command continues from them. The exception is raised only if a command
-requests it, to keep its measurements.
+prints the line and ends the process. The files of a command are complete at every moment, so that
+they also survive `kill -9`, and the same command continues from them. The exception is raised only
+if a command requests it, to keep its measurements.
 
 This module imports nothing slow, because a command imports it first.
 """
@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
-MOMENT = 1.0  # s after which a command that has not noticed yet the exception it asked for says so
+MOMENT = 1.0  # s, after which a message tells that the requested exception is not yet handled
 INTERRUPTED = 130  # the exit status of shells: 128 + SIGINT
 
 
@@ -30,20 +30,20 @@ class _Ending:
     def __init__(self) -> None:
         self.sentence = "interrupted."
         self.unfinished: set[Path] = set()
-        self.seen = threading.Event()  # by the signal handler
-        self.said = threading.Event()  # the message is on standard error
+        self.seen = threading.Event()  # an interrupt has arrived
+        self.said = threading.Event()  # the message has been printed
         self.raised = threading.Event()  # a context expects the exception
-        self.thrown = threading.Event()  # though that context may have ended since
-        self.handled = threading.Event()  # whoever caught it ends the process
+        self.thrown = threading.Event()  # the exception was raised, perhaps in an ended context
+        self.handled = threading.Event()  # the command has caught it and will end the process
         self.behind = threading.Event()  # abandoned threads still run
-        self.leaving = threading.Lock()  # of the thread that ends the process; never released
+        self.leaving = threading.Lock()  # taken by the thread that ends the process; never released
 
 
 _ending = _Ending()
 
 
 def say_if_interrupted(sentence: str) -> None:
-    """Set the line that an interrupt prints from now on, after the command's name and a colon."""
+    """Set the message that an interrupt prints from now on, after the command's name."""
     _ending.sentence = sentence
 
 
@@ -122,7 +122,7 @@ def _open_closed_streams() -> None:
 
 def _handle_interrupt(number: int, frame: FrameType | None) -> None:
     del number, frame
-    _ending.seen.set()  # which the thread may do later
+    _ending.seen.set()  # the watching thread may set it only later
     if _ending.raised.is_set():
         _ending.thrown.set()
         raise KeyboardInterrupt

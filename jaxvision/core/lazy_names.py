@@ -16,8 +16,9 @@ Attached = tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]
 
 
 def names_of(package: str, file: str) -> Attached:
-    """`__getattr__`, `__dir__` and `__all__` of a package by its stub: names load at first use, and
-    an unlisted one raises an `AttributeError` that says where it is, or the nearest."""
+    """Return `__getattr__`, `__dir__` and `__all__` of a package from its stub. Names load at first
+    use. A name that is not listed raises an `AttributeError`, which says where the name is defined,
+    or which name is nearest."""
     load, listed, offered = lazy_loader.attach_stub(package, file)
 
     def attribute(name: str) -> Any:
@@ -52,7 +53,7 @@ def _is_module(file: Path, name: str) -> bool:
 
 
 def _home(package: str, folder: Path, name: str) -> str | None:
-    """The subpackage that lists a name, or the submodule that defines it."""
+    """Return the subpackage that lists a name, or the submodule that defines it; else None."""
     listed = re.compile(rf"\bas {re.escape(name)}\b")
     for stub in sorted(folder.glob("*/__init__.pyi")):
         if listed.search(stub.read_text()):

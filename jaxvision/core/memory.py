@@ -6,7 +6,7 @@ For pictures of tens of megabytes that takes longer than the arithmetic.
 
 import ctypes
 
-_TRIM_THRESHOLD, _MMAP_MAX, _ARENA_MAX = -1, -4, -8  # of glibc's malloc.h
+_TRIM_THRESHOLD, _MMAP_MAX, _ARENA_MAX = -1, -4, -8  # from glibc's malloc.h
 _NEVER = 2**31 - 1
 
 
@@ -31,6 +31,6 @@ def keep_memory() -> bool:
         mallopt = ctypes.CDLL("libc.so.6").mallopt
     except (OSError, AttributeError):
         return False
-    # One heap for all threads: that of a thread is unmapped as soon as nothing is left in it.
+    # One heap for all threads, because the heap of a thread is unmapped as soon as it is empty.
     settings = (_MMAP_MAX, 0), (_TRIM_THRESHOLD, _NEVER), (_ARENA_MAX, 1)
     return all(mallopt(*setting) for setting in settings)

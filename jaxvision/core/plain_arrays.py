@@ -1,7 +1,7 @@
-"""Arrays with more than numbers: a mask, a unit, coordinates, an index.
+"""Arrays that contain more than numbers: a mask, a unit, coordinates or an index.
 
-Reading only their numbers would silently lose the rest. A mask becomes NaN, which marks a missing
-number everywhere here; the others are refused.
+Reading only the numbers would silently lose the rest. Masked numbers become NaN, which marks a
+missing number everywhere in this library; all other additions are rejected.
 """
 
 import datetime
@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import InputError
 from ._warnings import warn_caller
 
-# What the arrays of a package carry, and what gives their numbers.
+# For each package: what its arrays contain beside numbers, and the call that returns the numbers.
 _CARRIED = {
     "xarray": ("dimensions and coordinates", ".to_numpy()"),
     "pandas": ("an index", ".to_numpy()"),
@@ -31,16 +31,16 @@ _CARRIED = {
     "tensorflow": ("a device and gradients", ".numpy()"),
 }
 
-# By the kind of a dtype.
+# contents that are not numbers, by the kind of a dtype
 _NO_NUMBERS = {"V": "fields by name", "M": "dates", "S": "text", "U": "text"}
-_WIDEST = {"f": np.float64, "c": np.complex128}  # that JAX knows, by the kind of a dtype
+_WIDEST = {"f": np.float64, "c": np.complex128}  # widest dtype in JAX, by the kind of a dtype
 
 
 def plain_array(name: str, value: Any) -> Any:
-    """The argument as plain numbers if nothing is lost. Masked floating numbers become NaN. Other
-    byte orders, wider numbers and subclasses become this machine's arrays of at most 64 bits, also
-    inside lists. `InputError`, which names the argument, for masked whole numbers, units,
-    coordinates, an index, spans of time, and what is no number."""
+    """Return the argument as plain numbers if nothing is lost. Masked floating numbers become NaN.
+    Other byte orders, wider numbers and subclasses become native arrays of at most 64 bits, also
+    inside lists. Raise `InputError`, which names the argument, for masked integers, units,
+    coordinates, an index, time spans, and anything that is not a number."""
     if type(value) in (list, tuple):
         if all(type(part) in (float, int) for part in value):
             return value
@@ -76,17 +76,18 @@ def plain_array(name: str, value: Any) -> Any:
                 f"{name} is a {type(value).__name__} with {carried}, which would be lost; give "
                 f"its numbers in the documented unit and order of axes, as {numbers} does."
             )
-    if hasattr(value, "unmasked"):  # of astropy
+    if hasattr(value, "unmasked"):  # an array from astropy
         value = np.ma.array(value.unmasked, mask=value.mask)
     if isinstance(value, np.ma.MaskedArray):
         return plain_array(name, _without_mask(name, value))
-    # of a subclass: records, matrices, memory maps
+    # subclasses: records, matrices, memory maps
     return plain_array(name, value.view(np.ndarray)) if isinstance(value, np.ndarray) else value
 
 
 def within_integers(x: Any) -> Any:
-    """The same numbers, floating if JAX's integers (32 bits by default) do not hold them: JAX would
-    drop the upper bits, or refuse plain ones with its own message."""
+    """Return the same numbers, as floating numbers if JAX's integers (32 bits by default) cannot
+    represent them. JAX would drop the upper bits, or reject Python integers with its own
+    message."""
     if type(x) in (list, tuple):
         if all(type(part) is float for part in x):
             return x
@@ -103,8 +104,8 @@ def within_integers(x: Any) -> Any:
 
 
 def with_room(x: Any) -> Any:
-    """Arrays of 8 and 16 bits in 64 bits, so that squares and products of codes do not overflow;
-    others unchanged."""
+    """Convert integer arrays of 8 and 16 bits to 64 bits, so that squares and products of codes do
+    not overflow; return others unchanged."""
     small = isinstance(getattr(x, "dtype", None), np.dtype) and x.dtype.kind in "iu"
     return np.asarray(x, np.int64) if small and x.dtype.itemsize < 4 else x
 
@@ -135,14 +136,14 @@ def warn_of_range(name: str, x: Any) -> None:
 
 
 def _hold_numbers(dtype: Any) -> np.iinfo:
-    """The range of the JAX integers that replace NumPy's."""
+    """Return the range of the JAX integers that replace NumPy's."""
     import jax
 
     return np.iinfo(jax.dtypes.canonicalize_dtype(dtype))
 
 
 def _refuse_spans(name: str, value: Any) -> None:
-    """Refuse time spans, which NumPy reads as numbers in their own unit."""
+    """Raise `InputError` for time spans, which NumPy reads as numbers in their own unit."""
     is_array = isinstance(value, np.ndarray | np.generic) and value.dtype.kind == "m"
     if is_array or isinstance(value, datetime.timedelta):
         kind = getattr(value, "dtype", type(value).__name__)

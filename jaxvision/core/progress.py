@@ -9,8 +9,8 @@ from contextlib import contextmanager
 def progress_bar(
     title: str, *, shown: bool = True, transient: bool = False
 ) -> Iterator[Callable[[int, int], None]]:
-    """A bar on standard error, if that is a terminal, and the function that updates it with the
-    numbers of finished and of all parts. `transient`: it vanishes at its end."""
+    """Show a bar on standard error, if that is a terminal, and yield the function that updates it
+    with the numbers of finished and of all parts. `transient`: the bar vanishes at its end."""
     if not (shown and sys.stderr.isatty()):
         yield lambda done, total: None
         return

@@ -1,5 +1,5 @@
-"""Independent pieces of work on all cores of one process: compilation and computation release
-Python's lock, so threads run in parallel."""
+"""Run independent pieces of work on all cores of one process. Threads run in parallel, because
+compilation and computation release Python's lock."""
 
 import contextvars
 import os
@@ -22,12 +22,12 @@ def cores() -> int:
 
 
 def for_any_thread(work: Callable[[], T]) -> Callable[[], T]:
-    """Work in a form that may run in another thread with the settings of this one: its precision
+    """Wrap work so that it can run in another thread with the settings of this one: its precision
     and context variables."""
     context, double = contextvars.copy_context(), _double()
 
     def done() -> T:
-        # JAX' own settings belong to a thread. A context that changes nothing would compile anew.
+        # JAX's settings belong to a thread. A context that changes nothing would still recompile.
         with nullcontext() if _double() == double else jax.enable_x64(double):
             return context.run(work)
 
@@ -42,8 +42,9 @@ def _double() -> bool:
 def side_by_side(
     pieces: Sequence[Callable[[], T]], *, progress: Callable[[int, int], None] | None = None
 ) -> list[T]:
-    """The results of independent pieces of work, in order, as many at a time as there are cores;
-    the first exception is raised at once, and `progress(finished, all)` is called."""
+    """Return the results of independent pieces of work, in order. As many pieces run at a time as
+    there are cores. The first exception is raised at once. After each piece, `progress(finished,
+    all)` is called."""
     threads = ThreadPoolExecutor(min(cores(), len(pieces)) or 1)
     waiting = [threads.submit(for_any_thread(piece)) for piece in pieces]
     try:

@@ -26,13 +26,13 @@ class Ball(Shown):
 
 
 def ball_around(shapes: Sequence[Shape]) -> Ball | None:
-    """A sphere that encloses all shapes.
+    """Return a sphere that encloses all shapes.
 
     Args:
         shapes: at least one.
 
     Returns:
-        Centre and radius, m, constant to gradients; None where a shape is an unbounded plane.
+        Centre and radius, m, constants for gradients; None if a shape is an unbounded plane.
 
     Example:
         >>> ball = jv.geometry.ball_around([jv.Sphere([0, 0, 0], 1.0), jv.Sphere([4, 0, 0], 1.0)])

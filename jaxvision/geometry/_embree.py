@@ -3,8 +3,8 @@
 
 Distances and normals are computed here from the triangle, so they have gradients and the caller's
 dtype. Embree works in float32. If a float64 ray passes an edge within float32 rounding, Embree may
-return the neighbouring triangle. It misses a triangle that is nearer than the float32 rounding of
-the mesh's size.
+return the neighbouring triangle. Embree misses a triangle whose distance is below the float32
+rounding error of the mesh's size.
 """
 
 import importlib.util
@@ -28,14 +28,14 @@ from ..core.side_by_side import cores
 from ..scene import TriangleMesh
 from .rays import Ray
 
-Query = Callable[..., np.ndarray]  # of a scene and rays
+Query = Callable[..., np.ndarray]  # function of a scene and rays
 
-_SHARE = 2048  # rays that are worth a core of their own
-_KEPT = 8  # built scenes: each holds a search tree as large as its mesh
+_SHARE = 2048  # smallest number of rays for another core
+_KEPT = 8  # largest number of stored scenes; each contains a search tree as large as its mesh
 _built: OrderedDict[int, tuple[np.ndarray, np.ndarray, Any, np.float32]] = OrderedDict()
 _building = Lock()
-# How far a search starts along its ray, of the mesh's size: Embree also meets what lies at distance
-# 0, a ray that begins on the mesh would see nothing else.
+# A search starts at this distance along its ray, in sizes of the mesh. Embree also returns hits at
+# distance 0, so a ray that starts on the mesh would find only its own triangle.
 _START = 2 * np.finfo(np.float32).eps
 
 
@@ -45,7 +45,7 @@ def available() -> bool:
 
 
 def embree_nearest(ray: Ray, mesh: TriangleMesh) -> Int[Array, ""]:
-    """Index of the first triangle hit, -1 for none."""
+    """Return the index of the first triangle hit, -1 for none."""
     return _answer(_nearest, jnp.int32, ray, mesh)
 
 
@@ -85,14 +85,14 @@ def _found_before(
 
 
 def _broadcast(direction: np.ndarray) -> np.ndarray:
-    """Rays displaced by a few roundings. A ray without a hit is traced again, because one in 100000
-    of those aimed at a vertex slips through."""
+    """Change directions by a few rounding errors. A ray without a hit is traced again with such a
+    direction, because one in 100000 rays aimed at a vertex slips through the mesh."""
     return direction + 4 * np.finfo(np.float32).eps * direction[:, [1, 2, 0]]
 
 
 def _ask(query: Query, vertices: Any, faces: Any, *rays: Any) -> np.ndarray:
-    """`query(scene, *rays)` for rays with any leading axes, against one mesh, or each against its
-    own mesh if `vmap` is over the mesh too."""
+    """Call `query(scene, *rays)` for rays with any leading axes, against one mesh, or for each ray
+    against its own mesh if `vmap` is over the mesh too."""
     vertices, faces = np.asarray(vertices, np.float32), np.asarray(faces, np.int32)
     meshes = np.broadcast_shapes(vertices.shape[:-2], faces.shape[:-2])
     ends = (3,), (3,), ()
@@ -123,7 +123,7 @@ _nearest, _blocks = partial(_ask, _found), partial(_ask, _found_before)
 
 
 def _split_by_cores(found: Callable[[slice], np.ndarray], count: int) -> Iterable[np.ndarray]:
-    """Results for `count` rays, divided over the cores, since Embree releases the interpreter
+    """Compute the results for `count` rays on all cores, because Embree releases the interpreter
     lock."""
     parts = max(min(cores(), count // _SHARE), 1)
     ends = [count * k // parts for k in range(parts + 1)]
@@ -137,9 +137,9 @@ def _threads() -> ThreadPoolExecutor:
 
 
 def _scene(vertices: np.ndarray, faces: np.ndarray) -> tuple[Any, np.float32]:
-    """The search tree of a mesh scaled to size 1 (rays slip through very small triangles), and that
-    power of two; kept by the mesh's numbers, whose comparison costs less than tracing a thousand
-    rays."""
+    """Return the search tree of a mesh scaled to a size of about 1, because rays slip through very
+    small triangles, and the scale, a power of two. Trees are cached by the numbers of the mesh,
+    whose comparison costs less than tracing a thousand rays."""
     from embreex.mesh_construction import TriangleMesh as EmbreeMesh
     from embreex.rtcore_scene import EmbreeScene
 

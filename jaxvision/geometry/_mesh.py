@@ -1,5 +1,6 @@
-"""A ray and a triangle mesh. Up to a hundred triangles are all tested, on an accelerator up to some
-thousands; Embree searches larger meshes. For ONE ray; lengths in metres."""
+"""Intersection of a ray with a triangle mesh. In a mesh of up to a hundred triangles (some thousand
+on an accelerator) each triangle is tested; Embree searches larger meshes. For ONE ray; lengths in
+metres."""
 
 import warnings
 from functools import cache
@@ -15,12 +16,12 @@ from . import _embree
 from ._triangle import any_triangle, nearest_triangle, triangle_hit
 from .rays import Hit, Ray
 
-_TRIED = 100  # triangles; with more, Embree's tree is faster than testing each on a processor
-_TRIED_ELSEWHERE = 4096  # the same on an accelerator, whose rays go to the processor for it
+_TRIED = 100  # triangles; for more, Embree's tree is faster on a CPU than testing each triangle
+_TRIED_ELSEWHERE = 4096  # the same on an accelerator, whose rays must be copied to the CPU
 
 
 def mesh_nearest(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:
-    """(distance in m, index) of the first triangle hit, (inf, -1) for none."""
+    """Return (distance in m, index) of the first triangle hit, (inf, -1) for none."""
     if not _search(mesh):
         return nearest_triangle(ray, mesh)
     primitive = _embree.embree_nearest(ray, mesh)
@@ -35,8 +36,8 @@ def mesh_blocks(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, "
 
 
 def intersect_mesh(ray: Ray, mesh: TriangleMesh) -> Hit:
-    """The nearest point of a mesh ahead of the ray's origin, differentiable with respect to the ray
-    and the vertices.
+    """Return the nearest hit of a mesh ahead of the ray's origin, differentiable with respect to
+    the ray and the vertices.
 
     Args:
         ray: its origin in m.

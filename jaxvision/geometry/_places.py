@@ -46,7 +46,7 @@ def has_area(shape: Shape) -> bool:
 
 
 def surface_area(shape: Shape) -> Scalar:
-    """Area of the whole surface of a shape.
+    """Return the area of the whole surface of a shape.
 
     Args:
         shape: any shape.
@@ -75,7 +75,7 @@ def surface_area(shape: Shape) -> Scalar:
 
 @takes_numbers
 def point_on(shape: Shape, u: Float[Array, "2"]) -> SurfacePoint:
-    """A point of a shape, uniform by area.
+    """Draw a point of a shape, uniform by area.
 
     Args:
         shape: any shape but a plane.
@@ -113,7 +113,7 @@ def point_on(shape: Shape, u: Float[Array, "2"]) -> SurfacePoint:
 
 
 def _face_areas(box: Box) -> Float[Array, "3"]:
-    """Area of one of the two faces perpendicular to each axis, m^2."""
+    """Return, for each axis, the area of one of the two faces perpendicular to it, m^2."""
     x, y, z = box.half_extents
     return 4 * jnp.stack([y * z, z * x, x * y])
 
@@ -136,10 +136,10 @@ def _point_on_box(box: Box, u: Float[Array, "2"]) -> SurfacePoint:
 
 
 def _pick(weights: Float[Array, " n"], u: Scalar) -> tuple[Array, Scalar]:
-    """An index with probability proportional to its weight, and the rescaled `u`."""
+    """Draw an index with probability proportional to its weight; return it and the rescaled `u`."""
     ends = running_sum(weights)
     at = u * ends[-1]
-    last = jnp.searchsorted(ends, ends[-1])  # that has a weight: `at` may be rounded to the end
+    last = jnp.searchsorted(ends, ends[-1])  # the last index with a weight, as `at` may round up
     index = jnp.minimum(jnp.searchsorted(ends, at, side="right"), last)
     width = weights[index]
     rest = divide(at - (ends[index] - width), width, width != 0)
@@ -147,7 +147,7 @@ def _pick(weights: Float[Array, " n"], u: Scalar) -> tuple[Array, Scalar]:
 
 
 def _vertices(mesh: TriangleMesh) -> tuple[Vec, Vec, Vec]:
-    """The three vertices of each triangle, components (faces,)."""
+    """Return the three vertices of each triangle, components (faces,)."""
     a, b, c = (as_vec(corners(mesh)[:, i]) for i in range(3))
     return a, b, c
 

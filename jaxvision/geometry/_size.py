@@ -11,32 +11,33 @@ from ..core._types import Scalar
 from ..core._vector import Vec3, as_vec
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 
-# A point is moved off its surface by this many roundings of its largest length: the errors of the
-# point and of the intersection tests add up to a dozen.
+# A point is moved off its surface by this many rounding errors of its largest length. The errors of
+# the point and of the intersection tests add up to about a dozen.
 _OFFSET = 32.0
 
 
 def largest_component(v: Vec3) -> Scalar:
-    """The largest of |x|, |y|, |z|, in the unit of `v`."""
+    """Return the largest of |x|, |y| and |z|, in the unit of `v`."""
     a = as_vec(v)
     return jnp.maximum(jnp.maximum(jnp.abs(a.x), jnp.abs(a.y)), jnp.abs(a.z))
 
 
 def largest_coordinate(points: Sequence[Vec3]) -> Scalar:
-    """The largest of all components in magnitude.
+    """Return the largest magnitude of all components.
 
     Args:
         points: (3,) each, in any one unit.
 
     Returns:
-        () in the unit of the points, 1 if all are 0. A constant to gradients.
+        () in the unit of the points, 1 if all are 0. A constant for gradients.
     """
     largest = reduce(jnp.maximum, (largest_component(point) for point in points))
     return jax.lax.stop_gradient(jnp.where(largest > 0, largest, 1))
 
 
 def size_of(shape: Shape) -> Scalar:
-    """Upper bound on the absolute coordinates of a shape, m. For a plane it is for its point."""
+    """Return an upper bound on the absolute coordinates of a shape, m; for a plane, of its
+    `point`."""
     match shape:
         case Sphere() | Disc():
             return largest_component(shape.centre) + jnp.abs(shape.radius)
@@ -52,7 +53,7 @@ def size_of(shape: Shape) -> Scalar:
 
 
 def largest_size(shapes: Sequence[Shape]) -> Scalar:
-    """The largest coordinate of any of the shapes.
+    """Return the largest coordinate of any of the shapes.
 
     Args:
         shapes: at least one.

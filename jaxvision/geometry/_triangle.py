@@ -1,14 +1,14 @@
-"""A ray and triangles, without gaps along shared edges. For ONE ray; lengths in metres.
+"""Intersection of a ray with triangles, without gaps along shared edges. For ONE ray; lengths in m.
 
 The method is that of Woop, Benthin & Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1)
 (2013). In a frame where the ray is the z axis, the vertices a, b, c give three edge functions:
 
     U = c x b    V = a x c    W = b x a    t = (U a_z + V b_z + W c_z) / (U + V + W).
 
-Two triangles compute the function of a shared edge from the same two vertices, so the values are
-opposite except for rounding. Compiled code may round the products and the transformed vertices
-differently. An edge function within this rounding error of zero therefore counts as inside, for
-both triangles.
+t is the distance along the ray. Two triangles compute the function of a shared edge from the same
+two vertices, so the values are opposite except for rounding. Compiled code may round the products
+and the transformed vertices differently. An edge function within this rounding error of zero
+therefore counts as inside, for both triangles.
 """
 
 import jax
@@ -24,16 +24,16 @@ from ._size import largest_component
 from .hemisphere import Frame, cross, local_frame
 from .rays import Hit, Ray
 
-_CHUNK = 8  # triangles a turn of the loop: one does not fill the vector units
+_CHUNK = 8  # triangles per turn of the loop, because one does not fill the vector units
 
 
 def corners(mesh: TriangleMesh) -> Float[Array, "faces 3 3"]:
-    """The vertices of each triangle, m."""
+    """Return the vertices of each triangle, m."""
     return mesh.vertices.at[mesh.faces].get(mode="clip")
 
 
 def _edge(p: Vec, q: Vec) -> tuple[Scalar, Scalar]:
-    """(p x q in the plane perpendicular to the ray, a bound on its rounding error)."""
+    """Return p x q in the plane perpendicular to the ray, and a bound on its rounding error."""
     one, other = p.x * q.y, p.y * q.x
     of_products = jnp.abs(one) + jnp.abs(other)
     of_vertices = _across(p) * _reach(q) + _across(q) * _reach(p)
@@ -45,20 +45,20 @@ def _across(v: Vec) -> Scalar:
 
 
 def _reach(v: Vec) -> Scalar:
-    """An upper bound on the length of a vector in the frame of the ray, which scales the rounding
-    error of each component."""
+    """Return an upper bound on the length of a vector in the frame of the ray; the rounding error
+    of each component is proportional to it."""
     return _across(v) + jnp.abs(v.z)
 
 
 def triangle_distance(ray: Ray, frame: Frame, a: Vec, b: Vec, c: Vec) -> Scalar:
-    """Distance to one triangle, m, inf for a miss. `frame`: about the ray's direction. `a`, `b`,
-    `c`: its vertices, m."""
+    """Return the distance to one triangle, m, inf for a miss. `frame`: about the ray's direction.
+    `a`, `b`, `c`: the vertices, m."""
     a, b, c = (_view(ray, frame, v) for v in (a, b, c))
     (u, du), (v, dv), (w, dw) = _edge(c, b), _edge(a, c), _edge(b, a)
     front = (u >= -du) & (v >= -dv) & (w >= -dw)
     back = (u <= du) & (v <= dv) & (w <= dw)
     area = u + v + w
-    # within rounding of 0: seen edge on, or degenerate; then the distance is 0, which is a miss
+    # an area of 0 within rounding: seen edge on, or degenerate; the distance becomes 0, a miss
     flat = jnp.abs(area) <= jnp.maximum(jnp.maximum(du, dv), dw)
     inverse = 1 / jnp.where(flat, jnp.inf, area)
     distance = (u * a.z + v * b.z + w * c.z) * inverse
@@ -71,7 +71,7 @@ def _view(ray: Ray, frame: Frame, v: Vec) -> Vec:
 
 
 def nearest_triangle(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:
-    """(distance in m, index) of the first triangle along the ray, (inf, -1) for a miss. All
+    """Return (distance in m, index) of the first triangle along the ray, (inf, -1) for a miss. All
     triangles are tested, a chunk at a time."""
     frame, triangles = local_frame(ray.direction), corners(mesh)
     count = len(triangles)
@@ -102,8 +102,8 @@ def any_triangle(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, 
 
 
 def scan_chunks(step, carry, items, count: int):
-    """`carry = step(carry, i, items[i])` for each item, unrolled a chunk at a time. `items`: a tree
-    with a leading axis of `count`. Some items may be visited twice."""
+    """Compute `carry = step(carry, i, items[i])` for each item, unrolled a chunk at a time.
+    `items`: a tree with a leading axis of `count`. Some items may be visited twice."""
     if count <= 2 * _CHUNK:
         for i in range(count):
             carry = step(carry, jnp.asarray(i, jnp.int32), jax.tree.map(lambda x, i=i: x[i], items))
@@ -119,8 +119,8 @@ def scan_chunks(step, carry, items, count: int):
 
 
 def triangle_hit(ray: Ray, mesh: TriangleMesh, primitive: Int[Array, ""]) -> Hit:
-    """The hit of the plane of a triangle that the ray is known to hit; a miss for -1. It is
-    differentiable with respect to the ray and the vertices."""
+    """Return the hit of a triangle that the ray is known to hit, computed from its plane; a miss
+    for -1. It is differentiable with respect to the ray and the vertices."""
     face = mesh.faces.at[primitive].get(mode="clip")
     a, b, c = (as_vec(v) for v in mesh.vertices.at[face].get(mode="clip"))
     distance, v, w = materialise(_place, ray, primitive >= 0, a, b, c)
@@ -145,8 +145,8 @@ def triangle_hit(ray: Ray, mesh: TriangleMesh, primitive: Int[Array, ""]) -> Hit
 def _place(
     ray: Ray, known: Bool[Array, ""], a: Vec, b: Vec, c: Vec
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """(distance, weight of b, weight of c). The weights come from the reciprocal edges. Weights
-    that rounding puts outside the triangle are clipped to it."""
+    """Return the distance, m, and the barycentric weights of b and c. The weights come from the
+    reciprocal edges, and are clipped if rounding puts them outside the triangle."""
     edge_b, edge_c = b - a, c - a
     area = cross(edge_b, edge_c)
     normal = as_vec(normalize(area))

@@ -1,5 +1,5 @@
-"""A ray and a box, by slabs: Kay & Kajiya, "Ray Tracing Complex Scenes", SIGGRAPH 1986. For ONE
-ray; lengths in metres."""
+"""Intersection of a ray with a box, by slabs: Kay & Kajiya, "Ray Tracing Complex Scenes", SIGGRAPH
+1986. For ONE ray; lengths in metres."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,7 +18,7 @@ from .rays import Hit, Ray
 
 
 def _local(box: Box, v: Vec) -> Vec:
-    """A world vector along the box's sides."""
+    """Return the components of a world vector along the box's axes."""
     if box.rotation is None:
         return v
     return Vec(*(dot(axis, v) for axis in box.rotation))
@@ -34,8 +34,8 @@ def _world(box: Box, v: Vec) -> Vec:
 def _slabs(
     origin: Vec, direction: Vec, half: Vec
 ) -> tuple[list[Scalar], list[Scalar], Bool[Array, ""]]:
-    """The distances at which the ray enters and leaves each pair of faces, and whether it runs
-    between faces that it is parallel to."""
+    """Return the distances at which the ray enters and leaves each pair of faces, and whether it
+    lies between all pairs of faces that are parallel to it."""
     enter, leave, between = [], [], jnp.asarray(True)
     for o, d, h in zip(
         (origin.x, origin.y, origin.z),
@@ -74,7 +74,7 @@ def _component(v: Vec, axis: Int[Array, ""]) -> Scalar:
 
 
 def box_distance(ray: Ray, box: Box) -> Scalar:
-    """The distance alone, m, inf for a miss."""
+    """Return only the distance, m, inf for a miss."""
     return _faces(ray, box)[0]
 
 
@@ -83,7 +83,7 @@ def _first_face(ray: Ray, box: Box) -> Int[Array, ""]:
 
 
 def _place(ray: Ray, box: Box, face: Int[Array, ""]) -> tuple[Scalar, Vec]:
-    """(distance, position in the axes of the box, projected onto the face), m, for a known face."""
+    """Return the distance to a known face, and the hit in the box's axes, projected onto it, m."""
     origin, direction = _local(box, ray.origin - box.centre), _local(box, ray.direction)
     axis, half = face // 2, as_vec(box.half_extents)
     to_face = _side(face, half.x) * _component(half, axis) - _component(origin, axis)
@@ -100,12 +100,12 @@ def _place(ray: Ray, box: Box, face: Int[Array, ""]) -> tuple[Scalar, Vec]:
 
 
 def _side(face: Int[Array, ""], like: Scalar) -> Scalar:
-    """The side of its axis on which a face lies, 1 or -1."""
+    """Return the side of its axis on which a face lies, 1 or -1."""
     return jnp.where(face % 2 == 1, jnp.ones_like(like), -1)
 
 
 def intersect_box(ray: Ray, box: Box) -> Hit:
-    """The nearest point of a box ahead of the ray's origin, which may lie inside.
+    """Return the nearest hit of a box ahead of the ray's origin, which may lie inside.
 
     On an edge, the first of the box's own axes gives the normal.
 
@@ -120,12 +120,12 @@ def intersect_box(ray: Ray, box: Box) -> Hit:
 
 
 def box_hit(ray: Ray, box: Box, compute: Callable[..., Any]) -> Hit:
-    """The hit, m, of a box; `compute` is `materialise`, or `inline` where one loop computes the
-    whole hit, since face and position must agree in rounding."""
+    """Return the hit of a box, m. `compute` is `materialise`, or `inline` if the caller computes
+    the whole hit in one loop, because face and position must agree in rounding."""
     face = compute(_first_face, *jax.lax.stop_gradient((ray, box)))
     distance, place = compute(_place, ray, box, face)
     hit, axis, side = face >= 0, face // 2, _side(face, distance)
-    ahead = jnp.maximum(distance, jnp.finfo(distance.dtype).tiny)  # the face was met ahead
+    ahead = jnp.maximum(distance, jnp.finfo(distance.dtype).tiny)  # the known face lies ahead
     distance = jnp.where(hit, replace_gradient(ahead, distance), jnp.inf)
     normal = Vec(*(jnp.where(hit & (axis == i), side, 0) for i in range(3)))
     point = where(hit, as_vec(box.centre) + _world(box, place), ray.origin)

@@ -8,7 +8,7 @@ from ..core._types import is_known
 from ..core._warnings import warn_caller
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 
-_NAMED = 3  # of many bad vertices or faces, so many are named
+_NAMED = 3  # largest number of bad vertices or faces that a finding names
 
 
 def problems(shape: Shape) -> list[str]:
@@ -33,7 +33,7 @@ def problems(shape: Shape) -> list[str]:
 
 
 def invalid(shape: Shape) -> list[str]:
-    """The problems of a shape, independent of its position."""
+    """List the problems of a shape that do not depend on its position."""
     kind = type(shape).__name__
     found = [
         f"{kind}.{name} holds a number that is not finite."
@@ -67,8 +67,8 @@ def invalid(shape: Shape) -> list[str]:
 
 
 def coarse(shape: Shape) -> list[str]:
-    """A finding on a shape so far from the origin that its dtype's spacing there exceeds a
-    thousandth of its size, or 4 % of the heights of a mesh's triangles."""
+    """Return a finding if a shape is so far from the origin that the spacing of its dtype there
+    exceeds a thousandth of the shape's size, or 4 % of the mean height of a mesh's triangles."""
     match shape:
         case Sphere() | Disc():
             place, size = np.asarray(shape.centre), float(shape.radius)
@@ -85,11 +85,11 @@ def coarse(shape: Shape) -> list[str]:
             return []
     step = float(np.spacing(np.abs(place).max()))
     share, most, what = step / size, 1e-3, "its size"
-    # Heights are below a 25th of a millionth of a mesh's size only in meshes of 1e9 triangles.
+    # Smaller steps matter only for heights below 25e-6 of the size, in meshes of 1e9 triangles.
     if isinstance(shape, TriangleMesh) and 1e-6 < share <= most:
         corners = place[np.asarray(shape.faces)].astype(float)
         edges = corners - np.roll(corners, 1, axis=1)
-        area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)  # twice
+        area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)  # twice the area
         longest = np.linalg.norm(edges, axis=2).max(axis=1)
         share, most = step * longest.sum() / area.sum(), 4e-2  # height: area / longest
         what = "the heights of its triangles on average"
@@ -138,7 +138,7 @@ def _mesh_problems(mesh: TriangleMesh) -> list[str]:
 
 
 def _behind(mesh: TriangleMesh) -> np.ndarray:
-    """Faces that render black because all three vertex normals point backwards."""
+    """Return the faces that render black because all three vertex normals point backwards."""
     corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)].astype(float)
     normals = np.asarray(mesh.normals)[np.asarray(mesh.faces)].astype(float)
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -146,8 +146,9 @@ def _behind(mesh: TriangleMesh) -> np.ndarray:
 
 
 def faces_without_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Which triangles of a mesh, (faces,), have no area, m^2, at the precision of its numbers: two
-    corners coincide, or three are on a line. False if a corner is not finite."""
+    """Return whether each triangle of a mesh, (faces,), has no area at the precision of its
+    numbers, because two corners coincide or all three lie on a line. False if a corner is not
+    finite."""
     corners = vertices[faces].astype(float)
     with np.errstate(invalid="ignore"):
         edge_b, edge_c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

@@ -3,6 +3,7 @@ metres.
 
     t = n.(p - o) / n.d
 
+is the distance from the origin o, along the direction d, to the plane through p with the normal n.
 A ray (nearly) in the plane misses it.
 """
 
@@ -24,8 +25,8 @@ from .rays import Hit, Ray
 
 
 def _distance(ray: Ray, point: Vector, normal: Vec) -> Scalar:
-    """Distance to the plane through `point`, m; 0 for a ray in the plane, negative for a plane
-    behind."""
+    """Return the distance to the plane through `point`, m; 0 for a ray in the plane, negative for a
+    plane behind."""
     slope = dot(normal, ray.direction)
     crosses = jnp.abs(slope) > smallest_divisor(slope.dtype)
     return divide(dot(normal, point - ray.origin), slope, where=crosses)
@@ -43,8 +44,8 @@ def _hit(
     size: Scalar,
     compute: Callable[..., Any],
 ) -> Hit:
-    """The hit of a plane through `point`, projected onto the plane, if it lies ahead; `compute` as
-    for `box_hit`, since another rounding of the height would miss the plane."""
+    """Return the hit of a plane through `point`, projected onto the plane, if it lies ahead.
+    `compute` as for `box_hit`: a height that is rounded twice differently would miss the plane."""
     distance = compute(_distance, ray, point, normal)
     hit = meets & (distance > 0)
     place = compute(_along, ray, jnp.where(hit, distance, 0))
@@ -54,7 +55,7 @@ def _hit(
 
 
 def intersect_plane(ray: Ray, plane: Plane) -> Hit:
-    """The hit of a plane, from either side.
+    """Return the hit of a plane, from either side.
 
     Args:
         ray: its origin in m.
@@ -72,13 +73,13 @@ def intersect_plane(ray: Ray, plane: Plane) -> Hit:
 
 
 def plane_hit(ray: Ray, plane: Plane, compute: Callable[..., Any]) -> Hit:
-    """The hit, m, of a plane; `compute` as in `_hit`."""
+    """Return the hit of a plane, m; `compute` as in `_hit`."""
     normal = as_vec(normalize(plane.normal))
     return _hit(ray, plane.point, normal, jnp.asarray(True), size_of(plane), compute)
 
 
 def intersect_disc(ray: Ray, disc: Disc) -> Hit:
-    """The hit of a disc, including its rim, from either side.
+    """Return the hit of a disc, including its rim, from either side.
 
     Args:
         ray: its origin in m.
@@ -96,7 +97,7 @@ def intersect_disc(ray: Ray, disc: Disc) -> Hit:
 
 
 def disc_hit(ray: Ray, disc: Disc, compute: Callable[..., Any]) -> Hit:
-    """The hit, m, of a disc; `compute` as in `_hit`."""
+    """Return the hit of a disc, m; `compute` as in `_hit`."""
     normal = as_vec(normalize(disc.normal))
     aside = ray.origin + _distance(ray, disc.centre, normal) * ray.direction - disc.centre
     inside = dot(aside, aside) <= disc.radius * disc.radius
@@ -117,7 +118,7 @@ class FlatQuad(Shown):
 
 
 def flat_quad(quad: Quad) -> FlatQuad:
-    """The quad, m, prepared for many rays."""
+    """Prepare a quad, m, for many rays."""
     area = exact_cross(quad.edge_u, quad.edge_v)
     normal = as_vec(normalize(area))
     length = dot(area, normal)
@@ -129,9 +130,9 @@ def flat_quad(quad: Quad) -> FlatQuad:
 
 
 def line_crossing(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """(height, slope, u slope, v slope) of the ray's line with the plane of the parallelogram, at
-    the distance height / slope, m, of either sign, slope >= 0, and at u edge_u + v edge_v from the
-    corner; a test needs no division."""
+    """Intersect the ray's line with the plane of the parallelogram. Return (height, slope, u slope,
+    v slope) with slope >= 0, so that a test needs no division. The distance is height / slope, m,
+    of either sign, and the crossing lies at u edge_u + v edge_v from the corner."""
     toward = quad.corner - ray.origin
     height, slope = dot(quad.normal, toward), dot(quad.normal, ray.direction)
     height, slope = jnp.where(slope < 0, -height, height), jnp.abs(slope)
@@ -141,14 +142,14 @@ def line_crossing(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Scalar, Sca
 
 
 def _meet_quad(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Bool[Array, ""]]:
-    """(height, slope, whether the ray hits it); the distance is height / slope."""
+    """Return (height, slope, whether the ray hits the quad); the distance is height / slope."""
     height, slope, u, v = line_crossing(ray, quad)
     inside = (jnp.minimum(u, v) >= 0) & (jnp.maximum(u, v) <= slope)
     return height, slope, inside & (height > 0) & (slope > smallest_divisor(slope.dtype))
 
 
 def quad_distance(ray: Ray, quad: FlatQuad) -> Scalar:
-    """Distance to the parallelogram, m, inf for a miss."""
+    """Return the distance to the parallelogram, m, inf for a miss."""
     height, slope, meets = _meet_quad(ray, quad)
     return jnp.where(meets, height / slope, jnp.inf)
 
@@ -160,7 +161,7 @@ def quad_blocks(ray: Ray, quad: FlatQuad, distance: Scalar) -> Bool[Array, ""]:
 
 
 def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
-    """The hit of a parallelogram, including its rim, from either side.
+    """Return the hit of a parallelogram, including its rim, from either side.
 
     Args:
         ray: its origin in m.
@@ -180,5 +181,6 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
 
 
 def quad_hit(ray: Ray, quad: FlatQuad, meets: Bool[Array, ""], compute: Callable[..., Any]) -> Hit:
-    """The hit, m, of a parallelogram, given whether the ray hits it; `compute` as in `_hit`."""
+    """Return the hit of a parallelogram, m, given whether the ray hits it; `compute` as in
+    `_hit`."""
     return _hit(ray, quad.corner, quad.normal, meets, quad.size, compute)

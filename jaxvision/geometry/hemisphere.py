@@ -1,4 +1,4 @@
-"""Directions above a surface: the local frame, two samplings with their densities, a quadrature.
+"""Directions above a surface: the local frame, two samplers with densities, and a quadrature.
 
 The local frame has the normal along +z. Directions are unit vectors that point away from the
 surface; densities and weights are per solid angle, in sr^-1 and sr. For ONE direction: the caller
@@ -38,14 +38,15 @@ class Frame(Shown):
 
 @takes_numbers
 def cross(u: Vec3, v: Vec3) -> Vec:
-    """u x v, whose length is the area of the parallelogram of `u` and `v`: m^2 if both are in m."""
+    """Return u x v, whose length is the area of the parallelogram of `u` and `v`, in the product of
+    their units."""
     a, b = as_vec(u), as_vec(v)
     return Vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
 @takes_numbers
 def local_frame(normal: Directions, *, tangent: Vec3 | None = None) -> Frame:
-    """The frame about a normal.
+    """Return a local frame about a normal.
 
     Args:
         normal: (..., 3) unit length.
@@ -77,14 +78,14 @@ def local_frame(normal: Directions, *, tangent: Vec3 | None = None) -> Frame:
     along = wanted - dot(wanted, n) * n
     usable = norm(along) > jnp.finfo(n.x.dtype).eps
     chosen = as_vec(normalize(where(usable, along, t)))
-    # Once more, for what rounding left along the normal where little was across it.
+    # Repeat the projection, because rounding may leave a part along the normal.
     chosen = normalize(chosen - dot(chosen, n) * n)
     return Frame(chosen, cross(n, chosen), n)
 
 
 @takes_numbers
 def to_local(frame: Frame, w: Vec3) -> Vec3:
-    """A direction in the frame of a surface.
+    """Convert a world direction to the frame of a surface.
 
     Args:
         frame: from `local_frame`.
@@ -105,7 +106,7 @@ def to_local(frame: Frame, w: Vec3) -> Vec3:
 
 @takes_numbers
 def to_world(frame: Frame, w: Vec3) -> Vec3:
-    """A direction of the frame of a surface in the world.
+    """Convert a direction in the frame of a surface to the world.
 
     Args:
         frame: from `local_frame`.
@@ -126,35 +127,35 @@ def to_world(frame: Frame, w: Vec3) -> Vec3:
 
 @takes_numbers
 def direction_at(one_minus_cos: Scalars, phi: Scalars) -> Vec:
-    """The unit vector at azimuth `phi` (radians) with the polar cosine 1 - `one_minus_cos`, in [0,
-    2]. This keeps the precision of narrow lobes, which 1 - cos would lose."""
+    """Return the unit vector at azimuth `phi` (rad) whose polar cosine is 1 - `one_minus_cos`, with
+    `one_minus_cos` in [0, 2]. This argument is precise for narrow lobes, unlike the cosine."""
     sine = safe_sqrt(one_minus_cos * (2 - one_minus_cos))
     return Vec(sine * jnp.cos(phi), sine * jnp.sin(phi), 1 - one_minus_cos)
 
 
 @takes_numbers
 def cosine_direction(u: Float[Array, "2"]) -> Vec:
-    """A unit local direction of density cos(theta) / pi sr^-1, by a point uniform in the disk from
-    two uniform numbers (Malley)."""
+    """Draw a unit local direction with density cos(theta) / pi sr^-1, from two uniform numbers, by
+    a point that is uniform in the unit disc (Malley)."""
     return _spherical_direction(safe_sqrt(u[0]), safe_sqrt(1 - u[0]), u[1])
 
 
 @takes_numbers
 def cosine_pdf(w: Directions) -> Scalars:
-    """cos+(theta) / pi in sr^-1, the density of `cosine_direction`; `w`: local."""
+    """Return max(cos(theta), 0) / pi in sr^-1, the density of `cosine_direction`; `w`: local."""
     return jnp.maximum(as_vec(w).z, 0) / jnp.pi
 
 
 @takes_numbers
 def uniform_direction(u: Float[Array, "2"]) -> Vec:
-    """A direction with the constant density 1 / (2 pi) in sr^-1 over the hemisphere, from two
-    uniform numbers in [0, 1); unit, local."""
+    """Draw a unit local direction with the constant density 1 / (2 pi) sr^-1 over the hemisphere,
+    from two uniform numbers in [0, 1)."""
     return _spherical_direction(safe_sqrt(u[0] * (2 - u[0])), 1 - u[0], u[1])
 
 
 @takes_numbers
 def uniform_pdf(w: Vec3) -> Scalars:
-    """1 / (2 pi) in sr^-1 above the surface, 0 below: the density of `uniform_direction`."""
+    """Return the density of `uniform_direction`: 1 / (2 pi) sr^-1 above the surface, 0 below."""
     z = as_vec(w).z
     return jnp.where(z > 0, 0.5 / jnp.pi, jnp.where(z <= 0, 0, z))
 
@@ -169,9 +170,9 @@ def _spherical_direction(sine: Scalars, cosine: Scalars, turns: Scalars) -> Vec:
 def product_nodes(
     polar: int, azimuths: int
 ) -> tuple[Float[np.ndarray, "nodes 3"], Float[np.ndarray, " nodes"]]:
-    """Unit local directions, (nodes, 3), and weights, (nodes,) sr, float64 NumPy: Gauss-Legendre in
-    cos(theta) times the trapezium rule in phi, exact up to degree min(2 polar - 1, azimuths -
-    1)."""
+    """Return unit local directions, (nodes, 3), and weights, (nodes,) sr, in NumPy float64. They
+    are Gauss-Legendre nodes in cos(theta) times the trapezium rule in phi, exact up to degree
+    min(2 polar - 1, azimuths - 1)."""
     if polar < 1 or azimuths < 1:
         raise ValueError(f"polar and azimuths must be at least 1, got {polar} and {azimuths}.")
     mu, w_mu = gauss_legendre(polar)

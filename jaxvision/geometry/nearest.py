@@ -44,18 +44,18 @@ from .rays import Encounter, Hit, Ray, offset_origin
 from .sphere import intersect_sphere, sphere_blocks, sphere_distance
 
 Carry = TypeVar("Carry")
-_CHUNK = 8  # shapes tested at once: one alone does not fill the vector units
+_CHUNK = 8  # shapes tested at once, because one does not fill the vector units
 
 
 class Sorted(Shown):
-    """Shapes sorted by kind, with everything precomputed that does not depend on the ray.
+    """Shapes sorted by type, with everything precomputed that does not depend on the ray.
 
     Attributes:
-        groups: all shapes but meshes, stacked by kind.
+        groups: all shapes except meshes, stacked by type.
         meshes: the meshes.
-        size: () m, the largest coordinate of all shapes; None without any.
-        members: the numbers of the shapes in each group; static.
-        mesh_numbers: the numbers of the meshes; static.
+        size: () m, the largest coordinate of all shapes; None without shapes.
+        members: the indices of the shapes in each group; static.
+        mesh_numbers: the indices of the meshes; static.
     """
 
     groups: tuple[Any, ...]
@@ -69,13 +69,13 @@ Shapes = Sequence[Shape] | Sorted
 
 
 def sorted_shapes(shapes: Shapes) -> Sorted:
-    """Shapes prepared for many rays; call it once, outside a loop over rays.
+    """Prepare shapes for many rays; call it once, outside a loop over rays.
 
     Args:
         shapes: any shapes, lengths in m, or a result of this function.
 
     Returns:
-        The shapes, sorted by kind.
+        The shapes, sorted by type.
     """
     if isinstance(shapes, Sorted):
         return shapes
@@ -94,7 +94,7 @@ def sorted_shapes(shapes: Shapes) -> Sorted:
 
 
 def intersect(ray: Ray, shape: Shape) -> Hit:
-    """The hit of a ray and a shape.
+    """Return the first hit of a shape by a ray.
 
     Args:
         ray: its origin in m.
@@ -104,7 +104,7 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
         The nearest hit in front of the origin; a miss has distance inf.
 
     Raises:
-        ValueError: for arguments that are no ray or no shape.
+        ValueError: if the arguments are not a ray and a shape.
 
     Warns of a shape so far from the origin that rounding in its dtype deforms it.
 
@@ -133,15 +133,15 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
 
 
 def nearest_shape(ray: Ray, shapes: Shapes) -> Encounter:
-    """Find the shape that a ray intersects first. Among equally near shapes of one kind it is the
-    first.
+    """Find the shape that a ray intersects first. Among equally near shapes of one type it is the
+    one with the smallest index.
 
     Args:
         ray: its origin in m.
         shapes: any shapes, m.
 
     Returns:
-        The numbers of the shape and of its triangle. Distances, m, are compared without their last
+        The indices of the shape and of its triangle. Distances are compared without their last
         three bits. No gradient.
 
     Example:
@@ -189,7 +189,7 @@ def _nearest(ray: Ray, ready: Sorted) -> Encounter:
 
 
 def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
-    """The hit of the shape that `nearest_shape` found, the only one that gradients reach.
+    """Return the hit of the shape that `nearest_shape` found, with gradients to this shape only.
 
     Args:
         ray: its origin in m.
@@ -197,7 +197,7 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
         encounter: as `nearest_shape` returns it.
 
     Returns:
-        The hit; a miss where nothing was found.
+        The hit; a miss if nothing was found.
 
     Example:
         >>> floors = [jv.Disc([0, 0, z], [0, 0, 1], 1) for z in (0, 1)]
@@ -228,8 +228,8 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
 
 
 def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:
-    """The hit of one shape, computed inside a loop of the caller. `among`: whether this shape is
-    known to be hit."""
+    """Return the hit of one shape, computed inside a loop of the caller. `among`: whether this
+    shape is known to be hit."""
     match shape:
         case FlatQuad():
             return quad_hit(ray, shape, among, inline)
@@ -244,7 +244,7 @@ def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:
 
 
 def _choose(here: Bool[Array, ""], hit: Hit, other: Hit) -> Hit:
-    """`hit` if `here` is true, else `other`; fields that `hit` lacks are filled in."""
+    """Return `hit` if `here` is true, else `other`; fields that `hit` lacks are filled in."""
     shading_normal = None if other.shading_normal is None else hit.shading_normal or hit.normal
     zero = jnp.zeros_like(hit.distance)
     uv = None if other.uv is None else hit.uv or (zero, zero)
@@ -268,8 +268,8 @@ def occluded(
         point: (3,) m.
         normal: (3,) unit normal of the surface at the point; 0 for a point in free space.
         direction: (3,) unit, toward the target.
-        distance: () m to the target, inf for a target at infinity. Both ends are shortened by the
-            largest rounding error, see `offset_origin`.
+        distance: () m to the target, inf for a target at infinity. The tested segment is shortened
+            at both ends by the largest rounding error, see `offset_origin`.
         shapes: any shapes, m.
         size: () m, as `Hit.size`; None for the largest coordinate of all shapes.
 
@@ -293,7 +293,7 @@ def blocked(
     shapes: Shapes,
     size: Scalar | None,
 ) -> Bool[Array, ""]:
-    """`occluded` as part of a loop of the caller, who stores the result together with its inputs.
+    """Do what `occluded` does, as part of a loop of the caller.
 
     Args:
         point: (3,) m.
@@ -312,7 +312,7 @@ def blocked(
     size, reach = ready.size if size is None else size, largest_component(point)
     reach = reach if size is None else jnp.maximum(reach, size)
     start = offset_origin(point, normal, direction, size=reach)
-    # aimed anew from the moved start: a light seen at a slant would otherwise block itself
+    # The moved start needs a new direction; otherwise a light seen at a slant would block itself.
     finite = distance < jnp.inf
     end = point + jnp.where(finite, distance, 0) * direction
     reach = jnp.maximum(reach, largest_component(end))
@@ -344,8 +344,8 @@ def blocked(
 
 
 def meets(ray: Ray, shapes: Sorted, number: Int[Array, ""]) -> Bool[Array, ""]:
-    """Whether a ray meets the shape with that number, whatever lies before it; meshes never. No
-    gradient."""
+    """Whether a ray meets the shape with this index, even if other shapes are nearer; always False
+    for a mesh. No gradient."""
     ray, shapes = jax.lax.stop_gradient((ray, shapes))
     met = jnp.zeros((), bool)
     for members, group in zip(shapes.members, shapes.groups, strict=True):
@@ -385,16 +385,16 @@ def _blocks(ray: Ray, shape: Shape | FlatQuad, distance: Scalar) -> Bool[Array, 
 
 
 def _each_stored(of_chunk: Callable[..., Any], count: int) -> Callable[..., Any]:
-    """The function of a chunk, materialised separately in a loop over chunks. Its reads of the
-    chunk would otherwise be repeated for each ray."""
+    """Return the function of a chunk, materialised separately if it is called in a loop over
+    chunks. Otherwise the chunk would be read again for each ray."""
     return partial(materialise, of_chunk) if count > 2 * _CHUNK else of_chunk
 
 
 def _search_chunks(
     step: Callable[[Carry, Int[Array, ""], Any], Carry], carry: Carry, group: Any, count: int
 ) -> Carry:
-    """`carry = step(carry, start, group[start : start + size])` over a stacked group; the last
-    chunk may repeat some shapes."""
+    """Compute `carry = step(carry, start, group[start : start + size])` over a stacked group; the
+    last chunk may repeat some shapes."""
     if count <= 2 * _CHUNK:
         for start in range(0, count, _CHUNK):
             chunk = jax.tree.map(lambda x, start=start: x[start : start + _CHUNK], group)
@@ -417,8 +417,8 @@ def _each(chunk: Any) -> list[Any]:
 
 
 def _first_of(ray: Ray, chunk: Any) -> Int[Array, ""]:
-    """The nearest shape of a chunk as one integer: the bits of its distance, which increase with
-    it, the last three replaced by its position."""
+    """Return the nearest shape of a chunk as one integer: the bits of its distance, whose order is
+    that of the distances, with the last three replaced by the shape's position."""
     keys = []
     for place, shape in enumerate(_each(chunk)):
         distance = _distance(ray, shape)
@@ -428,7 +428,7 @@ def _first_of(ray: Ray, chunk: Any) -> Int[Array, ""]:
 
 
 def _unpack(key: Int[Array, ""]) -> tuple[Scalar, Int[Array, ""]]:
-    """(distance in m, position in its chunk) from `_first_of`."""
+    """Return (distance in m, position in its chunk) from a result of `_first_of`."""
     floats = jnp.float64 if key.dtype.itemsize == 8 else jnp.float32
     place = (key & (_CHUNK - 1)).astype(jnp.int32)
     return jax.lax.bitcast_convert_type(key & -_CHUNK, floats), place

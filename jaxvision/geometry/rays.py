@@ -45,7 +45,7 @@ class Encounter(Shown):
 
     Attributes:
         shape: () index, -1 if nothing is hit.
-        primitive: () index of the triangle if that shape is a mesh; None where no shape is a mesh.
+        primitive: () index of the triangle if that shape is a mesh; None if no shape is a mesh.
 
     Example:
         >>> floors = [jv.Disc([0, 0, z], [0, 0, 1], 1) for z in (0, 1)]
@@ -64,10 +64,10 @@ class Hit(Shown):
         distance: () m along the ray, inf for a miss.
         normal: unit, on the front: outward for closed shapes; 0 for a miss.
         point: m, on the surface; the ray's origin for a miss.
-        size: () m, the largest length in the computation of the point; its rounding error is
-            relative to it.
-        shading_normal: unit, interpolated or as `normal`; None where no shape has vertex normals.
-        uv: () and (), no unit, 0 for a shape without texture coordinates; None where no shape has
+        size: () m, the largest length in the computation of the point; the rounding error of the
+            point is proportional to it.
+        shading_normal: unit, interpolated or as `normal`; None if no shape has vertex normals.
+        uv: () and (), no unit, 0 for a shape without texture coordinates; None if no shape has
             any.
 
     Example:
@@ -86,7 +86,7 @@ class Hit(Shown):
 
 @takes_numbers
 def mirror_direction(normal: Directions, w: Directions) -> Vec3:
-    """The mirror direction s = (2 n n^T - I) w.
+    """Return the mirror direction s = (2 n n^T - I) w for the normal n.
 
     Args:
         normal: (..., 3) unit.
@@ -108,13 +108,13 @@ def mirror_direction(normal: Directions, w: Directions) -> Vec3:
 def offset_origin(
     point: Vector, normal: Direction, direction: Direction, *, size: Scalar | None = None
 ) -> Vec:
-    """The origin of a ray that leaves a surface, displaced so that it does not hit the surface
+    """Displace the origin of a ray that leaves a surface, so that it does not hit the surface
     again.
 
     The point moves along the normal to the side of the ray, by the largest distance by which
-    rounding can have put it on the wrong side. Only one normal is known here. From an edge or a
-    corner of a mesh, a ray that goes outward of one face and inward of its neighbour starts on the
-    wrong side of the neighbour and may hit it.
+    rounding can have put it on the wrong side. Only one normal is known here. At an edge or a
+    corner of a mesh, a ray may leave one face outward and its neighbour inward. It then starts on
+    the wrong side of the neighbour and may hit it.
 
     Args:
         point: (3,) m.

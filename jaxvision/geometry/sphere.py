@@ -1,4 +1,4 @@
-"""A ray and a sphere. For ONE ray; lengths in metres."""
+"""Intersection of a ray with a sphere. For ONE ray; lengths in metres."""
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +22,8 @@ from .rays import Hit, Ray
 
 
 def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:
-    """The distance alone, m, by the plain formula. It is accurate to a few eps of the distance to
-    the centre, which is enough to find the first of several surfaces."""
+    """Return only the distance, m, by the plain formula. It is accurate to a few eps of the
+    distance to the centre, which is enough to find the first of several surfaces."""
     b, discriminant = _closest(ray, sphere)
     half_chord = jnp.sqrt(jnp.maximum(discriminant, 0))
     near, far = b - half_chord, b + half_chord
@@ -37,25 +37,26 @@ def sphere_blocks(ray: Ray, sphere: Sphere, distance: Scalar) -> Bool[Array, ""]
     rest = distance - b  # from the closest approach to the end
     less, more = jnp.minimum(b, rest), jnp.maximum(b, rest)
     reaches = discriminant > jnp.maximum(-less * jnp.abs(less), 0)
-    return reaches & (discriminant <= more * more)  # else both ends are inside
+    return reaches & (discriminant <= more * more)  # otherwise both ends lie inside the sphere
 
 
 def _closest(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar]:
-    """(distance along the ray to its closest approach, half the chord squared)."""
+    """Return the distance along the ray to its closest approach, and the square of half the
+    chord."""
     b, closest = _closest_approach(ray, sphere)
     return b, sphere.radius * sphere.radius - dot(closest, closest)
 
 
 def _closest_approach(ray: Ray, sphere: Sphere) -> tuple[Scalar, Vec]:
-    """The closest approach of the ray to the centre: (distance along it, position relative to the
-    centre), m."""
+    """Return the closest approach of the ray to the centre: the distance along the ray, and the
+    position relative to the centre, m."""
     f = ray.origin - sphere.centre
     b = -dot(f, ray.direction)
     return b, f + b * ray.direction
 
 
 def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
-    """The nearest point of a sphere ahead of the ray's origin, which may lie inside.
+    """Return the nearest hit of a sphere ahead of the ray's origin, which may lie inside.
 
     A tangent ray misses.
 
@@ -88,21 +89,21 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
 
 
 def _first_crossing(ray: Ray, sphere: Sphere) -> Scalar:
-    """The distance of the first crossing ahead, m, inf for a miss; to be materialised, since for a
-    ray from the sphere rounding decides between both crossings."""
+    """Return the distance to the first crossing ahead, m, inf for a miss. It must be materialised,
+    because for a ray that starts on the sphere rounding decides between both crossings."""
     near, far, meets = _crossings(ray, sphere)
     return jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)
 
 
 def _crossings(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar, Bool[Array, ""]]:
-    """(near, far, whether the line meets the sphere), distances in m, without cancellation at
-    distant or small spheres (Haines et al., Ray Tracing Gems (2019), ch. 7): by the closest
-    approach and the product of both roots."""
+    """Return (near, far, whether the line meets the sphere), distances in m. They are computed from
+    the closest approach and the product of both roots, without cancellation for distant or small
+    spheres (Haines et al., Ray Tracing Gems (2019), ch. 7)."""
     r = sphere.radius
     b, closest = _closest_approach(ray, sphere)
     discriminant = r * r - dot(closest, closest)
     half_chord = safe_sqrt(discriminant)
-    larger = b + jnp.where(b < 0, -half_chord, half_chord)  # in magnitude: nothing cancels
+    larger = b + jnp.where(b < 0, -half_chord, half_chord)  # the larger root: nothing cancels
     meets = (discriminant > 0) & (jnp.abs(larger) > smallest_divisor(larger.dtype))
     away = norm(ray.origin - sphere.centre)
     smaller = divide((away - r) * (away + r), larger, where=meets)

@@ -11,12 +11,13 @@ from .._types import Colour, Scalar
 
 Bands = tuple[Scalar, ...]
 
-FEW = 8  # numbers of an array that are computed one by one; of more, the code would only grow
+FEW = 8  # arrays of at most so many numbers are split; for more, the code would only grow
 
 
 def split_bands(spectrum: Colour | Bands, bands: int) -> Bands:
-    """The bands of a spectrum, in its unit; a neutral one is repeated. Uses `lax.split`: its
-    gradient is a concatenation, whereas indexing would pad and add one array for each band."""
+    """Return the bands of a spectrum, in its unit; a neutral spectrum is repeated. `lax.split` is
+    used because its gradient is a concatenation, whereas indexing would pad and add one array for
+    each band."""
     if not isinstance(spectrum, tuple):
         parts = jax.lax.split(spectrum, (1,) * spectrum.shape[0])
         spectrum = tuple(part.reshape(()) for part in parts)
@@ -24,18 +25,18 @@ def split_bands(spectrum: Colour | Bands, bands: int) -> Bands:
 
 
 def times(a: Bands, b: Bands) -> Bands:
-    """The product of each band, in the product of their units."""
+    """Multiply two spectra band by band."""
     return tuple(x * y for x, y in zip(a, b, strict=True))
 
 
 def plus(a: Bands, b: Bands) -> Bands:
-    """The sum of each band, in their unit."""
+    """Add two spectra band by band."""
     return tuple(x + y for x, y in zip(a, b, strict=True))
 
 
 def map_bands(function: Callable[..., Scalar], *spectra: Float[Array, " _"]) -> Colour:
-    """`function` of spectra, (bands,) in the unit that it gives, elementwise; intermediate values
-    without bands stay one number per ray."""
+    """Apply an elementwise `function` to spectra, (bands,). Intermediate values without bands stay
+    one number per ray."""
     bands = max(spectrum.shape[0] for spectrum in spectra)
     if bands > FEW:
         return function(*spectra)

@@ -1,14 +1,14 @@
 """Control of XLA fusion: which values are computed in one loop and which are materialised. It makes
 programs faster, and ensures that a decision which depends on rounding is made only once. Compiled
-code that computes a sum twice may contract its products differently, and the two could then
-disagree on which of two crossings comes first.
+code that computes a sum twice may round it differently, and both results could then disagree on
+which of two crossings comes first.
 
-Undocumented parts of JAX make programs faster on a processor; only `primitives` uses them. Without
-them the same programs use public JAX. They give the same values and derivatives up to rounding, and
-are up to 20 times slower. PLAIN is True if they do not work with the installed JAX, or if the
+Undocumented parts of JAX make programs faster on a CPU; only `primitives` uses them. With public
+JAX alone, the same programs give the same values and derivatives up to rounding, and are up to 20
+times slower. PLAIN is True if the undocumented parts do not work with the installed JAX, or if the
 environment variable JAXVISION_PLAIN_JAX is set and not 0 when jaxvision is imported. An accelerator
-always uses public JAX: with them, an H200 took 20 times as long for a path-traced box and 14 times
-as long for direct light.
+always uses public JAX: with the undocumented parts, an H200 took 20 times as long for a path-traced
+box and 14 times as long for direct light.
 """
 
 import os
@@ -34,7 +34,7 @@ def _found() -> Any:
         return None
     try:
         from . import primitives
-    except Exception:  # what a JAX with other internals raises is not known beforehand
+    except Exception:  # a JAX with other internals may raise any exception
         return None
     return primitives
 
@@ -42,14 +42,16 @@ def _found() -> Any:
 _primitives = _found()
 PLAIN = _primitives is None
 
-TILE = 16384  # rays at once: an array of them is 64 kB in float32, and all of a tile fit the cache
+# Rays at once: an array of them is 64 kB in float32, and all arrays of a tile fit into the cache.
+TILE = 16384
 
-# Rays at once on an accelerator: each operation on them costs the start of a kernel, some 10 us,
-# and takes no less for fewer. A gigabyte holds what the paths of so many need.
+# Rays at once on an accelerator. Each operation costs the start of a kernel, some 10 us, also for
+# fewer rays. The paths of so many rays need a gigabyte.
 _OF_KERNEL = 2**20
 
-# Rays to a full stretch of vector code, several times over: where it ends and leaves a rest to
-# plain code, the last bit of a ray would tell how the picture was cut.
+# Blocks are multiples of this number of rays, which is several widths of vector code. A remainder
+# would be computed by scalar code, and the last bit of a ray would depend on the division of the
+# picture.
 LANES = 64
 
 
@@ -59,19 +61,20 @@ def _helps() -> bool:
 
 
 def at_a_time(of_core: int) -> int:
-    """The number of rays or entries that a loop takes at a time: `of_core` on a processor, many
-    more elsewhere."""
+    """Return the number of rays or entries that a loop computes at a time: `of_core` on a CPU, many
+    more on an accelerator."""
     return of_core if on_processor() else max(of_core, _OF_KERNEL)
 
 
 def one_program(function: Callable[P, R]) -> Callable[P, R]:
-    """`function` compiled once for each structure of its arguments, in which all but arrays is
-    static. XLA recompiles an eager loop whose function is new, as a closure is."""
+    """Compile `function` once for each structure of its arguments, in which everything except
+    arrays is static. Without it, XLA would recompile an eager loop at each call, because its
+    closure is a new function."""
     compiled = cast(Any, eqx.filter_jit)(function, inline=True)
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        # equinox takes NumPy's numbers for arrays, but numbers among the settings are static
+        # equinox treats NumPy numbers as arrays, but numbers among the settings are static
         known = (x.item() if isinstance(x, np.generic) else x for x in args)
         return compiled(*known, **kwargs)
 
@@ -79,22 +82,21 @@ def one_program(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def materialise(function: Callable[..., Any], *arguments: Any) -> Any:
-    """`function(*arguments)`, computed once and materialised. XLA would repeat it in every loop
-    that reads it, and removes optimisation barriers before that; loops do not cross a call that is
-    not inlined."""
+    """Compute `function(*arguments)` once and materialise it. Otherwise XLA would repeat it in
+    every loop that reads it. XLA removes optimisation barriers too early, but never fuses loops
+    across a call that is not inlined."""
     return _primitives.not_inlined(function, *arguments) if _helps() else function(*arguments)
 
 
 def inline(function: Callable[..., Any], *arguments: Any) -> Any:
-    """`function(*arguments)`, for use in place of `materialise` where materialising is not
-    needed."""
+    """Return `function(*arguments)`; it replaces `materialise` where that is not needed."""
     return function(*arguments)
 
 
 def fuse(values: Any) -> Any:
-    """The same tree of arrays of one shape, and their derivatives, computed in one loop and
-    materialised. On the CPU XLA gives each array a loop of its own, except in a reduction of
-    several arrays: here of an axis of two equal entries."""
+    """Compute a tree of arrays of one shape, and their derivatives, in one loop and materialise
+    them. On the CPU XLA would compute each array in its own loop, except in a reduction of several
+    arrays; here it is a reduction over an axis of two equal entries."""
     if _fuse is None or not on_processor():
         return values
     leaves, tree = jax.tree.flatten(values)
@@ -102,8 +104,8 @@ def fuse(values: Any) -> Any:
 
 
 def _one_loop(*values: Array) -> Sequence[Array]:
-    """One loop for each floating precision among the values, because a reduction cannot mix
-    them."""
+    """Join the values into one loop for each floating precision, because a reduction cannot mix
+    precisions."""
     is_float = [jnp.issubdtype(value.dtype, jnp.floating) for value in values]
     precisions = dict.fromkeys(v.dtype for v, own in zip(values, is_float, strict=True) if own)
     first = next(iter(precisions), None)
@@ -127,8 +129,8 @@ _fuse = None if PLAIN else _primitives.identity("fuse", _one_loop)
 
 
 def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """`function(*arguments, **named)`, a search whose results are whole numbers and flags. `vmap`
-    and derivatives see one equation instead of thousands without anything to differentiate."""
+    """Call a search, `function(*arguments, **named)`, whose results are whole numbers and flags.
+    `vmap` and derivatives see one equation instead of thousands that have no derivative."""
     if not _helps():
         arguments, named = jax.lax.stop_gradient((arguments, named))
         return function(*arguments, **named)
@@ -138,9 +140,9 @@ def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any
 def bilinear(
     name: str, function: Callable[..., Array], *, opaque: Callable[..., bool], **rules: Any
 ) -> Callable[..., Array]:
-    """A function linear in two arrays, with the `rules` of `primitives.bilinear` for transposes and
-    batches. `opaque` arguments cannot be derived by JAX, so that an accelerator needs the rules
-    too."""
+    """Return a function linear in two arrays, with the `rules` of `primitives.bilinear` for
+    transposes and batches. If `opaque(**named)`, JAX cannot derive the rules itself, so an
+    accelerator needs them too."""
     if PLAIN:
         return function
     ours = _primitives.bilinear(name, function, **rules)
@@ -150,9 +152,9 @@ def bilinear(
 
 
 def in_tiles(function: Callable[..., Any], *trees: Any, size: int) -> Any:
-    """`vmap(function)(*trees)` over the leading axes of all arrays, up to `size` entries at a time,
-    the last tile padded. Intermediate results stay in the cache, and a gradient recomputes them:
-    half the time and a tenth of the memory."""
+    """Compute `vmap(function)(*trees)` over the leading axes of all arrays, in tiles of up to
+    `size` entries; the last tile is padded. Intermediate results stay in the cache, and a gradient
+    recomputes them, which takes half the time and a tenth of the memory."""
     count = len(jax.tree.leaves(trees)[0])
     if count <= size:
         return jax.vmap(function)(*trees)

@@ -18,9 +18,9 @@ Tree = TypeVar("Tree")
 def group_by_structure(
     records: Sequence[Record], *, largest: int | None = None
 ) -> list[tuple[tuple[int, ...], Record]]:
-    """Return (indices into `records`, stacked record) for each kind and shape of leaves, in order;
-    a record with an array of more than `largest` numbers stays alone, because `take` would copy it
-    for every pixel."""
+    """Group records of equal type and shapes. Return (indices into `records`, stacked record) for
+    each group, in order. A record with an array of more than `largest` numbers gets its own group,
+    because `take` would copy it for every pixel."""
     members: dict[Any, list[int]] = {}
     for i, record in enumerate(records):
         leaves, structure = jax.tree.flatten(record)
@@ -40,8 +40,8 @@ def group_by_structure(
 def take(
     members: tuple[int, ...], group: Record, index: Int[Array, ""]
 ) -> tuple[Record, Bool[Array, ""]]:
-    """The record with that index from a stacked group, and whether it is a member (if not, the
-    group's first record is returned). A group of one needs no gather."""
+    """Return the record with this index from a stacked group, and whether it is a member. If it is
+    not, the record is the first one of the group. A group of one needs no gather."""
     if len(members) == 1:
         return jax.tree.map(lambda leaf: leaf[0], group), index == members[0]
     if members == tuple(range(members[0], members[0] + len(members))):
@@ -63,7 +63,8 @@ def call_member(
     index: Int[Array, ""],
     function: Callable[[Any], Tree],
 ) -> Tree | None:
-    """`function` of the record with that index among stacked groups; None if there is no group."""
+    """Apply `function` to the record with this index among stacked groups; None if there is no
+    group."""
     chosen = None
     for numbers, group in zip(members, groups, strict=True):
         record, among = take(numbers, group, index)
@@ -73,8 +74,8 @@ def call_member(
 
 
 def row(leaf: Array, slot: Int[Array, ""]) -> Array:
-    """leaf[slot] for an existing slot of a few numbers, read one by one. Each is then a gather of
-    scalars, which vector units support, and only the used ones are read."""
+    """Return leaf[slot] for an existing slot. A row of up to four numbers is read number by number:
+    each is then a gather of scalars, which vector units support, and unused numbers are skipped."""
     if leaf.ndim == 2 and leaf.shape[1] <= 4:
         columns = [leaf[:, k].at[slot].get(mode="promise_in_bounds") for k in range(leaf.shape[1])]
         return jnp.stack(columns)

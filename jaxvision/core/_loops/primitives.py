@@ -16,10 +16,10 @@ from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
 
 Loops = Callable[..., Sequence[Array]]
-# for each `vmap`, the innermost first: the size of the batch, and each value's axis of it
+# for each `vmap`, innermost first: the size of the batch, and the batch axis of each value
 Layers = tuple[tuple[int, tuple[int | None, ...]], ...]
 
-# What nothing below uses on import: a JAX that lacks it is found out then.
+# Names that are used only later: an unsuitable JAX fails here, on import.
 _NEEDED = ad.Zero, ad.defbilinear, ad.primitive_transposes.get
 
 
@@ -30,15 +30,15 @@ def _inlineable(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def not_inlined(function: Callable[..., Any], *arguments: Any) -> Any:
-    """`function(*arguments)` as a call that XLA does not inline. XLA applies the attribute to every
-    call inside, such as `jnp.where`, so those get the opposite attribute."""
+    """Compute `function(*arguments)` as a call that XLA does not inline. XLA applies the attribute
+    to every call inside too, such as `jnp.where`, so those calls get the opposite attribute."""
     with set_xla_metadata(inlineable="false"):
         return _inlineable(function, *arguments)
 
 
 def identity(name: str, loops: Loops) -> Loops:
-    """The identity of any number of arrays, lowered to `loops`; also for tangents and cotangents,
-    except structural zeros."""
+    """Return the identity function of any number of arrays, which is lowered to `loops`. The same
+    is done for tangents and cotangents, except structural zeros."""
     primitive = Primitive(name)
 
     def evaluate(values: Sequence[Any]) -> list[Any]:
@@ -57,7 +57,7 @@ def identity(name: str, loops: Loops) -> Loops:
         return primitive.bind(*moved), [0] * len(moved)
 
     primitive.multiple_results = True
-    primitive.def_impl(lambda *values: list(values))  # eager values are stored already
+    primitive.def_impl(lambda *values: list(values))  # eager values are already materialised
     primitive.def_abstract_eval(lambda *values: values)
     mlir.register_lowering(primitive, mlir.lower_fun(loops, multiple_results=True))
     batching.primitive_batchers[primitive] = batched
@@ -77,8 +77,8 @@ def bilinear(
     transposes: tuple[Callable[..., Array], Callable[..., Array]],
     batched: Callable[..., tuple[Array, int]],
 ) -> Callable[..., Array]:
-    """A function that is linear in each of two arrays, with its own transposes and batching rule:
-    derivatives of any order, forward and reverse."""
+    """Return a function that is linear in each of two arrays, with given transposes and batching
+    rule. It has derivatives of any order, forward and reverse."""
     primitive = Primitive(name)
     primitive.def_impl(function)
     primitive.def_abstract_eval(shape)
@@ -89,8 +89,8 @@ def bilinear(
 
 
 def one_step(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """`function(*arguments, **named)`, whose results are whole numbers and flags, as one equation
-    until compilation: `vmap` and derivatives do not trace into it."""
+    """Call `function(*arguments, **named)`, whose results are whole numbers and flags, as one
+    equation: until compilation, `vmap` and derivatives do not trace into it."""
     inside, found = jax.make_jaxpr(function, return_shape=True)(*arguments, **named)
     results = _step.bind(*jax.tree.leaves((arguments, named)), inside=inside, layers=())
     return jax.tree.unflatten(jax.tree.structure(found), results)
