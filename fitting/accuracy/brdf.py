@@ -29,7 +29,7 @@ from ..reflectance.from_images.signal import Form
 from ..rig import Rig
 from .chains import Density, Turn, chain_knobs
 
-AWAY = 0.3  # of a logarithm: how far from the mode a search begins
+AWAY = 0.3  # distance from the mode at which a search begins, in logarithms
 
 
 def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
@@ -44,8 +44,8 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     fit = next((one for one in fits if one.robustness is not None), None)
     if fit is None or fit.robustness is None:
         raise InputError(
-            f"{rig.folder}: the images leave a parameter open in every channel; see what "
-            "jaxvision-fit brdf says of them."
+            f"{rig.folder}: the images do not determine all parameters in any channel; see the "
+            "findings of jaxvision-fit brdf."
         )
     errors = np.sqrt(np.diagonal(fit.robustness.covariance))
     start = fit.vector - AWAY

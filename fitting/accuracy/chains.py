@@ -21,14 +21,14 @@ Turn = Callable[[Any], Compute]
 
 @dataclass(frozen=True)
 class Density:
-    """A log density about its mode.
+    """A log density, with its mode and the covariance there.
 
     Attributes:
         log_density: module-level function of (vector, args), up to a constant.
         space: the P parameters.
         mode: (P,) unconstrained.
-        covariance: (P, P) of the Gaussian about it.
-        args: its data.
+        covariance: (P, P) of Laplace's Gaussian about the mode.
+        args: second argument of `log_density`, its data.
     """
 
     log_density: LogDensity

@@ -15,7 +15,7 @@ from .. import Problem as Fitted
 from ..inference.problem import log_density
 from .chains import Density, chain_knobs
 
-CYCLES = 3.7  # of a sine over the data: a likelihood of many optima
+CYCLES = 3.7  # cycles of the sine over the data, whose likelihood has many optima
 
 
 def sine() -> Fitted:

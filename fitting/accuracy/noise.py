@@ -1,5 +1,5 @@
 """The settings of photon transfer: number of pixels, likelihood, tolerance, and sampling of the
-posterior. Results are figures of the sheet in units of their standard errors."""
+posterior. Results are the quantities of the data sheet, in units of their standard errors."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -33,7 +33,7 @@ from ..observation import Load
 from ..rig import Rig
 from .chains import Density, Turn, chain_knobs
 
-FEWEST = 16  # pixels along a side of a part of an image
+FEWEST = 16  # fewest pixels along a side of a part of an image
 
 
 def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
@@ -53,8 +53,8 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         return np.array([float(np.asarray(sheet[name])) for name in names]) / errors
 
     def errors_of_linear(measured: PhotonTransfer, *, exact: bool | None = None) -> np.ndarray:
-        """The sheet of a linear camera, with exact moments, usual moments, or those that the data
-        require."""
+        """Return the sheet of a linear camera, with exact moments, approximate moments, or the
+        moments that the data require."""
         usable, within = linear_levels(measured), ranges(measured)
         window = None if exact is False else needed_window(measured, usable)[0]
         if exact and window is None:
@@ -112,7 +112,8 @@ def _window(size: tuple[int, ...], share: float, rng: np.random.Generator) -> tu
 
 
 def _tolerance(calibration: NoiseCalibration) -> Turn:
-    """The search for the chosen model, started at the standard's figures."""
+    """Vary the tolerance of the search for the chosen model, started at the estimates of the EMVA
+    standard."""
     fit = calibration.chosen
     problem = restated(fit.problem, fit.space)
     start = start_vector(problem, calibration.standard.values)

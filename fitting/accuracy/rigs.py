@@ -61,8 +61,8 @@ def problems(
         errors.
 
     Raises:
-        InputError: for a rig that holds no fit, and for one that cannot be calibrated, or not
-            within that time.
+        InputError: for a rig with nothing to fit, and for a rig that cannot be calibrated, or not
+            within `seconds`.
     """
     fits, now = fits_of(rig), time.perf_counter
     until = now() + seconds * len(fits)

@@ -15,7 +15,7 @@ from .coverage import coverage
 from .section import section
 from .simulations import simulated
 
-SEEDS = 1_000_000  # simulations of a seed
+SEEDS = 1_000_000  # seeds between two cases: most simulations of a seed
 KINDS = {
     "brdf": reflectance,
     "emva1288": emva1288,
@@ -28,7 +28,7 @@ KINDS = {
 def run(
     kind: str, simulations: int, kept: Path | None, reporter: Reporter, *, seed: int = 0
 ) -> Section:
-    """Checks every case of a kind."""
+    """Check every case of a kind."""
     room, found = KINDS[kind], {}
     file = f"{kind}, {{}}, seed {seed}, {__version__}.npy"
     if kept is not None:

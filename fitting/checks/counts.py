@@ -4,9 +4,9 @@ bound.
     python -m fitting.checks.counts
 
 Tables of two levels of light are drawn and fitted by `fit_map`, with the same gain, read noise and
-black level. Where read noise hides the single electrons, these two do not determine black level,
-read noise and light: a third table without light is fitted, too. The Fisher information of the
-exact distribution is a sum over codes in NumPy. It uses central differences of Poisson
+black level. If read noise hides the single electrons, these two tables do not determine black
+level, read noise and light. A third table without light is then fitted, too. The Fisher information
+of the exact distribution is a sum over codes in NumPy. It uses central differences of Poisson
 probabilities times differences of the normal distribution function.
 """
 
@@ -28,11 +28,11 @@ from ..sensor_likelihoods import SensorCounts
 NAMES = ("gain", "read_noise", "black", "electrons[0]", "electrons[1]")
 BLACK, ELECTRONS = 40.0, (1.0, 6.0)
 GAINS = {0.2: 3.0, 0.5: 3.0, 1.0: 3.0, 5.0: 0.5}  # DN/e-, by read noise in e-
-HIDING = 2.0  # e- of read noise, above which a table without light is fitted, too
+HIDING = 2.0  # read noise, e-, above which a table without light is fitted, too
 CHUNK = 50  # fits at once
 NUMBERS = 200_000  # of each table
-DIFFERENCE = 1e-4  # relative, of the information's derivatives
-REACH = 8.5  # read noises that are summed
+DIFFERENCE = 1e-4  # relative step of the derivatives
+REACH = 8.5  # half-width of the sum, in read noises
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def information(
 
 @double_precision
 def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficiency:
-    """Draw tables, fit them and compare."""
+    """Draw tables, fit them, and compare the scatter of the estimates with the bound."""
     gain, dark = GAINS[read_noise], read_noise > HIDING
     truth = np.array([gain, read_noise, BLACK, *ELECTRONS])
     beyond = REACH * gain * read_noise
@@ -114,7 +114,7 @@ def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficie
     there = np.isfinite(estimates).all(axis=0)
     missed = estimates[:, there] - truth[:, None]
     bound = information(truth, codes, NUMBERS, dark=dark)
-    # In logarithms, in which the nearly constant product of gain and light is a straight line.
+    # In logarithms, in which a constant product of gain and light is a straight line.
     scale = np.where(np.isin(NAMES, ["black"]), 1.0, truth)
     relative = np.log(estimates[:, there] / truth[:, None])
     relative[NAMES.index("black")] = missed[NAMES.index("black")]

@@ -1,11 +1,12 @@
 """Coverage of intervals, from the position of the truth in each posterior.
 
-For a fit, u is the cumulative probability of the true value in its posterior. Over many simulations
-u is uniform if posteriors are right. An interval of probability q covers the truth where |u - 1/2|
-< q / 2; z = Phi^-1(u) is standard normal. The ranks of simulation-based calibration (Talts et al.
-2018) are u in steps. The band of the ranks is simultaneous: the largest departure of their
-distribution from the diagonal (Kolmogorov). The mean square of z has a chi-square distribution over
-the number of fits. It detects errors of the wrong size with the fewest fits.
+For one fit, u is the cumulative probability of the true value in its posterior. Over many
+simulations u is uniform if posteriors are right. An interval of probability q contains the true
+value if |u - 1/2| < q / 2; z = Phi^-1(u) is standard normal. The ranks of simulation-based
+calibration (Talts et al. 2018) are a discretised u. One band serves for all ranks: the largest
+distance of their cumulative distribution from the diagonal (Kolmogorov's test). The mean square of
+z has a chi-square distribution over the number of fits. It detects errors of the wrong size with
+the fewest fits.
 """
 
 import warnings
@@ -19,8 +20,8 @@ from scipy.stats import binom, chi2, kstwo
 from ..inference.formatting import format_percent
 
 LEVELS = (0.50, 0.68, 0.95)
-CHANCE = 0.01  # of flagging a right fit, over all parameters and tests together
-EDGE = 1e-12  # places this close to 0 and 1 count as there
+CHANCE = 0.01  # probability of flagging a correct fit, over all parameters and tests together
+EDGE = 1e-12  # smallest distance of u from 0 and 1
 FARTHEST = 3.7  # largest |z| that a few thousand draws of a posterior determine
 TESTS = len(LEVELS) + 2
 
@@ -36,7 +37,7 @@ class Coverage:
         band: (low, high) range of that share by chance alone, at each level.
         z_mean: mean of z.
         z_sd: standard deviation of z; 1 if errors are right, larger if they are too small.
-        departure: largest distance of the ranks' distribution from the diagonal.
+        departure: largest distance of the ranks' cumulative distribution from the diagonal.
         allowed: largest departure that chance explains.
         faults: sentences on every figure outside its band.
     """

@@ -14,7 +14,7 @@ from ..rig import Camera as BitDepth
 
 SHAPE, FRAMES, LEVELS = (48, 64), 16, 14
 GAIN, EFFICIENCY, READ_NOISE, BLACK, TOP = 0.3, 0.5, 6.0, 64.0, 4095
-BRIGHTEST, HALF = 28_000.0, 6  # photons per pixel; the level of which there are `FRAMES`
+BRIGHTEST, HALF = 28_000.0, 6  # photons per pixel; index of the level with `FRAMES` frames
 FIGURES = ("saturation_photons", "snr_max", "threshold_photons", "dynamic_range")
 GENERAL = ("input_snr_max", "threshold_photons", "dynamic_range")
 NAMES = (
@@ -55,7 +55,7 @@ def places(camera: Camera, seed: int) -> np.ndarray:
     dark, response = (
         _pattern(sizes, camera.degrees, rng) for sizes in (camera.offsets, camera.gains)
     )
-    response += 1 - response.mean()  # a camera's responsivity is the mean of its pixels'
+    response += 1 - response.mean()  # the camera's responsivity is the mean over pixels
     photons = np.linspace(0.02, 1, LEVELS) * BRIGHTEST
 
     def frames(light: float, count: int) -> list[np.ndarray]:
@@ -110,7 +110,7 @@ def _left(loss: Loss, part: str) -> float:
 
 
 def _saturation(dark: np.ndarray, response: np.ndarray) -> float:
-    """Light at which .15 % of the numbers of these pixels are at the end of the scale."""
+    """Return the light at which .15 % of the values of these pixels are at full scale."""
 
     def excess(light: float) -> float:
         electrons = EFFICIENCY * light * response

@@ -15,7 +15,7 @@ from .reflectance import BITS, GAIN, RADIUS, SIZE, WHITE, Sphere, directions, el
 from .simulations import places_in
 
 NAMES = ("diffuse", "specular", "exponent", "gamma", "system_gain", "read_noise")
-BLACK, BLACK_SD = 64.0, 0.5  # DN, and what the rig says of its error
+BLACK, BLACK_SD = 64.0, 0.5  # DN: black level, and its standard deviation in the rig
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,8 @@ class Lab:
     """The simulated laboratory.
 
     Attributes:
-        sphere: with its lights and their errors, which are stated to the fit.
+        sphere: with its lights and their errors; the fit is given the standard deviations of these
+            errors.
         gamma: of the encoding; 1 for a linear camera, whose gamma is known.
     """
 
@@ -49,7 +50,7 @@ CASES = {
 
 
 def photographed(lab: Lab, seed: int) -> Photographs:
-    """Photographs in the form that a fit takes."""
+    """Return photographs in the form that a fit takes."""
     rng = np.random.default_rng(seed)
     sphere, full = lab.sphere, 2.0**BITS - 1 - BLACK
     linear = np.maximum(GAIN * electrons(sphere, rng), 0)

@@ -91,9 +91,9 @@ def measured(camera: Camera, seed: int) -> PhotonTransfer:
     exposures = np.linspace(0.001, 0.02, camera.levels)
     lights = photons * (1 + camera.light_sd * rng.standard_normal(camera.levels))
     own = 1 + camera.prnu * rng.standard_normal(SHAPE)
-    own /= own.mean()  # a camera's responsivity is the mean of its pixels'
+    own /= own.mean()  # the camera's responsivity is the mean over pixels
     banding = camera.banding * rng.standard_normal(SHAPE[1])
-    banding -= banding.mean()  # and its black level that of its columns'
+    banding -= banding.mean()  # and the black level is the mean over columns
 
     def frames(light: float, exposure: float) -> np.ndarray:
         rate = EFFICIENCY * light * own + DARK_CURRENT * exposure

@@ -93,7 +93,8 @@ def check(
 
     Args:
         problem: its data are replaced by simulated data.
-        simulations: their number; 200 give a share of 95 % to within 1.5 %.
+        simulations: number of simulated data sets; 200 determine a coverage of 95 % to within 1.5
+            %.
         truth: natural values by name, the same in every simulation; needed where a parameter has
             neither prior nor bounds.
         posterior: as `fit` takes it.
@@ -142,7 +143,7 @@ def check(
         if not found.optimum.stationary:
             raise InputError("the search did not converge.")
         draws, own = found.posterior.samples, names(found.problem.space)
-        at = [labels.index(name) for name in own]  # candidates that are left out have no interval
+        at = [labels.index(name) for name in own]  # dropped candidates have no interval
         places = np.full(len(labels), np.nan)
         below = np.sum(draws < natural[at], axis=0)
         places[at] = (below + rng.uniform(size=len(at))) / (len(draws) + 1)
@@ -160,8 +161,8 @@ def _prior_quantiles(space: tuple[Parameter, ...]) -> list[np.ndarray]:
     labels = zip(names(space), known, strict=True)
     if unknown := [label for label, values in labels if values is None]:
         raise InputError(
-            f"check: {', '.join(unknown)} has neither prior nor bounds to draw a truth from; "
-            "give them, or a truth."
+            f"check: {', '.join(unknown)} has neither prior nor bounds to draw a true value from; "
+            "give one of these, or a truth."
         )
     return [values for values in known if values is not None]
 

@@ -21,7 +21,7 @@ SIZE, RADIUS, WHITE = 28, 13.0, 3000.0  # pixels, pixels, DN
 PARTS, WEIGHTS = np.polynomial.legendre.leggauss(5)
 GAIN, BITS = 0.25, 12  # DN per electron
 NAMES = ("diffuse", "specular", "exponent")
-WIDEST = 60.0  # degrees between lights and view
+WIDEST = 60.0  # largest angle between lights and view, degrees
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,10 @@ class Sphere:
         truth: true k_d, k_s and n.
         light_sd: relative error of each light's intensity.
         direction_sd: rad, error of each light's direction along both axes across it.
-        stray_sd: stray light on all pixels, relative to the irradiance; stated to the fit.
-        black_sd: DN, error of the black level; stated to the fit.
-        stated: which of `light_sd` and `direction_sd` are stated to the fit.
+        stray_sd: stray light on all pixels, relative to the irradiance; the fit is given this
+            value.
+        black_sd: DN, error of the black level; the fit is given this value.
+        stated: which of `light_sd` and `direction_sd` the fit is given.
         prnu: relative error of each pixel's gain.
         clip: DN from which pixels saturate.
         read_noise: electrons rms.
@@ -56,7 +57,7 @@ class Sphere:
 
     @cached_property
     def signal(self) -> np.ndarray:
-        """(lights, h, w) DN above black with the lights as stated."""
+        """(lights, h, w) DN above black, under lights without errors."""
         return self.shaded(directions(self.lights))
 
     def shaded(self, wi: np.ndarray) -> np.ndarray:

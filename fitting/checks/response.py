@@ -18,12 +18,12 @@ from ..response.curve import ResponseCurve
 from ..response.from_memory import from_stack
 from ..rig import Camera
 
-SHAPE, RIM = (96, 128), 8  # pixels; what is simulated around them, for shifts
+SHAPE, RIM = (96, 128), 8  # pixels; width of the simulated border, for shifts
 FULL_WELL, READ_NOISE = 20_000.0, 4.0  # e-
 CODES = (30, 80, 190, 230)
 NAMES = (*(f"ln X at code {code}" for code in CODES), "gamma")
 EIGHT, THREE = tuple(2.0 ** np.arange(-4, 4)), (0.25, 1.0, 4.0)  # s
-LEAF, LEAVES, FLUTTER = 16, 5, 4  # pixels, how many, pixels that they move
+LEAF, LEAVES, FLUTTER = 16, 5, 4  # leaves: size in pixels, number, motion in pixels
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,9 @@ class Stack:
         gamma: of `encode`; None where it is no power law.
         shutter_sd: relative error of each exposure.
         black: DN.
-        black_sd: DN, error of the black level, which is stated to the fit.
-        stated: whether `shutter_sd` is stated to the fit.
-        quality: of JPEG files; None for files without loss.
+        black_sd: DN, error of the black level; the fit is given this value.
+        stated: whether the fit is given `shutter_sd`.
+        quality: of JPEG files; None for lossless files.
         hand: largest shift of an image along each axis by a hand-held camera, pixels; where it is
             not 0, leaves in the scene move too.
     """
@@ -154,7 +154,7 @@ def _code_probability(curve: ResponseCurve, stack: Stack, code: int, black: floa
 
 
 def _interval_deviate(estimate: Estimate, truth: float) -> float:
-    """The position of the truth among the ends of printed intervals, as a normal deviate."""
+    """Return the position of the truth relative to the reported intervals, as a normal deviate."""
     assert estimate.interval_68 is not None
     assert estimate.interval_95 is not None
     low68, high68 = estimate.interval_68

@@ -51,7 +51,7 @@ def section(kind: str, cases: Mapping[str, tuple[Coverage, ...]], simulations: i
         rows=rows,
         caption="Share of fits to simulated data whose interval contains the true value. `ranks` "
         "is the largest distance of the distribution of ranks (the cumulative probability of the "
-        "true value in its posterior) from the uniform one. Of a hundred checks with right errors, "
+        "true value in its posterior) from the uniform one. Of a hundred checks of correct fits, "
         "one has a figure outside its band.",
     )
     chance = "Every figure is within its band for this number of fits."

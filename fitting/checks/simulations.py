@@ -16,7 +16,7 @@ from ..inference.parameters import names, unconstrained_numbers
 from ..inference.posterior import Posterior
 
 BLOCK = 20  # fits between two writings
-SAME = 1e-3  # difference up to which a place is that of the same fit
+SAME = 1e-3  # difference up to which two positions count as the same fit
 
 Simulate = Callable[[int], Float[np.ndarray, " parameters"]]
 
@@ -32,7 +32,7 @@ def simulated(
     """The positions of the truth in the posteriors of many fits, on the workers of
     `jaxvision.cluster` if there are any."""
     rows = np.empty((0, parameters))
-    with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
+    with threadpool_limits(1, user_api="blas"):  # systems are too small for threads
         if kept is not None and (found := _kept(kept)) is not None:
             own = found.ndim == 2 and found.shape[1] == parameters and found.dtype == rows.dtype
             own = own and not np.any((found < 0) | (found > 1))
@@ -40,8 +40,8 @@ def simulated(
             again = np.reshape([_places((simulate, parameters), n) for n in some], (-1, parameters))
             if not own or not np.allclose(found[some], again, atol=SAME, equal_nan=True):
                 raise InputError(
-                    f"{kept}: holds fits of another problem, seed or version; name a file (or "
-                    "folder) that holds none, or remove it."
+                    f"{kept}: holds fits of another problem, seed or version; name another file "
+                    "(or folder), or remove it."
                 )
             rows = found
         for row in in_order(
@@ -73,9 +73,9 @@ def _kept(file: Path) -> np.ndarray | None:
         stream.seek(0)
         try:
             return np.load(stream, allow_pickle=False)
-        except Exception:  # a damaged header ends in whatever its tokens make Python say
+        except Exception:  # a damaged header can raise any exception
             raise InputError(
-                f"{file}: holds no kept fits, or damaged ones, and is left alone; remove it, or "
+                f"{file}: holds no kept fits, or damaged ones, and was not changed; remove it, or "
                 "name another file."
             ) from None
 

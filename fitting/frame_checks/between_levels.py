@@ -10,15 +10,15 @@ from ..inference.formatting import format_percent
 from .compared import HALF, MOSTLY, OTHER_NOISE, SURE, UNEVEN, ComparedLevels, rms
 from .frame import FrameSample, OddFrames
 
-SPIKE = 0.15  # by which a level's light differs from that of both levels beside it
+SPIKE = 0.15  # least relative difference of a level's light from both neighbouring levels
 FEWEST_LEVELS = 4  # to predict a level from its neighbours
 FEWEST_ON_A_CURVE = 6  # to compare a level with a curve through the others
-ONCE = 1e-3  # probability that a level of a clean camera is named
+ONCE = 1e-3  # probability that a level of a faultless series is reported
 STATED_WRONGLY = 0.02  # least relative deviation; shutters and lamps are accurate to a percent
 SHADOW = 0.005  # least deviation, rms over the frame, half the usual spread of pixel gains
-LIKE_SHOT_NOISE = 0.5  # variance per signal, relative to most levels, below which one is saturated
-UNLIKE = 2.0  # ratio to the scatter of the other levels, an rms of 256 blocks known to 5 %
-ALONE_ON_IT = 1e-3  # least share of its deviation that a level is assumed to leave in a fit
+LIKE_SHOT_NOISE = 0.5  # relative variance per signal below which a level is saturated
+UNLIKE = 2.0  # ratio to the scatter of the other levels, which 256 blocks determine to 5 %
+ALONE_ON_IT = 1e-3  # least assumed share of a level's deviation that remains after a fit
 CLIPPED = 1e-3  # share of the pixels at the top code
 
 
@@ -35,7 +35,7 @@ def _signals(levels: ComparedLevels, there: list[int]) -> np.ndarray:
 
 
 def light_of_levels(levels: ComparedLevels) -> None:
-    """Levels without light, and levels whose light deviates from both neighbours in the same
+    """Remove levels without light, and levels whose light deviates from both neighbours in the same
     direction, which no smooth response explains."""
     assert levels.black is not None
     there = _lit(levels)
@@ -88,15 +88,16 @@ def light_of_levels(levels: ComparedLevels) -> None:
 
 
 def _step(frames: Sequence[FrameSample]) -> int:
-    """The greatest common divisor of the numbers in some frames; 1 if they are not whole."""
+    """Return the greatest common divisor of the numbers in some frames; 1 if they are not whole
+    numbers."""
     values = np.concatenate([frame.sample.ravel() for frame in frames])
     whole = np.isfinite(values).all() and (values == np.floor(values)).all()
     return max(int(np.gcd.reduce(values.astype(np.int64))), 1) if whole else 1
 
 
 def _stated_wrongly(levels: ComparedLevels) -> None:
-    """Levels whose light deviates from a smooth curve through all others. A nonlinear response or a
-    light leak does not affect one level alone."""
+    """Remove levels whose light deviates from a smooth curve through all others. A nonlinear
+    response or a light leak does not affect one level alone."""
     assert levels.black is not None
     while True:
         there = _unsaturated(levels)
@@ -104,7 +105,7 @@ def _stated_wrongly(levels: ComparedLevels) -> None:
             return
         signal, light = _signals(levels, there), levels.light[there]
         rates = signal / light / np.median(signal / light)
-        # Of black that drifts, the level's own and that of its darks.
+        # Drift of the black level, in the level's frames and in its darks.
         drift = [levels.wander * np.sqrt(2 / len(levels.frames[i])) for i in there]
         chance = np.hypot([levels.chance(i) for i in there], drift) / signal
         away, scatter, degrees = _deleted_residuals(rates, _response(light), rates, chance * rates)
@@ -123,8 +124,8 @@ def _stated_wrongly(levels: ComparedLevels) -> None:
 
 
 def _unsaturated(levels: ComparedLevels) -> list[int]:
-    """Levels with light, in order of light, without the saturated ones and the one before them,
-    some of whose pixels may be saturated."""
+    """Return the levels with light, in order of light, without saturated levels and without the
+    last level before them, some of whose pixels may be saturated."""
     there = _lit(levels)
     if len(there) < FEWEST_LEVELS:
         return there
@@ -166,9 +167,9 @@ def _deleted_residuals(
 
 
 def distribution_of_levels(levels: ComparedLevels) -> None:
-    """Levels with a spatial light distribution unlike all others, as from a shadow. The share of a
-    pixel block in the frame's signal is constant, but for a smooth change toward black (if that is
-    uneven) and toward saturation (if the response is nonlinear)."""
+    """Remove levels with a spatial light distribution unlike all others, as from a shadow. The
+    share of a pixel block in the frame's signal is constant, except for a smooth change toward
+    black (if the black level is uneven) and toward saturation (if the response is nonlinear)."""
     assert levels.black is not None
     while True:
         there = _unsaturated(levels)
@@ -179,7 +180,7 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
         fields = [np.mean(own, axis=0) for own in every]
         if len({field.shape for field in fields}) > 1:
             return
-        # Of light that differs from frame to frame, as in bands that move.
+        # Scatter of the light distribution from frame to frame, as from moving bands.
         apart = np.array(
             [rms(np.std(own, axis=0)) / np.sqrt(max(len(own) - 1, 1)) for own in every]
         )
@@ -209,7 +210,7 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
 
 
 def noise_of_levels(levels: ComparedLevels) -> None:
-    """Levels whose variance for their signal deviates from both neighbours in the same
+    """Remove levels whose variance at their signal deviates from both neighbours in the same
     direction."""
     there = _lit(levels)
     if len(there) < FEWEST_LEVELS:
@@ -237,8 +238,9 @@ def _beside(values: np.ndarray, place: int) -> float:
 
 
 def _peaks(values: np.ndarray, size: float, chance: np.ndarray) -> list[int]:
-    """Positions that deviate from both neighbours by more than a size and significantly, largest
-    first. A position next to a larger one is tested without it."""
+    """Return the positions that deviate significantly from both neighbours, and by more than
+    `size`, largest deviation first. A position next to a larger deviation is tested without that
+    neighbour."""
     left, found = list(range(len(values))), []
     while len(left) > 2:
         own, around = np.array(left[1:-1]), (np.array(left[:-2]), np.array(left[2:]))

@@ -10,13 +10,13 @@ from .frame import ALONE, FrameSample, OddFrames
 
 BLOCKS = 16  # of a frame, along each side
 SURE = 6.0  # standard deviations from which a frame deviates
-UNEVEN, HALF = 0.03, 0.5  # least deviation: relative to the signal, and to a pixel's noise
+UNEVEN, HALF = 0.03, 0.5  # least deviation, relative to the signal and to a pixel's noise
 OTHER_NOISE = 1.4  # ratio of variances
-MOSTLY = 0.9  # share of the pixels at one end of the codes
+MOSTLY = 0.9  # share of the pixels at black or white from which a finding says so
 MOST = 0.5  # largest relative flicker of a lamp
-TRIMMED = 0.98  # share of the squares that are kept, without hot pixels and cosmic rays
+TRIMMED = 0.98  # share of the squared residuals that is kept, to drop hot pixels and cosmic rays
 FEWEST_TRIMMED = 50
-MEDIAN = 0.6745  # of the size of a normal deviate of standard deviation 1
+MEDIAN = 0.6745  # median of |z| for a standard normal z
 
 
 def usual_size(deviates: Sequence[float] | np.ndarray) -> float:
@@ -47,14 +47,14 @@ class ComparedLevels:
         self._pixel_noise: dict[tuple, float] = {}  # of levels with these frames
         own = [self.pixel_noise(level) for level in range(len(frames))]
         apart = [a.mean - b.mean for level in frames for a, b in pairwise(level)]
-        self.wander = usual_size(apart) / float(np.sqrt(2))  # DN, of a frame's mean
+        self.wander = usual_size(apart) / float(np.sqrt(2))  # drift of a frame's mean, DN rms
         self.noise = _noise_of_levels(frames, light, np.array(own))
 
     def pixel_noise(self, level: int, *, lines: bool = True) -> float:
         """DN rms of a pixel's difference between two frames, from the pair that differs least
         without being copies.
 
-        `lines`: whether noise shared by whole rows and columns counts."""
+        `lines`: whether to include noise that whole rows and columns share."""
         frames = self.frames[level]
         if len(frames) < 2:
             return 0.0
@@ -71,8 +71,8 @@ class ComparedLevels:
         return float(np.sqrt(min((v for v in variances if v > 0), default=0.0) / 2))
 
     def chance(self, level: int) -> float:
-        """DN rms between the means of two frames, from pixel noise. This is a lower bound: a mean
-        covers more pixels than the kept sample."""
+        """Return the difference, in DN rms, of the means of two frames from pixel noise. The true
+        value is smaller, because a mean covers more pixels than the sample."""
         sizes = [frame.sample.size for frame in self.frames[level]]
         return float(self.noise[level]) * float(np.sqrt(2 / max(sizes, default=1)))
 
@@ -138,8 +138,8 @@ class ComparedLevels:
 def _noise_of_levels(
     frames: Sequence[Sequence[FrameSample]], light: np.ndarray, own: Float[np.ndarray, " levels"]
 ) -> Float[np.ndarray, " levels"]:
-    """DN rms of a pixel between frames. If only two frames disagree, it is limited by the noise of
-    other levels."""
+    """Return the noise of a pixel between frames, DN rms. If there are only two frames and they
+    disagree, the noise of other levels limits it."""
     found, order = own.copy(), np.argsort(light, kind="stable")
     for i, place in enumerate(order):
         rest = np.delete(order, i)

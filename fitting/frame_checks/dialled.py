@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 from jaxtyping import Float
 
-STOPS = (1, 2, 3)  # parts of a stop that dials have
+STOPS = (1, 2, 3)  # steps per stop on camera dials
 PRINTED = 0.08  # largest relative error of a printed time
 ROUNDED = 0.01  # least relative error of the worst time of a series that counts as rounded
 LESS = 1 / 3  # largest share of the scatter that may remain with exact times
@@ -25,13 +25,13 @@ def exact_times(times: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " 
 
 
 def worst_in_words(times: Float[np.ndarray, " n"], exact: Float[np.ndarray, " n"]) -> str:
-    """The time with the largest error."""
+    """Return the exact and the printed time with the largest difference."""
     worst = int(np.argmax(np.abs(exact / times - 1)))
     return f"{_fraction(exact[worst])} s for {_fraction(times[worst])} s"
 
 
 def _fraction(seconds: float) -> str:
-    """A time in the form of a camera dial."""
+    """Return a time as on a camera dial."""
     if seconds >= 0.5:
         return f"{seconds:.4g}"
     return str(Fraction(1, round(1 / seconds)))

@@ -14,17 +14,17 @@ from ..copies import Copies
 from .frame import COPIED, FrameSample, OddFrames, listed, refuse_half
 
 BLANK = 0.999  # share of saturated pixels of an image without information
-LONGER = 1.2  # ratio of exposures from which the longer must be the brighter
-FEWEST_CLEAR, CONTRAST = 200, 0.02  # sampled pixels to compare scenes by; their spread, of scale
+LONGER = 1.2  # ratio of exposures from which the longer image must be brighter
+FEWEST_CLEAR, CONTRAST = 200, 0.02  # pixels needed to compare scenes; least spread, of full scale
 LEAST_RISE = 0.01  # of full scale, by which a stop of exposure brightens any camera's codes
-UNLIKE, LIKE = 0.6, 0.9  # rank correlation of another scene at most, of one scene at least
+UNLIKE, LIKE = 0.6, 0.9  # rank correlation: at most for another scene, at least for the same scene
 
 
 def odd_exposures(
     where: str | Path, frames: Sequence[FrameSample], times: ArrayLike, *, full_scale: float
 ) -> list[OddFrames]:
-    """Images of one still scene that show another scene, or that have less light than a shorter
-    exposure."""
+    """Return the images that show another scene than the rest, or that have less light than a
+    shorter exposure."""
     gone = {name for one in blank_images(frames) for name in one.names}
     left = [i for i, frame in enumerate(frames) if frame.name not in gone]
     odd, seconds = [], np.asarray(times, float)
@@ -150,7 +150,7 @@ def _darker(
             lit = np.maximum(one, other) > min(one.min(), other.min()) + 0.02 * full_scale
             clear = lit & (np.minimum(one, other) < 0.95 * full_scale)
             if clear.sum() >= FEWEST_CLEAR:
-                # By more than images differ that show hardly any light.
+                # By more than two images differ if they show hardly any light.
                 less = 0.01 * full_scale
                 found[i, j] = np.mean(one[clear] < other[clear] - less) > 0.5
                 found[j, i] = np.mean(other[clear] < one[clear] - less) > 0.5

@@ -40,7 +40,7 @@ class OddFrames:
     Attributes:
         names: of the frames, at least one.
         reason: why they differ from the others, a clause.
-        spare: whether the frames are good in themselves and only belong to another set.
+        spare: whether the frames are good and only belong to another set.
     """
 
     names: tuple[str, ...]

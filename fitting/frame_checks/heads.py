@@ -12,9 +12,9 @@ from jaxvision.files.image_settings import ImageSettings, read_settings
 
 from .frame import OddFrames
 
-SAME = 0.02  # relative difference of exposures and apertures that heads round to
-ROUNDED = 0.1  # relative difference of an exposure from the one that a camera prints
-WARMER = 5.0  # K, by which sensors drift while frames are taken
+SAME = 0.02  # relative difference of exposures and apertures from rounded metadata
+ROUNDED = 0.1  # relative difference of an exposure from its rounded value
+WARMER = 5.0  # K, largest drift of a sensor during a series
 
 
 @dataclass(frozen=True)

@@ -31,10 +31,10 @@ from .compared import (
 from .frame import COPIED, FrameSample, OddFrames, listed
 from .moved import moved_frames
 
-PAIRS = 2.22  # standard deviations a quartile of pairwise differences
-LAMP = 0.005  # of the signal: less changes no figure by more than half of it
-CLOSER = 3.0  # times that one of two frames must be nearer to the prediction of the other levels
-BETWEEN = 0.01  # share of pixels that are neither black nor white in a frame that can be a copy
+PAIRS = 2.22  # standard deviations per lower quartile of pairwise differences
+LAMP = 0.005  # of the signal; a smaller flicker changes results by at most half of it
+CLOSER = 3.0  # ratio of distances to the prediction from which the nearer of two frames is right
+BETWEEN = 0.01  # least share of pixels between black and white in a frame that can be a copy
 
 
 def odd_frames(
@@ -138,7 +138,7 @@ def _means(levels: ComparedLevels) -> None:
             continue
         scale, least = levels.scale(level), levels.floor(level)
         if levels.black is not None:
-            # Black that drifts moves all levels alike, whatever their light.
+            # A drift of the black level shifts all levels by the same DN, whatever their light.
             drift = min(beyond_chance(degrees) * np.sqrt(2) * levels.wander, MOST * scale)
             least = max(LAMP * scale, SURE * levels.chance(level), drift)
         limit = max(spread * scale, least)

@@ -12,10 +12,10 @@ import numpy as np
 from .compared import SURE, ComparedLevels, scaled_to_one_mean, trimmed_variance, without_lines
 from .frame import OddFrames, listed
 
-OTHER_NOISE = 1.4  # ratio of variances of two pairs of frames, of which one pair moved
-FEWEST_LEVELS = 3  # at which frames differ by one pattern
-ALIKE = 0.05  # correlation of what frames differ by at two levels, by less no gain is off by more
-MOST_FRAMES = 24  # whose pairs are all compared
+OTHER_NOISE = 1.4  # ratio of variances between pairs of frames from which one pair moved
+FEWEST_LEVELS = 3  # levels at which frames differ by the same pattern
+ALIKE = 0.05  # correlation of differences at two levels below which gain errors are small
+MOST_FRAMES = 24  # frames up to which all pairs are compared
 
 
 def moved_frames(levels: ComparedLevels) -> None:
@@ -40,7 +40,7 @@ def moved_frames(levels: ComparedLevels) -> None:
     if len(alike) < FEWEST_LEVELS:
         return
     groups = {level: parted[level][0] for level in alike}
-    # The noise of dim levels hides more of the same.
+    # In dim levels, noise hides the same pattern.
     usual = groups[max(alike, key=lambda level: levels.light[level])]
     for level, own in samples.items():
         if level not in parted and len(own) == sum(map(len, usual)):

@@ -1,6 +1,6 @@
 """Where the lights are, from photographs of a ball: directions or positions, with one covariance.
 
-The ball's outline is an error that all lights share.
+An error of the ball's outline affects all lights.
 """
 
 from jaxvision.core.lazy_names import names_of

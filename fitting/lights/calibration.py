@@ -1,12 +1,13 @@
 """Directions, or near positions, and intensities of lights from photographs of a ball.
 
-A mirror ball shows a light where l = 2 (n.v) n - v. A matte ball is shaded by n.l. Both take n from
-the outline of the ball, whose error rotates all directions alike: two careful outlines differ by a
-pixel, that is by .5 to .8 degrees of all lights. The covariance is therefore one of all lights,
+A mirror ball shows a light where l = 2 (n.v) n - v. A matte ball is shaded by n.l. For both, n
+comes from the outline of the ball, whose error rotates all directions alike: two careful outlines
+differ by a pixel, which rotates all lights by .5 to .8 degrees. All lights therefore have one joint
+covariance,
 
     C = J_o C_o J_o' + diag(own),    J_o = d(places)/d(outline).
 
-Two mirror balls give two lines of sight, which meet in a near light.
+Two mirror balls give two lines of sight, which meet at a near light.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,11 +33,11 @@ from .outline import Lens, Outline, centre_of, outline_of
 
 Kind = Literal["mirror", "matte"]
 OUTLINE_SD = 0.5  # pixels
-INSIDE = 0.97  # of the radius: where highlights are looked for
+INSIDE = 0.97  # of the radius, within which highlights are searched
 STEP = 1e-3  # pixels
 NOT_MATTE = 0.03  # residual, relative to the largest signal, from which it is reported
 CONTRADICTED = 3.5  # standard deviations between two outlines from which they are reported
-FOCAL = 5000.0  # pixels, as of a lens of 25 mm with pixels of 5 micrometres
+FOCAL = 5000.0  # pixels, such as a lens of 25 mm and pixels of 5 micrometres
 SEEN_FROM = 0.5  # largest standard deviation of a position, relative to its distance
 
 
@@ -61,8 +62,8 @@ def calibrate(
         files: names of the images; None for `images[0]` and on.
         focal_length: of the lens, pixels, with its axis through the middle of the picture; None for
             an orthographic view.
-        radius: of two equal balls, m. Without a focal length, their centres must be equally far
-            from the camera.
+        radius: radius of two equal balls, m. Without a focal length, their centres must be equally
+            far from the camera.
         outline_sd: standard deviation of the centre and radius of a careful outline, pixels.
 
     Returns:
@@ -70,8 +71,8 @@ def calibrate(
 
     Raises:
         InputError: for a ball without a highlight, with two, or with one that is saturated or cut
-            by the border, for a mask that is not a ball's, and for lights too far away for a
-            position.
+            by the border, for a mask that is not the outline of a ball, and for lights too far away
+            for a position.
 
     Example:
         >>> from fitting.lights import calibrate
@@ -99,8 +100,8 @@ def calibrate(
             )
     if len(balls) > 1 and (len(balls) > 2 or kind == "matte" or radius is None):
         raise InputError(
-            f"{len(balls)} masks of {kind} balls; give one, or two of mirror balls and their "
-            "radius in metres, which gives positions."
+            f"{len(balls)} masks of {kind} balls; give one mask, or two masks of mirror balls and "
+            "their radius in metres, which gives positions."
         )
     height, width = readings[0].shape
     lens = Lens(focal_length, ((width - 1) / 2, (height - 1) / 2))
@@ -118,8 +119,8 @@ def calibrate(
     for name, reading in zip(names, readings, strict=True):
         copies.add(name, reading)
     told = tuple(
-        f"{listed(list(same))} hold equal numbers: they are copies of one exposure; of these "
-        "lights all but one are wrong."
+        f"{listed(list(same))} hold equal numbers: they are copies of one exposure, so all but "
+        "one of these lights are wrong."
         for same in copies.found
     )
     if focal_length is None:
@@ -128,7 +129,8 @@ def calibrate(
 
 
 def _lens_finding(found: Lights, middle: tuple[float, float]) -> tuple[str, ...]:
-    """What a lens that was not stated could change, where this is more than the errors."""
+    """Return a finding on how much an unstated lens could change the directions, if this exceeds
+    their errors."""
     beside = np.hypot(*(found.outlines[:, :2] - middle).T) + found.outlines[:, 2]
     turn, sd = float(beside.max()) / FOCAL, np.median(found.place_sd)
     if found.near:
@@ -182,7 +184,7 @@ def _locate_by_highlights(
             return toward[0]
         assert radius is not None
         centres = centre_of(values, lens)
-        if lens.focal_length is None:  # equal balls, equally far
+        if lens.focal_length is None:  # equal balls at equal distance
             centres = centres * values[:, 2:] / values[:, 2].mean()
         return _crossing(radius * (centres - centres[0])[:, None] + radius * normals, toward)
 
@@ -205,7 +207,7 @@ def _locate_by_highlights(
             slope = _slope(
                 lambda h, b=b, a=axis: places(values, _moved(spots, (b, slice(None), a), h))
             )
-            slope = slope * np.sqrt(np.mean([one.sd**2 for one in of_ball]))  # one shows it poorly
+            slope = slope * np.sqrt(np.mean([one.sd**2 for one in of_ball]))  # pooled over lights
             own += slope[:, :, None] * slope[:, None, :]
     shared = np.einsum("lio,op,mjp->limj", by_outline, of_outline, by_outline)
     flux = np.array([one.flux for one in seen[0]])
@@ -291,7 +293,7 @@ def _locate_by_shading(
     findings = _outline_findings([outline])
     if found.floor:
         findings += (
-            f"Pixels of the ball that are turned from a light read {found.floor:.4g} DN above "
+            f"Pixels of the ball that face away from a light read {found.floor:.4g} DN above "
             "black (median). This was subtracted from all numbers. Camera.black_level is wrong, or "
             "the room was not dark.",
         )

@@ -22,8 +22,8 @@ class Lights:
         places: (lights, 3) unit directions toward distant lights; m from the centre of the first
             ball where `near`. Axes are x right, y up, z toward the camera.
         intensities: (lights,) relative, 1 on average; NaN where unknown.
-        covariance: (lights, 4, lights, 4) of x, y, z and the logarithm of the intensity, with what
-            all lights share.
+        covariance: (lights, 4, lights, 4) of x, y, z and the logarithm of the intensity, including
+            the errors that all lights share.
         near: whether places are positions.
         outlines: (balls, 3) column, row and radius of each ball, pixels.
         outline_sds: (balls, 3) pixels.
@@ -44,7 +44,8 @@ class Lights:
 
     @property
     def place_sd(self) -> Float[np.ndarray, " lights"]:
-        """Rad, rms along the two axes across a direction; m, along three, of a position."""
+        """Standard deviation (rms over axes): of a direction, rad, along two axes across it; of a
+        position, m, along three."""
         own = np.einsum("lili->l", self.covariance[:, :3, :, :3])
         return np.sqrt(own / (3 if self.near else 2))
 

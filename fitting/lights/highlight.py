@@ -13,12 +13,12 @@ from ..inference.formatting import format_percent
 from .outline import ROUNDING, Lens, surface
 
 SEEN = 10.0  # standard deviations of the ball's pixels above their median
-BRIGHT = 0.2  # of full scale above black: a highlight is at least as bright as that
+BRIGHT = 0.2  # least peak of a highlight, as a share of full scale above black
 LEVELS = (0.5, 0.25)  # of the highlight's height, at which its centroid is taken
-SECOND = 0.3  # of the flux of the first
-WIDEST = 0.1  # of the ball's pixels
-FINEST = 0.05  # pixels, of a centroid
-UNEVEN = 0.01  # of the reflectance of a mirror
+SECOND = 0.3  # flux of a second highlight, relative to the first, that is refused
+WIDEST = 0.1  # largest share of the ball's pixels that may be bright or saturated
+FINEST = 0.05  # smallest assumed error of a centroid, pixels
+UNEVEN = 0.01  # assumed relative variation of the mirror's reflectance
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def highlight_of(
         above = ball & (signal > level + part * (peak - level))
         if (share := above.sum() / ball.sum()) > WIDEST:
             raise InputError(
-                f"{name}: {format_percent(share)} of the ball are bright, as of a matte or a "
+                f"{name}: {format_percent(share)} of the ball are bright, as on a matte or a "
                 "saturated ball; expose less, or choose the kind matte."
             )
         pieces, count = cast("tuple[np.ndarray, int]", label(above, np.ones((3, 3))))

@@ -1,12 +1,13 @@
 """Directions and irradiances of distant lights from the shading of a matte ball.
 
-The ball's normals n(o) follow from its outline o. Each light has g = E rho l in m = g.n where
-n.l > 0. The outline, with the prior of its own fit, is common to all lights:
+The ball's normals n(o) follow from its outline o. With irradiance E, albedo rho and light direction
+l, the signal is m = g.n with g = E rho l, where n.l > 0. The outline, with the result of its own
+fit as a prior, is common to all lights:
 
     H_oo = C_o^-1 + sum_k (D_k' D_k - B_k' A_k^-1 B_k) / s_k^2,   A = N'N, B_k = N'D_k,
 
-with D_k = d(N g_k)/do. Residuals that neighbouring pixels share count as fewer pixels, by the
-design effect of sectors of the ball.
+with D_k = d(N g_k)/do. If residuals of neighbouring pixels are correlated, the design effect of
+sectors of the ball reduces the effective number of pixels.
 """
 
 from dataclasses import dataclass, replace
@@ -19,13 +20,13 @@ from jaxvision.errors import InputError
 from ..inference.formatting import format_percent
 from .outline import Outline, surface
 
-LIT = 0.2  # n.l of the pixels that count
-ROUNDS = 4  # of the outline
-SIGHT = 0.9  # of the radius: pixels that count
+LIT = 0.2  # smallest n.l of the pixels that are fitted
+ROUNDS = 4  # updates of the outline
+SIGHT = 0.9  # of the radius, within which pixels are fitted
 FEWEST = 50  # pixels
 STEP = 1e-3  # pixels
 UNLIT = 0.1  # -n.l of pixels that should read black
-SMALL = 0.002  # of the largest signal: a reading of the unlit side that changes no direction
+SMALL = 0.002  # of the largest signal: a reading of the unlit side too small to matter
 SECTORS, RINGS = 8, 3
 
 
@@ -41,7 +42,7 @@ class Shading:
         by_outline: (lights, 3, 3) dg/do.
         misfit: rms residual over the largest signal, median over lights.
         effect: design effect of the residuals.
-        floor: DN that pixels turned from the lights read, which was taken off.
+        floor: DN above black of pixels facing away from the lights; it was subtracted.
     """
 
     values: Float[np.ndarray, "3"]
@@ -62,9 +63,9 @@ def shading_of(
     *,
     names: list[str],
 ) -> Shading:
-    """Lights and outline together, by Gauss and Newton's method; signals above black, DN.
+    """Fit lights and outline together, by Gauss-Newton; signals are above black, DN.
 
-    What the unlit side reads above black, of a black level or of room light, is taken off.
+    The reading of the unlit side (a wrong black level, or room light) is subtracted.
     """
     found = _shading(signals, ball, clip, outline, names)
     floor = _floor(signals, ball, found, outline)
@@ -79,7 +80,7 @@ def _floor(
     found: Shading,
     outline: Outline,
 ) -> float:
-    """DN that pixels read where n.l < 0, 0 where that is within its standard error or small."""
+    """Return the reading, in DN, where n.l < 0; 0 if it is within its standard error or small."""
     rows, columns = np.nonzero(ball)
     pixels = np.stack([columns, rows], axis=1).astype(float)
     inner = np.hypot(*(pixels - found.values[:2]).T) < SIGHT * found.values[2]

@@ -1,8 +1,9 @@
 """The outline of a ball in a picture, and the normal of the ball at a pixel.
 
 An orthographic camera sees a circle. A lens sees the cone of rays that touch the ball: with c the
-direction of its centre, a ray q lies on the cone where tan(q, c) = r / f. Its picture is an ellipse
-unless the centre is on the axis. Axes are x right, y up, z toward the camera.
+direction of the ball's centre, a ray q lies on the cone if the tangent of the angle between q and c
+is r / f. The picture of the cone is an ellipse unless the centre is on the axis. Axes are x right,
+y up, z toward the camera.
 """
 
 from dataclasses import dataclass
@@ -53,14 +54,14 @@ class Outline:
 
 
 def _circle_residuals(column: Array, row: Array, radius: Array, inputs: dict[str, Array]) -> Array:
-    """Pixels by which edges lie outside a circle; parameters are changes of a start, in its
-    radius."""
+    """Distances, in pixels, by which edge points lie outside a circle; parameters are changes of a
+    start, in units of its radius."""
     x, y, r = inputs["start"] + inputs["start"][2] * jnp.stack([column, row, radius])
     return jnp.hypot(inputs["edge"][:, 0] - x, inputs["edge"][:, 1] - y) - r
 
 
 def _cone_residuals(column: Array, row: Array, radius: Array, inputs: dict[str, Array]) -> Array:
-    """Likewise outside a cone of rays; columns and rows are about the lens' axis."""
+    """The same outside a cone of rays; columns and rows are relative to the lens' axis."""
     x, y, r = inputs["start"] + inputs["start"][2] * jnp.stack([column, row, radius])
     focal, edge = inputs["focal"], inputs["edge"]
     rays = jnp.concatenate([edge, jnp.full((len(edge), 1), focal)], axis=1)
@@ -70,8 +71,8 @@ def _cone_residuals(column: Array, row: Array, radius: Array, inputs: dict[str, 
 
 
 def outline_of(mask: Bool[np.ndarray, "h w"], lens: Lens, *, sd: float, name: str) -> Outline:
-    """The outline of a mask's ball; `sd` pixels is how far centre and radius may be off as a whole,
-    which no scatter of the edge shows."""
+    """Return the outline of a mask's ball. `sd`, in pixels, is the error of centre and radius that
+    does not show as scatter of the edge."""
     if not mask.any():
         raise InputError(f"{name}: the mask is empty; it must be non-zero where the ball is.")
     if mask[[0, -1]].any() or mask[:, [0, -1]].any():
@@ -139,7 +140,8 @@ def surface(
 
 
 def centre_of(values: Float[np.ndarray, "*of 3"], lens: Lens) -> Float[np.ndarray, "*of 3"]:
-    """The ball's centre in its radii, from the lens or, orthographic, from the axis."""
+    """Return the ball's centre in units of its radius, from the lens or (orthographic) from the
+    axis."""
     column, row, radius = np.moveaxis(np.asarray(values, float), -1, 0)
     if lens.focal_length is not None:
         return _distance(radius, lens)[..., None] * _ray(column, row, lens)
@@ -148,7 +150,7 @@ def centre_of(values: Float[np.ndarray, "*of 3"], lens: Lens) -> Float[np.ndarra
 
 
 def _ray(column: np.ndarray, row: np.ndarray, lens: Lens) -> np.ndarray:
-    """Unit, from the lens through a place of the picture."""
+    """Return the unit vector from the lens through a position in the picture."""
     assert lens.focal_length is not None
     x, y = (column - lens.centre[0]) / lens.focal_length, (lens.centre[1] - row) / lens.focal_length
     ray = np.stack([x, y, -np.ones_like(x)], axis=-1)
@@ -156,6 +158,6 @@ def _ray(column: np.ndarray, row: np.ndarray, lens: Lens) -> np.ndarray:
 
 
 def _distance(radius: np.ndarray, lens: Lens) -> np.ndarray:
-    """From the lens to a ball's centre, in its radii."""
+    """Return the distance from the lens to a ball's centre, in radii of the ball."""
     assert lens.focal_length is not None
     return np.hypot(1, lens.focal_length / radius)

@@ -13,7 +13,7 @@ from ..report.section import Picture, Section, Table
 from .file import HEADS, Lights, write_lights
 
 FILE = "lights.npz"
-ENLARGED = 5.0  # standard deviations that an ellipse of the picture shows
+ENLARGED = 5.0  # half axis of the ellipses in the picture, in standard deviations
 
 
 def section(lights: Lights, *, root: str = ".", camera: str = "bits = 8") -> Section:

@@ -18,15 +18,15 @@ from ..inference.posterior import Posterior
 from .colours import BLUE, OF_CHANNEL, RED
 from .section import Columns, Picture, Section
 
-MARGIN = 1.15  # inches left of and below a corner plot, for turned numbers and names
-LONGEST_TAIL = 0.75  # drawn beyond the 95 % interval, in its widths: more than a Gaussian has
+MARGIN = 1.15  # inches left of and below a corner plot, for rotated numbers and names
+LONGEST_TAIL = 0.75  # longest drawn tail beyond the 95 % interval, in widths of that interval
 
 
 def corner_figure(
     posteriors: Mapping[str, Posterior], truth: Mapping[tuple[str, str], float]
 ) -> Figure:
-    """Every pair of parameters with 68 and 95 % regions."""
-    with warnings.catch_warnings():  # it imports ArviZ, if installed, which announces its changes
+    """Draw every pair of parameters with 68 and 95 % regions."""
+    with warnings.catch_warnings():  # importing ArviZ, if installed, warns of its changes
         warnings.simplefilter("ignore", FutureWarning)
         import corner
 
@@ -74,7 +74,7 @@ def corner_figure(
             labelpad=0.26,
             fig=figure,
         )
-    for own in figure.axes[:: len(space) + 1]:  # on the diagonal: as high as the highest channel
+    for own in figure.axes[:: len(space) + 1]:  # diagonal: fit the highest channel
         curves = [np.asarray(line.get_ydata(), float) for line in own.lines]
         own.set_ylim(0, 1.1 * max((y.max() for y in curves if y.size > 2), default=1.0))
     for axis in figure.axes:
@@ -102,7 +102,7 @@ def _relative(posteriors: Mapping[str, Posterior]) -> np.ndarray:
 
 
 def _around(low: float, high: float) -> tuple[float, float]:
-    """The range of the draws, or a range about a number that all draws share."""
+    """Return the range of the draws, or a range about the common value if all draws are equal."""
     return (low, high) if high > low else (low - abs(low) - 1e-9, high + abs(high) + 1e-9)
 
 
@@ -122,9 +122,9 @@ def write_chains(
     arrays: Mapping[str, tuple[int, ...]] | None = None,
     data: Mapping[str, Columns] | None = None,
 ) -> None:
-    """Draws of every posterior in one NetCDF file of ArviZ' layout, with a dimension of channels if
-    there are several posteriors. All have the length of the shortest, with the last draws of each;
-    a parameter that a channel lacks is NaN there."""
+    """Write the draws of every posterior to one NetCDF file in ArviZ' layout, with a dimension of
+    channels if there are several posteriors. Longer chains are cut to the last draws, as many as
+    the shortest chain has. A parameter that a channel lacks is NaN there."""
     import xarray
 
     first = next(iter(posteriors.values()))
@@ -182,7 +182,7 @@ def chain_pictures(section: Section) -> tuple[Picture, ...]:
     floating-point numbers have no plot."""
     alike: dict[tuple[str, ...], dict[str, Posterior]] = {}
     for group, posterior in section.posteriors.items():
-        if not np.isfinite(posterior.samples).all():  # Laplace's, of what the data leave open
+        if not np.isfinite(posterior.samples).all():  # Laplace's draws of undetermined parameters
             continue
         alike.setdefault(names(posterior.space), {})[group] = posterior
     pictures = [

@@ -15,7 +15,7 @@ from .sentences import said_once
 from .sheet import Cell, Sheet, sheet
 
 COLUMNS = 3  # channels or methods side by side
-PLAIN_WIDTH = 110  # columns where the output is not a terminal, which would tell its width
+PLAIN_WIDTH = 110  # columns if the output is not a terminal
 
 
 def output() -> Console:
@@ -122,7 +122,7 @@ def _columns_of_names(content: Table) -> int:
 
 
 def _spare(chosen: Sequence[int], least: Sequence[int], width: int) -> int:
-    """Return the width that remains after the words of these columns and the frame."""
+    """Return the width that remains after the longest words of these columns and the frame."""
     return width - sum(least[i] for i in chosen) - 3 * len(chosen) - 1
 
 

@@ -17,16 +17,17 @@ from ..rig import NEEDED, Dark, Exposure, Flat, Geometry, Light, Purpose, Rig
 from .section import Input, Section
 from .unused_keys import unused_keys
 
-MOST_PICTURES = 16  # of one section, evenly among its images
-SIDE = 96  # pixels of the longer side of a small picture, at most
-UNITS = {"exposure": "s", "irradiance": "W m^-2"}  # the others carry theirs in the name, or none
+MOST_PICTURES = 16  # most thumbnails in one section, spread evenly over its images
+SIDE = 96  # pixels of a thumbnail's longer side, at most
+UNITS = {"exposure": "s", "irradiance": "W m^-2"}  # others name it, or have none
 DISPLAY_GAMMA = 2.2
 
 
 def with_inputs(
     section: Section, rig: Rig, purpose: Purpose, *, fit_gamma: bool = False
 ) -> Section:
-    """A section with the images of its rig and the keys of it that had no effect."""
+    """Return a section with the images of its rig, and findings on the rig's keys that had no
+    effect."""
     idle = unused_keys(rig, section.kind, fit_gamma=fit_gamma)
     inputs = inputs_of(rig, purpose)
     region = rig.camera.region
@@ -93,7 +94,7 @@ def small_picture(rig: Rig, name: str) -> str | None:
     step = -(-max(image.shape[:2]) // SIDE)
     means = _block_means(_block_means(image, step, axis=0), step, axis=1)
     camera = rig.camera
-    black = float(np.min(camera.black_level or 0.0))  # a thumbnail is no place to tell sites apart
+    black = float(np.min(camera.black_level or 0.0))  # a thumbnail does not distinguish sites
     clip = float(np.max(camera.saturation or camera.full_scale))
     shown = np.nan_to_num(np.clip((means - black) / (clip - black), 0, 1))
     if camera.bits > 8 and camera.gamma in (None, 1.0):  # linear

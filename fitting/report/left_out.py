@@ -1,4 +1,4 @@
-"""Tables of the errors that a likelihood neglected."""
+"""Tables of the errors that a likelihood neglects."""
 
 from collections.abc import Iterable
 from itertools import compress

@@ -29,7 +29,7 @@ class ShownInNotebooks:
         return section_html(_with_cost(self.section))
 
     def __repr__(self) -> str:
-        from .console import section_text  # rich, which no calibration needs
+        from .console import section_text  # imports rich, which calibrations do not need
 
         return section_text(_with_cost(self.section))
 
@@ -50,7 +50,7 @@ def section_html(section: Section) -> str:
     """The estimates and findings of a section."""
     found = sheet(section)
     shown = [row for _, block in found.blocks for row in block]
-    units = any(row.unit for row in shown)  # gamma alone has none
+    units = any(row.unit for row in shown)  # a section with gamma alone has no units
     heads = ("", *found.columns, *(("unit",) if units else ()))
     head = "".join(f"<th>{escape(word)}</th>" for word in heads)
     rows = "".join(

@@ -27,7 +27,7 @@ from .sentences import said_once
 from .sheet import sheet
 
 WIDE = 520  # px of a figure that needs the width of the page
-NARROW = 390  # px of the widest strip of one, for a phone
+NARROW = 390  # px of the widest strip of a figure, for a phone
 PACKAGES = ("jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
 
 

@@ -10,7 +10,7 @@ from rich.console import Console
 
 _LOG = logging.getLogger("jaxvision.fitting")
 Progress = Callable[[int, int], None]  # called with (done, total)
-SILENT = 30.0  # s, after which a step that goes on says so where there is no terminal
+SILENT = 30.0  # s after which a step reports, without a terminal, that it is still running
 
 
 class Reporter:

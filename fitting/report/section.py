@@ -16,7 +16,7 @@ from ..inference.precision import double_precision
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Columns = dict[str, np.ndarray]  # of equal length, by their heads
+Columns = dict[str, np.ndarray]  # arrays of equal length by column heading
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Picture:
         return double_precision(self.draw)()
 
     def __repr__(self) -> str:
-        return f"Picture({self.name!r}, {self.title!r})"  # what it draws from may be long
+        return f"Picture({self.name!r}, {self.title!r})"  # the data behind the figure may be long
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Input:
         files: names.
         kind: of the files: flat, dark, exposure or light.
         settings: of the rig, in words.
-        bytes: of all files; None if one has been removed since.
+        bytes: size of all files; None if one has been removed since.
         picture: function that returns a small PNG of the first one, base64-encoded, or None if it
             has been removed since; None where it is not shown.
     """
@@ -105,8 +105,8 @@ class Section:
         records: fitted records for use in a simulation: by the name of the file (ending in .toml),
             the function that writes it to a path.
         failure: why there are no results, as a sentence; empty where there are results.
-        headline: the finding that no model describes the data, which stands above the estimates;
-            empty if one does.
+        headline: the finding that no model describes the data, shown above the estimates; empty if
+            a model does.
     """
 
     kind: str
@@ -142,8 +142,8 @@ class Section:
 
 
 def describing_nothing(section: Section, headline: str, groups: Collection[str]) -> Section:
-    """A section whose model does not describe the data of some groups: a headline says so, these
-    groups have no numbers, and no records are written."""
+    """Return a section for a model that does not describe the data of some groups: a headline says
+    so, these groups get no numbers, and no records are written."""
     why = "the model does not describe the data (see the first sentence)"
     return replace(
         section,

@@ -37,8 +37,8 @@ class Row:
         name: in words.
         letter: of its symbol.
         subscript: of its symbol.
-        unit: as it is printed.
-        cells: one for each column.
+        unit: as printed.
+        cells: one cell for each column.
         difference: difference of two methods over the larger of their standard errors.
     """
 

@@ -38,10 +38,10 @@ def _sites(rig: Rig, kind: str) -> Unused:
     if camera.taps is None:
         return
     if camera.pattern is not None and camera.layout == (2, 2):
-        yield ("camera.taps",), "camera.pattern sets the pixels of each apart already"
+        yield ("camera.taps",), "camera.pattern already separates the pixels of each"
     several = any(isinstance(getattr(camera, name), tuple) for name in BY_SITE)
     if kind in ("brdf", "joint") and not several:
-        yield ("camera.taps",), "black level and saturation are the same at all of them"
+        yield ("camera.taps",), "black level and saturation are the same at all taps"
 
 
 def _camera(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -63,11 +63,11 @@ def _light_of_flats(rig: Rig) -> Unused:
     if any(flat.photons is not None for flat in rig.flat):
         yield ("flat.irradiance",), "the photons of each flat are given"
     if not any(flat.photons is None and flat.irradiance is not None for flat in rig.flat):
-        yield _camera(OF_PHOTONS), "no photons had to be found from an irradiance"
+        yield _camera(OF_PHOTONS), "no irradiance had to be converted to photons"
 
 
 def _response(rig: Rig) -> Unused:
-    yield _camera(NOISE), "the noise of pixels is read off the exposures"
+    yield _camera(NOISE), "the noise of pixels is estimated from the exposures"
     yield _camera(GAMMA), "the response is measured"
     yield _camera(OF_PHOTONS), "exposures are relative"
     groups = {exposure.group for exposure in rig.exposure}
@@ -86,17 +86,17 @@ def _brdf(rig: Rig) -> Unused:
         yield _camera(keys), why
     else:
         errors = "gain_sd", "read_noise_sd"
-        yield _camera(errors), "they change the weights of pixels, but no estimate to first order"
-    yield _camera(("prnu_sd",)), "the unequal gains of pixels are read off the residuals"
+        yield _camera(errors), "to first order they change only the weights of pixels"
+    yield _camera(("prnu_sd",)), "the unequal gains of pixels are estimated from the residuals"
     yield _camera(OF_PHOTONS), "lights are stated by their irradiance"
     yield ("[[flat]]", "[[dark]]"), "jaxvision-fit joint uses them"
 
 
 def _joint(rig: Rig) -> Unused:
     told = "flat.photons", "flat.irradiance", *_camera(OF_PHOTONS)
-    yield told, "flats count by their means and variances"
+    yield told, "flats enter through their means and variances"
     if rig.camera.black_level is None and rig.dark and rig.camera.encoding is None:
-        yield _camera(("black_sd",)), "without camera.black_level the darks give the black level"
+        yield _camera(("black_sd",)), "without camera.black_level, the darks give the black level"
 
 
 REASONS = {

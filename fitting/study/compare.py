@@ -17,9 +17,9 @@ from jaxtyping import Float
 from scipy.stats import chi2, norm, t
 
 FEWEST = 5  # cameras, for a median and a scatter
-CHANCE = 0.05  # that any of the cameras is called an outlier where none is
-MAD = 1.4826  # of a Gaussian: standard deviation over median absolute deviation
-DRIFT = 0.01  # chance of a drift in any quantity where there is none
+CHANCE = 0.05  # probability that any camera is called an outlier although none is
+MAD = 1.4826  # standard deviation over median absolute deviation of a Gaussian
+DRIFT = 0.01  # probability of reporting a drift in any quantity although there is none
 YEAR = 365.25  # days
 
 
@@ -33,7 +33,7 @@ class Compared:
         unit: of values.
         median: over the cameras.
         scatter: standard deviation between the cameras beyond their errors, without the outliers;
-            or NaN.
+            NaN if undetermined.
         differ: whether chance alone would give that scatter in fewer than one of 1000 such studies.
         outliers: names of the cameras that differ from the others, the furthest first.
         values: of the outliers, in the unit.

@@ -33,9 +33,9 @@ TITLES: dict[Kind, str] = {
 }
 REMEMBERED = "outcome.json"
 RESULTS = "results.json"
-_LARGER = 0.25e9  # bytes, of photon transfer: 12 frames of 64 x 64 pixels took .74 GB in all
+_LARGER = 0.25e9  # bytes more for photon transfer: 12 frames of 64 x 64 took .74 GB in all
 _PART = 65536  # bytes
-_COPIES = 4  # of the files: 50 MB of PNG (1536 x 1536 pixels) took .16 GB more than these
+_COPIES = 4  # copies of the files: 50 MB of PNG (1536 x 1536 pixels) took .16 GB more
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ class Folder:
         camera: its name in the study.
         path: of the rig.
         out: folder of its report.
-        digest: of the rig and its images, as the study found them.
+        digest: fingerprint of the rig and its images at the start of the study.
         changed: time of the latest change of these files, ns.
-        memory: that its calibration needs, bytes.
+        memory: memory that its calibration needs, bytes.
     """
 
     camera: str
@@ -96,7 +96,7 @@ class Settings:
 
     @property
     def shown(self) -> str:
-        """The form in which a folder's results are read."""
+        """Name of the file with a folder's results: the report, or the JSON file."""
         return "report.html" if self.reports else RESULTS
 
 
@@ -130,7 +130,7 @@ def _excerpt(file: Path) -> bytes:
             for start in (0, (size - _PART) // 2, size - _PART):
                 stream.seek(max(start, 0))
                 parts.append(stream.read(_PART))
-    except OSError:  # its calibration says so
+    except OSError:  # its calibration reports it
         pass
     return b"".join(parts)
 
@@ -207,7 +207,7 @@ def calibrated(settings: Settings, folder: Folder) -> Outcome:
         _report(settings, folder, sections)
     except InputError as error:
         found = replace(known, failed=str(error))
-    except OSError as error:  # of one folder: the others go on
+    except OSError as error:  # concerns one folder: the study continues
         found = replace(known, failed=f"{error.filename or folder.out}: {error.strerror or error}")
     else:
         found = replace(
@@ -242,7 +242,7 @@ def _remember(settings: Settings, folder: Folder, found: Outcome) -> None:
         with replaced_on_success(folder.out / REMEMBERED) as whole:
             whole.write_text(json.dumps(content, indent=1, default=_plain))
     except InputError:
-        if not found.failed:  # which may be why
+        if not found.failed:  # an unwritable folder may have caused the failure
             raise
 
 

@@ -16,9 +16,9 @@ from .outcomes import Outcome
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MOST = 12  # figures, those with outliers first
-MOST_NAMED = 3  # quantities in which a camera is unlike the others
-TALLEST = 60  # cameras that are named beside an axis
+MOST = 12  # most figures, quantities with outliers first
+MOST_NAMED = 3  # most quantities named in which a camera differs from the others
+TALLEST = 60  # most cameras named beside an axis
 
 
 def page(

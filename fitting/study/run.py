@@ -27,7 +27,7 @@ from .outcomes import (
 from .page import page
 from .table import table, write_table
 
-SHARED = 0.5  # of the images, of which more make two folders one camera
+SHARED = 0.5  # share of common images above which two folders count as one camera
 
 
 @dataclass(frozen=True)
@@ -95,13 +95,13 @@ def study(
 
 
 def _copies(folders: Sequence[Folder]) -> dict[str, Outcome]:
-    """Folders with the same images as an earlier one, which are one camera."""
+    """Find the folders with the same images as an earlier folder: both are one camera."""
     before: dict[str, frozenset[str]] = {}
     found = {}
     for folder in folders:
         try:
             own = frames_of(folder.path)
-        except InputError:  # which its turn says
+        except InputError:  # reported when the folder is calibrated
             continue
         for name, others in before.items():
             shared = len(own & others)

@@ -61,6 +61,6 @@ def table(outcomes: Sequence[Outcome]) -> xr.Dataset:
 
 
 def write_table(path: Path, found: xr.Dataset) -> None:
-    """Writes the table as NetCDF, which `xarray.open_dataset` reads."""
+    """Write the table as NetCDF, which `xarray.open_dataset` reads."""
     with replaced_on_success(path) as whole:
         found.to_netcdf(whole, engine="h5netcdf")

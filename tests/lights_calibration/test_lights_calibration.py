@@ -111,7 +111,7 @@ def test_what_the_unlit_side_reads_is_taken_off(floor):
     images, mask, truth, _ = simulated("matte", 3)
     found = calibrate([one + floor for one in images], [mask], camera=CAMERA, kind="matte")
     assert np.abs(standardised(found, truth)[0]).max() < 4
-    told = [text for text in found.findings if "turned from a light read" in text]
+    told = [text for text in found.findings if "face away from a light read" in text]
     assert len(told) == (floor > 0)
     if told:
         assert float(told[0].split("read ")[1].split()[0]) == pytest.approx(floor, abs=2)
