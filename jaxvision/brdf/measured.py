@@ -216,8 +216,8 @@ def tabulate_sampler(
     material: Table, *, thetas: int = 16, phis: int = 1, rows: int = 33, columns: int = 91
 ) -> Table:
     """Return a table with a sampler for its lobes, averaged over bands. The sampler is tabulated at
-    `thetas` and `phis` angles of `wo` and at rows x columns half vectors, all static. Without it,
-    `sample` follows the cosine."""
+    `thetas` and `phis` angles, rad, of `wo` and at rows x columns half vectors, all static. If a
+    table has no sampler, `sample` follows the cosine."""
     dtype = jnp.result_type(*jax.tree.leaves(material))
     theta = jnp.linspace(0, 0.999 * jnp.pi / 2, thetas, dtype=dtype)
     phi = jnp.linspace(-jnp.pi, jnp.pi, phis, dtype=dtype) if phis > 1 else jnp.zeros(1, dtype)

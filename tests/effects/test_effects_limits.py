@@ -50,7 +50,7 @@ def test_a_number_that_is_not_finite_proves_nothing(surfaces, lights, name):
         ({"level": np.inf}, "above 0 and finite"),
         ({"level": np.nan}, "above 0 and finite"),
         ({"level": 0.0}, "is black; leave the tolerance out"),
-        ({"depth": 0}, "depth must be at least 1"),
+        ({"depth": 0}, "depth must be a whole number of segments, at least 1"),
         ({"moments": 0}, "moments must be at least 1"),
     ],
 )

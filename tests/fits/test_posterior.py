@@ -333,7 +333,7 @@ def test_what_is_open_over_the_range_of_numbers_has_no_value():
     for value, error in ((1e-10, 1e-4), (np.inf, 1.0), (1.0, np.nan)):
         found = gaussian_estimate(gain, value, error, log_scale=True)
         assert found.value is None
-        assert "more than the range of numbers" in found.reason
+        assert "exceeds all floating-point numbers" in found.reason
 
 
 def test_walkers_that_start_where_there_is_no_density_warn_of_nothing():

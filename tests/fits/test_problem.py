@@ -241,8 +241,11 @@ def test_a_wrong_path_is_told_what_is_there(name, expected):
         ({"parameters": {"values": Parameter()}}, "'values' is taken"),
         ({"data": np.array([0.0, np.inf, 1.0])}, "1 of the data are infinite"),
         ({"predict": lambda *a: a[0]}, r"predict takes \*a"),
-        ({"predict": lambda a: np.sin(a)}, "predict gives .* to NumPy.*; use jax.numpy in place"),
-        ({"predict": lambda a: math.sin(a)}, r"predict asks for the value .* use jax.numpy, and"),
+        ({"predict": lambda a: np.sin(a)}, "predict passes .* to NumPy.*; use jax.numpy in place"),
+        (
+            {"predict": lambda a: math.sin(a)},
+            "predict converts .* to a Python number .* use jax.numpy, and",
+        ),
         ({"likelihood": object()}, "object is no likelihood: it lacks least_squares, surrogate"),
         (
             {"parameters": {"a": Parameter(), "b": Tied(lambda values: values["aa"])}},
@@ -311,9 +314,9 @@ def test_a_seed_that_is_none_is_refused(seed):
         (lambda height: height, 0, "draws = 0: give a whole number of at least 1"),
         (lambda height: height, 2.5, r"draws = 2\.5"),
         (lambda height: {"h": height}, 9, "returns a dict, not an array; return one array"),
-        (lambda height: (height, jnp.ones(2)), 9, "returns a tuple that is no array"),
+        (lambda height: (height, jnp.ones(2)), 9, "returns a tuple, not an array"),
         ("height", 9, "'height' is no function"),
-        (lambda height: np.sin(height), 9, "The function gives .* to NumPy"),
+        (lambda height: np.sin(height), 9, "The function passes .* to NumPy"),
         (lambda *v: v[0], 9, r"takes \*v: .* take all by name"),
     ],
 )

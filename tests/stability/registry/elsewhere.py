@@ -376,8 +376,8 @@ ELSEWHERE = (
             rendering.edges: moving_edges
             rendering.maps: at_patch patch_of shading_normal summed varied_surfaces
             rendering.pixel_loop: check_lens each in_blocks mean_of_samples numbers_of photograph
-            rendering.shading: lighting reflected_radiance
-            rendering.shadows: clear
+            rendering.shading: largest_reflected lighting reflected_bands reflected_radiance
+            rendering.shadows: clear samples_that_reach visible_in_order
             transport.paths: path_along
             transport.radiosity.gather: radiosity_along radiosity_rays
             transport.ray_tree: ray_tree_along
