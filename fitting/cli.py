@@ -49,7 +49,7 @@ BitsOfTable = Annotated[int | None, typer.Option(help="ADC bits of a CSV's camer
 Channel = Annotated[
     str, typer.Option(help="Site of a mosaic, or tap, to use (default: each separately).")
 ]
-INCOMPLETE = 3  # exit status where channels could not be calibrated and the others were written
+INCOMPLETE = 3  # exit status if some channels could not be calibrated and the others were written
 
 
 @command(
@@ -109,8 +109,8 @@ def predict(
         typer.Option(help="Relative error of the light of a level, .01 for 1 %.", min=0, max=0.99),
     ] = 0.0,
 ) -> None:
-    """Compare frames with what a camera file alone predicts of them: mean, variance and covariance
-    of neighbours at each level, and the effect that the camera lacks where they differ."""
+    """Compare frames with the prediction from a camera file alone: mean, variance and covariance of
+    neighbouring pixels at each level. Where they differ, name the effect that the camera lacks."""
 
     def compare_frames(reporter: Reporter) -> folders.Found:
         refuse_mcmc(options, "nothing is fitted")
@@ -228,14 +228,14 @@ def lights(
     images: Annotated[
         list[Path],
         typer.Argument(
-            help="Linear photographs of a ball, one a light.", metavar="IMAGE", parser=typed_path
+            help="Linear photographs of a ball, one per light.", metavar="IMAGE", parser=typed_path
         ),
     ],
     mask: Annotated[
         list[Path],
         typer.Option(
-            help="Image that is non-zero where the ball is; twice, of two mirror balls, for "
-            "positions.",
+            help="Image that is non-zero where the ball is; give two, of mirror balls, "
+            "for positions.",
             parser=typed_path,
             metavar="FILE",
         ),
@@ -247,16 +247,16 @@ def lights(
     black_level: Annotated[float, typer.Option(help="DN without light.", min=0)] = 0.0,
     focal_length: Annotated[
         float | None,
-        typer.Option(help="Of the lens, pixels (default: an orthographic view).", min=1.0),
+        typer.Option(help="Focal length, pixels (default: an orthographic view).", min=1.0),
     ] = None,
-    radius: Annotated[float | None, typer.Option(help="Of each of two balls, m.", min=1e-6)] = None,
+    radius: Annotated[float | None, typer.Option(help="Radius of two balls, m.", min=1e-6)] = None,
     outline_sd: Annotated[
         float,
-        typer.Option(help="Pixels by which the whole outline may be off.", min=0.0, max=100.0),
+        typer.Option(help="Standard deviation of the whole outline, pixels.", min=0.0, max=100.0),
     ] = 0.5,
 ) -> None:
     """Directions or positions of lights and their intensities from photographs of a ball, with one
-    covariance; --out has a rig that brdf and joint read, and lights.npz."""
+    joint covariance. --out writes lights.npz and a rig that brdf and joint read."""
 
     def calibrate_lights(reporter: Reporter) -> folders.Found:
         refuse_mcmc(options, "the covariance is Gaussian")
@@ -277,8 +277,8 @@ def plan(
     model: Annotated[Model, model_option("Model of the reflectance.")] = "phong",
     index: Annotated[float, INDEX_OPTION] = INDEX,
 ) -> None:
-    """Rank the lights to photograph next, by how much each would reduce the error of a parameter
-    of the reflectance."""
+    """Rank the lights to photograph next by how much each would reduce the error of a reflectance
+    parameter."""
 
     def plan_images(reporter: Reporter) -> folders.Found:
         refuse_mcmc(options, "lights are ranked by Laplace's approximation")
@@ -311,8 +311,8 @@ def joint(
         bool, typer.Option("--fit-gamma", help="Fit the encoding exponent of the images.")
     ] = False,
 ) -> None:
-    """Fit surface, response, gain and noise in one posterior, to images of a known shape. Numbers
-    with an _sd in the rig are uncertain."""
+    """Fit surface, response, gain and noise together to images of a known shape. Numbers with an
+    _sd in the rig are uncertain, others exact."""
 
     def calibrate_joint(reporter: Reporter) -> folders.Found:
         check_index_of(model, index)
@@ -382,8 +382,8 @@ def study(
     workers: Workers = 0,
     scheduler: Scheduler = "",
 ) -> None:
-    """Calibrate the folders of many cameras: a report of each, one table of all, and a page that
-    names outliers and drift. The same command resumes."""
+    """Calibrate the folders of many cameras: a report for each, one table for all, and a page that
+    names outliers and drift. The same command resumes an interrupted study."""
     keep_programs()
     from jaxvision.tasks import workers as workers_of
 
@@ -421,11 +421,12 @@ def check(
     workers: Workers = 0,
     scheduler: Scheduler = "",
 ) -> None:
-    """Simulate data, fit them, and count how often intervals contain the true value. With --out,
-    fits are kept: an interrupted check continues, a finished one with more --simulations."""
+    """Simulate data, fit them, and count how often intervals contain the true value. --out keeps
+    the fits, so an interrupted check continues, as does a finished check with more
+    --simulations."""
 
     def run_check(reporter: Reporter) -> folders.Found:
-        refuse_mcmc(options, "the intervals checked are those of Laplace's approximation")
+        refuse_mcmc(options, "the check uses the intervals of Laplace's approximation")
         from jaxvision.tasks import workers as workers_of
 
         from .checks.command import run as simulated

@@ -7,7 +7,7 @@ A converter of b bits gives 2^b different numbers, but a file may store them in 
     uneven        a stretched histogram, or a table (gamma): codes are missing, more of them in
                   some places than in others
     alternating   even codes more often than odd ones, because their steps are wider
-    coarser       above some code all are multiples of a larger step: a second amplifier or
+    coarser above some code all are multiples of a larger step: a second amplifier or
               converter took over
 
 The step q between neighbouring codes determines the rounding variance, q^2 / 12. If a file with
@@ -21,22 +21,22 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-MOST_VALUES = 2**18  # different numbers; frames of more lie on no grid
-RARE = 1e-9  # chance that the codes from some number on share a step
-FEWEST_WHOLE = 5  # different numbers, all whole, that multiples of a fraction are not by chance
+MOST_VALUES = 2**18  # distinct numbers; frames with more lie on no grid
+RARE = 1e-9  # probability that the codes above some number share a step by chance
+FEWEST_WHOLE = 5  # distinct numbers needed to decide that all are whole
 TOP = 1e-3  # share of the pixels that must have these codes
-CHANCE = 1e-3  # that numbers of step 1 are all multiples of a larger one
+CHANCE = 1e-3  # probability that numbers of step 1 are all multiples of a larger step
 SMOOTH = 1.0  # noise between neighbouring pixels, in codes, from which histograms are smooth
 MOST_NOISE = 2**14  # pixels from which a frame's noise is known to a per cent
 QUARTILE = 0.9539  # median distance of two normal deviates of standard deviation 1
-EXPECTED = 12.0  # pixels of a code, next to which an empty one is missing
-REACH = 4.0  # median distances of codes beyond which the numbers between belong to no signal
-SELDOM = 3.0  # a code is rare where both codes beside it occur so many times as often
+EXPECTED = 12.0  # pixels per code next to which an empty code counts as missing
+REACH = 4.0  # gap, in median distances, beyond which numbers do not belong to the signal
+SELDOM = 3.0  # a code is rare if both neighbouring codes occur this many times as often
 SIGNIFICANT = 5.0  # standard errors, and codes
-BELOW = 16  # numbers with which the largest is compared
-PILE, STEEP = 100, 10.0  # pixels at the largest number, and times as many as at any of those below
-COARSE = 3.0  # DN; a finer step cannot be followed through numbers that were rounded again
-FLOAT32 = 2.0**-22  # relative rounding error of numbers that went through single precision
+BELOW = 16  # numbers below the largest with which it is compared
+PILE, STEEP = 100, 10.0  # least pixels at the largest number, and ratio to the numbers below
+COARSE = 3.0  # DN; a finer step cannot be detected after a second rounding
+FLOAT32 = 2.0**-22  # relative rounding error of numbers stored in single precision
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Converter:
         """Variance of rounding, DN^2."""
         if not self.step:
             return 0.0
-        # Of steps 1 + d and 1 - d a signal sees the first more often: the mean of w^3.
+        # A signal meets wide steps (1 + d) more often than narrow ones (1 - d): the mean of w^3.
         one = self.width**2 * (1 + 3 * self.imbalance**2) / 12
         again = 0.0 if self._whole else 1 / 12
         return one + again
@@ -99,15 +99,15 @@ class Codes:
     """
 
     _whole: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    _by_noise: dict[int, np.ndarray] = field(default_factory=dict)  # octave of the noise
+    _by_noise: dict[int, np.ndarray] = field(default_factory=dict)  # counts by octave of the noise
     _broken: np.ndarray = field(default_factory=lambda: np.zeros((2, 0)))  # values, their counts
     _continuous: bool = False
 
     def add(self, frame: np.ndarray) -> None:
-        """One more frame."""
+        """Add the counts of one frame."""
         values = np.asarray(frame, float).ravel()
         values = values[np.isfinite(values)]
-        if self._continuous:  # only the largest numbers still tell something
+        if self._continuous:  # only the largest numbers are still needed
             values = values[values >= self._broken[0, 0]]
         if not values.size:
             return
@@ -191,7 +191,7 @@ def converter_in_words(converter: Converter, full_scale: float | None) -> list[s
     step, origin = converter.step, converter.origin
     if not step:
         return [
-            "The numbers lie on no grid, as those of frames do that were corrected or averaged: "
+            "The numbers lie on no grid, as in frames that were corrected or averaged: "
             "no rounding noise is subtracted, and averages hide noise. Give raw frames."
         ]
     if not converter.even:
@@ -211,8 +211,8 @@ def converter_in_words(converter: Converter, full_scale: float | None) -> list[s
     if step == 1 and converter.coarse_from is not None:
         return [
             f"From {converter.coarse_from:g} DN on numbers lie {converter.coarse_step:g} apart, "
-            f"below it {step:g}: a second amplifier or converter takes over there, whose gain and "
-            "read noise are its own."
+            f"below it {step:g}: a second amplifier or converter takes over there, with another "
+            "gain and read noise."
         ]
     if step == 1:
         return []
@@ -246,12 +246,12 @@ def _counted(parts: Sequence[Any]) -> Float[np.ndarray, "2 values"]:
 
 
 def _noise(frame: np.ndarray) -> float:
-    """Standard deviation of a pixel about its surroundings, DN, at least a quarter. A scene of few
-    tones has a wide histogram that is not smooth, so the histogram's width does not serve. It uses
-    pixels two apart, which have the same colour in a mosaic."""
+    """Return the standard deviation of a pixel about its surroundings, DN, at least 1/4. The width
+    of the histogram is unsuitable: a scene of few tones has a wide histogram that is not smooth.
+    Pixels two apart are compared, because they have the same colour in a mosaic."""
     values = np.asarray(frame, float)
     values = values.reshape(values.shape[0], -1) if values.ndim == 1 else values
-    some = max(values.size // MOST_NOISE, 1)  # of so many rows one
+    some = max(values.size // MOST_NOISE, 1)  # every so many rows
     apart = values[2::some] - values[:-2:some], values[::some, 2:] - values[::some, :-2]
     both = np.concatenate([np.abs(d).ravel() for d in apart])
     both = both[np.isfinite(both)]
@@ -259,8 +259,8 @@ def _noise(frame: np.ndarray) -> float:
 
 
 def _common_step(used: Float[np.ndarray, " values"]) -> tuple[float, float] | None:
-    """Greatest common divisor of the distances of whole numbers, and their remainder; None if so
-    few numbers may share it by chance."""
+    """Return the greatest common divisor of the distances of whole numbers, and their remainder;
+    None if the numbers are so few that chance explains it."""
     if used.size < 2:
         return None
     step = int(np.gcd.reduce(np.diff(used).astype(np.int64)))
@@ -270,17 +270,17 @@ def _common_step(used: Float[np.ndarray, " values"]) -> tuple[float, float] | No
 
 
 def _coarser_above(used: Float[np.ndarray, " values"], counts: np.ndarray) -> tuple | None:
-    """The number above which all codes are multiples of a larger step, and that step; None if there
-    is none, or if chance explains it. The largest number is excluded, because any code may be
-    clipped to it."""
+    """Return the number above which all codes are multiples of a larger step, and that step; None
+    if there is no such number, or if chance explains it. The largest number is excluded, because
+    any code may be clipped to it."""
     for values in (used, used[:-1]):
         gaps = np.diff(values).astype(np.int64)
         if gaps.size < 2:
             continue
-        above = np.gcd.accumulate(gaps[::-1])[::-1]  # of each gap and all above it
+        above = np.gcd.accumulate(gaps[::-1])[::-1]  # divisor of each gap and all gaps above it
         many = np.arange(gaps.size, 0, -1)
         sure = (above > above[0]) & (many * np.log(np.maximum(above, 1)) > -np.log(RARE))
-        # Codes that are seldom used leave gaps of any size.
+        # Rarely used codes leave gaps of any size.
         sure &= float(counts.sum()) * TOP < np.cumsum(counts[: values.size][::-1])[::-1][:-1]
         if sure.any():
             place = int(np.argmax(sure))
@@ -308,7 +308,7 @@ def _grid(values: Float[np.ndarray, " values"], error: float) -> tuple[float, fl
         step, origin = (float(x) for x in np.polyfit(place, values, 1))
     if np.abs(values - origin - step * place).max() > 2 * error:
         return None
-    # That numbers of step 1 happen to keep such distances.
+    # Probability that numbers of step 1 have such distances by chance.
     if error >= 0.5 and np.exp(-(values.size**2) / np.ptp(values)) > CHANCE:
         return None
     origin %= step
@@ -357,7 +357,7 @@ def _imbalance(counts: np.ndarray) -> float:
 def _clips_at(values: np.ndarray, counts: np.ndarray) -> float | None:
     """The largest number, if far more pixels have it than the numbers below."""
     below = counts[:-1][-BELOW:]
-    # Of darks that are a few codes wide the largest number may be the most frequent, too.
+    # In darks that are a few codes wide, the largest number may be the most frequent.
     if below.size < BELOW or counts[-1] < max(PILE, STEEP * float(below.max())):
         return None
     return float(values[-1])

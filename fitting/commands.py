@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 COMMAND = "jaxvision-fit"
 CHECKPOINT = "checkpoint"
-STEPS, WALKERS = 20_000, 64  # of a chain, where none are asked for
+STEPS, WALKERS = 20_000, 64  # default steps and walkers of a chain
 
 failures = partial(
     failures_as_sentences,
@@ -67,13 +67,13 @@ class Options:
 
     @property
     def chain(self) -> dict[str, int]:
-        """Steps and walkers of a chain; empty for Laplace's approximation."""
+        """Return steps and walkers of a chain; empty for Laplace's approximation."""
         if not self.mcmc:
             return {}
         return {"steps": self.steps or STEPS, "walkers": self.walkers or WALKERS}
 
     def draws(self, kind: str, progress: Progress) -> dict[str, Any]:
-        """The sampler of a calibration, None for Laplace, and the seed of its draws."""
+        """Return the sampler of a calibration (None for Laplace) and the seed of its draws."""
         from .inference.emcee_run import Emcee
 
         if not self.mcmc:
@@ -105,7 +105,8 @@ def refuse_mcmc(options: Options, why: str) -> None:
 
 
 def typed_path(text: str) -> Path:
-    """A path as typed. An empty path, which would mean the working folder, ends the command."""
+    """Return a typed path. An empty path ends the command, because it would mean the working
+    folder."""
     if not text:
         leave(COMMAND, "a path is empty; name a folder or a file.", 2)
     return Path(text)
@@ -127,8 +128,8 @@ def model_option(meaning: str) -> Any:
 
 
 def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator that registers a sub-command with `examples` in its help; its `options` gathers the
-    options that all commands share."""
+    """Return a decorator that registers a sub-command with `examples` in its help. The
+    sub-command's argument `options` collects the options that all commands share."""
     shared = inspect.signature(Options).parameters
 
     def added(function: Callable[..., None]) -> Callable[..., None]:
@@ -154,7 +155,7 @@ def run(
 ) -> None:
     """Calibrate, write the requested files, and print the result. A section without results says
     why, and the exit status is that of bad input. A command that `repeats` its fits is compiled
-    with optimisation, others without."""
+    with optimisation, other commands without."""
     if not repeats:
         compile_quickly()
     keep_programs()

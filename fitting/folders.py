@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .rig_from_folder import FoundRig
 
 Step = Callable[[str], AbstractContextManager[Progress]]  # shows a named step while a block runs
-Draws = Callable[[str, Progress], dict[str, Any]]  # how a calibration of a kind samples
+Draws = Callable[[str, Progress], dict[str, Any]]  # sampler settings for a kind of calibration
 Found = tuple["list[Section]", "dict[str, np.ndarray]"]
 
 
@@ -47,8 +47,9 @@ def read_rig(path: Path, purpose: "Purpose") -> "Rig":
 
 
 def init(folder: Path) -> "tuple[Path, FoundRig]":
-    """The rig of a folder of images, which is written into it, and what it lacks. The frames of
-    flats and darks show several amplifiers."""
+    """Write the rig of a folder of images into the folder. Return its path, and the rig with a list
+    of missing values. If the pixels of flats and darks show several amplifiers, the rig states
+    them."""
     from .rig_from_folder import write_rig
 
     path, found = write_rig(folder)
@@ -64,7 +65,7 @@ def init(folder: Path) -> "tuple[Path, FoundRig]":
     try:
         measurement = read_photon_transfer(path)
     except InputError:
-        return path, found  # the rig lacks values, as its sentences say
+        return path, found  # the rig lacks values, which `found.missing` names
     usable = linear_levels(measurement)
     taps = taps_of(periodic_structure(measurement, usable))
     if taps is not None and not processing_in_words(measurement, usable):
@@ -152,7 +153,7 @@ def noise(
     def fitted() -> "Section":
         own = draws("noise", progress)
         later = rig is not None and not channel and own["sampling"] is not None
-        if later:  # a chain is of one camera
+        if later:  # a chain samples one camera
             own["sampling"] = None
         calibration = calibrate(measurement, **own)
         if rig is not None and not channel and (taps := unstated_taps(calibration)) is not None:
@@ -160,7 +161,7 @@ def noise(
             if not (camera.in_parts and camera.region):
                 told = periodic_findings(calibration, apart=True)
                 unstated.append((rig.model_copy(update={"camera": camera}), tuple(told)))
-                return Section(KIND, TITLE, (), ())  # all pixels together are no camera
+                return Section(KIND, TITLE, (), ())  # not one camera
         if later:
             calibration = calibrate(measurement, **draws("noise", progress))
         return section(calibration)
@@ -210,7 +211,7 @@ def _flats_and_darks(path: Path, bits: int | None, channel: str) -> "Rig | None"
     """The rig of a photon transfer, or None for a table."""
     if path.suffix.lower() != ".csv":
         if bits is not None:
-            raise InputError(f"{path}: camera.bits of the rig counts; leave out the bits, {bits}.")
+            raise InputError(f"{path}: the rig's camera.bits is used; leave out the bits, {bits}.")
         return read_rig(path, "photon transfer")
     if channel:
         raise InputError(f"{path}: is a table of one channel; leave out the channel {channel!r}.")
@@ -269,7 +270,7 @@ def predict(
     if several and taps is None:
         raise InputError(
             f"{camera}: is the camera of one channel, but {path} has {len(sites)}; give the camera "
-            "that jaxvision-fit noise wrote of all, or one of them by --channel."
+            "that jaxvision-fit noise wrote for all, or choose one by --channel."
         )
     if rig is not None:
         require_one_setting(rig, "give the frames of one, and the camera at it")
@@ -305,8 +306,8 @@ def _camera_file(camera: str) -> Path:
 
 
 def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
-    """One section for each site of a mosaic, or for each tap; also for taps of a mosaic that the
-    rig does not state."""
+    """Return one section for each site of a mosaic or each tap, including taps that the rig does
+    not state."""
     from .noise.findings import periodic_findings, unstated_taps
     from .noise.section import sections_of_sites
     from .report.inputs import with_inputs
@@ -335,7 +336,8 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
 def _each_site(
     rig: "Rig", step: Step, draws: Draws, *, chains: bool = True
 ) -> "tuple[dict[str, NoiseCalibration], list[tuple[str, InputError]]]":
-    """The calibration of each site, and what fails. Without `chains` by Laplace alone."""
+    """Return the calibration of each site, and the sites that fail. Without `chains`, all use
+    Laplace's approximation."""
     from .noise.calibration import calibrate
     from .noise.read import read_photon_transfer
 
@@ -357,7 +359,8 @@ def _each_site(
 
 
 def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "list[Section]":
-    """The camera over its settings, and each setting, for each site in turn."""
+    """Return, for each site in turn, a section for the camera over all its settings and one for
+    each setting."""
     from .noise.across_settings.section import of_site, records_of_sites
     from .report.inputs import with_inputs
 
@@ -509,18 +512,18 @@ def lights(
     out: Path | None = None,
     **settings: Any,
 ) -> Found:
-    """Where lights are, from photographs of a ball.
+    """Estimate directions or positions of lights from photographs of a ball.
 
     Args:
-        images: files, one a light; masks among them are left out.
-        masks: files, one a ball.
-        step: shows what is done.
+        images: files, one per light; masks among them are left out.
+        masks: files, one per ball.
+        step: function that reports progress.
         known: `bits` and `black_level` of the camera.
         out: folder of the rig that is written.
         settings: of `lights.calibrate`: kind, focal_length, radius, outline_sd.
 
     Returns:
-        One section, no pictures.
+        One section, without pictures.
 
     Raises:
         InputError: for what cannot be calibrated.
@@ -529,7 +532,7 @@ def lights(
     images = [image for image in images if existing(image).resolve() not in of_balls]
     folder = images[0].parent if images else Path()
     if not images or any(image.parent != folder for image in images):
-        raise InputError("give the photographs of a ball, all of one folder, beside their mask.")
+        raise InputError("give the photographs of a ball, all in one folder, besides the mask.")
     from .lights import calibrate
     from .lights.section import section
     from .observation import read_frame, read_mask

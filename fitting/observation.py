@@ -22,9 +22,9 @@ from .rig import BY_SITE, COLOURS, Camera, Rig, SiteCamera
 
 Load = Callable[[Path], np.ndarray]  # an image by its path
 
-TELL_DEPTH = (*INTEGER_FORMATS, *READ_ONLY_FORMATS)  # formats whose head has the bits of a sample
-ALIKE = 1e-9  # relative difference of numbers that are one
-MEMORY = Path("arrays")  # where messages say that images in memory lie
+TELL_DEPTH = (*INTEGER_FORMATS, *READ_ONLY_FORMATS)  # formats whose header states the depth
+ALIKE = 1e-9  # relative difference up to which two numbers count as equal
+MEMORY = Path("arrays")  # folder that messages name for images in memory
 
 
 def in_memory(
@@ -59,8 +59,8 @@ def each(name: str, values: Sequence[float] | ArrayLike) -> list[float]:
         n numbers.
 
     Raises:
-        InputError: for a value that is no list of numbers, and for arrays with a unit, an index or
-            coordinates, whose order or scale may differ.
+        InputError: for a value that is not a list of numbers, and for arrays with a unit, an index
+            or coordinates, whose order or scale may differ.
 
     Example:
         >>> from fitting.observation import each
@@ -142,7 +142,7 @@ def read_frame(
             f"{path}: {depth}-bit data, but the rig declares {camera.bits} bits; "
             "save the frames with 16 bits or correct camera.bits."
         )
-    if stored.ndim == 3 and stored.shape[2] == 1:  # as a sensor of one band gives it
+    if stored.ndim == 3 and stored.shape[2] == 1:  # an image of one band
         stored = stored[..., 0]
     if stored.ndim == 3 and stored.shape[2] != 3:
         raise InputError(
@@ -301,7 +301,7 @@ def read_mask(
 ) -> np.ndarray:
     """A mask of pixels, within the camera's region if it has one."""
     stored = cropped_to_region(load(path), camera, path)
-    if stored.ndim == 3 and stored.shape[2] in (2, 4):  # its last channel is alpha
+    if stored.ndim == 3 and stored.shape[2] in (2, 4):  # the last channel is alpha
         if (stored[..., -1] != stored[0, 0, -1]).any():
             raise InputError(f"{path}: has an alpha channel that varies; save the mask as grey.")
         stored = stored[..., :-1]

@@ -12,10 +12,10 @@ from jaxvision.sensor.shot_noise import poisson_deviance, stirling_remainder
 from .inference.likelihoods import HALF_LOG_2PI
 from .inference.tails import log1mexp, log_ndtr
 
-# counts from which the saddle point has more digits than XLA's gammainc, by the size of a number
+# counts above which the saddle point is more accurate than XLA's gammainc, by bytes per number
 _COUNTS = {4: 100.0, 8: 1e5}
-_ALIKE = 0.03  # deviance's root below which its series in it has all digits
-# of Stirling's formula, for 1, 2, ... counts
+_ALIKE = 0.03  # root of the deviance below which its series is accurate to rounding
+# remainders of Stirling's formula, for 1, 2, ... counts
 _REMAINDERS = [
     math.lgamma(n + 1) - (n + 0.5) * math.log(n) + n - HALF_LOG_2PI for n in range(1, 32)
 ]

@@ -1,13 +1,15 @@
 """Resolution from the picture of a straight edge: its spread, the MTF and a point spread function.
 
 The edge lies at any angle in a picture of linear numbers. Every pixel enters at its own distance
-from the edge. No number is binned, interpolated or differentiated, and a colour plane of a mosaic
-needs no demosaicing. Lengths are in pixels, frequencies in cycles per pixel, across the edge.
+from the edge. Pixel values are not binned, interpolated or differentiated, and a colour plane of a
+mosaic needs no demosaicing. Lengths are in pixels, frequencies in cycles per pixel, across the
+edge.
 
 A model fits the whole picture. Its blur is the convolution of the pixel's square aperture, a
 Gaussian or a uniform disc (defocus), and a known diffraction. The MTF is then measured without the
-model: the odd harmonics of a square wave with this edge are fitted to the residuals. They are
-linear in the numbers, so they have no bias at low signal. The modulus of a noisy transform has one.
+model: the odd harmonics of a square wave with this edge are fitted to the residuals. Their
+amplitudes are linear in the pixel values, so they are unbiased at low signal, unlike the modulus of
+a noisy transform.
 
 Source:
     ISO 12233:2017, annex D (slanted edge); Goodman, Introduction to Fourier Optics, section 6.4.
@@ -41,20 +43,20 @@ from .inference.problem import Problem
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-REACH = 16.0  # pixels on both sides of the edge that the free MTF is measured from
-_LEAST = 8  # pixels on both sides that the fit needs
+REACH = 16.0  # pixels on both sides of the edge from which the free MTF is measured
+_LEAST = 8  # least pixels on both sides
 _BLOCK = 8  # side of the blocks of shared errors where neighbouring residuals correlate
 _SIGNIFICANT = 4.0  # standard errors
 _FINEST = 1.0  # cycles per pixel, the highest frequency of the free MTF
-_NARROWEST = 1e-3  # pixels: of widths in a denominator
+_NARROWEST = 1e-3  # pixels, smallest width in a denominator
 _LEAST_DIFFRACTION = 0.02  # pixels
-_MOSAIC = 0.05  # of a side's level: what sites of a mosaic may differ by
+_MOSAIC = 0.05  # largest difference of mosaic sites, relative to a side's level
 _NOT_TAKEN = "more starts", "other start", "Censored("  # advice of `fit` for its own arguments
-_PILED = 0.01  # of all pixels at an end of the range
-_ONE_VALUE = 0.2  # of all pixels, of a side without noise
-_CONDITION = 1e4  # of the frequencies' normal matrix
+_PILED = 0.01  # share of pixels at an end of the range that means clipping
+_ONE_VALUE = 0.2  # share of pixels with one value on a side without noise
+_CONDITION = 1e4  # largest condition number of the normal matrix
 _CHANCE = 1e-3
-_MATTERS = 0.005  # of the transfer
+_MATTERS = 0.005  # smallest difference of the transfer that is reported
 _TINY = 1e-30
 _NODES = 32
 _ANGLES = np.pi * np.arange(1, _NODES + 1) / (_NODES + 1)
@@ -63,11 +65,11 @@ _DISC = np.cos(_ANGLES), 2 / (_NODES + 1) * np.sin(_ANGLES) ** 2
 
 
 class Blur(NamedTuple):
-    """What blurs the edge beside the pixel's aperture.
+    """The blur of the edge in addition to the pixel's aperture.
 
     Attributes:
         shape: "gaussian" or "disc", of the fitted blur.
-        diffraction: wavelength times f-number over the pixel pitch; None without.
+        diffraction: wavelength times f-number over the pixel pitch; None without diffraction.
     """
 
     shape: Literal["gaussian", "disc"]
@@ -76,7 +78,7 @@ class Blur(NamedTuple):
 
 @dataclass(frozen=True)
 class Resolution:
-    """What the picture of an edge tells of the sharpness.
+    """The sharpness measured on the picture of an edge.
 
     Attributes:
         fit: of the model to the picture: its estimates, chi-square and findings.
@@ -228,15 +230,15 @@ def from_edge(
 ) -> Resolution:
     """Measure the resolution from the picture of one straight edge, at any angle.
 
-    The noise is measured on both sides of the edge. Uneven light and a slightly curved edge are
-    fitted where the picture shows them. An edge along the rows or the columns (or at 45 degrees)
-    samples few distances; turn the chart by about 5 degrees.
+    The noise is measured on both sides of the edge. Uneven light and a slight curvature of the edge
+    are fitted if the picture shows them. An edge along the rows or the columns (or at 45 degrees)
+    samples few distances; rotate the chart by about 5 degrees.
 
     Args:
         image: (h, w) linear numbers of a region with one edge, or (h, w, bands) of a developed
             picture; NaN where a pixel does not count.
-        sensor: whose mosaic gives the sites of a band in raw numbers (h, w), the region beginning
-            at a tile's corner, and whose bits and black level give the range; None for a
+        sensor: its mosaic gives the sites of a band in raw numbers (h, w), where the region must
+            begin at the corner of a tile; its bits and black level give the range. None for a
             monochrome camera.
         band: number of the band, for a mosaic or a developed picture.
         shape: of the blur that is fitted: a "gaussian" (`blur` is its standard deviation), or the
@@ -282,7 +284,7 @@ def from_edge(
 
 
 class _Pixels:
-    """The pixels that count, their noise, and what a first look at the edge tells."""
+    """The valid pixels, their noise, and first estimates of the edge."""
 
     def __init__(self, picture: Float[np.ndarray, "h w"], angle: float, place: float) -> None:
         self.row, self.column = np.nonzero(np.isfinite(picture))
@@ -314,7 +316,7 @@ class _Pixels:
                 "from_edge: the levels on both sides are equal within the noise; give a region "
                 "with one edge."
             )
-        step = np.diff(np.unique(self.value)).min()  # of whole numbers, which are rounded
+        step = np.diff(np.unique(self.value)).min()  # rounding step of whole numbers
         least = max(step / np.sqrt(12), 1e-6 * (high - low), np.finfo(np.float32).eps * abs(high))
         bins = np.round(distance).astype(int)
         bins -= bins.min()
@@ -333,7 +335,7 @@ def _refuse_mosaic(
     """Refuse a flat side whose numbers depend on the site of a 2 x 2 mosaic."""
     site = 2 * (row % 2) + column % 2
     count = np.bincount(site, minlength=4)
-    if count.min() < _LEAST:  # of one band of a mosaic
+    if count.min() < _LEAST:  # one band of a mosaic
         return
     mean = np.bincount(site, missed, minlength=4) / count
     noise = np.sqrt(np.bincount(site, (missed - mean[site]) ** 2, minlength=4)) / count
@@ -348,7 +350,7 @@ def _refuse_mosaic(
 
 def _correlated(noise: Float[np.ndarray, "h w"]) -> bool:
     """Whether neighbouring pixels of the flat sides have correlated noise of sd 1."""
-    for lag in (1, 2):  # 2 where a mosaic measures every second pixel
+    for lag in (1, 2):  # lag 2 for a band measured at every second pixel
         products = [
             (noise[lag:] * noise[:-lag]).ravel(),
             (noise[:, lag:] * noise[:, :-lag]).ravel(),
@@ -392,7 +394,7 @@ def _refuse_clipped(picture: Float[np.ndarray, "h w"], sensor: jv.Sensor | None)
     for end, inner, name in ((-1, -2, "highest"), (0, 1, "lowest")):
         share = counts[end] / known.size
         at_an_end = codes[end] >= top if name == "highest" else codes[end] == 0 and top < np.inf
-        # Noise has fewer pixels at its extreme than next to it.
+        # Noise puts fewer pixels at an extreme value than next to it.
         noisy = codes.size > 2 and counts[inner] > _PILED * known.size
         piled = noisy and counts[end] > counts[inner]
         if share > _PILED and (at_an_end or piled):
@@ -403,7 +405,7 @@ def _refuse_clipped(picture: Float[np.ndarray, "h w"], sensor: jv.Sensor | None)
 
 
 def _plateau(pixels: "_Pixels") -> Iterator[str]:
-    """A sentence where a side has one value only, so that it may be clipped."""
+    """Yield a finding if one side has a single value, because it may be clipped."""
     for value, name in ((pixels.value.max(), "highest"), (pixels.value.min(), "lowest")):
         share = np.mean(pixels.value == value)
         if share > _ONE_VALUE:
@@ -432,13 +434,13 @@ def _first_line(picture: Float[np.ndarray, "h w"]) -> tuple[float, float]:
 def _problem(
     pixels: _Pixels, sensor: jv.Sensor | None, blur: Blur
 ) -> tuple[Problem, dict[str, float]]:
-    """The fit of the model, and where its search begins."""
+    """Return the problem of fitting the model, and the start of its search."""
     low, high = pixels.level
     span = pixels.span
     black = 0.0 if sensor is None or sensor.offset is None else float(np.mean(sensor.offset))
     start = {"angle": pixels.angle, "place": pixels.place, "low": low, "high": high}
     start |= {"blur": 0.6, "curvature": 0.0, "shade_x": 0.0, "shade_y": 0.0}
-    parameters = {  # equal for all pictures, so that a second fit compiles nothing
+    parameters = {  # the same for all pictures, so that a second fit compiles nothing
         "angle": Parameter(unit="degrees", start=0.0),
         "place": Parameter(unit="pixels", start=0.0),
         "low": Parameter(unit="DN", start=0.0),
@@ -494,7 +496,7 @@ def _edge(
     distance: Float[Array, "..."], at: Mapping[str, Any], blur: Blur, span: float
 ) -> Float[Array, "..."]:
     """Edge spread at a distance in pixels: 0 far on the dark side, 1 far on the bright one."""
-    if blur.diffraction is not None:  # odd harmonics of a square wave, which end at the cut-off
+    if blur.diffraction is not None:  # odd harmonics of a square wave up to the cut-off frequency
         frequency = np.arange(1, 8 * span / blur.diffraction, 2) / (8 * span)
         height = _transfer(jnp.asarray(frequency), at, blur) / (4 * np.pi * span * frequency)
         return 0.5 + jnp.sin(2 * jnp.pi * jnp.multiply.outer(distance, frequency)) @ height
@@ -551,7 +553,7 @@ def _blur_transfer(
 
 
 def _falls_to_half(x: Float[Array, " n"], y: Float[Array, " n"]) -> Array:
-    """Where y first falls to 1/2, between two samples."""
+    """Return the x at which y first falls to 1/2, interpolated between two samples."""
     after = jnp.argmax(y < 0.5)
     before = jnp.maximum(after - 1, 0)
     return x[before] + (y[before] - 0.5) / (y[before] - y[after]) * (x[after] - x[before])
@@ -595,8 +597,8 @@ def _free_transfer(
     reach: float,
     blocks: np.ndarray | None,
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Frequencies and what the residuals add to the transfer there; its covariance; and the
-    imaginary part with its covariance."""
+    """Return frequencies and the correction of the transfer from the residuals; its covariance; and
+    the imaginary part with its covariance."""
     order = np.arange(1, 4 * reach * _FINEST, 2)
     while True:
         frequency = order / (4 * reach)
@@ -610,7 +612,7 @@ def _free_transfer(
         size = np.sqrt(np.diag(normal))
         if np.linalg.cond(normal / np.outer(size, size)) < _CONDITION or frequency[-1] <= 0.5:
             break
-        order = order[: max(1, int(len(order) * 0.9))]  # too few distances for so fine a pattern
+        order = order[: max(1, int(len(order) * 0.9))]  # too few distances for this one
     inverse = np.linalg.pinv(normal, hermitian=True)
     found = inverse @ (weighted.T @ (missed / sd))
     covariance = inverse
@@ -634,7 +636,7 @@ def _findings(
     skew: tuple[np.ndarray, np.ndarray],
     pixels: _Pixels,
 ) -> Iterator[str]:  # fmt: skip
-    """What the reader should know, in sentences."""
+    """Yield the findings, in sentences."""
     for sentence in (*result.fit.failures, *result.fit.findings):
         if not any(advice in sentence for advice in _NOT_TAKEN):
             yield sentence
@@ -654,7 +656,7 @@ def _findings(
         yield (
             f"The pixels sample few distances from an edge at {result.fit.values['angle']:.2f} "
             f"degrees, so that the MTF is measured up to {result.frequency[-1]:.2f} cycles per "
-            "pixel only. Turn the chart by about 5 degrees."
+            "pixel only. Rotate the chart by about 5 degrees."
         )
     sd = np.sqrt(np.diag(covariance))
     if np.abs(added).max() > _MATTERS and _p_value(added, covariance) < _CHANCE:
@@ -686,6 +688,6 @@ def _findings(
 
 
 def _p_value(values: np.ndarray, covariance: np.ndarray) -> float:
-    """Chance of numbers as far from 0."""
+    """Return the probability of values at least this far from 0 by chance."""
     chi2 = values @ np.linalg.pinv(covariance, hermitian=True) @ values
     return float(stats.chi2.sf(chi2, values.size))

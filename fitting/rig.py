@@ -31,7 +31,7 @@ from jaxvision.files.toml import (
 RIG_FILE = "rig.toml"
 
 Purpose = Literal["photon transfer", "a response calibration", "a reflectance calibration"]
-NEEDED: dict[Purpose, tuple[str, ...]] = {  # sections of a rig
+NEEDED: dict[Purpose, tuple[str, ...]] = {  # sections of a rig that each calibration needs
     "photon transfer": ("flat", "dark"),
     "a response calibration": ("exposure",),
     "a reflectance calibration": ("light", "geometry"),
@@ -50,8 +50,8 @@ Index = Annotated[int, Field(strict=True, ge=0, lt=2**31)]
 Seconds = Annotated[Positive, BeforeValidator(_quotient)]
 SecondsFromZero = Annotated[NonNegative, BeforeValidator(_quotient)]
 
-UNKNOWN_DIRECTION = 0.5  # rad: lights of which no more is known are not known
-COLDEST = 100.0  # K, of a sensor; a smaller number is one of degrees Celsius
+UNKNOWN_DIRECTION = 0.5  # rad; an error this large means that the direction is unknown
+COLDEST = 100.0  # K, lowest sensor temperature; a smaller number is in degrees Celsius
 
 
 def kelvin(temperature: float) -> float:
@@ -72,7 +72,7 @@ def _plain(value: Any) -> Any:
     parts = value if isinstance(value, list | tuple) else [value]
     if all(isinstance(part, of_a_file) for part in parts):
         return value
-    from jaxvision.core.plain_arrays import plain_array  # which needs NumPy
+    from jaxvision.core.plain_arrays import plain_array  # imports NumPy
 
     try:
         value = plain_array("this", value)
@@ -85,7 +85,7 @@ def _tag(value: Any) -> str:
     return "several" if isinstance(value, list | tuple) or getattr(value, "ndim", 0) else "one"
 
 
-# One number, or one for each site of the cell that repeats.
+# One number, or one for each site of the repeating cell.
 PositiveBySite = Annotated[
     Annotated[Positive, Tag("one")]
     | Annotated[tuple[Positive, ...], Field(min_length=1), Tag("several")],
@@ -100,7 +100,7 @@ NonNegativeBySite = Annotated[
 ]
 
 BY_SITE = ("black_level", "saturation", "gain", "read_noise")
-PARTS = {  # of a frame, each read by an amplifier: rows and columns of them
+PARTS = {  # parts of a frame, each read by one amplifier: rows and columns of parts
     "left and right": (1, 2),
     "top and bottom": (2, 1),
     "quadrants": (2, 2),
@@ -200,12 +200,13 @@ class Camera(_Known):
     """`[camera]`: the known values of the camera. Leave unknown values out.
 
     Neighbouring pixels may differ in the colours of a mosaic (`pattern`), and in the amplifiers
-    that read them (`taps`). They repeat after a cell whose rows and columns are the least common
-    multiple of 2 x 2 and taps. black_level, saturation, gain and read_noise are each one number, or
-    a list with one number for each site of this cell, in reading order from the first pixel of the
-    whole frame: `black_level = [480, 512, 512, 560]` for a mosaic. RGB images take a list of three,
-    or of three for each site. If the parts of a frame are read by an amplifier each, the cells of
-    the parts count as if side by side: the first row of the left cell, then that of the right one.
+    that read them (`taps`). The pattern of both repeats after a cell whose rows and columns are the
+    least common multiples of 2 x 2 and `taps`. black_level, saturation, gain and read_noise are
+    each one number, or a list with one number for each site of this cell, in reading order from the
+    first pixel of the whole frame: `black_level = [480, 512, 512, 560]` for a mosaic. RGB images
+    take a list of three, or of three for each site. If each part of a frame has its own amplifier,
+    the order is that of the parts' cells put side by side: the first row of the left cell, then the
+    first row of the right one.
 
     Attributes:
         black_level: DN without light.
@@ -213,14 +214,14 @@ class Camera(_Known):
         gain: DN per electron.
         read_noise: electrons rms.
         pattern: phase of a Bayer mosaic.
-        taps: rows and columns after which the readout amplifiers repeat; [1, 2] where even and odd
-            columns have one each. Or the parts of the frame with one amplifier each: "left and
-            right", "top and bottom" or "quadrants".
+        taps: rows and columns after which the readout amplifiers repeat; [1, 2] if even and odd
+            columns have different amplifiers. Or the parts of the frame with one amplifier each:
+            "left and right", "top and bottom" or "quadrants".
         region: top, left, height and width, in pixels, of the used part of each frame, for example
             one half of a chip with two amplifiers.
         sensor: file of a calibrated sensor, `sensor.toml` of `jaxvision-fit noise`. It supplies
             black_level, gain, read_noise and prnu_sd where they are missing here, with standard
-            deviations from its draws. Its codes are those of the images.
+            deviations from its draws. Its codes must be those of the images.
     """
 
     black_level: NonNegativeBySite | None = None
@@ -285,7 +286,8 @@ class Camera(_Known):
 
     @property
     def layout(self) -> tuple[int, int]:
-        """Rows and columns of sites: of the cell, in each part of the frame if it has parts."""
+        """Rows and columns of sites: of the cell, or of the cells of all parts side by side if the
+        frame has parts."""
         (down, across), (rows, columns) = self.cell, PARTS.get(str(self.taps), (1, 1))
         return down * rows, across * columns
 
@@ -358,7 +360,7 @@ class Camera(_Known):
             colour: whether frames are RGB images.
 
         Returns:
-            `sites`; for RGB images three for each: `red`, or `red tap 0,1` and the like.
+            `sites`; for RGB images three names for each site: `red`, or `red tap 0,1` and the like.
         """
         if not colour:
             return self.sites
@@ -538,7 +540,7 @@ class Light(Entry):
             raise ValueError("give either direction or position")
         if (self.direction_sd or 0) > UNKNOWN_DIRECTION:
             raise ValueError(
-                f"direction_sd = {self.direction_sd:g} rad tells nothing of a direction; give it "
+                f"direction_sd = {self.direction_sd:g} rad leaves the direction unknown; give it "
                 "in radians"
             )
         for name in ("intensity_sd", "exposure_sd", "stray_sd"):
@@ -594,8 +596,8 @@ class Rig(Entry):
     """A whole rig file.
 
     Attributes:
-        folder: base of its paths.
-        camera: that took the images.
+        folder: folder to which its paths are relative.
+        camera: known values of the camera that took the images.
         root: folder of the images, relative to `folder`; `${NAME}` is an environment variable.
         flat: frames for the noise calibration.
         dark: frames for the noise calibration, and for the black level of a response.
@@ -640,7 +642,7 @@ class Rig(Entry):
 
 
 def load_rig(path: str | os.PathLike[str]) -> Rig:
-    """Reads and checks a rig.
+    """Read and check a rig.
 
     Example:
         >>> from pathlib import Path
@@ -671,7 +673,7 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
 
 
 def as_rig(given: Rig | str | os.PathLike[str]) -> Rig:
-    """A rig as it is, or read from its folder or file."""
+    """Return a rig unchanged, or read it from its folder or file."""
     return given if isinstance(given, Rig) else load_rig(given)
 
 

@@ -29,8 +29,8 @@ SUFFIXES = (
     *(*INTEGER_FORMATS, *JPEG_FORMATS, *READ_ONLY_FORMATS, *RAW_FORMATS, *FITS_FORMATS),
     *(*FLOAT_FORMATS, ".npy"),
 )
-BITS = (8, 10, 12, 14, 16)  # of usual converters
-APART = 2.0  # K, between temperatures that are two settings
+BITS = (8, 10, 12, 14, 16)  # bit depths of common converters
+APART = 2.0  # K, gap between temperatures that count as two settings
 MOST_READ = 9  # images whose pixels are read, for the depth
 _DARK, _FLAT, _LIGHT = (
     re.compile(rf"(?<![a-z])({words})(?![a-z])", re.IGNORECASE)
@@ -42,7 +42,7 @@ _DARK, _FLAT, _LIGHT = (
 )
 # Frames without an exposure.
 _BIAS = re.compile(r"(?<![a-z])bias(?:frames?)?(?![a-z])|^zero$", re.IGNORECASE)
-# In IMAGETYP of a FITS header, such as DARKFLAT and Flat Field: the first that occurs.
+# Words in IMAGETYP of a FITS header, such as DARKFLAT and Flat Field; the first match counts.
 _TYPES = {
     "dark": re.compile("dark|bias|zero", re.IGNORECASE),
     "flat": re.compile("flat", re.IGNORECASE),
@@ -113,11 +113,11 @@ def rig_of(folder: Path) -> FoundRig:
     """The rig of a folder of images, as text.
 
     The kind of an image follows from a word in its path: dark or bias; flat or bright; light or
-    lamp (then `normals` and `mask` are the shape). The other images are an exposure stack. IMAGETYP
-    of a FITS header also distinguishes flats, darks and photographs. Times come from the metadata,
-    or from names such as `flat_8ms` and `scene_1-8s`. Wavelengths in names, as in `chart_450nm`,
-    separate stacks. An EXR or HDR file next to images of whole numbers is left out, and so are
-    hidden files.
+    lamp (an image named `normals` or `mask` then gives the shape). The other images are an exposure
+    stack. IMAGETYP of a FITS header also distinguishes flats, darks and photographs. Times come
+    from the metadata, or from names such as `flat_8ms` and `scene_1-8s`. Wavelengths in names, as
+    in `chart_450nm`, separate stacks. An EXR or HDR file next to images of whole numbers is left
+    out, and so are hidden files.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; name the one that holds the images.")
@@ -166,7 +166,7 @@ def rig_of(folder: Path) -> FoundRig:
     for doubts in ([image.doubt for image in images], [_doubt_of_kind(image) for image in images]):
         doubts = [doubt for doubt in doubts if doubt]
         if doubts:
-            others = f" {len(doubts) - 1} more names are alike." if len(doubts) > 1 else ""
+            others = f" {len(doubts) - 1} more names are like this." if len(doubts) > 1 else ""
             found.missing.append(doubts[0] + others)
     if not found.kind:
         found.missing.append(
@@ -174,7 +174,7 @@ def rig_of(folder: Path) -> FoundRig:
             "exposure times for the response, or images under known lights for the reflectance."
         )
     if flat and not dark:
-        found.missing.append("No name or header says dark: photon transfer needs darks.")
+        found.missing.append("No name or header marks darks, which photon transfer needs.")
     found.text = "\n".join(lines) + "\n"
     return found
 
@@ -336,7 +336,7 @@ def _depth(folder: Path, images: Sequence[_Image], found: FoundRig) -> str:
         )
         return f"bits = {bits}  # the numbers are {step:.6g} DN from each other"
     if bits is None:
-        found.missing.append("Its numbers exceed 16 bits: give images of digital numbers.")
+        found.missing.append("The numbers exceed 16 bits: give images of digital numbers.")
         return "# bits = ?"
     found.missing.append(f"bits = {bits} is the least that holds {top:g} DN; correct it.")
     return f"bits = {bits}  # at least: the largest number read is {top:g}"

@@ -34,11 +34,11 @@ from .inference.precision import double_precision
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_FEWEST = 4  # readings of a channel
-_LENGTHS = 5e-9, 400e-9  # m, of the prior
+_FEWEST = 4  # fewest readings of a channel
+_LENGTHS = 5e-9, 400e-9  # m, range of correlation lengths in the prior
 _STARTS = 25e-9, 60e-9, 120e-9  # m
-_OF_MODEL = 1e-4  # of the largest reading: error of any description of light and camera
-_LOUDER = 1.3  # times the stated noise: a misfit that is told
+_OF_MODEL = 1e-4  # share of the largest reading: least error of any model of light and camera
+_LOUDER = 1.3  # ratio of residuals to the stated noise from which a misfit is reported
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ class Sensitivities:
         draws: (draws, bands, channels) of the sensitivities, in the unit of readings over that of
             the light, at least 0.
         length: (channels,) correlation length over wavelength, m.
-        noise: (channels,) standard deviation of the readings over what was stated, or in their
-            unit.
+        noise: (channels,) standard deviation of the readings, relative to the stated one; in the
+            unit of the readings if none was stated.
         findings: sentences.
     """
 
@@ -80,7 +80,8 @@ class Sensitivities:
         return bands(np.einsum("...b,dbc->d...c", self._light("light", light), self.draws))
 
     def white_balance(self, illuminant: ArrayLike) -> Bands:
-        """Factors that give white the reading of the second channel in all channels.
+        """Factors on the channels that make the readings of white equal to that of the second
+        channel.
 
         Args:
             illuminant: (bands,) spectrum of the light on a perfect white, relative.
@@ -93,8 +94,8 @@ class Sensitivities:
 
     @double_precision
     def matrix(self, illuminant: ArrayLike, *, reflectances: ArrayLike | None = None) -> Bands:
-        """The 3 x 3 matrix from readings to XYZ that is best for a set of reflectances and right
-        for white.
+        """The 3 x 3 matrix from readings to XYZ that is the least-squares optimum for a set of
+        reflectances and exact for white.
 
         Args:
             illuminant: (bands,) spectrum of the light on a perfect white, relative.
@@ -108,10 +109,9 @@ class Sensitivities:
 
     @double_precision
     def delta_e(self, illuminant: ArrayLike, *, reflectances: ArrayLike | None = None) -> Bands:
-        """CIEDE2000 between each reflectance and what the camera shows of it by the mean matrix.
-
-        The spread over draws comes from the errors of the sensitivities. The mean also holds the
-        error that the best matrix has.
+        """CIEDE2000 difference between each reflectance and its colour from the camera, with the
+        mean matrix. The spread over draws comes from the errors of the sensitivities. The mean also
+        includes the error of the best matrix.
 
         Args:
             illuminant: (bands,) spectrum of the light on a perfect white, relative.
@@ -297,7 +297,7 @@ class _Channel:
         self, light: np.ndarray, y: np.ndarray, at: np.ndarray, sd: np.ndarray | None
     ) -> None:
         self.unit = float(np.abs(y).max()) or 1.0
-        self.scale = self.unit / max(float(light.sum(axis=1).max()), 1e-300)  # of a flat curve
+        self.scale = self.unit / max(float(light.sum(axis=1).max()), 1e-300)  # flat curve
         self.light, self.y = light * (self.scale / self.unit), y / self.unit
         self.sd = np.ones(len(y)) if sd is None else sd / self.unit
         self.bounds = [
@@ -317,8 +317,8 @@ class _Channel:
         return np.hypot(np.exp(at[2]) * self.sd, _OF_MODEL)
 
     def cost(self, at: np.ndarray) -> float:
-        """Minus the logarithm of the evidence, with broad priors about a size of 1, a length of 60
-        nm and, of stated noise, a factor of 1."""
+        """Return minus the logarithm of the evidence, with broad priors about a size of 1, a length
+        of 60 nm and, if the noise is stated, a noise factor of 1."""
         covariance = self.light @ self.prior(at) @ self.light.T + np.diag(self.noise(at) ** 2)
         root = np.linalg.cholesky(covariance)
         left = solve_triangular(root, self.y, lower=True)

@@ -3,8 +3,8 @@
 `SensorNoise` takes mean and variance of a datum from the moments of the sensor. `SensorCounts`
 computes the probability of every code, for codes that are coarse relative to the noise and for few
 electrons. Its data are codes, or tables of how often each code occurs. Both have the interface of
-`inference.likelihoods`. In place of a sensor they take its path in the problem's records
-("camera.sensor"). Its fields can then be fitted, too ("camera.sensor.gain").
+`inference.likelihoods`. Instead of a sensor, both also take its path in the problem's records
+("camera.sensor"). Fields of the sensor can then be fitted, too ("camera.sensor.gain").
 """
 
 from dataclasses import replace
@@ -36,7 +36,7 @@ from .inference.likelihoods import Censored, Numbers, numerics
 from .inference.tails import log1mexp, log_ndtr, ndtri_exp
 from .poisson import log_poisson, log_poisson_tails
 
-FAR = 1e9  # standard deviations, for an end without limit: more than any code lies from any other
+FAR = 1e9  # standard deviations to an open end: farther than any two codes
 ROUNDING = 0.5  # DN between a code and the ends of its interval
 
 
@@ -44,10 +44,8 @@ class SensorNoise(eqx.Module):
     """A datum is normal about the sensor's mean signal with the sensor's temporal variance.
 
     Codes at an end of the ADC's range are censored. It does not include differences between pixels
-    (fixed pattern) or a full well.
-
-    Attributes:
-        sensor: record, or the path of one in the problem's records.
+    (fixed pattern) or a full well. Attributes: sensor: record, or the path of one in the problem's
+    records.
 
     Example:
         >>> import jaxvision as jv
@@ -86,7 +84,7 @@ class SensorNoise(eqx.Module):
         """Simulated data, rounded and clipped if there is an ADC."""
         sensor, prediction = _record(self.sensor), jnp.asarray(prediction)
         analogue = _without(sensor, "bits")
-        deviation = jnp.sqrt(signal_variance(analogue, prediction))  # rounding brings its own
+        deviation = jnp.sqrt(signal_variance(analogue, prediction))  # without rounding
         signal = Censored(deviation).draw(key, self._mean(prediction))
         bits = sensor.bits
         return signal if bits is None else jnp.clip(jnp.round(signal), 0, largest_number(bits))
@@ -122,9 +120,9 @@ class SensorNoise(eqx.Module):
 
 
 class _VarianceOfData(eqx.Module):
-    """Least squares with the variance at the light that corresponds to each datum, where the signal
-    is proportional to light. A distant search then needs few steps. The variance at the prediction
-    would grow with the prediction and make any bright prediction likely."""
+    """Least squares with the variance at the light that would give each datum if the signal were
+    linear in light. A distant search then needs few steps. The variance at the prediction would
+    grow with the prediction and make any bright prediction likely."""
 
     sensor: Sensor
     least_squares = True
@@ -180,19 +178,19 @@ class SensorCounts(eqx.Module):
         sensor: record, or the path of one in the problem's records.
         reach: range of the sum on either side, electrons: at least eight times the read noise in
             electrons, and half a DN.
-        codes: (codes,) or of the data's shape, DN. With it the data are tables, (..., codes)
-            numbers of pixels and frames with each code, and the prediction (..., codes) is the
-            light of each table, repeated along its codes. Counts outside a table are unknown: its
-            probabilities add up to 1. None where each datum is a code.
-        totals: () or (..., 1) total count of each table, for `draw`; None takes those of the data
-            of a problem.
+        codes: (codes,) or of the data's shape, DN. If `codes` are given, the data are tables, (...,
+            codes): how many pixels and frames have each code. The prediction (..., codes) is then
+            the light of each table, repeated along its codes. Counts outside a table are unknown,
+            so the probabilities within it are normalised to 1. None if each datum is a code.
+        totals: () or (..., 1) total count of each table, for `draw`; None takes the totals of the
+            problem's data.
 
     Raises:
         InputError: for a sensor that does not count single electrons or whose pixels share charge,
             for a reach that is too short, and for codes that are not whole numbers.
 
     Example:
-        The probabilities of all codes sum to 1; of a table, each number counts its code.
+        The probabilities of all codes sum to 1. In a table, each number is the count of its code.
 
         >>> import jaxvision as jv
         >>> from fitting import SensorCounts
@@ -230,18 +228,18 @@ class SensorCounts(eqx.Module):
         listed, counted = (np.atleast_1d(x).shape[-1] for x in (self.codes, known))
         if listed != counted:
             raise InputError(
-                f"SensorCounts: of each table {listed} codes are given and {counted} counts; give "
-                "the code of each count."
+                f"SensorCounts: each table has {listed} codes and {counted} counts; give the code "
+                "of each count."
             )
         wrong = known[np.isfinite(known) & ((known < 0) | (known != np.round(known)))]
         if wrong.size:
             raise InputError(
                 "SensorCounts: a table holds numbers of codes, whole and at least 0, and one is "
-                f"{wrong[0]:g}; give counts, no shares, and mark a missing one by NaN."
+                f"{wrong[0]:g}; give counts, not shares, and mark a missing count by NaN."
             )
 
     def for_data(self, data: Numbers) -> "SensorCounts":
-        """The same, whose tables are drawn of as many numbers as these."""
+        """Return the same likelihood, with the totals of these data for `draw`."""
         if self.codes is None or self.totals is not None:
             return self
         return replace(self, totals=jnp.sum(jnp.asarray(data), axis=-1, keepdims=True))
@@ -251,8 +249,8 @@ class SensorCounts(eqx.Module):
         multinomial coefficient, which does not depend on parameters.
 
         Args:
-            prediction: (..., bands) light, as in `mean_photoelectrons`; of tables (..., codes).
-            data: (..., bands) DN, whole numbers; of tables (..., codes).
+            prediction: (..., bands) light, as in `mean_photoelectrons`; for tables (..., codes).
+            data: (..., bands) DN, whole numbers; for tables (..., codes).
 
         Returns:
             (..., bands), or (..., codes).
@@ -290,8 +288,8 @@ class SensorCounts(eqx.Module):
         if self.codes is not None:
             if self.totals is None:
                 raise InputError(
-                    "SensorCounts: tables are drawn of as many numbers as `totals` says; give it, "
-                    "such as totals=tables.sum(axis=-1, keepdims=True)."
+                    "SensorCounts: a table needs `totals`, its number of counts, for draws; give "
+                    "it, such as totals=tables.sum(axis=-1, keepdims=True)."
                 )
             shares = jnp.exp(self._log_shares(prediction))
             totals = jnp.broadcast_to(self.totals, (*shares.shape[:-1], 1))[..., 0]
@@ -449,7 +447,7 @@ def _beyond(counts: Array, mean: Array) -> tuple[Array, Array]:
 
 
 def _light(likelihood: str, prediction: Array) -> Array:
-    """The prediction; refused if it is known and cannot be light."""
+    """Return the prediction; refuse it if it is known and cannot be light."""
     if is_concrete(prediction):
         wrong = np.asarray(prediction)
         wrong = wrong[~((wrong >= 0) & (wrong < np.inf))]
@@ -472,7 +470,7 @@ def _check_whole(what: str, known: np.ndarray) -> None:
 
 
 def _check_codes(codes: np.ndarray) -> None:
-    """Refuse the codes of a table that are no codes, or of which one occurs twice."""
+    """Refuse codes of a table that are not valid codes, or that occur twice."""
     _check_whole("codes", codes)
     ordered = np.sort(np.atleast_1d(codes), axis=-1)
     twice = ordered[..., 1:][ordered[..., 1:] == ordered[..., :-1]]
