@@ -35,9 +35,9 @@ class JointCalibration(ShownInNotebooks):
         model: of the surface.
         fits: one for each channel.
         posteriors: by channel, where data and priors determine every parameter.
-        robust: by channel, the covariance that is robust to errors shared within images. Absent
-            where the rig states errors of images and the images show no more than these. Where
-            images disagree, its design effect is above 1.
+        robust: by channel, the covariance that is robust to errors shared within images. Absent if
+            the rig states errors of images and the images show no larger errors. If images
+            disagree, the design effect is above 1.
         halves: by channel, separate fits of two halves of the images, where images disagree.
     """
 

@@ -1,12 +1,12 @@
 """Images of an object as cells of pixels with similar normals.
 
-A cell of n pixels has a count, a mean and a scatter. The likelihood of pixels with equal signals
-needs no more. Signals within a cell differ a little, so a reference model near the best one is
-subtracted first, as the mean over the area of each pixel. The mean of its pixels, less its value at
-their mean geometry, is added to the prediction of the cell, and the scatter is taken about the
-reference. At the reference, cells and pixels agree; away from it, they differ by the curvature of
-the model within a cell. Cells are therefore wide where an image is smooth, and divided at its
-highlight and at an end of the scale.
+A cell of n pixels has a count, a mean and a scatter. These determine the likelihood if the pixels
+of a cell have equal signals. Signals within a cell differ a little, so a reference model near the
+best one is subtracted first, as the mean over the area of each pixel. The prediction of a cell is
+corrected by the reference's mean over the pixels minus its value at their mean geometry, and the
+scatter is taken about the reference. At the reference, cells and pixels agree; away from it, they
+differ by the curvature of the model within a cell. Cells are therefore wide where an image is
+smooth, and divided at its highlight and at an end of the scale.
 
 A cell counts in an image if all of its pixels are lit and away from both ends of the scale. The
 reference decides this, because a selection by measured numbers would depend on their noise.
@@ -41,12 +41,12 @@ from ..reflectance.models import has_lobe, shape_of
 from .model import Cells
 
 WIDEST, NARROWEST = 0.05, 0.00625  # rad of the normal: widths of a cell
-FINE = 0.5  # width of the finest cells over that of the lobe, as the normal turns
-FLAT = 0.05  # of the lobe's peak, by which it may vary within a cell that is not divided
-SIZES = 8  # of the number of cells, to each factor of two: few, so that channels share programs
-CLEAR = 5.0  # deviations from either end of the scale
-DARKEST = 1e-6  # of full scale: the least of a level
-SMALLEST_COSINE = 0.02  # of incidence: below, the outline's half-lit pixels
+FINE = 0.5  # width of the finest cells over that of the lobe, as a function of the normal
+FLAT = 0.05  # of the lobe's peak: largest variation of the lobe within an undivided cell
+SIZES = 8  # sizes of the cell table per factor of two: few, so that channels share programs
+CLEAR = 5.0  # standard deviations from either end of the scale
+DARKEST = 1e-6  # smallest `level`, relative to full scale
+SMALLEST_COSINE = 0.02  # cosine of incidence below which pixels of the outline are only partly lit
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class Grid:
     observation: Photographs
     channel: int
     form: Form
-    cell: Int[np.ndarray, "images pixels"]  # its index for each
-    count: Float[np.ndarray, "images cells"]  # pixels; 0 for what only fills the table up
+    cell: Int[np.ndarray, "images pixels"]  # cell index for each
+    count: Float[np.ndarray, "images cells"]  # pixels; 0 for padding
     lights: Int[np.ndarray, " images"]  # indices of the images in the fit
     geometry: Geometry
     patch: float  # pixels of the widest cells

@@ -12,7 +12,7 @@ from .model import predicted_parts
 from .prediction import predict
 
 BINS = 16
-LARGEST = 4.0  # standard deviations on the scale of differences
+LARGEST = 4.0  # largest difference on the colour scale, standard deviations
 
 
 def images_figure(calibration: JointCalibration) -> Figure:
@@ -30,8 +30,8 @@ def images_figure(calibration: JointCalibration) -> Figure:
 
 
 def noise_figure(calibration: JointCalibration) -> Figure:
-    """Mean squared residual of a pixel, without the fitted errors of its image, against the model's
-    variance, over the mean."""
+    """Draw the mean squared residual of a pixel (without the fitted errors of its image) and the
+    model's variance as functions of the mean."""
     figure = Figure(figsize=(6.8, 4.2), layout="constrained")
     axis = figure.subplots()
     for fit in calibration.fits:
@@ -77,5 +77,5 @@ def lights_figure(calibration: JointCalibration) -> Figure:
     axis.axhline(0, color="0.7", lw=0.8)
     files = np.array(calibration.observation.files)[calibration.fits[0].grid.lights]
     axis.set_xticks(np.arange(len(files)), files, rotation=90, fontsize=8)
-    axis.set_ylabel("light, less what the rig says [%]")
+    axis.set_ylabel("light, relative to the rig [%]")
     return figure

@@ -27,17 +27,17 @@ from .prediction import Score
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation above which the prior dominates
 UNLIT, FEWEST_UNLIT = 0.0, 30  # cosine of incidence in attached shadow; pixels needed
-BELOW_DARKS, GAINS_APART = 5.0, 5.0  # standard errors by which darks, or gains, are another's
-UNLIKE_GAIN = 0.15  # relative difference of gains worth a word
-ROUNDS = 5  # of reweighting
-LITTLE = 1.05  # times, by which scores are larger and intervals wider without a word
-NOTABLE = 2.5  # standard deviations of an image's error worth a word
+BELOW_DARKS, GAINS_APART = 5.0, 5.0  # standard errors from which darks, or gains, differ
+UNLIKE_GAIN = 0.15  # relative difference of gains that is reported
+ROUNDS = 5  # rounds of reweighting
+LITTLE = 1.05  # factor on scores and intervals up to which nothing is reported
+NOTABLE = 2.5  # standard deviations of an image's error that are reported
 
 OfChannel = tuple[JointCalibration, JointFit]
 
 
 def findings(calibration: JointCalibration) -> tuple[str, ...]:
-    """All sentences about a joint calibration."""
+    """Return all findings about a joint calibration."""
     return (
         *said(GIVEN, calibration),
         *said_of_channels(OF_CHANNEL, calibration, calibration.fits),
@@ -55,7 +55,7 @@ def darker_than_darks(observation: Photographs) -> list[Numbers]:
         of_darks = float(np.mean(levels.mean[levels.dark]))
         dn = observation.dn[i][unlit]
         below = of_darks - float(np.median(dn))
-        error = 1.2533 * float(np.std(dn)) / np.sqrt(len(dn))  # of the median of a Gaussian
+        error = 1.2533 * float(np.std(dn)) / np.sqrt(len(dn))  # of the median
         if below > max(1.0, BELOW_DARKS * np.hypot(error, levels.mean_error[levels.dark].max())):
             found.append(
                 {"median": np.median(dn), "count": len(dn), "below": below, "darks": of_darks}
@@ -136,8 +136,8 @@ def _misfit(of: OfChannel) -> Numbers | None:
 
 
 def hiding_pixels(of: OfChannel) -> tuple[UnequalPixels, bool] | None:
-    """What the scatter of pixels says of their gains, and whether these hide gain and read noise;
-    None where it says nothing."""
+    """Return the pixel gains from the scatter of pixels, and whether they hide gain and read noise;
+    None if the scatter does not determine them."""
     calibration, fit = of
     if "prnu" in fit.values or _posterior(of) is None or misses_as_noise(calibration, fit):
         return None
@@ -372,7 +372,7 @@ def score_table(scores: tuple[Score, ...]) -> Table:
             for s in scores
         ),
         caption="RMS of predicted less measured over the RMS of the signal above black. The band "
-        "is that of one pixel: noise, parameters, misfit and the errors that lights share. It is "
+        "is for one pixel: noise, parameters, misfit and the errors that lights share. It is "
         "1.96 standard deviations, or with a misfit, which is not Gaussian, as many as hold 95 % "
         "of the pixels under the lights of the fit.",
     )
@@ -397,7 +397,7 @@ def misfit_table(calibration: JointCalibration) -> Table:
             )
             for fit in calibration.fits
         ),
-        caption="A cell is a set of pixels of like normals in one image. A dash under misfit means "
-        "that cells alone ask for none, as where a free gain and read noise take for noise what "
-        "the model misses; the findings say whether the images agree.",
+        caption="A cell is a set of pixels of similar normals in one image. A dash under misfit "
+        "means that cells alone require none, for example because a free gain and read noise "
+        "absorb the misfit of the model; the findings say whether the images agree.",
     )

@@ -56,15 +56,15 @@ from .model import (
 )
 
 FEWEST_CELLS = 50
-EXCESS = 3.0  # standard deviations of chi-square from which the model does not explain the cells
+EXCESS = 3.0  # standard deviations of chi-square above which the model does not explain the cells
 MOST_ROUNDS = 24
-FREE_ROUNDS = 2  # after which no cell is taken in again: one at an end of the scale may come and go
-AT_REST = 0.05  # standard deviations by which the reference may miss the best model
-MOST_TURNS = 8  # of the lights
-MOST_AT_START = 100_000  # samples
+FREE_ROUNDS = 2  # rounds after which dropped cells stay out, because some could alternate
+AT_REST = 0.05  # largest distance of the reference from the best model, in standard deviations
+MOST_TURNS = 8  # most updates of the light directions
+MOST_AT_START = 100_000  # most samples for the start
 LARGEST = 3.0  # standard deviations of the prior of an error's size
 MISFIT = Parameter("misfit", symbol="ρ", unit="1", lower=0.0, upper=1.0)
-MOST_AT_FIRST = 0.5  # of the misfit
+MOST_AT_FIRST = 0.5  # first size of the misfit, at most
 
 
 @dataclass(frozen=True)
@@ -72,17 +72,17 @@ class JointFit:
     """A fitted channel."""
 
     channel: str
-    data: JointData  # with the cells about the best model
+    data: JointData  # with cells reduced about the best model
     grid: Grid
     vector: Vector  # unconstrained
     information: Matrix  # of the posterior on that scale
     identifiability: Identifiability  # of the likelihood alone
     chi_square: float  # of the cells' means, per cell
-    cells: int  # how many there are, over all images
+    cells: int  # number of cells in all images
     # chi-square per cell before a misfit was allowed; None where none was needed
     unexplained: float | None
     converged: bool  # whether the optimum was reached
-    left_out: tuple[LeftOut, ...] = ()  # errors that the rig names and that are too small to matter
+    left_out: tuple[LeftOut, ...] = ()  # stated errors that are negligible
 
     @property
     def space(self) -> ParameterSpace:
@@ -237,7 +237,8 @@ def _gain_of_neighbours(observation: Photographs, channel: int, gamma: float | N
 
 
 def _rounds(grid: Grid, data: JointData, vector: Array) -> tuple[JointData, NewtonSolution]:
-    """The optimum with cells about it: the reference is updated until it no longer changes."""
+    """Return the optimum with cells reduced about it: the reference is updated until it no longer
+    changes."""
     solution = minimise(cost, vector, data)
     for number in range(MOST_ROUNDS):
         reference = solution.vector
@@ -280,7 +281,7 @@ def without_small_errors(
         name = parameter.name
         if name == "prnu":
             squares = (weight * np.asarray(shared.cell_errors) ** 2).sum(0)
-            count = np.asarray(data.cells.count).max(0)  # pixels of a cell, each of its own
+            count = np.asarray(data.cells.count).max(0)  # pixels of each cell
         else:
             rows = 2 if name == "direction_scatter" else 1
             errors = np.asarray(shared.image_errors)[:, at : at + rows]

@@ -74,16 +74,16 @@ from .model import (
     values_at,
 )
 
-CHANCE = 1e-3  # of calling images that agree within their noise ones that do not
-FEWEST_IMAGES = 12  # whose halves still determine a surface
-APART = 3.0  # standard deviations between halves from which they do not agree
-STEP = 0.1  # of ln s, over which the variances' slopes are taken
-NOISE = ("system_gain", "read_noise")  # what unequal pixels look like
-TYPICAL = 0.01  # relative gains of a camera's pixels, rms, which few exceed
-TOLERATED = 0.5  # standard errors by which gain or read noise may be off
-BEYOND_CHANCE = 5.0  # standard errors of the pixels' gains from none
+CHANCE = 1e-3  # probability of a false finding that images disagree
+FEWEST_IMAGES = 12  # images needed so that halves still determine a surface
+APART = 3.0  # standard deviations between halves from which they disagree
+STEP = 0.1  # step of ln s for the slopes of the variances
+NOISE = ("system_gain", "read_noise")  # parameters that absorb unequal pixels
+TYPICAL = 0.01  # rms of relative pixel gains that few cameras exceed
+TOLERATED = 0.5  # accepted bias of gain or read noise, standard errors
+BEYOND_CHANCE = 5.0  # standard errors from 0 at which pixel gains are significant
 ONE_SIDED = float(ndtri(0.95))
-ALONE = 1e-9  # of the column R^2: the part that gain and read noise leave is rounding below it
+ALONE = 1e-9  # share of R^2 left by gain and read noise below which it is rounding
 
 
 # ---------------------------------------------------------------- images
@@ -114,7 +114,7 @@ def image_sandwich(observation: Photographs, fit: JointFit) -> Robustness | None
     found = _sandwich(seen, slopes, total, prior[among], alike)
     model = np.linalg.inv(total)
     stated = not set(BY_IMAGE).isdisjoint(names(fit.space))
-    if fit.unexplained is not None:  # an equal misfit under all lights lets images agree
+    if fit.unexplained is not None:  # a misfit that is equal under all lights makes images agree
         found = replace(found, covariance=_at_least(found.covariance, total))
     elif stated and effect <= chance and no_more_than(found, model):
         return None
@@ -142,10 +142,10 @@ def _disagreement(
 def _sandwich(
     scores: np.ndarray, information: np.ndarray, total: Matrix, prior: Matrix, alike: np.ndarray
 ) -> Robustness:
-    """The sandwich over regions of images, which `alike` numbers."""
+    """Return the sandwich over regions of images; `alike` is the region of each image."""
     images, count = scores.shape
     values, axes = np.linalg.eigh(information)
-    halves = axes * np.sqrt(np.maximum(values, 0))[:, None]  # columns: an image's slopes
+    halves = axes * np.sqrt(np.maximum(values, 0))[:, None]  # columns are the slopes of an image
     columns = np.zeros((count, images, count))
     columns[:, :, 0] = scores.T
     slopes = np.moveaxis(halves, 1, 0).reshape(count, -1)
@@ -173,8 +173,8 @@ def _image_scores(
     vector: Array, data: JointData
 ) -> tuple[Float[Array, "images parameters"], Float[Array, "images parameters parameters"]]:
     """Gradient of the log likelihood with respect to the parameters of each image, and minus its
-    second derivatives. Images that share no errors of pixels or lights add up, so that the
-    parameters of all of them are moved at once."""
+    second derivatives. If images share no errors of pixels or lights, their log likelihoods add up,
+    so the parameters of all images are moved at once."""
     count = data.cells.count.shape[0]
     alike = jnp.broadcast_to(vector, (count, vector.size))
     slope = jax.grad(lambda vectors: -log_likelihood_by_image(vectors, data))
@@ -200,17 +200,17 @@ def _image_scores(
 
 @dataclass(frozen=True)
 class Halves:
-    """The same fit to the even and to the odd images.
+    """The same model fitted to the even and to the odd images.
 
     Source:
         Wolter, Introduction to Variance Estimation, 2nd ed. 2007, chapter 2.
     """
 
     names: tuple[str, ...]
-    values: Float[np.ndarray, "halves parameters"]  # in their units
+    values: Float[np.ndarray, "halves parameters"]  # in the parameters' units
     difference: Vector  # of the two, unconstrained
-    # the same in standard deviations of such a difference; 0 for all but surface and encoding, as
-    # noise and misfit may differ between them
+    # the difference in its standard deviations; 0 for parameters other than surface and encoding,
+    # because noise and misfit may differ between halves
     deviations: Vector
 
     @property
@@ -309,9 +309,10 @@ def _information(fit: JointFit, vector: Vector, kept: Int[np.ndarray, " kept"]) 
 class UnequalPixels:
     """Pixel gains as estimated from the scatter of pixels."""
 
-    size: float  # relative, rms; 0 where the scatter rises less than photons make it
-    deviations: float  # of its square from 0, in standard errors
-    # relative, rms, that could have gone unseen: the upper 95 % limit, at most `TYPICAL`
+    size: float  # relative, rms; 0 if the scatter rises less than photon noise
+    deviations: float  # distance of the squared size from 0, in standard errors
+    # largest relative size, rms, that is compatible with the data: the upper 95 % limit, at most
+    # `TYPICAL`
     most: float
     moved: float  # standard errors by which `most` would move the gain or the read noise
 

@@ -8,8 +8,8 @@ Signal, encoding and noise of a pixel, or of a cell of pixels with similar norma
 `from_images.signal`. Cells have a count, a mean and a scatter about it. Their likelihood is that of
 their pixels, so the scatter determines the gain K.
 
-A stated error is shared by a whole image, or by a pixel in all images. It is linear in its size and
-marginalised (`marginal`), so only its scale is a parameter:
+A stated error is shared by a whole image, or by a pixel in all images. The signal is linear in such
+an error, which is marginalised (`marginal`), so only its scale is a parameter:
 
     light_scatter      X (1 + s u)                      strength of the light, exposure
     direction_scatter  X + (s u_1 - t_1) dX/dt_1 + (s u_2 - t_2) dX/dt_2
@@ -56,7 +56,7 @@ from . import marginal
 Table = Float[Array, "images cells"]
 MISFIT_AT = 0.1  # of full scale: W_0 / W
 BY_IMAGE = ("light_scatter", "direction_scatter", "stray_scatter")
-TRUST = 1.6  # factor, one standard deviation, by which a stated error may be off
+TRUST = 1.6  # uncertainty factor (one standard deviation) of a stated error
 
 
 GAIN = Parameter("system_gain", symbol="K", unit="DN/e-", transform="log")
@@ -145,16 +145,16 @@ class Cells(eqx.Module):
     """Images of one channel, reduced to cells."""
 
     geometry: Geometry
-    count: Table  # pixels; 0 where a cell is left out
+    count: Table  # pixels; 0 for an unused cell
     mean: Table  # DN
-    # sum of squared deviations from the mean, less what the reference model varies by within the
-    # cell, DN^2
+    # sum of squared deviations from the mean, without the variation of the reference model within
+    # the cell, DN^2
     scatter: Table
-    # DN by which the mean over the pixels of a model near the reference differs from its value at
-    # their mean geometry, for natural values of 0, and its `slopes`
+    # DN, the mean of the model over the pixels minus its value at their mean geometry, extrapolated
+    # linearly from the reference to natural values of 0; `slopes` are its derivatives
     offset: Table
     level: Table  # D P / (n W), positive
-    # as `scatter`, of two images; None where pixels are alike
+    # like `scatter`, for products of two images; None if pixels are equal
     products: Float[Array, "cells images images"] | None = None
     slopes: dict[str, Table] = field(default_factory=dict)  # DN, by the parameter's name
 
@@ -164,15 +164,16 @@ class JointData(eqx.Module):
 
     space: ParameterSpace = eqx.field(static=True)
     form: Form = eqx.field(static=True)
-    known: Values  # numbers that are exact, by name
+    known: Values  # exactly known numbers, by name
     cells: Cells
-    # flats and darks, whose temporal variance adds information on gain and read noise; None without
+    # flats and darks, whose temporal variance adds information on gain and read noise; None if
+    # absent
     levels: UniformLevels | None
     white: Array  # W, DN
     # by name of an error of images, its size in each image relative to its scale, (images,)
     relative: dict[str, Float[Array, " images"]]
-    # inverse covariance of the rotations of all lights together, in units of their scale; None
-    # where lights err by themselves
+    # joint inverse covariance of the rotations of all lights, in units of their scale; None if
+    # lights are independent
     turn_precision: Float[Array, "turns turns"] | None = None
 
 
@@ -187,10 +188,10 @@ class Prediction(eqx.Module):
 
     mean: Table  # DN
     variance: Table  # DN^2 of one pixel, without shared errors
-    relative: Table  # DN by which a relative change of the signal changes it
+    relative: Table  # DN, derivative of the mean by a relative change of the signal
     # DN for errors of one standard deviation; None if there are none
     image_errors: Float[Array, "images errors cells"] | None
-    misfit: Table | None  # DN, standard deviation of what the model misses; None where nothing is
+    misfit: Table | None  # DN, standard deviation of the misfit; None without misfit
     gains: Table | None = None  # DN for pixel gains of one standard deviation; None for equal ones
 
     @property
@@ -201,8 +202,8 @@ class Prediction(eqx.Module):
 
 
 def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
-    """Predict cells, or pixels as cells of one, from natural values. A cell without data is
-    predicted at a signal of W."""
+    """Predict cells, or single pixels, from natural values. A cell without data is predicted at a
+    signal of W."""
     geometry, form = cells.geometry, data.form
     seen = cells.count > 0
 

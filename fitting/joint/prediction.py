@@ -23,7 +23,7 @@ class PixelPrediction:
     Attributes:
         mean: (pixels,) expected DN.
         deviation: (pixels,) DN, standard deviation by noise, shared errors and parameters together.
-        usable: (pixels,), which are lit and far enough from both ends of the scale.
+        usable: (pixels,) whether a pixel is lit and far enough from both ends of the scale.
     """
 
     mean: Float[np.ndarray, " pixels"]
@@ -54,7 +54,7 @@ def predict(
     more = expected - pixels_at(points, channel, light, fit.values, fit.form)[0]
     zero = jnp.zeros((1, len(usable)))
     above = (expected - float(fit.values["black_level"])) / measurement.white
-    pixels = Cells(  # each its own cell
+    pixels = Cells(  # each pixel is a cell
         image_geometry(measurement, channel, light, turns=fit.grid.turns),
         *(jnp.asarray(usable[None], zero.dtype), zero, zero, jnp.asarray(more[None])),
         jnp.asarray(np.maximum(above, DARKEST)[None]),
@@ -89,10 +89,10 @@ class Score:
     """The accuracy of one channel's predicted images."""
 
     channel: str
-    # RMS of predicted less measured over the RMS signal, on the lights of the fit
+    # RMS of predicted minus measured over the RMS signal, on the fitted lights
     fitted_error: float
     unseen_error: float | None  # on the held-out ones; None without any
-    band: float  # half its width, in predicted deviations of a pixel
+    band: float  # half-width, in predicted standard deviations of a pixel
     fitted_share: float  # of pixels within the predicted 95 % band, on the lights of the fit
     unseen_share: float | None  # on the held-out ones; None without any
 
@@ -103,7 +103,7 @@ def score(
     """Compare the predictions of one channel with its images."""
     channel = observation.channels.index(fit.channel)
     sums = np.zeros((2, 2))  # squared errors, squared signals
-    distances: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])  # in deviations
+    distances: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])  # standard deviations
     for light, held_out in enumerate(observation.held_out):
         made = predict(observation, fit, covariance, light)
         dn = observation.dn[channel, light][made.usable]

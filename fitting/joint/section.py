@@ -52,7 +52,7 @@ def _estimates(calibration: JointCalibration) -> tuple[Estimate, ...]:
         posterior, group = calibration.posteriors.get(fit.channel), fit.channel
         reasons: dict[str, str] = {}
         if posterior is None:
-            why = "the data leave a direction open (see the findings)"
+            why = "the data do not determine every parameter (see the findings)"
             rows += [not_determined(parameter, why, group=group) for parameter in fit.space]
             continue
         if misses_as_noise(calibration, fit):
@@ -74,7 +74,7 @@ def _pictures(calibration: JointCalibration) -> tuple[Picture, ...]:
     pictures = [
         Picture(
             "images",
-            "Measured, predicted, and what is left",
+            "Measured, predicted, and their difference",
             "Lights of the fit and held-out ones. Last row: measured less predicted in standard "
             "deviations of one pixel, the errors that a light may have included; grey pixels are "
             "unlit, saturated or near black.",
@@ -83,7 +83,7 @@ def _pictures(calibration: JointCalibration) -> tuple[Picture, ...]:
         Picture(
             "noise",
             "Noise of the pixels against their signal",
-            "Dots: mean squared residual of a pixel, the error of its light taken off, with "
+            "Dots: mean squared residual of a pixel without the error of its light, with "
             "standard errors. Line: what gain, read noise and encoding of the fit predict.",
             partial(figures.noise_figure, calibration),
         ),
@@ -92,7 +92,7 @@ def _pictures(calibration: JointCalibration) -> tuple[Picture, ...]:
         pictures.append(
             Picture(
                 "lights",
-                "How far each light is from what the rig says",
+                "How far each light is from its stated strength",
                 "Means and standard deviations given the fitted surface and the scale of the "
                 "errors; the lights' common error is that of k_d and k_s.",
                 partial(figures.lights_figure, calibration),

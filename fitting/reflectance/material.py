@@ -1,4 +1,4 @@
-"""A fitted reflectance as a material for a scene: the best fit, and draws of it."""
+"""A fitted reflectance as a material for a scene: the best fit, and posterior draws."""
 
 from collections.abc import Callable
 from functools import partial
@@ -18,7 +18,7 @@ from ..inference.posterior import Posterior
 from .models import REFLECTANCES, has_lobe, shape_of
 from .names import Model
 
-DRAWS = 1000  # kept at most
+DRAWS = 1000  # most draws that are kept
 
 
 def fitted_material(model: Model, index: float, posterior: Posterior) -> tuple[Material, Material]:

@@ -9,7 +9,7 @@ The facets of `torrance-sparrow` are GGX, as in the record's default, and those 
 term is that of a clear dielectric of a given index, which is never fitted: except at grazing
 angles, k_s and the normal reflectance enter only as their product. Facets of
 `torrance-sparrow-metal` (GGX) have the same reflectance at all angles, which is nearly true for
-metals. In `eon` the facets light each other as white ones do, so that k_d is an
+metals. In `eon` the interreflection between facets is that of white facets, so that k_d is an
 amplitude in any unit of light.
 """
 
@@ -37,7 +37,7 @@ from jaxvision.scene import Material
 from ..inference.parameters import Parameter, ParameterSpace
 from .names import Axis, Model
 
-HIGHEST_INDEX = 10.0  # of refraction: beyond any material
+HIGHEST_INDEX = 10.0  # index of refraction above that of any material
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ _CONCENTRATION = Parameter("concentration", symbol="c", unit="1/rad", transform=
 _FACET_ROUGHNESS = Parameter("roughness", symbol="α", unit="1", transform="log")
 _BODY_ROUGHNESS = Parameter("roughness", symbol="σ", unit="rad", transform="log")
 _SHARE_OF_ROUGHNESS = Parameter("roughness", symbol="r", unit="1", transform="log")
-# Between which values a shape is searched, by its symbol. A body of the least roughness differs
-# from the smooth one, Lambert's, by less than a millionth up to 87 degrees from the normal.
+# Searched range of each shape, by its symbol. A body of the least roughness differs from Lambert's
+# by less than a millionth up to 87 degrees from the normal.
 SEARCHED = {
     "n": (0.5, 20_000.0),
     "c": (0.5, 100.0),
@@ -135,20 +135,20 @@ def facet_sentence(index: float) -> str:
     along_normal = ((index - 1) / (index + 1)) ** 2
     return (
         f"Clear facets have the index of refraction {index:g} (Fresnel reflectance "
-        f"{along_normal:.3f} along the normal). It is given, not fitted, because k_s and it enter "
-        "as a product: an unexpected k_s means another index, or facets that do not cover the "
-        "surface."
+        f"{along_normal:.3f} along the normal). It is given, not fitted, because k_s and the index "
+        "enter as a product: an unexpected k_s means another index, or facets that do not cover "
+        "the surface."
     )
 
 
 def check_index(index: float) -> None:
-    """`InputError` for an index of refraction that no clear material has."""
+    """Raise `InputError` for an index of refraction that no clear material has."""
     if not 1 < index < HIGHEST_INDEX:
         raise InputError(f"index = {index:g}: give an index of refraction above 1 and below 10.")
 
 
 def surface_space(model: Model, diffuse: str, specular: str) -> ParameterSpace:
-    """diffuse; specular; the lobe's shape: those that the model has, with the units of the
+    """Return the parameters that the model has (diffuse, specular, shape), with the units of the
     amplitudes."""
     space = [amplitude("diffuse", "k_d", diffuse)]
     if has_lobe(model):
@@ -197,8 +197,8 @@ def unit_brdf(
 def unit_shading(
     model: Model, shape: Float[Array, "*n"], wi: Vec, wo: Vec, index: float
 ) -> Float[Array, " n"]:
-    """The reflected light per irradiance on a surface that faces the light, for unit amplitude and
-    one shape for all pairs of directions, or one for each."""
+    """Return the reflected light per irradiance on a surface that faces the light, for unit
+    amplitude, with one shape for all pairs of directions or one for each pair."""
     return _pair_values(shading, model, shape, wi, wo, index)
 
 

@@ -19,15 +19,15 @@ Model = Literal[
 ]
 # torrance-sparrow has GGX facets, the default of `jaxvision.TorranceSparrow`.
 MODELS: tuple[Model, ...] = get_args(Model)
-Axis = Literal["mirror", "half", "none"]  # what a lobe is centred on
+Axis = Literal["mirror", "half", "none"]  # direction about which a lobe is centred
 Objective = Literal["cosine", "cube-root"]  # what a fit of measured reflectance minimises
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
 
-# Whose facets are those of a clear dielectric, with an index of refraction.
+# Models with facets of a clear dielectric, which has an index of refraction.
 CLEAR: tuple[Model, ...] = ("torrance-sparrow-beckmann", "torrance-sparrow")
 INDEX = 1.5  # of refraction: glass, varnish, most plastics
 DESCRIBES = 0.5  # relative error of a prediction up to which a model describes a surface
-SHOWS = 0.2  # likewise of images
+SHOWS = 0.2  # the same limit for images
 SUFFIXES = (".brdf", ".bsdf", ".binary")
 
 

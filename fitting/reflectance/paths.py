@@ -10,7 +10,7 @@ from .names import CLEAR, INDEX, Model, Objective, is_measured_brdf
 
 
 def check_one_rig(paths: Sequence[Path], objective: Objective | None) -> None:
-    """`InputError` for anything but a single rig, and for options that only files take."""
+    """Raise `InputError` for anything but a single rig, and for options that only files take."""
     if len(paths) > 1:
         raise InputError(f"{paths[1]}: a second rig; calibrate one folder of images at a time.")
     if paths[0].is_file() and paths[0].suffix != ".toml":
@@ -23,7 +23,7 @@ def check_one_rig(paths: Sequence[Path], objective: Objective | None) -> None:
 
 
 def check_files(paths: Sequence[Path], of_rigs: dict[str, Any]) -> None:
-    """`InputError` for files of another kind, and for options that only rigs take."""
+    """Raise `InputError` for files of another kind, and for options that only rigs take."""
     for path in paths:
         if not is_measured_brdf(path):
             raise InputError(
@@ -37,7 +37,7 @@ def check_files(paths: Sequence[Path], of_rigs: dict[str, Any]) -> None:
 
 
 def check_index_of(model: Model, index: float) -> None:
-    """`InputError` for an index of refraction with a model that has none."""
+    """Raise `InputError` for an index of refraction with a model that has none."""
     if index != INDEX and model not in CLEAR:
         raise InputError(
             f"--index: {model} has no index of refraction; leave it out, or fit "

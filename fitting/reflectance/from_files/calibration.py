@@ -4,9 +4,9 @@ parameters.
 Every incidence is left out once and predicted by the fit without it. These predictions give the
 held-out errors. The same fits give the covariance of the parameters by the jackknife over
 incidences (Tukey 1958; Busing, Meijer & van der Leeden, "Delete-m Jackknife for Unequal m", 1999).
-It includes errors that all samples of an incidence share, and the error of a wrong model. For few
-incidences the covariance is widened to the variance of Student's t, and for three to its 95 %
-interval.
+The jackknife includes errors that all samples of an incidence share, and the error of a wrong
+model. For few incidences the covariance is widened to the variance of Student's t; for three
+incidences it is widened to match the 95 % interval of Student's t.
 """
 
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ from .fit import LobeFit, ModelFit, OfBands, brdf, fit_models, problem_of
 from .read import MeasuredBRDF
 
 FINE = 4000  # angles of an integral over the hemisphere
-EDGE = 1e-3  # of the logarithm of a shape: this close to an end of its range it lies there
+EDGE = 1e-3  # distance of a log shape from an end of its range within which it counts as there
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class BRDFCalibration(ShownInNotebooks):
 
     Attributes:
         measured: the calibrated samples.
-        objective: that the fits minimise.
+        objective: the objective that the fits minimise.
         index: of refraction of dielectric facets.
         model: name of the reported model.
         fits: of every model.
@@ -200,7 +200,7 @@ def albedo(fit: ModelFit, index: float) -> OfBands:
     normal: 2 pi times the integral of f_r cos(theta) sin(theta), (bands,). It is at most 1 for a
     surface that emits no light."""
     u = (np.arange(FINE) + 0.5) / FINE
-    theta = np.pi / 2 * u**3  # crowded about the normal, as narrow lobes are
+    theta = np.pi / 2 * u**3  # denser near the normal, for narrow lobes
     weight = 2 * np.pi * np.cos(theta) * np.sin(theta) * 3 * np.pi / 2 * u**2 / FINE
     zero, one = np.zeros_like(theta), np.ones_like(theta)
     wi = Vec(*(jnp.asarray(x) for x in (zero, zero, one)))

@@ -13,10 +13,10 @@ from ..names import DESCRIBES, Axis, Model, Objective
 from .fit import ModelFit, OfSamples, reflected
 from .read import MeasuredBRDF
 
-FEWEST_INCIDENCES = 3  # from which a difference has a standard error worth its name
-SAME = 1e-6  # of an error: a smaller difference is where the solvers stopped, not the models'
-NOTABLE = 1.05  # ratio of two errors from which an order of them is worth a word
-LIKELY = 0.05  # chance up to which a model that errs more at most incidences is called worse
+FEWEST_INCIDENCES = 3  # incidences needed for the standard error of a difference
+SAME = 1e-6  # relative difference of errors below which it comes from the solvers' tolerance
+NOTABLE = 1.05  # ratio of two errors from which their order is reported
+LIKELY = 0.05  # p-value up to which a model with larger errors at most incidences is called worse
 SMALLEST_ERROR = 1e-9  # of the signal's RMS: smaller errors are rounding, counted as this much
 METRICS: dict[Objective, str] = {"cosine": "cosine-weighted RMS", "cube-root": "cube-root error"}
 Side = Literal["half", "mirror", "neither"]  # which axis wins a comparison
@@ -37,8 +37,8 @@ class Errors:
 
 
 def errors(measured: MeasuredBRDF, predicted: OfSamples) -> Errors:
-    """Both metrics of a prediction of f_r in sr^-1. Rounding errors count as a billionth of the
-    signal, so that they do not decide between models."""
+    """Return both error metrics of a prediction of f_r in sr^-1. Rounding errors count as a
+    billionth of the signal, so that they do not decide between models."""
     signal = reflected(measured, measured.values)
     missed = reflected(measured, predicted) - signal
     roots, root_signal = (
@@ -70,7 +70,7 @@ def errors(measured: MeasuredBRDF, predicted: OfSamples) -> Errors:
 
 
 def metric(errors: Errors, objective: Objective) -> float:
-    """The error that belongs to an objective: relative RMS, or sr^-1/3."""
+    """Return the error in the metric of an objective: relative RMS, or sr^-1/3."""
     return errors.relative if objective == "cosine" else errors.cube_root
 
 
@@ -165,7 +165,7 @@ def weight_by_incidence(measured: MeasuredBRDF, objective: Objective) -> OfIncid
 
 
 def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> OfSamples:
-    """f_r in sr^-1 of every sample, predicted by the fit without its incidence."""
+    """Return f_r in sr^-1 of every sample, predicted by the fit without its incidence."""
     predicted = np.empty_like(measured.values)
     for i, without in enumerate(fit.without):
         own = measured.incidence == i
@@ -174,7 +174,8 @@ def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> OfSamples:
 
 
 def best(scores: Mapping[Model, Errors], objective: Objective) -> Model:
-    """The model of smallest error in the metric of an objective; the first of equal ones."""
+    """Return the model of smallest error in the metric of an objective; the first one if several
+    are equal."""
     return min(scores, key=lambda model: metric(scores[model], objective))
 
 

@@ -26,8 +26,8 @@ AXIS_LABELS: dict[Axis, str] = {
     "half": "lobe about the half vector",
     "none": "no lobe",
 }
-IN_PLANE = 0.6  # degrees off the plane of incidence
-HEADROOM = 3.0  # of the brightest measured dot: lines above are cut
+IN_PLANE = 0.6  # largest angle out of the plane of incidence, degrees
+HEADROOM = 3.0  # top of the axis, relative to the brightest measured dot
 SHOWN_INCIDENCES = 4
 LIMIT = 200.0  # per cent: larger errors share a colour
 
@@ -59,7 +59,7 @@ def _draw_slice(axis: Axes, calibration: BRDFCalibration, incidence: int) -> Non
 
     theta_i = float(measured.incidences[incidence])
     theta_o = np.radians(np.linspace(-88, 88, 1409))
-    near = np.radians(np.geomspace(1e-4, 0.5, 40))  # a mirror's peak is narrower than an eighth
+    near = np.radians(np.geomspace(1e-4, 0.5, 40))  # a mirror's peak is narrower than the grid
     about = theta_i + np.concatenate([-near, [0.0], near])
     theta_o = np.unique(np.concatenate([theta_o, about[np.abs(about) <= theta_o[-1]]]))
     held_out = calibration.held_out

@@ -33,16 +33,16 @@ from .errors import (
 from .fit import compared_quantity
 
 MOST_WEIGHT = 0.5  # of a fit, at one incidence, from which it is reported
-NESTED = 1e-3  # relative excess over a contained model: the ends of the shapes' ranges cost less
-NOTHING = 1e-6  # of the signal's RMS: what those ends miss beside a model that misses nothing
+NESTED = 1e-3  # relative excess over a contained model that limits of the shape cannot explain
+NOTHING = 1e-6  # the same excess relative to the signal's RMS, for a perfect model
 APART = 1.5  # ratio of two errors from which a missing significance is explained
 OVERFIT = 1.5  # held-out over fitted error from which it is reported
-ROUNDING = 1e-3  # of an albedo
+ROUNDING = 1e-3  # rounding error of an albedo
 BLACK = 0.005  # albedo of the blackest paints and velvets
-OBLIQUE = np.radians(15.0)  # incidence from which back and forth lie apart
-NEAR = np.radians(7.5)  # of the light: where a peak counts as toward it
-BRIGHT = 3.0  # times the median of its incidence, from which a value is a peak
-PAIRS: tuple[tuple[Model, Model], ...] = (  # same factor before the lobe, other axis
+OBLIQUE = np.radians(15.0)  # incidence from which forward and backward directions are separate
+NEAR = np.radians(7.5)  # angle to the light within which a peak counts as toward it
+BRIGHT = 3.0  # ratio to the median of its incidence from which a value is a peak
+PAIRS: tuple[tuple[Model, Model], ...] = (  # same factor on the lobe, different axis
     ("phong", "blinn"),
     ("normalised-phong", "normalised-blinn"),
 )
@@ -222,8 +222,8 @@ def told(parts: Iterable[str]) -> Numbers | None:
 
 
 def _ends(calibration: BRDFCalibration) -> tuple[list[Model], list[Model]]:
-    """Other models with a shape at an end of its range: rough bodies without roughness, and the
-    rest."""
+    """Return the other models with a shape at an end of its range: rough bodies without roughness,
+    and all others."""
     smooth: list[Model] = []
     stuck: list[Model] = []
     for model, fit in calibration.fits.items():
@@ -342,7 +342,7 @@ def _fresnel(calibrations: Sequence[BRDFCalibration]) -> Numbers | None:
 
 # ---------------------------------------------------------------- the sentences
 
-Pair = tuple[Errors, Errors, Ratio, Objective]  # of a lobe about the half vector, and the other one
+Pair = tuple[Errors, Errors, Ratio, Objective]  # of half-vector and mirror lobe
 
 
 def _useless(pair: Pair) -> tuple[bool, bool]:

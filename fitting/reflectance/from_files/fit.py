@@ -6,16 +6,16 @@ The irradiance falls with the cosine of incidence, so errors are measured in the
     cosine       sum w (x - x_measured)^2                         (Ngan, Durand & Matusik 2005)
     cube-root    sum w (c(x) - c(x_measured))^2,  c(x) = (x + d)^(1/3)
 
-The highlight dominates the first. The second weights bright and dark values about as an eye does
-(Fores, Ferwerda & Gu, "Toward a Perceptually Based Metric for BRDF Modeling", 2012). d, a
-thousandth of the RMS of x, keeps its slope finite at 0.
+The highlight dominates the cosine objective. The cube root weights bright and dark values about as
+the eye does (Fores, Ferwerda & Gu, "Toward a Perceptually Based Metric for BRDF Modeling", 2012).
+d, a thousandth of the RMS of x, keeps its slope finite at 0.
 
 The cosine objective is linear in the amplitudes and is minimised globally by variable projection.
 For the cube root this is repeated with a linearisation about the last prediction (Gauss-Newton).
-The shape is limited to a window about the last one, which shrinks if a step does not lower the true
-objective. The search begins at the optimum of the cosine objective, and at the optimum of Lambert's
-model, which every model contains. (With an incidence left out, it begins at the optimum with all of
-them.) The lowest result is used.
+The shape is limited to a window about its last value, which shrinks if a step does not lower the
+true objective. The search begins at the optimum of the cosine objective, and at the optimum of
+Lambert's model, which every model contains. (If an incidence is left out, it begins at the optimum
+for all incidences.) The lowest result is used.
 """
 
 from dataclasses import dataclass, replace
@@ -40,9 +40,9 @@ from .read import MeasuredBRDF
 
 DARK = 1e-3  # of the RMS of f_r cos(theta_i): d of the cube-root objective
 MOST_STEPS = 100
-SETTLED = 1e-8  # relative fall of the cost from which a fit has converged
-SHARES = (1.0, 0.25, 0.05, 0.01, 1e-3)  # of a step that are tried
-NARROWEST = 1e-3  # of a logarithm: a shape that may move less stays
+SETTLED = 1e-8  # relative decrease of the cost below which a fit has converged
+SHARES = (1.0, 0.25, 0.05, 0.01, 1e-3)  # shares of a step that are tried
+NARROWEST = 1e-3  # narrowest window of a log shape; below it the shape is fixed
 OfBands = Float[np.ndarray, " bands"]
 OfSamples = Float[np.ndarray, "n bands"]
 
@@ -199,7 +199,8 @@ class _Search:
     def at(
         self, kept: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, shape: float | None
     ) -> LobeFit:
-        """The fit at some parameters; `kept` is the fraction of each sample's weight."""
+        """Return the fit at some parameters; `kept` is the used fraction of each sample's
+        weight."""
         measured = self.measured
         parameters = self.model, diffuse, specular, shape
         predicted = np.asarray(brdf(*parameters, measured.wi, measured.wo, self.index))
@@ -308,7 +309,7 @@ def fit_model(
 def fit_models(
     measured: MeasuredBRDF, *, objective: Objective = "cosine", index: float
 ) -> dict[Model, ModelFit]:
-    """Every model, fitted as `fit_model` does."""
+    """Fit every model with `fit_model`."""
     options: dict[str, Any] = {"objective": objective, "index": index}
     matt = fit_model(measured, "lambert", **options)
     return {

@@ -32,18 +32,18 @@ NANOMETRES = 1e9
 LIGHT_ELEVATIONS = np.radians(np.arange(10, 90, 10.0))
 LIGHT_AZIMUTHS = np.radians([0.0, 45.0, 90.0, 135.0])  # of anisotropic materials
 HALF_ELEVATIONS = 28
-HALF_AZIMUTHS = 24  # of a turn; half of it is enough for what looks alike in a mirror
+HALF_AZIMUTHS = 24  # azimuths in a full turn; half of them suffice for a mirror-symmetric table
 LOWEST_VIEWER = np.cos(np.radians(80.0))
-SAME_INCIDENCE = np.radians(1.0)  # of elevation: samples closer than this share an incidence
+SAME_INCIDENCE = np.radians(1.0)  # elevations closer than this count as one incidence
 FEWEST_INCIDENCES = 3  # two to fit and one to test on
 FEWEST_SAMPLES = 20
-FEWEST_CLIPPED = 5  # samples that hold the largest value, from which it may be a limit
-PILED = 3  # times as many as hold the next largest: a step of rounding holds about as many
-PEAK = 1.5  # times the median of the others: a lobe, no matt surface
-HORIZON = np.radians(89.5)  # elevations beyond are rounding about the horizon
-CUT = 0.05  # of the samples: reported share of exact zeros in one band alone
+FEWEST_CLIPPED = 5  # samples at the largest value from which it may be a clip level
+PILED = 3  # ratio to the samples at the next largest value, which rounding cannot explain
+PEAK = 1.5  # ratio to the median of the others from which there is a lobe
+HORIZON = np.radians(89.5)  # elevations beyond this count as the horizon
+CUT = 0.05  # share of samples with exact zeros in one band alone that is reported
 SWAPPED = 10  # pairs of samples with exchanged light and viewer that show a factor
-TILTED = np.radians(10.0)  # by which their elevations differ at least
+TILTED = np.radians(10.0)  # least difference of their elevations
 # f_r in sr^-1 beyond any measurement: an instrument that sees 1e-6 sr, which is finer than any
 # goniometer, reads at most 1e6 from a perfect mirror; the blackest coatings reflect 1e-4.
 LARGEST, SMALLEST = 1e6, 1e-9
@@ -103,19 +103,19 @@ def read_measured_brdf(path: str | os.PathLike[str]) -> MeasuredBRDF:
     findings: tuple[str, ...] = ()
     if isinstance(measured, BRDFSamples):
         samples, weights = measured, np.ones(len(measured.theta_i))
-        findings += ("Samples are scattered over the viewing directions and count alike.",)
+        findings += ("Samples are scattered over the viewing directions and have equal weights.",)
     else:
         anisotropic = isinstance(measured, RGL) and len(measured.phi) > 2
         samples, weights = _on_grid(measured, anisotropic=anisotropic)
         findings += (
-            "The file's table was read off at light from 10° to 80° in steps of 10° and at half "
-            "vectors that crowd about the normal, where lobes are; samples count by the solid "
-            "angle of the viewer.",
+            "The file's table was sampled for lights from 10° to 80° in steps of 10° and for half "
+            "vectors that are denser near the normal, where lobes are; samples are weighted by "
+            "the solid angle of the viewer.",
         )
         if anisotropic:
             findings += (
-                "The material is anisotropic and every model here is isotropic: the fit is what "
-                "they make of four azimuths of the light together.",
+                "The material is anisotropic but every model here is isotropic: the fit is an "
+                "average over four azimuths of the light.",
             )
     return from_samples(path.stem, samples, weights=weights, findings=findings, source=str(path))
 
@@ -136,7 +136,7 @@ def _on_grid(
     h = _direction(theta_h, phi_i + phi_h)
     cosine = np.sum(wi * h, axis=-1)
     wo = 2 * cosine[:, None] * h - wi
-    # Half a turn stands for the other half too, but for its ends, which both halves share.
+    # Half a turn also represents the other half, except for its ends, which both halves share.
     ends = np.isclose(np.sin(phi_h), 0) & (not anisotropic)
     solid_angle = cosine * np.sin(theta_h) * x * np.where(ends, 0.5, 1.0)
     seen = (wo[:, 2] > LOWEST_VIEWER) & (cosine > 0)
@@ -199,7 +199,7 @@ def from_samples(
             + (
                 "were left out."
                 if enough
-                else "too few would be left without them, so that lobes come out too wide."
+                else "were kept because too few samples would remain, so fitted lobes are too wide."
             ),
         )
         seen = left if enough else seen
@@ -326,13 +326,13 @@ def _check_signal(
     incidence: Int[np.ndarray, " n"],
     incidences: Float[np.ndarray, " incidences"],
 ) -> None:
-    """`InputError` for negative values beyond noise, and for an incidence without reflected
+    """Raise `InputError` for negative values beyond noise, and for an incidence without reflected
     light."""
     lowest = values.min()
     if -lowest > values.max():
         raise InputError(
             f"{source}: a value of {lowest:g} lies farther below zero than any above it, so it is "
-            "no noise; remove the rows that mark missing data."
+            "not noise; remove the rows that mark missing data."
         )
     brightest = np.array([values[incidence == i].max() for i in range(len(incidences))])
     dark = int(np.argmin(brightest))

@@ -52,7 +52,7 @@ def materials_section(calibrations: Sequence[BRDFCalibration]) -> Section:
     lobe.
 
     Args:
-        calibrations: one a material.
+        calibrations: one per material.
 
     Returns:
         Findings, tables and a picture.

@@ -1,4 +1,4 @@
-"""Fits of reflectance models to the lights of a rig, and their unidentifiable parameters."""
+"""Fits of reflectance models to the photographs of a rig, and their unidentifiable parameters."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -41,7 +41,7 @@ USUAL: tuple[Model, ...] = (
 
 @dataclass(frozen=True, repr=False)
 class ReflectanceCalibration(ShownInNotebooks):
-    """Fits of several models to the lights of a rig, one of them reported in full.
+    """Fits of several models to the photographs of a rig, one of them reported in full.
 
     Attributes:
         observation: the calibrated photographs.
@@ -78,7 +78,7 @@ class ReflectanceCalibration(ShownInNotebooks):
 
 
 @double_precision
-@threadpool_limits.wrap(limits=1, user_api="blas")  # threads cost more than matrices this small
+@threadpool_limits.wrap(limits=1, user_api="blas")  # matrices are too small for threads
 def calibrate(
     observation: Photographs,
     *,
@@ -109,8 +109,8 @@ def calibrate(
         ambient: whether to add a constant per channel to the light; it is estimated from the
             attached shadows too.
         fit_gamma: whether to fit the encoding exponent; a known `camera.gamma` is then ignored.
-        minimum_cosine: samples with a smaller n.l are left out, for shapes whose grazing light is
-            uncertain.
+        minimum_cosine: samples with a smaller n.l are left out, for objects on which light at
+            grazing incidence is uncertain.
         progress: called with (models fitted, all models), first with none of them.
 
     Returns:
@@ -145,10 +145,10 @@ def calibrate(
     def fitted_channels(form: Form) -> tuple[ChannelFit, ...]:
         return tuple(fit_channel(view, form, cells) for view in views)
 
-    # the channels of a model in turn: its lobe is compiled once
+    # all channels of one model in succession: its lobe is compiled once
     pieces = [partial(fitted_channels, form) for form in forms.values()]
     if progress is not None:
-        progress(0, len(pieces))  # the first of them may take seconds to compile
+        progress(0, len(pieces))  # the first model may take seconds to compile
     fits = dict(zip(forms, side_by_side(pieces, progress=progress), strict=True))
     reasons = {
         fit.channel: open_parameters(fit, matt)
@@ -196,7 +196,7 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
         )
         reasons |= dict.fromkeys((name for name in of_lobe if name in present), unseen)
     if fit.turned is not None and not fit.turned.followed:
-        astray = f"lights would have to be turned by {fit.turned.size:.2g} times direction_sd"
+        astray = f"lights would have to be rotated by {fit.turned.size:.2g} times direction_sd"
         for name in of_lobe:
             if name in present:
                 reasons.setdefault(name, astray)
@@ -223,7 +223,8 @@ def mean_residual(calibration: ReflectanceCalibration) -> Float[np.ndarray, " pi
 
 
 def residual_of_images(calibration: ReflectanceCalibration) -> Float[np.ndarray, " lights"]:
-    """Return (lights,) the same, summed over the pixels and channels of an image."""
+    """Return (lights,) the mean relative residual, summed over the pixels and channels of an
+    image."""
     return _relative(calibration, axis=1)
 
 

@@ -27,7 +27,7 @@ from .read import Photographs
 from .samples import Selection, View, predict
 
 LEVEL = 0.975  # quantile of Student's t within which a difference counts as none
-SAME = 1e-6  # of an error: a smaller difference is where the solvers stopped, not the models'
+SAME = 1e-6  # relative difference of errors below which it comes from the solvers' tolerance
 DECISIVE = 10.0  # difference of BIC, summed over channels, that counts as very strong evidence
 
 
@@ -42,7 +42,7 @@ class ModelScore:
     parameters: int  # how many
     aic: float  # less the best model's
     bic: float  # less the best model's
-    effective_size: float  # independent samples that the fit's samples are worth
+    effective_size: float  # number of independent samples with the same information
     # sums of squared errors and of squared signals on the held-out lights; None without any
     by_light: Float[np.ndarray, "lights 2"] | None
 
@@ -53,7 +53,7 @@ class Difference:
 
     value: float  # of the relative RMS
     error: float = float("inf")  # its standard error; infinite with fewer than two lights
-    freedom: int = 0  # degrees of freedom of that
+    freedom: int = 0  # degrees of freedom of the error
 
     @property
     def half_width(self) -> float:
@@ -180,8 +180,8 @@ def _differences(own: Sequence[ModelScore], other: Sequence[ModelScore]) -> list
 
 def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
     """Return the models whose prediction of held-out lights differs from the best one's within
-    chance in every channel. The best comes first; of models with equal predictions the first
-    fitted. Without held-out lights, return the model of smallest BIC."""
+    chance in every channel. The best comes first; if predictions are equal, the model that was
+    fitted first. Without held-out lights, return the model of smallest BIC."""
     by_model = _scores_by_model(scores)
     if any(score.predicted_error is None for score in scores):
         costs = _bic(by_model)
@@ -204,8 +204,8 @@ def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
 
 
 def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str] | None:
-    """Return the model that predicts held-out lights better, or if they do not decide, the one
-    whose BIC is decisively smaller, and in words by how much; None if there is no such model."""
+    """Return the model that predicts held-out lights better or, if these do not decide, the model
+    whose BIC is decisively smaller, and the difference in words; None if there is no such model."""
     by_model, equal = _scores_by_model(scores), equally_good(scores)
     tested = all(gap.freedom for gap in _differences(by_model[model], by_model[equal[0]]))
     if tested and model not in equal:
@@ -255,7 +255,7 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
     sentence += "."
     if len(equal) > 1:
         others = ", ".join(f"{LABELS[m]} ({_more(by_model[m], by_model[best])})" for m in equal[1:])
-        # few lights show their scatter badly
+        # few lights determine their scatter poorly
         freedom = min(gap.freedom for gap in _differences(by_model[equal[1]], by_model[best]))
         sentence += (
             f" Not distinguishable from it by these lights: {others}. With {_lights(freedom + 1)} a"
@@ -279,8 +279,8 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
 
 
 def only_if_described(section: Section, label: str, errors: Mapping[str, float]) -> Section:
-    """A section without the numbers of channels that the model of this label predicts with a
-    relative error above the limit."""
+    """Return a section without the numbers of those channels that the model predicts with a
+    relative error above the limit. `label` names the model."""
     missed = {channel: error for channel, error in errors.items() if error > SHOWS}
     if not missed:
         return section
@@ -288,7 +288,7 @@ def only_if_described(section: Section, label: str, errors: Mapping[str, float])
     return describing_nothing(
         section,
         f"{label} does not describe the images: its error is {sizes} of the signal, above the "
-        f"limit of {format_percent(SHOWS)}; its parameters are no properties of the surface, and "
+        f"limit of {format_percent(SHOWS)}; its parameters are not properties of the surface, and "
         "no material is written.",
         missed,
     )

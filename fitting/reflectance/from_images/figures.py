@@ -18,8 +18,8 @@ from .signal import decoded, lobe_with_slopes
 
 MARKERS = {"red": "o", "green": "s", "blue": "^", "grey": "o"}
 DISPLAY_GAMMA = 2.2
-SHOWN_LIGHTS = 2  # of each kind
-OFF_HIGHLIGHT = 0.02  # of the lobe's peak: less than this is away from the highlight
+SHOWN_LIGHTS = 2  # fitted, and held-out
+OFF_HIGHLIGHT = 0.02  # share of the lobe's peak below which a pixel is away from the highlight
 MOST_POINTS = 200_000
 
 
@@ -47,8 +47,8 @@ def draw_lights(
     largest: float,
     label: str,
 ) -> Figure:
-    """Draw, by light, what was measured and predicted, (channels, pixels) relative to white, and
-    their (pixels,) difference."""
+    """Draw, for each light, the measured and the predicted image, (channels, pixels) relative to
+    white, and their (pixels,) difference."""
     figure = Figure(figsize=(1.2 + 2.2 * len(columns), 6.6), layout="constrained")
     axes = figure.subplots(3, len(columns), squeeze=False)
     scale = TwoSlopeNorm(0, -largest, largest)
@@ -103,7 +103,7 @@ def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
         own = {score.model: score for score in scores if score.channel == channel}
         rows = np.arange(len(models)) + 0.22 * (i - (len(channels) - 1) / 2)
         fitted = np.array([100 * own[model].fitted_error for model in models])
-        predicted = np.array([own[model].predicted_error for model in models], float)  # None is NaN
+        predicted = np.array([own[model].predicted_error for model in models], float)
         shown = np.where(np.isnan(predicted), fitted, 100 * predicted)
         colour, marker = OF_CHANNEL[channel], MARKERS[channel]
         axis.plot(shown, rows, marker, color=colour, ms=6, label=channel)
@@ -151,8 +151,8 @@ def residual_map_figure(calibration: ReflectanceCalibration) -> Figure:
 
 
 def shown_lights(observation: Photographs) -> list[int]:
-    """For both sets of lights, one near the view, where the whole highlight is visible, and an
-    oblique one."""
+    """Return, for fitted and for held-out lights, one light near the view, for which the whole
+    highlight is visible, and an oblique light."""
     lit = (observation.cosine > 0).mean(axis=1)
     chosen = []
     for kept in (False, True):

@@ -22,24 +22,24 @@ from .comparison import equally_good, surpassed_by
 from .fit import ChannelFit
 from .shading_check import contradictions
 
-NOTABLE_RESIDUAL = 0.02  # of the mean signal, in one part of the object
+NOTABLE_RESIDUAL = 0.02  # reported residual of a part of the object, of the mean signal
 SIDES = {"upper": (0, 1), "lower": (0, -1), "left": (-1, 0), "right": (1, 0)}
 SIDE_STARTS = 0.5  # component of the normal from which a pixel belongs to a side
 OUTLINE = 0.4  # component of the normal toward the camera below which it belongs to the outline
-SHADOWED, GLOW = -0.05, 0.002  # n.l of a safe shadow; its light, as a part of k_d, worth a word
+SHADOWED, GLOW = -0.05, 0.002  # n.l of a safe shadow; its light relative to k_d that is reported
 FEWEST_SHADOWED = 100
-FEW_FREEDOM = 5.0  # below: Student's 95 % intervals are a third wider than Gaussian ones
+FEW_FREEDOM = 5.0  # with fewer, Student's 95 % intervals are over a third wider than Gaussian ones
 CALM = 0.5  # chi-square per degree of freedom below which the stated noise is too large
-HOPELESS = 2.0  # relative misfit from which a fit describes nothing
-FEWEST_IMAGES = 4  # whose factors show a scatter
-TEXTURED = 0.7  # of the misfit: what a mean over all lights leaves of that of a pixel's own
+HOPELESS = 2.0  # relative misfit from which a fit does not describe the images
+FEWEST_IMAGES = 4  # images whose factors determine a scatter
+TEXTURED = 0.7  # share of a pixel's own misfit that remains in the mean over all lights
 COLOURED = 3.0  # standard errors between channels from which a highlight is called coloured
 
 OfChannel = tuple[ReflectanceCalibration, ChannelFit]
 
 
 def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
-    """All sentences about a reflectance calibration."""
+    """Return all findings about a reflectance calibration."""
     return (
         *said(GIVEN, calibration),
         *said_of_channels(OF_CHANNEL, calibration, calibration.reported),
@@ -225,7 +225,7 @@ def _colour(fits: Sequence[ChannelFit]) -> tuple[np.ndarray, np.ndarray] | None:
         (fit.vector[1], np.sqrt(fit.robustness.covariance[1, 1]))
         for fit in fits
         if fit.robustness is not None
-        and np.isfinite(fit.robustness.by_light)  # else their errors are not known
+        and np.isfinite(fit.robustness.by_light)  # otherwise errors are unknown
         and "specular" in [p.name for p in fit.space]
     ]
     if len(fits) != 3 or len(known) != 3:
@@ -418,7 +418,7 @@ OF_ALL = (
     Finding(
         "lights astray",
         partial(_turned, followed=False),
-        "{channels}: to fit the images, lights would have to be turned by {sizes} times"
+        "{channels}: to fit the images, lights would have to be rotated by {sizes} times"
         " direction_sd (rms): it is too small, or the model has another misfit. The directions of"
         " the rig were kept, and no statement on the highlight is made.",
     ),

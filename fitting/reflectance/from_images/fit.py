@@ -69,25 +69,25 @@ from .signal import Form, Matrix, OfSamples, Vector, parameter_space
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """A fitted channel. Its form lacks the terms whose best amplitude is zero."""
+    """A fitted channel. The form lacks the terms whose best amplitude is zero."""
 
     view: View
-    requested: Form  # the form asked for
+    requested: Form  # the requested form
     samples: Samples  # with the form and the deviations of the fit
     space: ParameterSpace
     vector: Vector  # unconstrained
     information: Matrix  # on that scale, as if all samples were independent
-    stated: StatedErrors  # what the rig calls uncertain
-    # where the images put lights of uncertain directions; None without such
+    stated: StatedErrors  # errors that the rig states
+    # light directions estimated from the images; None if all directions are exact
     turned: TurnedLights | None
-    identifiability: Identifiability  # of the information, less what turns of lights take
-    spread: Spread  # of the residuals of plain squares
+    identifiability: Identifiability  # with light directions marginalised
+    spread: Spread  # spread of the residuals of unweighted least squares
     chi_square: float  # per degree of freedom, with the weights of the fit
     sensor_chi_square: float | None  # with the sensor's noise alone; None if unknown
-    log_likelihood: float  # with the spread of the final residuals, where lights stand in the fit
+    log_likelihood: float  # with the final residuals' spread and the fitted lights
     by_light: Float[np.ndarray, "lights 2"]  # `squared_errors` of the samples
-    # (lights, 2) turns and (turns, turns) what the images tell of them, in units of the directions'
-    # uncertainty; None without such
+    # (lights, 2) rotations and the (rotations, rotations) information of the images on them, in
+    # units of the directions' uncertainty; None if all directions are exact
     turns_and_information: tuple[np.ndarray, np.ndarray] | None
     converged: bool  # whether the optimum was reached
 
@@ -114,14 +114,16 @@ class ChannelFit:
 
     @cached_property
     def regions(self) -> Int[np.ndarray, " lights"]:
-        """Of lights that err alike; each its own where neighbours do not."""
+        """Return the region of each light: lights with similar errors share one, others have their
+        own."""
         places = self.view.observation.wi.mean(axis=1)
         return regions(self._scores_and_slopes[0], self.selection.light, places)
 
     @cached_property
     def robustness(self) -> Robustness | None:
-        """Covariance that does not assume independent samples; None where the data leave a
-        direction open. Of most models compared nobody needs it."""
+        """Return a covariance that does not assume independent samples; None if the data do not
+        determine all parameters. It is computed on demand, because most compared models do not need
+        it."""
         every = np.arange(len(self.space))
         return robust_covariance(self, every) if self.identifiability.determined else None
 
@@ -247,7 +249,7 @@ class Adjusted(eqx.Module):
     data: Any  # of the density
     mode: Float[Any, " parameters"]  # unconstrained
     stretch: Float[Any, "parameters parameters"]  # the matrix C of mode + C (vector - mode)
-    # of the density at the mode, to be subtracted; None for 0
+    # gradient of the density at the mode, to be subtracted; None for 0
     slope: Float[Any, " parameters"] | None = None
 
 

@@ -7,20 +7,21 @@ best parameters change by
 
 where slope is the gradient of the prediction in standard deviations and I the information. Errors
 of a light (`intensity_sd`, `exposure_sd`, `stray_sd`) shift the samples of its image only. The
-residuals contain them too, so the covariance over a few lights is replaced by the stated one,
-unless the residuals are larger. Errors of all images at once (`black_sd`, `gamma_sd`) look like
-another surface. No residual shows them, and their covariance is added. The gain only weights the
-samples, so `gain_sd` changes no parameter to first order. Errors that change the distribution of
-the samples by at most a tenth of their noise are dropped (`inference.left_out`).
+residuals contain these errors, too, so with few lights the covariance from the stated errors
+replaces the covariance over lights, unless the residuals are larger. Errors of all images at once
+(`black_sd`, `gamma_sd`) look like another surface. No residual shows them, and their covariance is
+added. The gain only weights the samples, so `gain_sd` changes no parameter to first order. Errors
+that change the distribution of the samples by at most a tenth of their noise are dropped
+(`inference.left_out`).
 
 A rig's `direction_sd` is a normal prior for the two rotations e of each light. In units of standard
-deviations, the residuals r of the images change by S e to first order, so that
+deviations, the residuals r of the images change by S e to first order. The most likely rotations
+for given parameters are therefore
 
     e = K^-1 S^T r,    K = P^-1 + S^T S,
 
-are the most likely rotations for given parameters. P is the covariance of all rotations: 1, or that
-of lights which were measured together, on a ball whose outline they share. Marginalising over the
-rotations leaves the information
+P is the prior covariance of all rotations: 1, or the joint covariance of lights that were measured
+on one ball, whose outline error they share. Marginalising over the rotations leaves the information
 
     I - J^T S K^-1 S^T J,    1 - S K^-1 S^T = (1 + S P S^T)^-1,
 
@@ -56,16 +57,16 @@ from .samples import (
 )
 from .signal import Form, Matrix, Vector
 
-STEP = 0.5  # standard deviations to either side, of a slope
+STEP = 0.5  # step of a slope to either side, standard deviations
 LEAST_INFORMATION = 1e-12  # least information of an image on a rotation, in units of the prior's
 MOST_TURNS = 10  # of the lights
 SETTLED = 0.05  # standard deviations of a light's direction
-IMPLAUSIBLE = 1e-3  # chance that lights as good as stated are off by as much
-WIDEST = 3.0  # times the stated size, from which the model misses something else
-ABSURD = 2 * WIDEST  # standard deviations, of a step, which the next ones may take back
-ENOUGH = 20_000  # samples that put lights nearly where all samples do
+IMPLAUSIBLE = 1e-3  # probability of larger deviations if the stated errors are correct
+WIDEST = 3.0  # ratio to the stated size from which the model has another misfit
+ABSURD = 2 * WIDEST  # standard deviations of a single step, which later steps may reduce
+ENOUGH = 20_000  # samples that determine the lights nearly as well as all samples
 ROUNDING = 1e-9
-CHANCE = 0.05  # that residuals of lights as good as stated seem to show more
+CHANCE = 0.05  # probability of a false finding of larger errors
 
 Turns = Float[np.ndarray, "lights 2"]  # in units of `direction_sd` unless stated
 Shifts = Float[np.ndarray, "2 samples"]  # DN
@@ -85,7 +86,7 @@ def turned(observation: Photographs, angles_across: Turns) -> Photographs:
 
 def shifts_of_turns(view: View, turns: Turns, vector: Vector, samples: Samples) -> Shifts:
     """Return (2, samples) DN, the change of a prediction when its light rotates by one standard
-    deviation about each axis, at `turns`."""
+    deviation about each axis, at the rotations `turns`."""
 
     def predicted(axis: int, step: float) -> np.ndarray:
         moved = _about(view, turns + step * np.eye(2)[axis], samples.form)
@@ -159,8 +160,8 @@ class TurnedLights:
     """The light directions from the images."""
 
     turns: Turns
-    size: float  # their rms over the lights of uncertain direction
-    # factor by which `direction_sd` was taken larger, as such turns are no chance
+    size: float  # rms of the rotations over the lights of uncertain direction
+    # factor by which `direction_sd` was increased because the rotations are too large for chance
     widened: float = 1.0
 
     @property
@@ -246,10 +247,10 @@ def _rms(values: np.ndarray) -> float:
 class StatedErrors:
     """The vectors p for the errors that a rig states, each of one standard deviation."""
 
-    of_lights: Float[np.ndarray, "errors parameters"]  # each of one image
-    common: Float[np.ndarray, "more parameters"]  # each of all images
-    # of the predictions, in standard deviations, as far as turns of the lights leave them; None
-    # where none are found
+    of_lights: Float[np.ndarray, "errors parameters"]  # each error affects one image
+    common: Float[np.ndarray, "more parameters"]  # each error affects all images
+    # derivatives of the predictions, in standard deviations, after marginalising over the light
+    # directions; None if these are not fitted
     slopes: Float[np.ndarray, "parameters samples"] | None = None
     # errors that the rig states and that are too small to matter
     left_out: tuple[LeftOut, ...] = ()
@@ -326,7 +327,7 @@ def stated_errors(
 
 
 def no_more_than(robust: Robustness, model: Matrix) -> bool:
-    """Whether the images' variances exceed a model's by no more than chance."""
+    """Whether the variances from the images exceed a model's variances by no more than chance."""
     least = np.maximum(robust.freedom, 1)
     known = np.isfinite(robust.freedom)
     likely = np.where(known, chdtri(least, CHANCE / len(least)) / least, 1 + ROUNDING)

@@ -53,16 +53,16 @@ from .signal import (
     parameter_space,
 )
 
-GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
-NEARBY = 2.0  # of log parameters: weights move an optimum less, unless the data leave it open
-LINEAR = 0.02  # of log parameters: means over the pixels' areas are linear within
-MOST_ROUNDS = 3  # of such means
+GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # starts if gamma is free
+NEARBY = 2.0  # largest change of log parameters by weights, unless the data do not determine them
+LINEAR = 0.02  # change of log parameters within which means over pixel areas are linear
+MOST_ROUNDS = 3  # updates of these means
 REACH = 1.0  # half width of the bounded search, in log parameters
-TOLERANCE = 1e-7  # fall in cost that a further step may promise
+TOLERANCE = 1e-7  # predicted decrease of the cost at which a search ends
 MOST_STEPS = 300  # of the bounded search
-MOST_PARAMETERS = 5  # of any form: searches of all forms are one program
+MOST_PARAMETERS = 5  # of any form; searches for all forms share one program
 FINER = 9  # shapes of each finer grid of the search
-SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is absent
+SMALLEST_SHARE = 1e-9  # share of the brightest reflection below which an amplitude counts as absent
 BINS = 64
 EXCESS = 3.0  # standard deviations by which chi-square must exceed its expectation
 
@@ -171,11 +171,11 @@ class Optimum:
 
     samples: Samples  # with the deviations of the weights
     spread: Spread  # of the residuals that gave the weights
-    # the same without the part that grows with the signal, where the model misses it
+    # the same without the relative part, if that is a misfit of the model
     weights: Spread
     prediction: Prediction  # of the samples at the optimum
     information: Matrix  # of the unconstrained vector
-    converged: bool  # whether it was reached
+    converged: bool  # whether the optimum was reached
 
     @property
     def vector(self) -> Vector:
@@ -187,7 +187,7 @@ def best(samples: Samples, grouping: Grouping, sensor: Spread | None) -> Optimum
     amplitude zero."""
     cells, first = project(average(samples, grouping))
     own = replace(samples, form=cells.form)
-    if samples.form.free_gamma:  # the encodings that were tried lie apart
+    if samples.form.free_gamma:  # the tried encodings are far from each other
         first = minimise_samples(first, [cells]).vector
     found = weighed_and_fitted(first, own, grouping, sensor)
     for _ in range(MOST_ROUNDS if samples.points else 0):
@@ -202,7 +202,7 @@ def weighed(
     first: Vector, samples: Samples, sensor: Spread | None
 ) -> tuple[Samples, Spread, Spread, Prediction]:
     """Return the samples with their deviations, the spread of a vector's residuals, the spread of
-    the weights, and the samples as predicted at the vector."""
+    the weights, and the prediction of the samples at the vector."""
     prediction = predict(first, samples)
     seen = residual_signal_slope(prediction, samples)
     weights = spread = fit_spread(*seen, sensor=sensor)
@@ -221,7 +221,7 @@ def weighed_and_fitted(
     samples = with_offset(samples, prediction) if samples.points else samples
     cells, saturated = average(samples, grouping, exact_at=prediction), saturated_only(samples)
     near = minimise_samples(first, [cells] if saturated is None else [cells, saturated])
-    open_ = not has_lobe(samples.form.model)  # a matt surface's roughness, where it has none
+    open_ = not has_lobe(samples.form.model)  # roughness may be undetermined
     nearby = near.converged and (open_ or np.abs(near.vector - first).max() < NEARBY)
     return Optimum(samples, spread, weights, *optimum(near.vector if nearby else first, samples))
 
@@ -250,7 +250,7 @@ def project(samples: Samples) -> tuple[Samples, Vector]:
 
 
 def _projected(samples: Samples, gamma: float | None) -> SeparableFit:
-    """Amplitudes of [diffuse, ambient, lobe] and the log shape for a given encoding."""
+    """Return amplitudes of [diffuse, ambient, lobe] and the log shape for a given encoding."""
     form, geometry, white = samples.form, samples.geometry, float(samples.white)
     linear = decoded(samples.dn, float(samples.black), white, gamma)
     weights = (encoding_slope(linear, white, gamma) / samples.deviation) ** 2
@@ -297,7 +297,7 @@ class Minimum:
     vector: Vector
     information: Matrix
     converged: bool
-    last: Prediction  # of the last of the parts, where the search looked last
+    last: Prediction  # for the last part, at the last evaluated point
 
 
 def minimise_samples(
@@ -341,7 +341,7 @@ def optimum(start: Vector, samples: Samples) -> tuple[Prediction, Matrix, bool]:
 
 
 def _box_optimum(start: Vector, samples: Samples) -> Vector:
-    """The least cost within `REACH` of a start, by L-BFGS-B."""
+    """Return the point of least cost within `REACH` of a start, by L-BFGS-B."""
 
     def scaled(away: Vector) -> tuple[float, Vector]:
         cost, gradient, _ = cost_and_information(predict(start + away, samples), samples)

@@ -56,7 +56,7 @@ def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
         }
         plans[fit.channel] = rank(target, value, slope, covariance, added)
     if not plans:
-        raise InputError("The images do not determine the model: read what `brdf` says of them.")
+        raise InputError("The images do not determine the model: see the findings of `brdf`.")
     return plans
 
 

@@ -1,7 +1,7 @@
-"""Photographs of a known shape under known lights, from a rig or from memory. Each light and pixel
-has the digital number, the cosine of incidence, the angle to the mirror direction and the
-irradiance. Flats and darks of the camera in the same rig give gain and read noise by their temporal
-noise, and darks give the black level.
+"""Photographs of a known shape under known lights, from a rig or from memory. For each light and
+pixel, these hold the digital number, the cosine of incidence, the angle to the mirror direction and
+the irradiance. If the rig has flats and darks of the camera, their temporal noise gives gain and
+read noise, and darks give the black level.
 
 The view is orthographic along +z (x right, y up, z toward the camera), so that the viewer's
 direction is the same everywhere. Angles are radians, digital numbers as stored.
@@ -62,26 +62,27 @@ from ...rig import (
 )
 
 VIEW = (0.0, 0.0, 1.0)
-# pixels to the right of and below the centre, and weights: with these the mean of polynomials of
-# the third degree is that over the area of a pixel, and so is that of the fourth power of distance
+# Positions, in pixels to the right of and below the centre, and weights of a quadrature over the
+# area of a pixel. It is exact for polynomials of the third degree and for the fourth power of
+# distance
 POINTS = np.array([[0, -1, 1, -1, 1], [0, -1, -1, 1, 1]]) * np.sqrt(7 / 60)
 WEIGHTS = np.array([8, 5, 5, 5, 5]) / 28
 PURPOSE: Purpose = "a reflectance calibration"
-HOLD_OUT_EVERY = 4  # lights kept for testing where the rig names none: every fourth
+HOLD_OUT_EVERY = 4  # every fourth light is kept for testing if the rig names none
 FEWEST_LIGHTS_TO_SPLIT = 4
 FEWEST_PIXELS = 50
-DARK_ERRORS = 4.0  # of an image's median, up to which it lies at the black level
-DARK_SHARE = 0.05  # of the signal that the other images let one expect, below which one is dark
+DARK_ERRORS = 4.0  # standard errors of an image's median within which it is at the black level
+DARK_SHARE = 0.05  # share of the predicted signal below which an image is dark
 OF_LIGHTS = ("intensity_sd", "direction_sd", "exposure_sd", "stray_sd")
-SAME_LIGHT = 1e-3  # of a place: difference of one light in two files
+SAME_LIGHT = 1e-3  # difference of a position up to which two files have the same light
 NOT_UNIT = 1e-2  # deviation of a normal's length from 1 beyond rounding
-FEWEST_AT_TOP = 20  # samples at the largest number that may be a pile of clipped ones
-PILE, BELOW_TOP = 5, 8  # times as many as at any of so many of the next smaller numbers
-BRIGHT = 0.9  # of the largest number, from which numbers are counted
+FEWEST_AT_TOP = 20  # fewest samples at the largest number that may be clipped
+PILE, BELOW_TOP = 5, 8  # ratio to the counts at each of the next smaller numbers; how many of these
+BRIGHT = 0.9  # share of the largest number from which numbers are counted
 ASSUMED_BLACK = "The rig gives no camera.black_level, so a black level of 0 DN was assumed."
 
 PILED = (
-    "{count} samples stand at {top:g} DN and none above, far more than at any number below: they "
+    "{count} samples are at {top:g} DN and none above, far more than at any number below: they "
     "count as clipped. Give the rig camera.saturation."
 )
 
@@ -113,7 +114,7 @@ class Photographs:
         cosine: (lights, pixels) n.l, negative in attached shadows.
         mirror_angle: (lights, pixels) between view and mirror direction, rad.
         normals: (pixels, 3) unit.
-        held_out: (lights,), true for those kept for the test.
+        held_out: (lights,), true for lights that are kept for the test.
         rows: (pixels,) row of each pixel in images of `shape`.
         columns: (pixels,) column of each pixel in images of `shape`.
         shape: (h, w).
@@ -126,15 +127,16 @@ class Photographs:
         read_noise: e- rms; None where unknown.
         findings: sentences on assumptions.
         uncertain: (lights,) standard deviations by their key in the rig; 0 where exact.
-        turn_prior: (turns, turns) covariance of the rotations of all lights, two a light, in units
-            of `direction_sd`; None for independent lights.
+        turn_prior: (rotations, rotations) covariance of the rotations of all lights, two per light,
+            in units of `direction_sd`; None for independent lights.
         black_sd: DN, standard deviation of the black level; 0 where exact.
         gamma_sd: standard deviation of the encoding exponent; 0 where exact.
         levels: of the uniform frames of each channel; None without any, or where none are
             requested.
         within: (points, pixels, 3) unit normals at `POINTS` of each pixel; None where pixels count
             as points.
-        reach: (lights,) m, by which the surface moves with its normal; 0 for distant lights.
+        reach: (lights,) m, displacement of the surface point per unit change of its normal; 0 for
+            distant lights.
     """
 
     channels: tuple[str, ...]
@@ -168,7 +170,7 @@ class Photographs:
 
     @cached_property
     def points(self) -> tuple["Photographs", ...]:
-        """The same with the normals and lights at `POINTS` of each pixel."""
+        """Return the photographs with the normals and lights at `POINTS` of each pixel."""
         if self.within is None:
             return (self,)
         to_light, lit, found = self.wi / np.sqrt(self.falloff)[..., None], {}, []
@@ -185,14 +187,14 @@ class Photographs:
         return self.dn >= self.clip
 
     def of_pixels(self, some: slice) -> "Photographs":
-        """The same of some pixels."""
+        """Return the photographs of some pixels."""
         own = {name: getattr(self, name)[some] for name in ("normals", "rows", "columns")}
         seen = {n: getattr(self, n)[:, some] for n in ("wi", "cosine", "mirror_angle", "falloff")}
         within = None if self.within is None else self.within[:, some]
         return replace(self, **own, **seen, dn=self.dn[..., some], within=within)
 
     def of_lights(self, kept: Bool[np.ndarray, " lights"]) -> "Photographs":
-        """The same of some lights."""
+        """Return the photographs of some lights."""
         names = "wi", "cosine", "mirror_angle", "falloff", "reach"
         return replace(
             self,
@@ -297,7 +299,7 @@ def read_reflectance_observation(
 
 
 def _covariance_of(rig: Rig) -> Float[np.ndarray, "lights 3 lights 3"]:
-    """Of the directions of the rig's lights, from the file that it names."""
+    """Return the covariance of the light directions, from the file that the rig names."""
     assert rig.covariance is not None
     known = read_lights(rig.folder / rig.covariance)
     scale = np.linalg.norm(known.places, axis=1)
@@ -310,8 +312,8 @@ def _covariance_of(rig: Rig) -> Float[np.ndarray, "lights 3 lights 3"]:
         order.append(int(np.argmin(apart)))
         if not apart.min() < SAME_LIGHT:
             raise InputError(
-                f"{rig.folder}: light {light.file} is none of those of {rig.covariance}; give its "
-                f"{'position' if known.near else 'direction'} as that file has it, or remove "
+                f"{rig.folder}: light {light.file} is not in {rig.covariance}; give its "
+                f"{'position' if known.near else 'direction'} as in that file, or remove "
                 "covariance."
             )
     across = known.covariance[:, :3, :, :3] / scale[:, None, None, None] / scale[:, None]
@@ -321,7 +323,7 @@ def _covariance_of(rig: Rig) -> Float[np.ndarray, "lights 3 lights 3"]:
 def with_covariance(
     observation: Photographs, covariance: Float[np.ndarray, "lights 3 lights 3"]
 ) -> Photographs:
-    """The observation with a covariance of the directions of all lights, of their components."""
+    """Return the observation with a covariance of the components of all light directions."""
     axes = across(observation.wi)
     both = np.einsum("lai,limj,mbj->lamb", axes, covariance, axes)
     sizes = np.sqrt(np.einsum("lala->l", both) / 2)
@@ -338,7 +340,8 @@ def with_covariance(
 def turn_prior_of(
     observation: Photographs, lights: Bool[np.ndarray, " lights"] | Int[np.ndarray, " some"]
 ) -> Float[np.ndarray, "turns turns"] | None:
-    """The common covariance of the rotations of some lights; None where each errs alone."""
+    """Return the joint covariance of the rotations of some lights; None if lights are
+    independent."""
     if observation.turn_prior is None:
         return None
     count = len(observation.files)
@@ -347,7 +350,7 @@ def turn_prior_of(
 
 
 def across(wi: Float[np.ndarray, "lights pixels 3"]) -> Float[np.ndarray, "lights 2 3"]:
-    """Two unit axes across each light, about which it may be turned."""
+    """Return two unit axes perpendicular to each light direction, about which it may rotate."""
     middle = wi.mean(axis=1)
     frame = local_frame(as_vec(middle / np.linalg.norm(middle, axis=1, keepdims=True)))
     return np.stack([np.asarray(as_array(v)) for v in (frame.tangent, frame.bitangent)], axis=1)
@@ -433,8 +436,9 @@ def _normals_within(
     rows: Int[np.ndarray, " pixels"],
     columns: Int[np.ndarray, " pixels"],
 ) -> Float[np.ndarray, "points pixels 3"]:
-    """Unit normals at `POINTS` of pixels, by parabolas through the neighbours' on both sides; equal
-    along a row or column without these, as where they are NaN."""
+    """Return unit normals at `POINTS` of pixels, from parabolas through the normals of the
+    neighbours on both sides. If a neighbour is missing or NaN, the normal is constant along that
+    row or column."""
     padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
     found = own = image[rows, columns]
     for place, down, across in zip(POINTS[..., None, None], (0, 1), (1, 0), strict=True):
@@ -554,7 +558,7 @@ def _held_out(rig: Rig) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
         return chosen, ()
     if len(chosen) < FEWEST_LIGHTS_TO_SPLIT:
         return chosen, (
-            f"Of {len(chosen)} light{'s' * (len(chosen) > 1)} none was kept back, so the fit's "
+            f"Of {len(chosen)} light{'s' * (len(chosen) > 1)} none was held out, so the fit's "
             "prediction of other lights is untested; add lights.",
         )
     chosen[HOLD_OUT_EVERY - 1 :: HOLD_OUT_EVERY] = True
@@ -609,8 +613,8 @@ def lightless_images(observation: Photographs) -> dict[int, str]:
 
 
 def _dark(observation: Photographs) -> Bool[np.ndarray, " lights"]:
-    """Images at the black level within their noise, although the other images imply a much brighter
-    one."""
+    """Find images that are at the black level within their noise, although the other images imply a
+    much larger signal."""
     signal = (observation.dn - observation.black).mean(axis=0)
     driven = observation.intensity.mean(axis=0)[:, None] * observation.falloff * observation.cosine
     median, error, drive = np.zeros((3, len(signal)))
@@ -695,7 +699,7 @@ def _levels(
     entries = [*rig.flat, *(rig.dark if with_darks else ())]
     if not entries:
         return None
-    require_one_setting(rig, "give those of the images' gain and temperature alone")
+    require_one_setting(rig, "give only flats and darks at the images' gain and temperature")
     rows = np.array([_level(rig, entry.files, channels, load) for entry in entries])
     dark = np.arange(len(entries)) >= len(rig.flat)
     levels = tuple(UniformLevels(*own.T, dark=dark) for own in np.moveaxis(rows, 1, 0))
@@ -728,7 +732,7 @@ def _level(rig: Rig, files: tuple[str, ...], names: tuple[str, ...], load: Load)
         )
     frames, height, width = stack.shape[:3]
     pixels = height * width
-    # frames may drift together, which is not the noise of pixels
+    # a common drift of frames is not pixel noise
     noise = stack - stack.mean(axis=(1, 2), keepdims=True)
     variance = noise.var(axis=0, ddof=1).mean(axis=(0, 1)) * pixels / (pixels - 1)
     of_pixels = stack.mean(axis=0).reshape(pixels, channels)
@@ -737,7 +741,7 @@ def _level(rig: Rig, files: tuple[str, ...], names: tuple[str, ...], load: Load)
     return np.stack([of_pixels.mean(axis=0), variance, freedom, error], axis=1)
 
 
-# What a caller calls the keys of the entries.
+# Names of the arguments for the keys of the entries.
 CALLED = {
     "light.direction": "lights",
     "light.position": "lights",
@@ -786,14 +790,14 @@ def from_photographs(
         intensity_sd: relative standard deviation of the intensities.
         direction_sd: standard deviation of the directions, rad along each of two axes across them;
             or the covariance of all lights together, (lights, 4, lights, 4), as
-            `fitting.lights.calibrate` finds it (of its intensities, `intensity_sd` counts).
+            `fitting.lights.calibrate` returns it (for intensities, `intensity_sd` is used).
         exposure_sd: relative standard deviation of the images' exposures.
         stray_sd: rms of stray light on all pixels, relative to the irradiance.
         held_out: indices of the lights that are kept for the test; none keeps every fourth.
         point_lights: whether `lights` are positions from the centre of the sphere, m.
         flats: for each level of light two or more frames, (h, w) or (h, w, 3) DN; a joint
             calibration estimates gain and read noise from them.
-        darks: two or more frames each, without light.
+        darks: levels of two or more frames each, without light.
         channel: the colour of a mosaic to use, "red", "green" or "blue".
 
     Returns:

@@ -8,9 +8,9 @@ and pixels then agree exactly.
 A pixel at or above the clip level states only that its value is at least that large. It is censored
 (Tobin, Econometrica 26, 1958) and contributes log Phi((predicted - clip) / deviation).
 
-Searches take derivatives in NumPy. A model is a program only in its lobe, whose values and slopes
-JAX computes (`signal`). All else follows by the chain rule, so that neither pixels nor channels nor
-terms have programs of their own. With X the signal, D its digital number and ln L = sum l(D),
+Searches take derivatives in NumPy. JAX computes only the lobe of a model and its slopes (`signal`).
+All else follows by the chain rule, so that a new number of pixels, channels or terms compiles
+nothing. With X the signal, D its digital number and ln L = sum l(D),
 
     d ln L / d_i = sum l' D_i,    d2 ln L / d_i d_j = sum l'' D_i D_j + l' D_ij,
     D_i = f' X_i,                 D_ij = f'' X_i X_j + f' X_ij.
@@ -48,8 +48,8 @@ from .signal import (
     signal,
 )
 
-COSINE_STEP = 0.05  # of a cell in n.l
-FEWEST_SATURATED = 64  # samples of a program of saturated ones
+COSINE_STEP = 0.05  # width of a cell in n.l
+FEWEST_SATURATED = 64  # fewest saturated samples, with padding, of a compiled program
 UNCERTAIN = 1e12  # DN, standard deviation of a sample without information
 FINE_ANGLE, ANGLE_RATIO = 0.1, 1.1  # cells are 0.01 rad wide at the mirror direction, 0.11 at 1 rad
 
@@ -60,17 +60,18 @@ class Samples(eqx.Module):
     form: Form = eqx.field(static=True)
     geometry: Geometry  # at the centres of pixels
     dn: Float[Any, " samples"]  # DN
-    # DN; a cell of equal pixels is one sample of smaller deviation
+    # DN, standard deviation; a cell of equal pixels is one sample with a smaller deviation
     deviation: Float[Any, " samples"]
     saturated: Bool[Any, " samples"] | None  # None where nothing clips
     black: Float[Any, ""]  # DN without light
     white: Float[Any, ""]  # DN of full scale above black
     clip: Float[Any, ""]  # DN from which a pixel is saturated
     gamma: Float[Any, ""] | None  # known encoding; None for linear files or where it is free
-    # DN added to a prediction, at a vector of zeros, and its slopes: by how much the mean over the
-    # area of a pixel, or over the pixels of a cell, differs from the value at the middle
+    # DN added to a prediction, at a vector of zeros, and its slopes: the mean over the area of a
+    # pixel, or over the pixels of a cell, minus the value at the middle
     offset: Float[Any, "1+parameters samples"] | None = None
-    # at `POINTS` of pixels, over which a prediction is the mean; none for values at the middle
+    # samples at `POINTS` of pixels, over which a prediction is averaged; empty for values at the
+    # middle
     points: tuple[Geometry, ...] = ()
 
 
@@ -109,17 +110,17 @@ class View:
 
     @property
     def lights(self) -> int:
-        """How many there are, held out or not."""
+        """Number of lights, including held-out ones."""
         return len(self.observation.files)
 
     def samples(self, form: Form) -> Samples:
-        """With a deviation of 1 DN."""
+        """Return the samples with a standard deviation of 1 DN."""
         gamma = None if form.free_gamma else self.observation.gamma
         return replace(self._samples, form=form, gamma=None if gamma is None else np.float64(gamma))
 
     @cached_property
     def _samples(self) -> Samples:
-        """What the fits of all forms share."""
+        """Return the samples that the fits of all forms share."""
         seen, light, pixel = self.observation, self.selection.light, self.selection.pixel
         dn = seen.dn[self.channel, light, pixel]
 
@@ -130,7 +131,7 @@ class View:
                 np.einsum("sc,sc->s", normals, wi), normals @ VIEW, wi @ VIEW, irradiance
             )
 
-        # all channels have limits where one clips, so that they share programs
+        # if one channel clips, all channels get a limit, so that they share programs
         clips = any((one[light, pixel] >= seen.clip).any() for one in seen.dn)
         return Samples(
             form=Form("lambert"),
@@ -170,11 +171,11 @@ class Prediction:
     dn: OfSamples  # D before clipping
     slope: OfSamples  # d D / d X, where X counts as 1 DN at least
     slopes: Float[np.ndarray, "parameters samples"]  # D_i, DN
-    # the sums over samples of weights times D_ij follow from these
+    # `curvature` computes the sums over samples of weights times D_ij from these
     of_signal: Float[np.ndarray, "parameters samples"]  # X_i, DN
     bend: OfSamples | None  # X_ss, DN; None without a shape
-    encoding: tuple[np.ndarray, ...] | None  # of `_encoding`; None for linear files
-    shape: tuple[int, int] | None  # places of the lobe's amplitude and of its shape
+    encoding: tuple[np.ndarray, ...] | None  # result of `_encoding`; None for linear files
+    shape: tuple[int, int] | None  # indices of the lobe's amplitude and shape
     free_gamma: bool
 
     def curvature(self, weights: OfSamples) -> Matrix:
@@ -195,7 +196,7 @@ class Prediction:
         return found
 
 
-@np.errstate(all="ignore")  # a search refuses what is not finite
+@np.errstate(all="ignore")  # a search rejects non-finite values
 def predict(vector: Vector, samples: Samples) -> Prediction:
     """Predict samples at an unconstrained vector."""
     vector = np.asarray(vector, np.float64)
@@ -332,8 +333,8 @@ def total_log_likelihood(
 class Grouping:
     """Which samples share a cell."""
 
-    cell: Int[np.ndarray, " samples"]  # its index for each
-    count: int  # of cells
+    cell: Int[np.ndarray, " samples"]  # cell index for each
+    count: int  # number of cells
 
 
 def group(
@@ -404,7 +405,7 @@ def with_offset(samples: Samples, exact: Prediction) -> Samples:
 
 
 def saturated_only(samples: Samples) -> Samples | None:
-    """The saturated samples by themselves; None if there are none.
+    """Return the saturated samples alone; None if there are none.
 
     Their number is padded to a power of two, so that channels share a compiled program. The padding
     counts as measured, with an enormous deviation.

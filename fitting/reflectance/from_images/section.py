@@ -1,7 +1,7 @@
 """Reflectance of a known shape under known lights: one of `reflectance.models`, per channel.
 
-Several models are fitted to the same lights and compared on the others. The requested one is
-reported in full, with the reasons to doubt it.
+Several models are fitted to the same lights and compared on the held-out lights. The requested one
+is reported in full, with the reasons to doubt it.
 """
 
 from collections.abc import Sequence

@@ -16,14 +16,14 @@ from ...copies import Copies
 from ...inference.formatting import format_percent
 from .read import Photographs, lightless_images
 
-LIT = 0.1  # of the brightest: pixels that are surely neither in shadow nor background
-OUTLYING, ROUNDS = 2.5, 8  # median absolute deviations beyond which a pixel is highlight; passes
-MATT = 0.9  # share of the variance of what is kept that g.n must explain
+LIT = 0.1  # share of the brightest above which pixels are neither shadow nor background
+OUTLYING, ROUNDS = 2.5, 8  # median absolute deviations of a highlight; number of passes
+MATT = 0.9  # share of the variance of the kept pixels that g.n must explain
 UNEVEN = 0.2  # relative range of the irradiance over the object of a light that is not distant
 FEWEST_PIXELS, FLAT = 30, 0.05  # to estimate a direction; smallest spread of the normals
-FAR, NEAR = 15.0, 10.0  # degrees from which a direction is doubted; up to which another is accepted
-DARK, SHARE = 0.01, 0.05  # of the brightest: a pixel without light; reported share of such pixels
-MOST, FEWEST_LEFT = 0.5, 3  # share of the images that may be left out; fitted ones that must stay
+FAR, NEAR = 15.0, 10.0  # degrees: deviation of a doubtful direction; of an acceptable alternative
+DARK, SHARE = 0.01, 0.05  # of the brightest: an unlit pixel; reported share of such pixels
+MOST, FEWEST_LEFT = 0.5, 3  # largest share of images left out; fewest fitted images that stay
 CAMERA = np.array([0.0, 0.0, 1.0])
 SIDE = 0.3  # cosine of incidence from which a pixel faces a light
 CHANGES = {
@@ -37,8 +37,8 @@ CHANGES = {
 def directions_by_shading(
     observation: Photographs,
 ) -> tuple[Float[np.ndarray, "lights 3"], Bool[np.ndarray, " lights"]]:
-    """Return the (lights, 3) unit direction that each image shows by itself, and (lights,) whether
-    its light is distant and the image matt enough to show it."""
+    """Return the (lights, 3) unit direction estimated from each image alone, and (lights,) whether
+    the estimate is valid: the light is distant and the surface matt enough."""
     signal = np.mean(observation.dn - observation.black, axis=0)
     if observation.gamma is not None:
         signal = np.maximum(signal, 0) ** observation.gamma

@@ -1,8 +1,8 @@
-"""The signal of a surface under a light, and the number that a file holds of it.
+"""The signal of a surface under a light, and the digital number that a file stores for it.
 
     X   = E (k_d [n.l]+ + k_s lobe) + k_a                  linear signal, DN
     v   = K X + (K sigma)^2                                its variance: shot and read noise
-    DN  = b + f(X),   f(X) = W (X / W)^(1 / gamma)         what the file holds; linear: f(X) = X
+    DN  = b + f(X),   f(X) = W (X / W)^(1 / gamma)         stored in the file; linear: f(X) = X
     E[DN]   = b + f + f'' v / 2
     Var[DN] = f'^2 v + f' f'' K^2 X + (f''^2 / 2 + f' f''') v^2 + 1 / 12
 
@@ -10,10 +10,10 @@ The latter two are accurate to second order in the noise, which is enough if X i
 standard deviations. E is the irradiance on a surface facing the light, in the rig's unit, so k_d
 and k_s are in DN per unit of E. `lobe` is the SHADING of one of `reflectance.models` with unit k_s.
 Phong, Blinn and the Gaussian lobe are as published, without a cosine. All others are f_r
-cos(theta_i). Oren-Nayar has k_d lobe in place of both terms. Terms that a `Form` does not name are
+cos(theta_i). For Oren-Nayar, k_d lobe replaces both terms. Terms that a `Form` does not name are
 not parameters and not traced.
 
-Two calibrations invert this model. They differ in what the rig knows:
+Two calibrations invert this model. They differ in what is known from the rig:
 
                       surface   f, b, K, sigma                    errors of lights and pixels
     reflectance       free      known, or K and sigma weights     widen the covariance
@@ -42,8 +42,8 @@ from ..names import INDEX, Model
 from .read import VIEW
 
 COEFFICIENT_UNIT = "DN per unit light"
-BLOCK = 4096  # samples of a call of a lobe: a model is one program, whatever their number
-DARKEST = 1.0  # DN: signals are taken as at least this where a slope or a variance is needed
+BLOCK = 4096  # samples per call of a lobe, so that a model compiles once for any number of samples
+DARKEST = 1.0  # DN: lower limit of signals in slopes and variances
 GAMMA = Parameter("gamma", symbol="γ", unit="1", transform="log")
 
 Values = dict[str, Array]  # natural, by the parameter's name
@@ -58,7 +58,7 @@ class Form:
 
     model: Model  # one of `reflectance.models`
     ambient: bool = False  # whether an ambient term is free
-    free_gamma: bool = False  # whether the encoding exponent is, whatever the rig says of it
+    free_gamma: bool = False  # whether the encoding exponent is free, whatever the rig states
     index: float = INDEX  # of refraction, of clear facets
 
 
@@ -80,9 +80,9 @@ class Geometry(eqx.Module):
     wi: Vec  # components toward the light
     wo: Vec  # components toward the viewer
     irradiance: Float[Any, "..."]  # E on a facing surface
-    # derivatives of `wi` to two angles of the light, rad^-1; None where its direction is exact
+    # derivatives of `wi` by two rotations of the light, rad^-1; None if its direction is exact
     turned: tuple[Vec, Vec] | None = None
-    # rad, angles by which the lights are turned from where the rig puts them; None for none
+    # rad, rotations of the lights from the rig's directions; None for no rotation
     about: Float[Array, "2 images"] | None = None
 
 
@@ -121,8 +121,8 @@ def local_geometry(
 def in_plane(
     cos_i: OfSamples, cos_o: OfSamples, between: OfSamples, irradiance: OfSamples
 ) -> Geometry:
-    """Return directions with given cosines between light, normal and viewer, which are all that
-    these models depend on: the viewer in the xz plane, the light at positive y."""
+    """Return directions with given cosines between light, normal and viewer, because these models
+    depend on nothing else: the viewer in the xz plane, the light at positive y."""
     sin_i, sin_o = (np.sqrt(np.maximum((1 - c) * (1 + c), 0)) for c in (cos_i, cos_o))
     tilted = sin_i * sin_o > 0
     cos_phi = (between - cos_i * cos_o) / np.where(tilted, sin_i * sin_o, 1)
