@@ -1,6 +1,6 @@
 """Emission: rays drawn from a light, each with its flux.
 
-The average over the uniform numbers of any quantity of a ray, weighted by `flux`, estimates the
+The mean of any quantity of a ray, weighted by `flux`, over the uniform numbers estimates the
 contribution of the whole light. Flux in W, lengths in m. For ONE ray; the caller vmaps.
 """
 
@@ -19,7 +19,7 @@ from ._registry import Discrete, Emitted, Incident, kind_of
 
 @takes_numbers
 def emitted(light: Light, u: Float[Array, "4"], *, around: Ball | None) -> Emitted:
-    """A ray that leaves a light.
+    """Draw a ray that leaves a light.
 
     Args:
         light: any light.
@@ -62,7 +62,7 @@ def emitted(light: Light, u: Float[Array, "4"], *, around: Ball | None) -> Emitt
 
 @takes_numbers
 def emitted_from_point(position: Vec, direction: Vec, flux: Colour) -> Emitted:
-    """A ray that leaves a point light.
+    """Return a ray that leaves a point light, with its flux.
 
     Args:
         position: m, of the light.
@@ -83,8 +83,9 @@ def emitted_from_surface(
     *,
     two_sided: Bool[Array, ""] | bool = False,
 ) -> Emitted:
-    """A ray from a surface of uniform radiance, with the flux pi A L: uniform by area, and
-    cosine-distributed about the normal. A two-sided surface emits half from either side.
+    """Draw a ray from a surface of area A and uniform radiance L, uniform by area and
+    cosine-distributed about the normal. Its flux is pi A L. A two-sided surface emits as much from
+    its back, so the flux is doubled, and half of the rays leave from each side.
 
     Args:
         shape: the surface, bounded.
@@ -107,8 +108,8 @@ def emitted_from_surface(
 
 
 def _emit_from_afar(around: Ball, arriving: Incident, u: Float[Array, "4"]) -> Emitted:
-    """A ray with the flux E pi R^2, uniform through the disc, perpendicular to the direction, that
-    covers the scene."""
+    """Draw a ray uniformly through the disc of radius R that covers the scene, perpendicular to the
+    light's direction. Its flux is E pi R^2, with the irradiance E."""
     toward = as_vec(arriving.direction)
     radius, phi = around.radius * safe_sqrt(u[0]), 2 * jnp.pi * u[1]
     aside = Vec(radius * jnp.cos(phi), radius * jnp.sin(phi), around.radius)

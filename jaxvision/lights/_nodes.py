@@ -1,5 +1,5 @@
-"""Nodes in the unit square and their weights; no units. Fixed nodes are NumPy float64, computed
-during tracing."""
+"""Nodes in the unit square and their weights. Fixed nodes are NumPy float64, computed during
+tracing."""
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +15,13 @@ from ..core._types import Key
 def product(
     u: tuple[np.ndarray, np.ndarray], v: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The product of two one-dimensional rules: nodes (n, 2) and weights (n,), no unit."""
+    """Return the product of two one-dimensional rules: nodes (n, 2) and weights (n,), no unit."""
     nodes = np.stack(np.meshgrid(u[0], v[0], indexing="ij"), axis=-1).reshape(-1, 2)
     return nodes, np.outer(u[1], v[1]).reshape(-1)
 
 
 def square_nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Legendre quadrature on the unit square.
+    """Return Gauss-Legendre nodes and weights on the unit square.
 
     Args:
         order: nodes along a side, at least 1.
@@ -41,10 +41,10 @@ def square_nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
 def shifted_lattice(
     key: Key, samples: int, dtype: DTypeLike
 ) -> tuple[Float[Array, "samples 2"], Float[Array, " samples"]]:
-    """Evenly spread points of [0, 1)^2, each of which is uniformly distributed.
+    """Return evenly spread points of [0, 1)^2, each of which is uniformly distributed.
 
     Args:
-        key: of the random shift.
+        key: random key of the shift.
         samples: number of points, at least 1.
         dtype: floating, of the result.
 

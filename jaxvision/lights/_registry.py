@@ -1,6 +1,6 @@
 """The table of lights, with the registered functions of each kind.
 
-A light at one place (a point, a direction) registers `incident`. An extended light registers its
+A light without size (a point, a direction) registers `incident`. An extended light registers its
 appearance along a ray, and maps of the unit square onto its directions.
 """
 
@@ -25,8 +25,8 @@ class Incident(Shown):
 
     Attributes:
         direction: (3,) unit, from the point toward the light.
-        irradiance: (bands,) W m^-2 on a surface that faces the light; the receiver applies its own
-            cosine.
+        irradiance: (bands,) W m^-2 on a surface that faces the light; the cosine of incidence is
+            applied by the receiver.
         distance: () m to the light, or None for a light at infinity.
 
     Example:
@@ -43,11 +43,11 @@ class Incident(Shown):
 
 
 class Seen(Shown):
-    """The view of an extended light along a ray.
+    """The extended light that a ray sees.
 
     Attributes:
         distance: () m along the ray to the light; inf for a light at infinity or a miss.
-        radiance: (bands,) W m^-2 sr^-1 against the ray, 0 for a miss; () where there is no light.
+        radiance: (bands,) W m^-2 sr^-1 against the ray, 0 for a miss; () if there is no light.
     """
 
     distance: Scalar
@@ -60,7 +60,7 @@ class Emitted(Shown):
     Attributes:
         ray: the ray, away from the light; its origin in m.
         flux: (bands,) W of the ray.
-        normal: unit normal of the emitting surface; the zero vector where there is none.
+        normal: unit normal of the emitting surface; the zero vector if there is no surface.
     """
 
     ray: Ray
@@ -72,7 +72,7 @@ Bound = Callable[[Ends], Source]
 
 
 class Discrete(NamedTuple):
-    """The registered functions of a light at one place. `register` describes them."""
+    """The registered functions of a light without size. `register` describes them."""
 
     incident: Callable[..., Incident]
     emitted: Callable[..., Emitted] | None
@@ -97,7 +97,7 @@ _KINDS: dict[type, Discrete | Extended] = {}
 
 
 def kinds() -> Mapping[type, Discrete | Extended]:
-    """All registered lights, including those of the library.
+    """Return all registered lights, including those of the library.
 
     Returns:
         The registered functions of each record.
@@ -117,22 +117,22 @@ def register(
     word: str | None = None,
     from_file: Callable[..., Any] | None = None,
 ) -> None:
-    """Register a light that reaches a point from one direction with every integrator.
+    """Register a light that reaches a point from one direction, for use in all integrators.
 
     Args:
         light: the class of the light.
         incident: `incident(light, point) -> Incident`; at the light itself the distance is 0.
         emitted: `emitted(light, u) -> Emitted`, for light tracing: a ray from the light for `u`,
-            (4,) uniform in [0, 1); the mean over `u` must be the emission of the light. Without it
-            a light at a finite distance emits equally in all directions, with the flux that
+            (4,) uniform in [0, 1); the mean over `u` must be the emission of the light. If omitted,
+            a light at a finite distance emits rays uniformly in all directions, with the flux that
             `incident` implies, and a light at infinity emits parallel rays through the whole scene.
         bound: `bound(ends) -> effects.Source`, the largest emission, for the light at both ends of
             the range of a fit; without it `effects` keeps everything that depends on the light.
-        word: its `kind` in scene files; by default the name of the class in snake case, without
-            "Light", and "" for a light that scene files cannot hold.
-        from_file: function that makes the light from the keys of a file, where these are not its
-            fields. The names, defaults and docstring of its parameters define the keys; `**fields`
-            takes all other fields of the light.
+        word: the name of its `kind` in scene files; None for the name of the class in snake case,
+            without "Light", "" for a light that scene files cannot contain.
+        from_file: function that makes the light from the keys of a file, if the keys are not the
+            fields of the light. The names, defaults and docstring of its parameters define the
+            keys; `**fields` takes all other fields of the light.
     """
     _KINDS[light] = Discrete(incident, emitted, bound, table_for(light, word, from_file))
 
@@ -150,7 +150,7 @@ def register_extended(
     word: str | None = None,
     from_file: Callable[..., Any] | None = None,
 ) -> None:
-    """Register a light that reaches a point from many directions with every integrator.
+    """Register a light that reaches a point from many directions, for use in all integrators.
 
     Args:
         light: the class of the light.
@@ -161,7 +161,7 @@ def register_extended(
         pdf: `pdf(light, point, wi)`, () in sr^-1, the density of the directions of `sample`.
         node: as `sample`, but smooth in `u`, for quadrature; `sample` by default.
         nodes: function from an order of quadrature to static nodes, (n, 2), and weights, (n,).
-        emitted: as in `register`. Without it a light at a finite distance cannot be used for light
+        emitted: as in `register`. If omitted, a light at a finite distance cannot be used in light
             tracing.
         bound, word, from_file: as in `register`.
     """
@@ -171,7 +171,7 @@ def register_extended(
 
 
 def kind_of(light: Light) -> Discrete | Extended:
-    """The registered functions of a light.
+    """Return the registered functions of a light.
 
     Args:
         light: any registered light.
@@ -206,7 +206,7 @@ def can_be_seen(light: Light) -> bool:
 
 
 def extended_kind(light: Light) -> Extended:
-    """Return the functions of an extended light. Raises `ValueError` for a light at one place."""
+    """Return the functions of an extended light. Raise `ValueError` for a light without size."""
     kind = kind_of(light)
     if isinstance(kind, Discrete):
         raise ValueError(f"an extended light is needed, got {type(light).__name__}.")

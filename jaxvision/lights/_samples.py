@@ -1,4 +1,4 @@
-"""Samples of a light by a rule, one node at a time, for a loop over samples."""
+"""Sampling of lights by rules, one node at a time, for a loop over samples."""
 
 from collections.abc import Sequence
 from functools import reduce
@@ -24,11 +24,11 @@ AnyRule = TypeVar("AnyRule", bound=Rule)
 def light_nodes(
     light: Light, rule: Rule, dtype: DTypeLike
 ) -> tuple[Float[Array, "samples 2"], Float[Array, " samples"]]:
-    """The positions in the unit square at which a rule samples a light.
+    """Return the positions in the unit square at which a rule samples a light.
 
     Args:
-        light: any registered light; one without size has one sample.
-        rule: of the samples.
+        light: any registered light; a light without size has one sample.
+        rule: sampling rule.
         dtype: floating, of the result.
 
     Returns:
@@ -57,11 +57,11 @@ def light_nodes(
 def incident_sample(
     light: Light, rule: Rule, point: Vector, u: Float[Array, "2"], weight: Scalar
 ) -> Incident:
-    """The light from one node of `light_nodes` at a point.
+    """Return the light that reaches a point from one node of `light_nodes`.
 
     Args:
         light: any registered light.
-        rule: that gave the node.
+        rule: the sampling rule that gave the node.
         point: (3,) m.
         u: (2,) the node, no unit.
         weight: () of the node, no unit.
@@ -84,11 +84,11 @@ def incident_sample(
 
 
 def rule_for(rule: AnyRule, number: Integer[Array, ""]) -> AnyRule:
-    """The rule for one of many points, each with its own random samples.
+    """Return the rule for one of many points, each with its own random samples.
 
     Args:
-        rule: for all points.
-        number: () whole number of the point, for example a pixel, no unit.
+        rule: sampling rule for all points.
+        number: () whole number that identifies the point, for example a pixel, no unit.
 
     Returns:
         The rule with its own key; a rule of fixed nodes is returned unchanged.
@@ -101,14 +101,14 @@ def rule_for(rule: AnyRule, number: Integer[Array, ""]) -> AnyRule:
 def rules_of(
     scene: Scene, rule: Rule, *, numbers: Sequence[Array] = (), count: int | None = None
 ) -> tuple[Rule, ...]:
-    """The rule of each light of a scene: its own from `Scene.rules`, else `rule`.
+    """Return the sampling rule of each light of a scene: its own from `Scene.rules`, else `rule`.
 
     Args:
-        scene: with its lights and their rules or None.
-        rule: for all lights without a rule of their own.
-        numbers: () each, which identify a pixel and its sample, or another point: random rules draw
-            anew for each; empty for the rules unchanged.
-        count: number of sources, first the scene's lights, then surfaces that emit, which take
+        scene: gives the lights, and their rules if they have any.
+        rule: sampling rule for all lights without a rule of their own.
+        numbers: () each, which identify a pixel and its sample, or another point. Random rules draw
+            other samples for other numbers; empty leaves the rules unchanged.
+        count: number of sources: first the scene's lights, then surfaces that emit, which use
             `rule`; None for the lights alone.
 
     Returns:
@@ -130,10 +130,10 @@ def rules_of(
 
 
 def rule_of_each(lights: Sequence[Light], rule: Rule | Sequence[Rule]) -> tuple[Rule, ...]:
-    """One rule for each light.
+    """Return one rule for each light.
 
     Args:
-        lights: of a scene.
+        lights: any lights.
         rule: one for each light, or a single one for all.
 
     Returns:
@@ -159,14 +159,14 @@ def rule_of_each(lights: Sequence[Light], rule: Rule | Sequence[Rule]) -> tuple[
 def lights_by_rule(
     lights: Sequence[Light], rules: Sequence[Rule]
 ) -> list[tuple[tuple[int, ...], Light, Rule]]:
-    """Lights of one structure under one rule, stacked.
+    """Stack the lights that have the same structure and the same rule.
 
     Args:
-        lights: of a scene.
-        rules: one for each.
+        lights: any lights.
+        rules: one for each light.
 
     Returns:
-        For each stack: the numbers of its lights in the scene, the stack, the rule.
+        For each stack: the indices of its lights, the stack, the rule.
     """
     groups = group_by_structure(lights)
     return [part for members, group in groups for part in split_by_rule(members, group, rules)]
@@ -175,15 +175,15 @@ def lights_by_rule(
 def split_by_rule(
     members: tuple[int, ...], group: Any, rules: Sequence[AnyRule]
 ) -> list[tuple[tuple[int, ...], Any, AnyRule]]:
-    """A stack of sources, divided by their rules.
+    """Divide a stack of sources into parts that share a rule.
 
     Args:
-        members: numbers of the sources in the scene.
+        members: indices of the sources in the scene.
         group: the sources, stacked along the leading axis of each array.
-        rules: of all sources of the scene.
+        rules: one for each source of the scene.
 
     Returns:
-        For each part: the numbers of its sources in the scene, the stack, the rule.
+        For each part: the indices of its sources in the scene, the stack, the rule.
     """
     shared: dict[tuple, list[int]] = {}
     for place, i in enumerate(members):

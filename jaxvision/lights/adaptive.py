@@ -1,11 +1,11 @@
 """The irradiance of a uniform rectangle on many receivers, by Gauss-Legendre quadrature whose order
-is selected at run time from distance over size.
+is selected at run time from the ratio of distance to size.
 
-The integrand is singular where the complex position of an edge is at distance 0. On a receiver at
-distance d from an edge of length s, the error of n nodes per side is K rho^(-2 n) with rho = x +
-sqrt(1 + x^2) and x = 2 d / s. rho is the sum of the half-axes of the largest ellipse around the
-edge in which the integrand is smooth (Trefethen, Approximation Theory and Approximation Practice,
-2013, theorem 19.3). K is measured.
+On a receiver at distance d from an edge of length s, the error of n nodes per side is K rho^(-2 n)
+with rho = x + sqrt(1 + x^2) and x = 2 d / s. As a function of a complex position on the edge, the
+integrand is singular where the distance is 0. rho is the sum of the half-axes of the largest
+ellipse around the edge in which the integrand is smooth (Trefethen, Approximation Theory and
+Approximation Practice, 2013, theorem 19.3). K was measured.
 """
 
 import math
@@ -22,8 +22,8 @@ from ..core._vector import Vec, Vec3, as_vec
 from .polygon import nodes_integral, rectangle_irradiance
 from .rectangle import RectangleLight, _nearest_offset
 
-_ORDERS = (2, 3, 4, 6)  # a side; more nodes take as long as the closed form
-_FACTOR = 100.0  # K of all but one in a thousand of the receivers that see the whole light
+_ORDERS = (2, 3, 4, 6)  # nodes per side; more nodes take as long as the closed form
+_FACTOR = 100.0  # K, exceeded at one in a thousand of the receivers that see the whole light
 
 
 @takes_numbers
@@ -36,18 +36,19 @@ def adaptive_irradiance(
 ) -> Float[Array, " receivers bands"]:
     """Compute the irradiance on neighbouring receivers within a tolerance.
 
-    All receivers use the same number of nodes, the smallest that suffices for the nearest. They use
-    the closed form if the nearest is too near, or if the light crosses the horizon of any receiver.
-    For a large field, map this over tiles (`jax.lax.map`), so that each has its own rule. Under
-    `vmap` all rules are computed.
+    All receivers use the same number of nodes, the smallest that suffices for the receiver nearest
+    to the light. All receivers use the closed form if the nearest receiver is too near the light
+    for quadrature, or if the light crosses the horizon of any receiver. For a large field, map this
+    function over tiles (`jax.lax.map`), so that each tile has its own rule. Under `vmap` all rules
+    are computed.
 
     Args:
         light: the rectangle.
         points: (receivers, 3) m.
         normals: (receivers, 3) unit, or (3,) for all.
         tolerance: relative, > 0; static. Rounding errors add to it, see
-            `polygon.rectangle_irradiance`. For a light near the horizon it is relative to the
-            irradiance on a receiver that faces the light.
+            `polygon.rectangle_irradiance`. For a light near the horizon, the tolerance is relative
+            to the irradiance on a receiver that faces the light.
 
     Returns:
         The irradiance, (receivers, bands) W m^-2.
@@ -94,7 +95,8 @@ def _adaptive(light: RectangleLight, points: Vec, normals: Vec, tolerance: float
 
 
 def _rules(light: RectangleLight, points: Vec, normals: Vec, tolerance: float) -> Int[Array, "..."]:
-    """The rule that each receiver needs, as an index into `_ORDERS`, or one past the last."""
+    """Return the rule that each receiver needs, as an index into `_ORDERS`; len(_ORDERS) stands for
+    the closed form."""
     u, v = as_vec(light.edge_u), as_vec(light.edge_v)
     apart = points - light.corner
     nearest = _nearest_offset(light, points)

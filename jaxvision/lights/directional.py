@@ -36,14 +36,14 @@ class DirectionalLight(Light):
 
 
 def from_directional_light(light: DirectionalLight, point: Vector) -> Incident:
-    """Light from infinity, equal everywhere: its unit direction and irradiance, (bands,) W m^-2,
-    without a distance."""
+    """Return the light at a point, which is the same everywhere: unit direction and irradiance,
+    (bands,) W m^-2, without a distance."""
     del point
     return Incident(normalize(light.direction), light.irradiance)
 
 
 def _bound(light: Ends[DirectionalLight]) -> Source:
-    """The bound of the light: a cone of directions."""
+    """Bound the light by its largest irradiance from a cone of directions."""
     low, high = numbers(light.low.direction), numbers(light.high.direction)
     points = unit(box_about(low, high))
     middle = unit(points.mean(0))

@@ -1,10 +1,10 @@
 """Light from infinitely far away, as a latitude-longitude picture of radiance.
 
-The picture is as seen from inside with the zenith up. Row 0 looks to +z, the last row to -z, and
-the middle column to +x. Increasing columns turn clockwise as seen from above (+y is a quarter of
-the width left of the middle). Samples are at pixel centres. Between them the radiance is bilinear,
-around the seam and across the poles. Directions are unit vectors in the world. For ONE ray or
-point; the caller vmaps.
+The picture shows the surroundings as seen from inside, with the zenith up. Row 0 looks to +z, the
+last row to -z, and the middle column to +x. Increasing columns turn clockwise as seen from above
+(+y is a quarter of the width left of the middle). Samples are at pixel centres. Between them the
+radiance is bilinear, also across the seam and the poles. Directions are unit vectors in the world.
+For ONE ray or point; the caller vmaps.
 """
 
 from typing import Annotated, Any
@@ -67,8 +67,8 @@ class EnvironmentMap(Light):
 
 
 def environment_radiance(environment: EnvironmentMap, direction: Direction) -> Colour:
-    """Radiance from a unit direction, (bands,) W m^-2 sr^-1, bilinear between pixels; at a pole its
-    gradient along the latitude is 0."""
+    """Return the radiance from a unit direction, (bands,) W m^-2 sr^-1, bilinear between pixels. At
+    a pole its gradient with respect to the azimuth is 0."""
     row, column = _place(environment, _to_map(environment, direction))
     return _bilinear(environment.radiance, row, column)
 
@@ -76,8 +76,8 @@ def environment_radiance(environment: EnvironmentMap, direction: Direction) -> C
 def environment_sample(
     environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
-    """A unit direction drawn where the map is bright, by (2,) uniform numbers in [0, 1) for row and
-    column, and L / pdf, (bands,) W m^-2."""
+    """Draw a unit direction where the map is bright, by (2,) uniform numbers in [0, 1) for row and
+    column. Return it with the radiance divided by its density, (bands,) W m^-2."""
     row, row_place = _invert(environment.rows, u[0])
     column, column_place = _invert(environment.columns[row], u[1])
     h, w, _ = environment.radiance.shape
@@ -93,7 +93,7 @@ def environment_sample(
 
 
 def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Direction) -> Scalar:
-    """Density of `environment_sample` toward a unit direction, () in sr^-1."""
+    """Return the density of `environment_sample` toward a unit direction, () in sr^-1."""
     del point
     h, w, _ = environment.radiance.shape
     row, column = _place(environment, _to_map(environment, wi))
@@ -103,35 +103,36 @@ def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Direction) -
 
 
 def environment_node(environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """A unit direction distributed uniformly over the sphere by `u`, (2,) in [0, 1], and 4 pi L,
-    (bands,) W m^-2, for quadrature."""
+    """Return, for quadrature, a unit direction that is uniform over the sphere for `u`, (2,) in
+    [0, 1], and 4 pi times its radiance, (bands,) W m^-2."""
     direction = _direction(1 - 2 * u[0], u[1])
     radiance = _bilinear(environment.radiance, *_place(environment, direction))
     return Incident(_to_world(environment, direction, point), radiance * (4 * jnp.pi))
 
 
 def _seen(environment: EnvironmentMap, ray: Ray) -> Seen:
-    """The radiance, W m^-2 sr^-1, along any ray's direction, at an infinite distance."""
+    """Return the radiance along a ray's direction, W m^-2 sr^-1, at an infinite distance."""
     radiance = environment_radiance(environment, ray.direction)
     return Seen(jnp.full_like(ray.origin.x, jnp.inf), radiance)
 
 
 def _nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes that are Gauss-Legendre in cos(theta) and, twice as many, the trapezium rule around the
-    axis."""
+    """Return `order` Gauss-Legendre nodes in cos(theta), times twice as many nodes of the trapezium
+    rule around the axis."""
     turns = 2 * order
     around = (np.arange(turns) + 0.5) / turns, np.full(turns, 1 / turns)
     return product(gauss_legendre(order), around)
 
 
 def _direction(cosine: Scalar, turn: Scalar) -> Vec:
-    """Map direction at a cosine to the pole and a fraction of the width from the left edge."""
+    """Return the direction in the map's axes with this cosine to the pole, at `turn` map widths
+    from the left edge."""
     sine, phi = safe_sqrt((1 - cosine) * (1 + cosine)), jnp.pi * (1 - 2 * turn)
     return Vec(sine * jnp.cos(phi), sine * jnp.sin(phi), cosine)
 
 
 def _place(environment: EnvironmentMap, direction: Vec) -> tuple[Scalar, Scalar]:
-    """(row, column) of a map direction in pixel coordinates, whole numbers at pixel centres."""
+    """Return (row, column) of a direction in the map's axes, whole numbers at pixel centres."""
     h, w, _ = environment.radiance.shape
     x, y = direction.x, direction.y
     sine = safe_sqrt(x * x + y * y)
@@ -142,7 +143,7 @@ def _place(environment: EnvironmentMap, direction: Vec) -> tuple[Scalar, Scalar]
 
 
 def _bilinear(picture: Float[Array, "h w bands"], row: Scalar, column: Scalar) -> Colour:
-    """Bilinear interpolation; beyond a pole its row continues half a turn away."""
+    """Interpolate bilinearly; a row continues beyond a pole half a turn away."""
     h, w, _ = picture.shape
     above = jnp.floor(row)
     below_share = row - above
@@ -160,8 +161,9 @@ def _bilinear(picture: Float[Array, "h w bands"], row: Scalar, column: Scalar) -
 
 
 def _invert(cumulative: Float[Array, " n_1"], u: Scalar) -> tuple[Array, Scalar]:
-    """The cell that contains `u`, and the fraction of it below the middle of the float step of `u`.
-    It is never a border, where the density of another cell could be read."""
+    """Return the cell that contains `u`, and the position in the cell as a fraction of its width.
+    The position is that of the middle of the float step of `u`, so that it is never a border, where
+    the density of another cell could be read."""
     last = cumulative.shape[0] - 2
     cell = jnp.clip(jnp.searchsorted(cumulative, u, side="right") - 1, 0, last)
     start, end = cumulative[cell], cumulative[cell + 1]
@@ -178,14 +180,15 @@ def _to_map(environment: EnvironmentMap, direction: Direction) -> Vec:
 
 
 def _to_world(environment: EnvironmentMap, direction: Vec, point: Vector) -> Vector:
-    """The direction in world coordinates, as the type of the point, array or `Vec`."""
+    """Convert a direction to world coordinates, as an array or a `Vec` like the point."""
     x, y, z = (as_vec(row) for row in environment.rotation)
     world = direction.x * x + direction.y * y + direction.z * z
     return as_array(world) if isinstance(point, Array) else world
 
 
 def _bound(light: Ends[EnvironmentMap]) -> Source:
-    """The sum over pixels of the largest radiance around each, and the overall maximum."""
+    """Bound the light by its largest radiance, and by the sum over all pixels of the largest
+    radiance around each pixel."""
     radiance = np.maximum(*(np.abs(numbers(end.radiance)) for end in light))
     peak = radiance.reshape(-1, radiance.shape[-1]).max(0)
     rows, columns, _ = radiance.shape
@@ -214,7 +217,7 @@ def _from_file(
     toward: Float[Array, "3"] = (1.0, 0.0, 0.0),  # type: ignore[assignment]
 ) -> EnvironmentMap:
     """Distant light from all directions: a picture, a constant, or one of the CIE's skies, 1 to 16
-    (`lights.daylight`), of an irradiance on level ground and with the sun at a direction."""
+    (`lights.daylight`), given its irradiance on level ground and the direction of the sun."""
     from .environment_tables import environment_map
     from .skies import daylight
 

@@ -1,9 +1,9 @@
 """Tables for sampling an environment, computed once from its picture before rendering.
 
-A uniform float32 is a multiple of 2^-23, its resolution. The entries of the tables are multiples of
-it too, and the density is computed from their differences. It is therefore exactly the density of
-the draws, regardless of rounding, and a sun of 1e9 times the sky leaves no pixel of the sky
-unsampled.
+A uniform random float32 is a multiple of its resolution, 2^-23. The entries of the tables are
+multiples of it too, and the density is computed from their differences. The density is therefore
+exactly that of the drawn samples, regardless of rounding. Even if the sun is 1e9 times brighter
+than the sky, every pixel of the sky is sampled.
 """
 
 import jax
@@ -16,18 +16,18 @@ from ..core._numerics import divide, running_sum
 from ..core._types import as_float, check_range, check_shape
 from .environment import EnvironmentMap
 
-# Steps of the resolution that every pixel with light gets at least. Running sums err by less than
-# 8; 512 rows of 1024 columns give away 3e-3 of the samples to it in float32.
+# Smallest probability of a pixel with light, in units of the resolution. Errors of the running sums
+# are below 8. For 512 rows of 1024 columns, 3e-3 of the samples are spent on this in float32.
 _LEAST = 16
 
 
 def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -> EnvironmentMap:
     """Make an environment light from a latitude-longitude picture of radiance.
 
-    The probability of a pixel is proportional to the bilinear picture's mean over the pixel and the
-    bands, times the solid angle. If the picture is black, sampling is uniform over the sphere. The
-    probability of a pixel with light within its row, and of its row, is at least 16 times the
-    resolution of the floats. Probabilities have no gradients.
+    The probability of a pixel is proportional to the mean of the bilinear picture over the pixel
+    and the bands, times the solid angle. If the picture is black, sampling is uniform over the
+    sphere. For a pixel with light, the probability of its row, and its own probability within the
+    row, are at least 16 times the resolution of the floats. Probabilities have no gradients.
 
     Args:
         radiance: (h, w, bands) W m^-2 sr^-1, >= 0.
@@ -68,11 +68,12 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
 def _tables(
     picture: Float[Array, "h w bands"],
 ) -> tuple[Float[Array, " h_1"], Float[Array, "h w_1"]]:
-    """Cumulative probabilities of the rows, and within each row of its columns."""
+    """Return the cumulative probabilities of the rows, and those of the columns in each row."""
     h, w, _ = picture.shape
-    # relative to the brightest, so that sums stay within the range of a float. XLA multiplies by an
-    # inverse, which from 8.5e37 on is no normal float32 and counts as 0: both are made smaller
-    # before, by a factor that depends on the picture, or XLA would take it away
+    # Relative to the brightest pixel, so that sums stay within the range of a float. XLA divides by
+    # multiplying with the inverse. Above 8.5e37 the inverse is no normal float32 and counts as 0,
+    # so both numbers are first made smaller. The factor depends on the picture, because XLA would
+    # cancel a constant one.
     smaller = jnp.where(picture.max() > 1, 2.0**-32, 1).astype(picture.dtype)
     relative = divide(picture * smaller, picture.max() * smaller, otherwise=1)
     brightness = _pixel_means(relative.mean(axis=-1))
@@ -82,16 +83,17 @@ def _tables(
     return _cumulative(row_mass[:, 0] / row_mass.sum()), _cumulative(within)
 
 
-@jax.jit  # compiled apart, so that it uses the tables as they were rounded
+@jax.jit  # compiled separately, so that it uses the rounded tables
 def _density(rows: Float[Array, " h_1"], columns: Float[Array, "h w_1"]) -> Float[Array, "h w"]:
-    """Probability of each pixel's draws by solid angle."""
+    """Return the probability of each pixel divided by its solid angle."""
     solid_angles = jnp.asarray(_solid_angles(len(rows) - 1, columns.shape[1] - 1), rows.dtype)
     return jnp.diff(rows)[:, None] * jnp.diff(columns) / solid_angles
 
 
 def _pixel_means(picture: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """Means of the bilinear picture over its pixels: [1 6 1] / 8 along both axes. They are positive
-    wherever the picture is, so that every bright place can be drawn."""
+    """Return the means of the bilinear picture over its pixels: a filter [1 6 1] / 8 along both
+    axes. They are positive wherever the bilinear picture is, so that every such place is
+    sampled."""
     w = picture.shape[1]
     near, far = picture[:1], picture[-1:]
     poles = [
@@ -103,14 +105,14 @@ def _pixel_means(picture: Float[Array, "h w"]) -> Float[Array, "h w"]:
 
 
 def _solid_angles(h: int, w: int) -> Float[np.ndarray, "h 1"]:
-    """Solid angle of a pixel in each row: the difference of cos(theta), 2 sin(middle) sin(half a
-    row), times that of phi."""
+    """Return the solid angle of a pixel in each row: the difference of cos(theta), 2 sin(middle)
+    sin(half a row), times the difference of phi."""
     differences = 2 * np.sin(np.pi * (np.arange(h) + 0.5) / h) * np.sin(np.pi / (2 * h))
     return differences[:, None] * (2 * np.pi / w)
 
 
 def _cumulative(probability: Float[Array, "... n"]) -> Float[Array, "... n_1"]:
-    """Running sums from 0 to exactly 1, in multiples of the resolution of uniform floats."""
+    """Return running sums from 0 to exactly 1, in multiples of the resolution of uniform floats."""
     step = jnp.finfo(probability.dtype).eps
     least = jnp.where(probability > 0, _LEAST * step, 0)
     total = running_sum(least + probability * (1 - least.sum(axis=-1, keepdims=True)))

@@ -1,7 +1,8 @@
-"""Lamps by their measured distribution of intensity, as photometric files give it.
+"""Lamps with a measured distribution of intensity, as in photometric files.
 
 The intensity is bilinear between the nodes of two angles, and 0 beyond the outermost nodes. In the
-lamp's own frame z is up, and x is the photometric horizontal. By the system of the planes:
+lamp's own frame z is up, and x is the photometric horizontal. The system of planes, C, B or A,
+defines the two angles:
 
     C   vertical: from straight down, -z; horizontal: about z, counter-clockwise from above
     B   vertical: from the plane of y and z toward x; horizontal: about x, from -z toward -y
@@ -48,17 +49,17 @@ _TURN = 2 * np.pi
 
 
 class GoniometricLight(Light):
-    """A lamp that is small against its distance from everything, of a measured distribution.
+    """A lamp with a measured distribution of intensity, small compared with all distances.
 
-    `goniometric_light` makes one of a photometric file.
+    `goniometric_light` makes it from the contents of a photometric file.
 
     Attributes:
         position: (3,) m.
         intensity: (bands,) W sr^-1 for a distribution of 1.
         distribution: (v, h) relative intensity, no unit, at the nodes.
         vertical: (v,) rad, increasing nodes, at least two.
-        horizontal: (h,) rad, increasing nodes; one for a lamp that is the same all around. In
-            system C they span a whole turn.
+        horizontal: (h,) rad, increasing nodes; one node for a lamp that is the same all around. In
+            system C the nodes span a whole turn.
         rotation: (3, 3), rows the lamp's x, y and z axes in the world, no unit.
         system: "C", "B" or "A"; static.
 
@@ -86,11 +87,11 @@ class GoniometricLight(Light):
 
 
 class GoniometricAreaLight(Light):
-    """A flat lamp of a measured distribution, whose light leaves evenly from a rectangle.
+    """A flat lamp with a measured distribution of intensity, whose light leaves a rectangle evenly.
 
-    Each place of the rectangle sends the lamp's distribution, with the share of its area; the
-    lamp's own frame is that of the edges: x along `edge_u`, -z the side of edge_u x edge_v, to
-    which alone it shines.
+    Each part of the rectangle emits the lamp's distribution, in proportion to its area. The edges
+    define the lamp's own frame: x is along `edge_u`, and -z is the side of edge_u x edge_v. The
+    lamp shines only to this side.
 
     Attributes:
         corner: (3,) m.
@@ -143,14 +144,14 @@ def _check(light: Goniometric) -> None:
 
 @takes_numbers
 def relative_intensity(light: Goniometric, direction: Direction) -> Scalar:
-    """The distribution of a lamp toward a direction of its own frame.
+    """Return the relative intensity of a lamp toward a direction in its own frame.
 
     Args:
         light: the lamp.
         direction: (3,) unit, away from the lamp, in its own frame.
 
     Returns:
-        () bilinear between the nodes, 0 beyond the outermost ones, no unit.
+        () bilinear between the nodes, 0 beyond the outermost nodes, no unit.
 
     Example:
         >>> lamp = jv.GoniometricLight([0, 0, 2], [8.0], [[1.0], [0.0]], [0, np.pi / 2], [0.0])
@@ -174,7 +175,7 @@ def relative_intensity(light: Goniometric, direction: Direction) -> Scalar:
 
 
 def _angles(w: Vec, system: System) -> tuple[Scalar, Scalar]:
-    """(vertical, horizontal) of a unit direction of the lamp's frame, rad."""
+    """Return the angles (vertical, horizontal) of a unit direction in the lamp's frame, rad."""
     x, y, z = w
     match system:
         case "C":
@@ -186,21 +187,21 @@ def _angles(w: Vec, system: System) -> tuple[Scalar, Scalar]:
 
 
 def _angle_to_axis(a: Scalar, b: Scalar, along: Scalar) -> Scalar:
-    """The angle to an axis; 0 of the zero vector."""
+    """Return the angle to an axis; 0 for the zero vector."""
     aside = safe_sqrt(a * a + b * b)
     defined = (aside > 0) | (along != 0)
     return arctan2(aside, jnp.where(defined, along, 1))
 
 
 def _azimuth(y: Scalar, x: Scalar) -> Scalar:
-    """The azimuth, 0 with gradient 0 on the axis."""
+    """Return the azimuth; 0, with gradient 0, on the axis."""
     aside = (x != 0) | (y != 0)
     return jnp.where(aside, jnp.arctan2(jnp.where(aside, y, 0), jnp.where(aside, x, 1)), 0)
 
 
 def _between(nodes: Float[Array, " n"], x: Scalar) -> tuple[Array, Array, Scalar, Array]:
-    """The two nodes about `x`, the share of the second, and whether `x` lies among them, up to
-    rounding."""
+    """Return the two nodes around `x`, the weight of the second, and whether `x` lies between the
+    outermost nodes, up to rounding."""
     last = nodes.shape[0] - 1
     i = jnp.clip(jnp.searchsorted(nodes, x, side="right") - 1, 0, last - 1)
     share = (x - nodes[i]) / (nodes[i + 1] - nodes[i])
@@ -210,13 +211,13 @@ def _between(nodes: Float[Array, " n"], x: Scalar) -> tuple[Array, Array, Scalar
 
 @takes_numbers
 def flux(light: Goniometric) -> Colour:
-    """The flux of a lamp, by Gauss-Legendre quadrature in each interval of the nodes.
+    """Return the flux of a lamp, by Gauss-Legendre quadrature in each interval between nodes.
 
     Args:
         light: the lamp.
 
     Returns:
-        (bands,) W, the integral of its W sr^-1 over all directions; lm where they are candela.
+        (bands,) W, the integral of its intensity over all directions; lm for an intensity in cd.
 
     Example:
         >>> even = np.ones((2, 1)), [0, np.pi], [0.0]
@@ -232,7 +233,7 @@ def flux(light: Goniometric) -> Colour:
 
 
 def _weights(nodes: Float[Array, " n"], density) -> Float[Array, " n"]:
-    """The integrals of a density times each node's tent."""
+    """Return the integrals of a density times the linear hat function of each node."""
     t, dt = (jnp.asarray(x, nodes.dtype) for x in gauss_legendre(8))
     wide = jnp.diff(nodes)
     within = density(nodes[:-1, None] + wide[:, None] * t[None, :]) * (wide[:, None] * dt[None, :])
@@ -244,8 +245,8 @@ def _weights(nodes: Float[Array, " n"], density) -> Float[Array, " n"]:
 
 
 def from_goniometric_light(light: GoniometricLight, point: Vector) -> Incident:
-    """Light that arrives from a lamp, E = I / d^2 on a surface that faces it: the unit direction,
-    the irradiance, (bands,) W m^-2, and the distance, m; all 0 at the light itself."""
+    """Return the light that arrives from a lamp: the unit direction, the irradiance E = I / d^2 on
+    a surface that faces it, (bands,) W m^-2, and the distance, m; all 0 at the light itself."""
     direction, distance, dilution = _toward(light.position, point)
     own = Vec(*(dot(row, -as_vec(direction)) for row in map(as_vec, light.rotation)))
     share = relative_intensity(light, own)
@@ -253,7 +254,7 @@ def from_goniometric_light(light: GoniometricLight, point: Vector) -> Incident:
 
 
 def _place(light: Ends[GoniometricLight]) -> Source:
-    """A lamp at one place that sends its largest intensity to all sides."""
+    """Bound the lamp by a point that emits its largest intensity in all directions."""
     source = _place_bound(light)
     largest = max(float(np.abs(numbers(end.distribution)).max()) for end in light)
     return source._replace(spectrum=source.spectrum * largest)
@@ -267,8 +268,8 @@ def _window(light: GoniometricAreaLight) -> Window:
 
 
 def _spread(light: GoniometricAreaLight, away: Vec) -> tuple[Scalar, Scalar]:
-    """The lamp's intensity for an intensity of 1 toward a direction, and the cosine to its front,
-    no unit."""
+    """Return the lamp's relative intensity toward a direction, and the cosine between the direction
+    and the front's normal, no unit."""
     across = cross(light.edge_u, light.edge_v)
     x, down = as_vec(normalize(light.edge_u)), as_vec(normalize(across))
     y = cross(x, down)
@@ -281,7 +282,7 @@ def _area(light: GoniometricAreaLight) -> Scalar:
 
 
 def _seen(light: GoniometricAreaLight, ray: Ray) -> Seen:
-    """I / (A cos) of the front, W m^-2 sr^-1, and the distance, m."""
+    """Return the radiance I / (A cos) of the front, W m^-2 sr^-1, and the distance, m."""
     at, hit = hit_window(ray, _window(light))
     share, cosine = _spread(light, -as_vec(ray.direction))
     radiance = divide(share, _area(light) * cosine, where=hit & (cosine > 0))
@@ -301,7 +302,8 @@ def _pdf(light: GoniometricAreaLight, point: Vector, wi: Direction) -> Scalar:
 
 
 def _emitted(light: GoniometricAreaLight, u: Float[Array, "4"]) -> Emitted:
-    """A ray from a place of the front, uniform by area and in direction; its flux is 2 pi I, W."""
+    """Draw a ray from the front, uniform by area and in direction; its flux is 2 pi I, W, with the
+    intensity I in its direction."""
     normal = normalize(cross(light.edge_u, light.edge_v))
     origin = as_vec(light.corner + u[0] * light.edge_u + u[1] * light.edge_v)
     direction = as_vec(to_world(local_frame(normal), uniform_direction(u[2:])))
@@ -311,8 +313,9 @@ def _emitted(light: GoniometricAreaLight, u: Float[Array, "4"]) -> Emitted:
 
 
 def _opening(light: Ends[GoniometricAreaLight]) -> Source:
-    """A window of the largest I / (A cos): between nodes cos is at least its value at the outer
-    one, and toward 90 degrees, where I is 0, at least 2 / pi of the angle that is left."""
+    """Bound the lamp by a window with its largest radiance I / (A cos). Between two nodes cos is at
+    least its value at the outer node. Toward 90 degrees, where I is 0, cos is at least 2 / pi times
+    the angle to the horizon."""
     each = [_largest_radiance(end) for end in light]
     spectrum = np.maximum(*each)
     why = "" if np.isfinite(spectrum).all() else "its opening shines along its own plane"
@@ -346,7 +349,7 @@ def _largest_radiance(light: GoniometricAreaLight) -> np.ndarray:
     return numbers(light.intensity) * float(bound.max(initial=0)) / area
 
 
-# ---------------------------------------------------------------- lamps as sold
+# ---------------------------------------------------------------- lamps from photometric files
 
 
 class Luminaire(Shown):
@@ -355,12 +358,12 @@ class Luminaire(Shown):
     Attributes:
         candela: (v, h) cd, ballast factors included.
         vertical: (v,) rad.
-        horizontal: (h,) rad, with what symmetry leaves out filled in.
-        opening: (3,) m, the luminous opening along the lamp's x, y and z; 0 where it is a point.
-        lumens: () lm of all lamps within, NaN if the file states none.
+        horizontal: (h,) rad, completed by symmetry.
+        opening: (3,) m, size of the luminous opening along the lamp's x, y and z; 0 for a point.
+        lumens: () lm of all light sources in the lamp, NaN if the file does not give it.
         watts: () W of electric power.
         system: "C", "B" or "A"; static.
-        name: what the file calls the lamp; static.
+        name: the lamp's name in the file; static.
 
     Example:
         >>> angles = [0, np.pi / 2], [0.0]
@@ -391,23 +394,25 @@ def goniometric_light(
     colour: ArrayLike = (1.0,),
     opening: bool = False,
 ) -> Goniometric:
-    """A lamp as sold at a place of the scene. 683 lm are 1 W.
+    """Place a lamp from a photometric file in the scene. 683 lm count as 1 W.
 
     Args:
-        luminaire: what its file says.
+        luminaire: contents of the lamp's file.
         position: (3,) m, of the middle of its luminous opening.
-        up: (3,) of the lamp's own z in the world; it shines down where this is up.
-        toward: (3,) of the lamp's photometric horizontal, its x, as far as it is across `up`.
+        up: (3,) direction of the lamp's own z axis in the world. If it points up, the light of a
+            downlight goes down.
+        toward: (3,) direction of the lamp's photometric horizontal, its x axis. Its component along
+            `up` is ignored.
         colour: (bands,) share of its light in each band, no unit.
-        opening: spread its light over the rectangle of the file's luminous opening; a round one
-            becomes a square of the same area. Near the lamp this is the better model.
+        opening: whether to spread its light over the rectangle of the file's luminous opening. A
+            round opening becomes a square of the same area. This is the better model near the lamp.
 
     Returns:
         A `GoniometricLight`, or with `opening` a `GoniometricAreaLight`.
 
     Raises:
-        ValueError: for `opening` where the file has none, or where the lamp shines upward too; and
-            for axes on one line.
+        ValueError: for `opening` if the file has none or the lamp also shines upward, and for axes
+            on one line.
 
     Example:
         >>> bulb = jv.Luminaire(np.full((2, 1), 54.0), [0, np.pi], [0.0], [0, 0, 0], 679.0, 9.0)
@@ -444,8 +449,8 @@ def _from_file(
     colour: Colour = 1.0,  # type: ignore[assignment]
     opening: bool = False,
 ) -> Goniometric:
-    """A lamp as sold, by its IES or EULUMDAT file; `opening` spreads its light over the luminous
-    opening."""
+    """A lamp with the photometric data of its IES or EULUMDAT file; `opening` spreads its light
+    over the luminous opening."""
     return goniometric_light(
         file, position, up=up, toward=toward, colour=np.asarray(colour), opening=opening
     )

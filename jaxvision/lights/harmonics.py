@@ -1,4 +1,4 @@
-"""Diffuse irradiance from an environment by nine numbers per band: spherical harmonics to order 2.
+"""Irradiance from an environment by nine coefficients per band: spherical harmonics to order 2.
 
 Source: Ramamoorthi and Hanrahan, "An Efficient Representation for Irradiance Environment Maps",
 SIGGRAPH 2001. For ONE normal; the caller vmaps.
@@ -13,14 +13,14 @@ from ..core._types import Colour
 from ..core._vector import Direction, Directions, Vec, as_vec
 from .environment import EnvironmentMap, _to_map
 
-# The clamped cosine's coefficients A_l: pi, 2 pi / 3, pi / 4, for each (l, m).
+# The coefficients A_l of the clamped cosine, pi, 2 pi / 3 and pi / 4, for each (l, m).
 _COSINE = np.pi * np.repeat([1, 2 / 3, 1 / 4], [1, 3, 5])
 
 
 @takes_numbers
 def harmonics(direction: Directions) -> Float[Array, "9 ..."]:
-    """The nine real spherical harmonics of order <= 2 of unit directions, orthonormal: (9, ...), no
-    unit, (l, m) in the order (0,0), (1,-1), (1,0), (1,1), (2,-2) ... (2,2)."""
+    """Return the nine orthonormal real spherical harmonics of order <= 2 of unit directions: (9,
+    ...), no unit, with (l, m) in the order (0,0), (1,-1), (1,0), (1,1), (2,-2) ... (2,2)."""
     d = as_vec(direction)
     x, y, z = d.x, d.y, d.z
     c0, c1, c2 = (float(np.sqrt(share / np.pi)) for share in (0.25, 0.75, 3.75))
@@ -40,8 +40,8 @@ def harmonics(direction: Directions) -> Float[Array, "9 ..."]:
 
 
 def irradiance_coefficients(environment: EnvironmentMap) -> Float[Array, "9 bands"]:
-    """The nine coefficients of the irradiance from a map, (9, bands) W m^-2, in the map's own axes,
-    from all pixels.
+    """Compute the nine coefficients of the irradiance from a map, (9, bands) W m^-2, in the map's
+    own axes, from all pixels.
 
     Example:
         >>> sky = jv.environment_map(np.ones((8, 16, 1)))
@@ -65,13 +65,14 @@ def irradiance_coefficients(environment: EnvironmentMap) -> Float[Array, "9 band
 def harmonic_irradiance(
     environment: EnvironmentMap, coefficients: Float[Array, "9 bands"], normal: Direction
 ) -> Colour:
-    """Irradiance of an environment on a surface that faces `normal`, (bands,) W m^-2, by spherical
-    harmonics of order <= 2 from `irradiance_coefficients`.
+    """Return the irradiance of an environment on a surface that faces `normal`, (bands,) W m^-2, by
+    spherical harmonics of order <= 2 from `irradiance_coefficients`.
 
-    The error is at most 3/32 of the integral of the radiance over the sphere. A single bright
-    direction reaches it on its horizon (and 6 % of its irradiance overhead). The result may be
-    negative. Under natural skies the mean error is about 1 %. A map of order <= 2 is exact up to
-    the pixels' own error.
+    The error is at most 3/32 of the integral of the radiance over the sphere. Light from a single
+    direction reaches this error on a surface that it grazes; on a surface that faces it, the error
+    is 6 % of its irradiance. The result may be negative. Under natural skies the mean error is
+    about 1 %. For a map that consists of harmonics of order <= 2, only the error of the pixel sum
+    remains.
 
     Example:
         >>> sky = jv.environment_map(np.ones((8, 16, 1)))  # W m^-2 sr^-1 from everywhere

@@ -1,4 +1,4 @@
-"""Light of any kind as it arrives at a point, or as a ray sees it."""
+"""Light from any light source as it arrives at a point, or as a ray sees it."""
 
 from collections.abc import Sequence
 
@@ -19,7 +19,7 @@ from .rules import Rule
 
 @takes_numbers
 def incident(light: Light, point: Vector) -> Incident:
-    """Light that arrives at a point from a light at one place.
+    """Return the light that arrives at a point from a light without size.
 
     Args:
         light: a light without size, such as `PointLight`, `SmallLight` or `DirectionalLight`.
@@ -48,12 +48,12 @@ def incident(light: Light, point: Vector) -> Incident:
 
 @takes_numbers
 def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
-    """Light that arrives at a point from any light, as samples.
+    """Return the light that arrives at a point from any light, as samples.
 
     Args:
         light: any light.
         point: (3,) m.
-        rule: of the samples of an extended light; a light without size gives one sample under any
+        rule: sampling rule for an extended light; a light without size gives one sample under any
             rule.
 
     Returns:
@@ -74,16 +74,17 @@ def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
 
 @takes_numbers
 def irradiance(light: Light, point: Vector, normal: Direction, *, rule: Rule) -> Colour:
-    """Irradiance of any light on a receiver, E = sum_i E_i [n.l_i]+.
+    """Compute the irradiance of any light on a receiver, E = sum_i E_i max(n.l_i, 0), over samples
+    of irradiance E_i from the directions l_i.
 
-    For a rectangle `polygon.rectangle_irradiance` is exact, and `adaptive` serves many receivers.
-    For an environment `harmonics` is cheap.
+    For a rectangle `polygon.rectangle_irradiance` is exact, and `adaptive` is faster for many
+    receivers. For an environment `harmonics` is cheap.
 
     Args:
         light: any light.
         point: (3,) m, the receiver.
         normal: (3,) unit normal of the receiver.
-        rule: of the samples of an extended light.
+        rule: sampling rule for an extended light.
 
     Returns:
         The irradiance, (bands,) W m^-2.
@@ -100,7 +101,7 @@ def irradiance(light: Light, point: Vector, normal: Direction, *, rule: Rule) ->
 
 
 def seen(light: Light, ray: Ray) -> Seen:
-    """The view of an extended light along a ray.
+    """Return what a ray sees of an extended light.
 
     Args:
         light: an extended light.
@@ -122,7 +123,7 @@ def seen(light: Light, ray: Ray) -> Seen:
 
 
 def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
-    """The first of all extended lights that a ray hits.
+    """Find the first extended light that a ray hits.
 
     Args:
         lights: any lights; those without size are ignored.
@@ -130,7 +131,7 @@ def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
 
     Returns:
         The distance, m, and the radiance, (bands,) W m^-2 sr^-1. Environments are at infinity and
-        add up. Where there is no extended light the radiance is () and 0.
+        add up. Without extended lights the radiance is a scalar 0.
 
     Example:
         >>> sides = [0, 2, 0], [2, 0, 0]  # m
@@ -151,7 +152,7 @@ def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
 
 @takes_numbers
 def radiance_from(light: Light, point: Vector, wi: Direction) -> Colour:
-    """Radiance that reaches a point from one direction.
+    """Return the radiance that reaches a point from one direction.
 
     Args:
         light: an extended light.
@@ -174,7 +175,7 @@ def radiance_from(light: Light, point: Vector, wi: Direction) -> Colour:
 
 @takes_numbers
 def direction_sample(light: Light, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """A direction drawn toward an extended light.
+    """Draw a direction toward an extended light.
 
     Args:
         light: an extended light.
@@ -198,7 +199,7 @@ def direction_sample(light: Light, point: Vector, u: Float[Array, "2"]) -> Incid
 
 @takes_numbers
 def direction_pdf(light: Light, point: Vector, wi: Direction) -> Scalar:
-    """Density of the directions that `direction_sample` draws.
+    """Return the density of the directions that `direction_sample` draws.
 
     Args:
         light: an extended light.

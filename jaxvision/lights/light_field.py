@@ -1,4 +1,4 @@
-"""A 4-D light field: radiance on every line between two parallel windows, sampled on a grid.
+"""A 4-D light field: radiance on all lines through two parallel windows, sampled on a grid.
 
 Light leaves through the aperture (s, t) toward its front. The focal window (u, v), behind or in
 front of it, determines the direction. Levoy and Hanrahan, "Light Field Rendering", SIGGRAPH 1996;
@@ -27,9 +27,10 @@ from .window import Window, _window_bound, crossing, hit_window, window_pdf, win
 
 
 class LightFieldLight(Light):
-    """The radiance through a window by position and direction.
+    """The radiance through a window as a function of position and direction.
 
-    It illuminates surfaces in front of it, and a camera that looks at it sees the scene behind.
+    It illuminates surfaces in front of the window, and a camera that looks at it sees the recorded
+    scene behind.
 
     Attributes:
         radiance: (s, t, u, v, bands) W m^-2 sr^-1; the first and last sample of each axis lie on
@@ -66,12 +67,12 @@ class LightFieldLight(Light):
             _check_windows(self.aperture, self.focal)
 
 
-_PARALLEL = 1e-3  # rad between the windows: more than float32 makes of any placing
-_APART = 1e-5  # of the largest length about them: a smaller distance between their planes is none
+_PARALLEL = 1e-3  # largest angle between the windows, rad; float32 rounding causes less
+_APART = 1e-5  # smallest distance between their planes, relative to the largest length
 
 
 def _check_windows(aperture: Window, focal: Window) -> None:
-    """`ValueError` unless the windows have areas, are parallel and lie in different planes."""
+    """Raise `ValueError` unless the windows have area, are parallel and lie in different planes."""
     normals, lengths = [], []
     for name, window in (("aperture", aperture), ("focal", focal)):
         u, v = (np.asarray(edge, np.float64) for edge in (window.edge_u, window.edge_v))
@@ -97,13 +98,13 @@ def _check_windows(aperture: Window, focal: Window) -> None:
 
 
 def light_field_radiance(light_field: LightFieldLight, ray: Ray) -> Colour:
-    """Radiance against a ray that starts in front of the aperture, (bands,) W m^-2 sr^-1,
-    quadrilinear between samples; 0 for one that misses a window."""
+    """Return the radiance against a ray that starts in front of the aperture, (bands,) W m^-2
+    sr^-1, quadrilinear between samples; 0 if the ray misses a window."""
     return light_field_seen(light_field, ray).radiance
 
 
 def light_field_seen(light_field: LightFieldLight, ray: Ray) -> Seen:
-    """`light_field_radiance`, W m^-2 sr^-1, at the distance (m) of the aperture: a window."""
+    """Return `light_field_radiance`, W m^-2 sr^-1, and the distance to the aperture, m."""
     near, hit = hit_window(ray, light_field.aperture)
     far = crossing(ray, light_field.focal)
     hit &= far.meets & (far.u >= 0) & (far.u <= 1) & (far.v >= 0) & (far.v <= 1)
@@ -115,8 +116,8 @@ def light_field_seen(light_field: LightFieldLight, ray: Ray) -> Seen:
 def light_field_sample(
     light_field: LightFieldLight, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
-    """A unit direction toward a position of the aperture selected by `u`, (2,) in [0, 1], L times
-    solid angle, (bands,) W m^-2, and the distance, m."""
+    """Return a unit direction toward the position of the aperture that `u`, (2,) in [0, 1],
+    selects, the radiance times the solid angle, (bands,) W m^-2, and the distance, m."""
     direction, distance, solid_angle, _ = window_sample(light_field.aperture, point, u)
     radiance = light_field_radiance(light_field, Ray(point, direction))
     wi = as_array(direction) if isinstance(point, Array) else direction
@@ -124,14 +125,14 @@ def light_field_sample(
 
 
 def light_field_pdf(light_field: LightFieldLight, point: Vector, wi: Direction) -> Scalar:
-    """Density of `light_field_sample`'s directions, sr^-1."""
+    """Return the density of the directions of `light_field_sample`, sr^-1."""
     return window_pdf(light_field.aperture, point, wi)
 
 
 @takes_numbers
 def light_field_ray(aperture: Window, focal: Window, place: Float[Array, "4"]) -> Ray:
-    """The viewing ray of one sample of a light field, at s, t, u, v in [0, 1] of the windows, m,
-    for recording one. It starts in the aperture and looks away from its front."""
+    """Return the ray along which one sample of a light field is recorded, at `place` = (s, t, u, v)
+    in [0, 1] of the windows. It starts in the aperture, m, and looks away from its front."""
     start = _point(aperture, place[:2])
     return Ray(start, _inward(aperture, start, _point(focal, place[2:])))
 
@@ -140,17 +141,17 @@ def light_field_ray(aperture: Window, focal: Window, place: Float[Array, "4"]) -
 def refocus(
     light_field: LightFieldLight, focus: Vector, *, order: int = 8, opening: float = 1.0
 ) -> Colour:
-    """The mean radiance on the lines from the aperture to one point.
+    """Return the mean radiance on the lines from the aperture to one point.
 
-    It is the value of the pixel that images the point with a lens as large as the aperture:
-    surfaces at that depth are sharp, others blurred.
+    It is the value of the pixel that images this point with a lens as large as the aperture:
+    surfaces at the depth of the point are sharp, others blurred.
 
     Args:
         light_field: the light field.
         focus: (3,) m.
         order: number of Gauss-Legendre nodes along each side; static.
-        opening: used fraction of the aperture about its middle, in (0, 1], no unit; the smaller,
-            the larger the depth of field.
+        opening: used fraction of the aperture about its middle, in (0, 1], no unit; a smaller one
+            gives a larger depth of field.
 
     Returns:
         The radiance, (bands,) W m^-2 sr^-1.
@@ -179,7 +180,7 @@ def refocus(
 
 
 def _inward(aperture: Window, start: Float[Array, "3"], target: Float[Array, "3"]) -> Vec:
-    """The direction along the line through two points, away from the front of the window."""
+    """Return the direction along the line through two points, away from the window's front."""
     along = as_vec(normalize(target - start))
     forward = dot(cross(aperture.edge_u, aperture.edge_v), along) > 0
     return along * jnp.where(forward, -1, 1).astype(start.dtype)
@@ -190,7 +191,7 @@ def _point(window: Window, place: Float[Array, "2"]) -> Float[Array, "3"]:
 
 
 def _interpolate(grid: Float[Array, "s t u v bands"], places: Float[Array, "4"]) -> Colour:
-    """The sixteen samples around a position, weighted along the four axes."""
+    """Interpolate linearly along all four axes between the sixteen samples around a position."""
     cells = []
     for at, size in zip(places, grid.shape[:4], strict=True):
         at = at * (size - 1)
@@ -204,8 +205,8 @@ def _interpolate(grid: Float[Array, "s t u v bands"], places: Float[Array, "4"])
 
 
 def _emitted(light: LightFieldLight, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray from a point of the aperture through one of the focal window by `u`, (4,) uniform
-    in [0, 1), with its flux, (bands,) W."""
+    """Draw a ray on the line through a point of the aperture and a point of the focal window, by
+    `u`, (4,) uniform in [0, 1), with its flux, (bands,) W."""
     start, target = as_vec(_point(light.aperture, u[:2])), as_vec(_point(light.focal, u[2:]))
     span = cross(light.aperture.edge_u, light.aperture.edge_v)
     normal, whole = as_vec(normalize(span)), norm(span)

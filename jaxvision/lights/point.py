@@ -42,15 +42,15 @@ class PointLight(Light):
 
 
 def from_point_light(light: PointLight, point: Vector) -> Incident:
-    """Light from a point: unit direction, irradiance E = I / d^2 on a surface that faces it,
-    (bands,) W m^-2, and distance d, m. It is 0 nearer than `smallest_divisor`."""
+    """Return the light from a point: the unit direction, the irradiance E = I / d^2 on a surface
+    that faces it, (bands,) W m^-2, and the distance d, m; all 0 nearer than `smallest_divisor`."""
     direction, distance, dilution = _toward(light.position, point)
     return Incident(direction, map_bands(lambda band: band * dilution, light.intensity), distance)
 
 
 def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar, Scalar]:
-    """The unit direction from a point to a position, their distance, m, and its inverse square,
-    m^-2; 0 if the two coincide."""
+    """Return the unit direction from a point to a position, the distance, m, and its inverse
+    square, m^-2; all 0 if the two coincide."""
     toward = position - point
     square = dot(toward, toward)
     apart = ~(square <= smallest_divisor(square.dtype) ** 2)
@@ -60,14 +60,14 @@ def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar,
 
 
 def _emitted(light: PointLight, u: Float[Array, "4"]) -> Emitted:
-    """A ray in a direction uniform over the sphere, from u_2 and u_3 of `u`, (4,) uniform in [0,
-    1); its flux is 4 pi I, (bands,) W."""
+    """Draw a ray in a direction uniform over the sphere, by u_2 and u_3 of `u`, (4,) uniform in
+    [0, 1); its flux is 4 pi I, (bands,) W."""
     direction = direction_at(2 * u[2], 2 * jnp.pi * u[3])
     return emitted_from_point(as_vec(light.position), direction, 4 * jnp.pi * light.intensity)
 
 
 def _place_bound(light: Ends[Any], *, normal: np.ndarray | None = None) -> Source:
-    """A lamp at one position that emits in all directions, or on the side of a normal."""
+    """Bound a point lamp, which emits in all directions or on the side of a normal."""
     points = box_about(numbers(light.low.position), numbers(light.high.position))
     middle = points.mean(0)
     size = np.linalg.norm(points - middle, axis=1).max()

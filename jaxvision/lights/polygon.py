@@ -26,11 +26,11 @@ from ..geometry.hemisphere import cross
 from ._nodes import square_nodes
 from .rectangle import RectangleLight
 
-_SMALL = 0.03  # tan^2 theta below which ten terms of a series beat a difference, in float64 too
+_SMALL = 0.03  # tan^2 theta; below, ten terms of a series are more accurate than a difference
 _TERMS = 10
 
-# arctan(t) / t in t^2 <= 1, of least relative error: 2e-8 and 5e-18 (Remez, in 60 digits). By the
-# size of the number in bytes.
+# Coefficients of arctan(t) / t in powers of t^2 <= 1, with the smallest relative error (Remez, with
+# 60 digits): 2e-8 for numbers of 4 bytes, 5e-18 for 8 bytes.
 _ARCTAN_OVER = {
     4: (
         0.9999999848,
@@ -70,7 +70,7 @@ _ARCTAN_OVER = {
 
 
 def _cases(square: Scalars, cosine: Scalars) -> tuple[Bool[Array, "..."], Bool[Array, "..."]]:
-    """(narrow, wide): the ranges of validity of the series and of the quotient. Neither is valid if
+    """Return (narrow, wide): where the series and where the quotient is valid. Neither is valid if
     the vectors are opposite within rounding or have no length."""
     smallest = smallest_divisor(square.dtype)
     narrow = (cosine > smallest) & (square < _SMALL * cosine * cosine)
@@ -79,12 +79,13 @@ def _cases(square: Scalars, cosine: Scalars) -> tuple[Bool[Array, "..."], Bool[A
 
 
 def angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
-    """theta / sqrt(s2) with theta = atan2(sqrt(s2), c) in [0, pi] rad, for `square` s2 >= 0 and
-    `cosine` c, no units, of vectors of length about 1. It is 0 if theta is pi within rounding or
-    both vectors vanish, because the plane of the angle is then undefined.
+    """Return theta / sqrt(s2) with theta = atan2(sqrt(s2), c) in [0, pi] rad, for `square` s2 >= 0
+    and `cosine` c, no units, of vectors with lengths of about 1. It is 0 if theta is pi within
+    rounding or both vectors vanish, because the plane of the angle is then undefined.
 
-    With A(t^2) = arctan(t) / t, which needs no root, it is A(s2 / c^2) / c up to 45 degrees, then
-    (pi / 2) / s - c A(c^2 / s2) / s2, and pi / s + A(s2 / c^2) / c from 135 degrees.
+    With A(t^2) = arctan(t) / t, which needs no root, and s = sqrt(s2), it is A(s2 / c^2) / c up to
+    45 degrees, then (pi / 2) / s - c A(c^2 / s2) / s2, and pi / s + A(s2 / c^2) / c from 135
+    degrees.
 
     Its custom derivatives are d/dc = -1 / (s2 + c^2) and d/ds2 = (c / (s2 + c^2) - value) / (2 s2),
     the second by its series if s2 << c^2. They are finite and exact where autodiff divides 0 by 0.
@@ -109,7 +110,8 @@ def _angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
 
 
 def _slopes(square: Scalars, cosine: Scalars, value: Scalars) -> tuple[Scalars, Scalars]:
-    """Derivatives of `angle_over_sine`, whose `value` is known, with respect to both arguments."""
+    """Return the derivatives of `angle_over_sine` with respect to both arguments, from its
+    `value`."""
     narrow, wide = _cases(square, cosine)
     length = square + cosine * cosine
     inverse = divide(1, length, where=narrow | wide)
@@ -132,18 +134,18 @@ def _angle_over_sine_jvp(primals, tangents):
 
 @takes_numbers
 def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction) -> Colour:
-    """Irradiance of a rectangle on a receiver, exact.
+    """Compute the exact irradiance of a rectangle on a receiver.
 
     The part of the light below the receiver's horizon does not count. A point behind the light or
     in its plane receives 0. `adaptive.adaptive_irradiance` computes many receivers in a quarter of
     the time.
 
-    At a large distance d from a light of size s the terms of the contour integral cancel. For d / s
-    above (3e-4 / eps)^(1/10), which is 2.2 in float32 and 16 in float64, 4 x 4 Gauss-Legendre nodes
-    replace it. The rounding error is 10 eps of the irradiance (300 eps in float64 at that distance)
-    if receiver and light face each other, and d / s times as much if the horizon cuts the light.
-    For a slanted receiver or light the relative error grows with both cosines: 1e-4 in float32 if
-    their product is .01.
+    At a large distance d from a light of size s the terms of the contour integral cancel. If d / s
+    exceeds (3e-4 / eps)^(1/10), which is 2.2 in float32 and 16 in float64, 4 x 4 Gauss-Legendre
+    nodes replace it. The relative rounding error is 10 eps (300 eps in float64 at that distance) if
+    receiver and light face each other, and d / s times as large if the horizon cuts the light. It
+    is larger for a slanted receiver or light: 1e-4 in float32 if the product of both cosines is
+    .01.
 
     Args:
         light: the rectangle.
@@ -154,7 +156,7 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction
         The irradiance, (bands,) W m^-2.
 
     Example:
-        A square of 2 m side, 1 m above: four times the form factor of one corner, 0.1385.
+        A square of 2 m side is 1 m above: four times the form factor of one quarter, 0.1385.
 
         >>> lamp = jv.RectangleLight([-1, -1, 1], [0, 2, 0], [2, 0, 0], [1 / np.pi])
         >>> up = jnp.array([0.0, 0.0, 1.0])
@@ -184,15 +186,15 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction
 
 @jax.custom_jvp
 def contour_integral(corners: Sequence[Vec], normal: Vec) -> Scalar:
-    """The integral of the cosine over the region that four corners, m, cover above the horizon of a
-    receiver at the origin that faces `normal`, unit; () sr.
+    """Integrate the cosine of incidence over the solid angle of a polygon above the horizon of a
+    receiver, () sr. The receiver is at the origin and faces `normal`, unit.
 
-    `corners`: of a flat convex polygon, clockwise as seen from the receiver, else the result is
-    negative. The fourth power of a length must not overflow or underflow. A cut polygon crosses the
-    horizon twice, and the edge between the two crossings closes it. The visible part of an edge is
-    the same fraction of the edge's own area v_i+1 x v_i.
+    `corners`: four, in m, of a flat convex polygon, clockwise as seen from the receiver; otherwise
+    the result is negative. The fourth power of a length must not overflow or underflow. If the
+    horizon cuts the polygon, an additional edge between both crossings closes it. The cross product
+    v_i+1 x v_i of a partly visible edge is multiplied by the visible fraction of the edge.
 
-    Its derivatives are a sum over the same edges, which takes a tenth of the time of autodiff.
+    The derivatives are a sum over the same edges, which takes a tenth of the time of autodiff.
     """
     total = jnp.zeros_like(normal.x)
     for edge in _seen_edges(corners, normal):
@@ -215,8 +217,8 @@ class _Edge(NamedTuple):
 
 
 def _seen_edges(corners: Sequence[Vec], normal: Vec) -> list[_Edge]:
-    """The four edges and the one that closes the polygon along the horizon."""
-    # stored: loops that each computed a height of 0 again would round and cut it differently
+    """Return the four edges, and the edge that closes the polygon along the horizon."""
+    # materialised: several loops could round a height near 0 differently, and cut differently
     heights = fuse([dot(normal, corner) for corner in corners])
     zero = jnp.zeros_like(normal.x)
     leaving = entering = Vec(zero, zero, zero)
@@ -246,13 +248,14 @@ def _seen_edges(corners: Sequence[Vec], normal: Vec) -> list[_Edge]:
 
 @contour_integral.defjvp
 def _contour_integral_jvp(primals, tangents):
-    """Derivatives of theta n . w / |w| with respect to a, b and n of each edge, with w = b x a and
-    f the angle over its sine:
+    """Differentiate theta n . w / |w| = f n . w with respect to a, b and n of each edge a to b,
+    with w = b x a and f the angle divided by its sine; f' and f_c are the derivatives of f with
+    respect to the square w . w and to the cosine a . b. With respect to a and b they are
 
     (f n + 2 f' (n . w) w) x b + f_c (n . w) b,   a x (f n + 2 f' (n . w) w) + f_c (n . w) a
 
-    The last derivative is f w. The position of a cut on its edge contributes nothing, because the
-    cosine is 0 along the horizon.
+    and with respect to n it is f w. The position of a cut on its edge contributes nothing, because
+    the cosine of incidence is 0 along the horizon.
     """
     (corners, normal), (moves, tilt) = primals, tangents
     value = contour_integral(corners, normal)
@@ -291,8 +294,9 @@ def _nodes_integral(corner: Vec, u: Vec, v: Vec, normal: Vec, order: int) -> Sca
 
 @_nodes_integral.defjvp
 def _nodes_integral_jvp(order, primals, tangents):
-    """The derivatives of w [n.t]+ / |t|^4 with respect to t, w n / |t|^4 - 4 w [n.t]+ t / |t|^6
-    above the horizon; and of -(u x v) . c with respect to c, u and v: -u x v, c x v and u x c."""
+    """Differentiate `_nodes_integral`. Above the horizon, the derivative of a node's term w [n.t]+
+    / |t|^4 with respect to the vector t to the node is w n / |t|^4 - 4 w [n.t]+ t / |t|^6. Those of
+    the factor -(u x v) . c with respect to c, u and v are -u x v, c x v and u x c."""
     corner, u, v, normal = primals
     value = _nodes_integral(*primals, order)
     area = cross(u, v)
@@ -323,8 +327,8 @@ def _nodes_integral_jvp(order, primals, tangents):
 
 
 def _node_places(corner: Vec, u: Vec, v: Vec, order: int) -> Iterator[tuple]:
-    """(weight, position along u, along v, vector to it in m, 1 / square of its length) of each
-    node."""
+    """Yield for each node its weight, its positions along u and v, the vector to it in m, and 1 /
+    the square of the vector's length."""
     nodes, weights = (jnp.asarray(x, corner.x.dtype) for x in square_nodes(order))
     for (s, t), weight in zip(nodes, weights, strict=True):
         toward = corner + (s * u + t * v)
@@ -333,6 +337,7 @@ def _node_places(corner: Vec, u: Vec, v: Vec, order: int) -> Iterator[tuple]:
 
 
 def nodes_integral(corner: Vec, u: Vec, v: Vec, normal: Vec, *, order: int) -> Scalars:
-    """`contour_integral` over a parallelogram, sr, by `order` Gauss-Legendre nodes a side, for
-    receivers of any shape, relative to which corner and edges are, m; 0 behind it."""
+    """Return `contour_integral` of a parallelogram, sr, by `order` Gauss-Legendre nodes per side.
+    `corner`, in m, is relative to the receiver. Arrays of receivers broadcast. Behind the
+    parallelogram the result is 0."""
     return _nodes_integral(corner, u, v, normal, order)

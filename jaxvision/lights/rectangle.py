@@ -1,7 +1,7 @@
-"""A rectangle that emits equally in all directions, with one radiance over its front.
+"""A rectangle with the same radiance at all points of its front and in all directions.
 
-Directions and lengths (m) in the world; for ONE point, the caller vmaps. `polygon` has the exact
-irradiance. This module has samples for any BRDF.
+Directions and lengths (m) are in the world. For ONE point; the caller vmaps. `polygon` has the
+exact irradiance. This module has samples for any BRDF.
 """
 
 import equinox as eqx
@@ -35,7 +35,7 @@ class RectangleLight(Light):
         radiance: (bands,) W m^-2 sr^-1.
 
     Example:
-        A lamp of 1 km side, 1 m above, fills the sky.
+        A lamp of 1 km side, 1 m above the floor, fills the sky.
 
         >>> lamp = jv.RectangleLight([-500, -500, 1], [0, 1000, 0], [1000, 0, 0], [1 / np.pi])
         >>> floor = jnp.array([0.0, 0.0, 1.0])
@@ -56,11 +56,11 @@ class RectangleLight(Light):
         _check_not_parallel(self.edge_u, self.edge_v)
 
 
-_FLAT = 1e-9  # sine of the angle between edges that are called parallel
+_FLAT = 1e-9  # edges count as parallel if the sine of their angle is smaller
 
 
 def _check_not_parallel(one: Float[Array, "3"], other: Float[Array, "3"]) -> None:
-    """`ValueError` for known edges that are parallel, which leave no area."""
+    """Raise `ValueError` for known edges that are parallel, because they span no area."""
     if not (is_known(one) and is_known(other)):
         return
     u, v = (np.asarray(x, float) / np.linalg.norm(np.asarray(x, float)) for x in (one, other))
@@ -69,12 +69,12 @@ def _check_not_parallel(one: Float[Array, "3"], other: Float[Array, "3"]) -> Non
 
 
 def window_of(light: RectangleLight) -> Window:
-    """The rectangle without its radiance; lengths in m."""
+    """Return the rectangle without its radiance; lengths in m."""
     return Window(light.corner, light.edge_u, light.edge_v)
 
 
 def _nearest_offset(light: RectangleLight, points: Vec) -> Vec:
-    """The vector from the nearest point of the rectangle to each point, m."""
+    """Return the vector from the nearest point of the rectangle to each point, m."""
     apart = nearest = points - light.corner
     for edge in (as_vec(light.edge_u), as_vec(light.edge_v)):
         share = dot(apart, edge) * reciprocal(dot(edge, edge))
@@ -83,33 +83,35 @@ def _nearest_offset(light: RectangleLight, points: Vec) -> Vec:
 
 
 def rectangle_seen(light: RectangleLight, ray: Ray) -> Seen:
-    """The radiance of the front that a ray hits, (bands,) W m^-2 sr^-1, and its distance, m."""
+    """Return the radiance of the front that a ray hits, (bands,) W m^-2 sr^-1, and its distance,
+    m."""
     at, hit = hit_window(ray, window_of(light))
     return Seen(jnp.where(hit, at.distance, jnp.inf), jnp.where(hit, light.radiance, 0))
 
 
 def rectangle_sample(light: RectangleLight, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """A unit direction toward a position of the rectangle selected by `u`, (2,) in [0, 1], L times
-    solid angle, (bands,) W m^-2, and the distance, m."""
+    """Return a unit direction toward the position of the rectangle that `u`, (2,) in [0, 1],
+    selects, the radiance times the solid angle, (bands,) W m^-2, and the distance, m."""
     direction, distance, solid_angle, _ = window_sample(window_of(light), point, u)
     wi = direction if not isinstance(point, Array) else as_array(direction)
     return Incident(wi, light.radiance * solid_angle, distance)
 
 
 def rectangle_pdf(light: RectangleLight, point: Vector, wi: Direction) -> Scalar:
-    """Density of the directions of `rectangle_sample` toward the unit `wi` from `point`, sr^-1."""
+    """Return the density of `rectangle_sample` toward the unit `wi` from `point`, sr^-1."""
     return window_pdf(window_of(light), point, wi)
 
 
 def _emitted(light: RectangleLight, u: Float[Array, "4"]) -> Emitted:
-    """A ray from a position of the front, uniform by area and cosine-distributed about its normal;
-    `u`: (4,) uniform in [0, 1). Its flux is pi A L, (bands,) W."""
+    """Draw a ray from the front, uniform by area and cosine-distributed about its normal; `u`: (4,)
+    uniform in [0, 1). Its flux is pi A L, (bands,) W, for the area A and the radiance L."""
     quad = Quad(light.corner, light.edge_u, light.edge_v)
     return emitted_from_surface(quad, light.radiance, u)
 
 
 def _small_light(light: RectangleLight) -> SmallLight:
-    """The light of the same flux at the rectangle's middle, of intensity A L, W sr^-1."""
+    """Return a small light with the same flux at the rectangle's middle. Its intensity is A L,
+    W sr^-1, for the area A and the radiance L."""
     u, v = numbers(light.edge_u), numbers(light.edge_v)
     across = np.cross(u, v)
     area = np.linalg.norm(across)
@@ -118,7 +120,8 @@ def _small_light(light: RectangleLight) -> SmallLight:
 
 
 def _bound(light: Ends[RectangleLight]) -> Source:
-    """A window, which a small light at its middle may replace if it is fixed."""
+    """Bound the rectangle as a window; if it is fixed, also give the small light at its middle that
+    may replace it."""
     source = _window_bound(light, light)._replace(even=True)
     u, v = numbers(light.low.edge_u), numbers(light.low.edge_v)
     if light.low is not light.high or not np.any(np.cross(u, v)):

@@ -1,8 +1,8 @@
 """Sampling rules for extended lights: fixed nodes or random samples.
 
 Every extended light is a map from the unit square to directions. A rule gives the sample points in
-the square and their weights. The number of samples sets the accuracy, and the cost is proportional
-to it.
+the square and their weights. More samples are more accurate, and the cost is proportional to their
+number.
 """
 
 import equinox as eqx
@@ -12,7 +12,7 @@ from ..core._types import Key, check_count, check_key, print_by_name
 
 
 class Quadrature(Shown):
-    """Fixed nodes, `order` per side: order^2 for a rectangle, twice that for an environment.
+    """Fixed nodes, `order` per side: order^2 for a rectangle, 2 order^2 for an environment.
 
     Use it for diffuse surfaces under area lights, and for gradients without noise.
 
@@ -29,9 +29,9 @@ class Quadrature(Shown):
       * A glossy lobe. For the highlight of GGX facets in a square light, at a distance equal to its
         side, the error is -.9 % (alpha .1), -16 % (.05) and -67 % (.02) at order 8; 2e-5, -.8 %
         and -27 % at 16; and 0, 0 and -3 % at 32. For Phong's exponent 1000 it is up to 120 % at
-        order 8, 11 % at 16, .5 % at 24 and .04 % at 32. The number of nodes a side should be the
-        width of the light in lobe widths, 1 / sqrt(exponent). Under a constant sky the error is
-        +4.6 % (alpha .1) and -57 % (.03) at order 8, and +4 % (.03) even at 32.
+        order 8, 11 % at 16, .5 % at 24 and .04 % at 32. The number of nodes per side should be the
+        angular width of the light divided by that of the lobe, 1 / sqrt(exponent). Under a constant
+        sky the error is +4.6 % (alpha .1) and -57 % (.03) at order 8, and +4 % (.03) even at 32.
 
     Attributes:
         order: number of nodes along each side, whole, >= 1, no unit; static.
@@ -58,7 +58,7 @@ class MonteCarlo(Shown):
 
     Use it for skies, and for surfaces whose lobe is at least as wide as the light. The samples of
     one key are spread evenly (a Kronecker sequence with a random shift), so their mean has a
-    smaller error than that of independent ones.
+    smaller error than the mean of independent samples.
 
     Attributes:
         key: random key.
@@ -81,12 +81,12 @@ class MonteCarlo(Shown):
 
 
 class Balanced(Shown):
-    """Random samples of light and material, joined by the balance heuristic.
+    """Random samples of light and material, combined by the balance heuristic.
 
     It works like `MonteCarlo`, with an additional direction from the material's own sampler for
-    each one from the light. Use it for glossy lobes, and whenever in doubt. The error is near the
-    smaller of the two, for lobes smaller or larger than the light, at the cost of two samples.
-    Without a material (`irradiance`) it equals `MonteCarlo`.
+    each direction from the light. Use it for glossy lobes, and whenever in doubt. For lobes smaller
+    or larger than the light, its error is close to that of the better of both samplers, at the cost
+    of two samples. Without a material (`irradiance`) it equals `MonteCarlo`.
 
     Attributes:
         key: random key.

@@ -4,10 +4,11 @@
     g(Z) = 1 + a exp(b / cos(Z))
     f(chi) = 1 + c (exp(d chi) - exp(d pi / 2)) + e cos^2(chi)
 
-where Z is the angle to the zenith, +z, and chi that to the sun; below the horizon it is 0. Sources:
+where L is the radiance, Z the angle to the zenith, +z, and chi the angle to the sun. Below the
+horizon the radiance is 0. Sources:
 ISO 15469:2004 / CIE S 011; Perez, Seals & Michalsky, "All-Weather Model for Sky Luminance
-Distribution", Solar Energy 50(3) (1993) and its erratum. Angles in rad. The sky's colour is the
-user's: these are models of luminance.
+Distribution", Solar Energy 50(3) (1993) and its erratum. Angles in rad. These are models of
+luminance, so the user chooses the sky's colour.
 """
 
 import warnings
@@ -35,12 +36,12 @@ _INDICATRIX = (
     (16.0, -3.0, 0.3),
     (24.0, -2.8, 0.15),
 )
-# Of the kinds 1 to 15, from overcast to clear: gradation and indicatrix.
+# Indices of gradation and indicatrix for the CIE skies 1 to 15, from overcast to clear.
 _KINDS = (
     *((0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (2, 3)),
     *((3, 1), (3, 2), (3, 3), (4, 3), (4, 4), (5, 4), (5, 5)),
 )
-# Perez's coefficients, a row of a1 to a4, b1 ... e4 for each range of clearness.
+# Upper ends of Perez's ranges of clearness, and the coefficients a1 to a4, b1 ... e4 of each range.
 _CLEARNESS = (1.065, 1.23, 1.5, 1.95, 2.8, 4.5, 6.2)
 _PEREZ = np.array(
     [
@@ -65,7 +66,7 @@ _PEREZ = np.array(
 
 
 def cie_sky(kind: int) -> Float[np.ndarray, "5"]:
-    """The parameters a to e of one of the CIE's general skies.
+    """Return the parameters a to e of one of the CIE's general skies.
 
     Args:
         kind: 1 (overcast, steep) to 15 (clear, turbid); 5 is uniform, 12 the clear standard sky.
@@ -87,7 +88,7 @@ def cie_sky(kind: int) -> Float[np.ndarray, "5"]:
 
 
 def perez_sky(sun_zenith: float, clearness: float, brightness: float) -> Float[np.ndarray, "5"]:
-    """The parameters a to e of Perez's sky, in the form of the CIE's.
+    """Return the parameters a to e of Perez's sky, in the form of the CIE skies.
 
     Args:
         sun_zenith: rad, from the zenith to the sun.
@@ -125,7 +126,7 @@ def perez_sky(sun_zenith: float, clearness: float, brightness: float) -> Float[n
 
 @takes_numbers
 def sky_radiance(parameters: Float[Array, "5"], sun: Direction, direction: Direction) -> Scalar:
-    """The radiance of a sky over that of its zenith.
+    """Return the radiance of a sky, relative to that of its zenith.
 
     Args:
         parameters: a, b, c, d and e of `cie_sky` or `perez_sky`.
@@ -165,14 +166,15 @@ def daylight(
     irradiance: ArrayLike,
     rows: int = 128,
 ) -> EnvironmentMap:
-    """A sky as a light, without the sun itself (`SunDisc`).
+    """Make a light from a sky, without the sun itself (`SunDisc`).
 
     Args:
-        parameters: a, b, c, d and e of `cie_sky` or `perez_sky`; or the kind of a CIE sky, 1 to 15,
-            or 16 for the traditional overcast sky.
+        parameters: a, b, c, d and e of `cie_sky` or `perez_sky`; or the number of a CIE sky, 1 to
+            15, or 16 for the traditional overcast sky.
         sun: (3,) toward the sun (its length is ignored), not below the horizon.
         irradiance: (bands,) W m^-2 of the sky on open level ground.
-        rows: of the picture of the sky, at least 16; its light errs by about 1 / rows^2.
+        rows: number of rows of the sky's picture, at least 16; the relative error of its light is
+            about 1 / rows^2.
 
     Returns:
         The light; +z is up, and the lower half is black.
@@ -181,7 +183,7 @@ def daylight(
         ValueError: for a sun below the horizon, and another kind.
 
     Warns:
-        UserWarning: where the formula falls below 0, which counts as 0.
+        UserWarning: if the formula falls below 0 somewhere, which counts as 0.
 
     Example:
         >>> sky = jv.lights.daylight(16, [0, 0, 1], irradiance=[100.0])

@@ -50,9 +50,9 @@ class SmallLight(Light):
 
 
 def from_small_light(light: SmallLight, point: Vector) -> Incident:
-    """Light from a small light: unit direction, irradiance E = I cos(theta) / d^2 on a surface that
-    faces it, (bands,) W m^-2, and distance, m. It is 0 behind the light, and nearer than
-    `smallest_divisor`."""
+    """Return the light from a small light: the unit direction, the irradiance E = I cos(theta) /
+    d^2 on a surface that faces it, (bands,) W m^-2, and the distance d, m. The irradiance is 0
+    behind the light, and nearer than `smallest_divisor`."""
     direction, distance, dilution = _toward(light.position, point)
     cosine = jnp.maximum(-dot(direction, normalize(light.normal)), 0)
     factor = cosine * dilution
@@ -61,14 +61,14 @@ def from_small_light(light: SmallLight, point: Vector) -> Incident:
 
 
 def _emitted(light: SmallLight, u: Float[Array, "4"]) -> Emitted:
-    """A cosine-distributed ray about the normal, from u_2 and u_3; its flux is pi I, W."""
+    """Draw a ray, cosine-distributed about the normal, by u_2 and u_3; its flux is pi I, W."""
     local = cosine_direction(u[2:])
     direction = as_vec(to_world(local_frame(normalize(light.normal)), local))
     return emitted_from_point(as_vec(light.position), direction, jnp.pi * light.intensity)
 
 
 def _bound(light: Ends[SmallLight]) -> Source:
-    """The bound of a small lamp. It uses the normal only if a fit cannot change it."""
+    """Bound a small lamp. The bound uses the normal only if the normal is fixed."""
     fixed = np.array_equal(light.low.normal, light.high.normal)
     return _place_bound(light, normal=unit(numbers(light.low.normal)) if fixed else None)
 

@@ -3,7 +3,8 @@
     smooth    I ((cos(theta) - cos(outer)) / (cos(inner) - cos(outer)))^2    as in glTF
     linear    I (outer - theta) / (outer - inner)                            as in Mitsuba
 
-between the half angles inner and outer; I within the inner cone, 0 outside the outer one.
+is the intensity at the angle theta to the axis, between the half angles inner and outer. It is I
+within the inner cone, and 0 outside the outer cone.
 """
 
 from typing import Annotated, Any, Literal
@@ -77,7 +78,7 @@ class SpotLight(Light):
 
 
 def _share(light: SpotLight, away: Vector) -> Scalar:
-    """The share of the full intensity toward a unit direction, no unit."""
+    """Return the share of the full intensity that is emitted in a unit direction, no unit."""
     axis = normalize(light.direction)
     match light.falloff:
         case "smooth":
@@ -91,16 +92,16 @@ def _share(light: SpotLight, away: Vector) -> Scalar:
 
 
 def from_spot_light(light: SpotLight, point: Vector) -> Incident:
-    """Light that arrives from a spot, E = I share / d^2 on a surface that faces it: the unit
-    direction, the irradiance, (bands,) W m^-2, and the distance, m; all 0 at the light itself."""
+    """Return the light that arrives from a spot: the unit direction, the irradiance E = I share /
+    d^2 on a surface that faces it, (bands,) W m^-2, and the distance, m; all 0 at the light."""
     direction, distance, dilution = _toward(light.position, point)
     factor = _share(light, -direction) * dilution
     return Incident(direction, map_bands(lambda band: band * factor, light.intensity), distance)
 
 
 def _emitted(light: SpotLight, u: Float[Array, "4"]) -> Emitted:
-    """A ray uniform in the outer cone, by u_2 and u_3; its flux is 2 pi (1 - cos(outer)) I share,
-    W."""
+    """Draw a ray uniformly in the outer cone, by u_2 and u_3; its flux is 2 pi (1 - cos(outer)) I
+    times the share in its direction, W."""
     wide = 1 - jnp.cos(light.outer)
     local = direction_at(wide * u[2], 2 * jnp.pi * u[3])
     direction = as_vec(to_world(local_frame(normalize(light.direction)), local))

@@ -1,6 +1,7 @@
 """The sun, or any round light infinitely far away, of uniform radiance: its shadows have penumbrae.
 
-A disc of the angular radius r and the radiance L puts E = pi L sin^2(r) on a surface that faces it.
+A disc of angular radius r and radiance L gives the irradiance E = pi L sin^2(r) on a surface that
+faces it.
 """
 
 from typing import Annotated
@@ -27,7 +28,7 @@ from ..geometry.hemisphere import direction_at, local_frame, to_world
 from ..scene import Light
 from ._registry import Incident, Seen, register_extended
 
-SUN_RADIUS = np.radians(0.2666)  # rad, the mean from the earth
+SUN_RADIUS = np.radians(0.2666)  # rad, the mean as seen from the earth
 
 
 class SunDisc(Light):
@@ -56,7 +57,7 @@ class SunDisc(Light):
 
 
 def _height(light: SunDisc) -> Scalar:
-    """1 - cos(r), without cancellation, no unit."""
+    """Return 1 - cos(r) for the angular radius r, without cancellation, no unit."""
     half = jnp.sin(light.radius / 2)
     return 2 * half * half
 
@@ -72,14 +73,15 @@ def _inside(light: SunDisc, direction: Direction) -> Array:
 
 
 def _seen(light: SunDisc, ray: Ray) -> Seen:
-    """The radiance along a ray's direction, (bands,) W m^-2 sr^-1, at an infinite distance."""
+    """Return the radiance along a ray's direction, (bands,) W m^-2 sr^-1, at an infinite
+    distance."""
     radiance = jnp.where(_inside(light, ray.direction), _radiance(light), 0)
     return Seen(jnp.full_like(ray.origin.x, jnp.inf), radiance)
 
 
 def sun_sample(light: SunDisc, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """A unit direction uniform over the disc by `u`, (2,) in [0, 1], and L times its solid angle,
-    (bands,) W m^-2."""
+    """Return a unit direction that is uniform over the disc for `u`, (2,) in [0, 1], and the
+    radiance times the disc's solid angle, (bands,) W m^-2."""
     height = _height(light)
     local = direction_at(height * u[0], 2 * jnp.pi * u[1])
     direction = to_world(local_frame(normalize(light.direction)), local)
@@ -88,13 +90,14 @@ def sun_sample(light: SunDisc, point: Vector, u: Float[Array, "2"]) -> Incident:
 
 
 def sun_pdf(light: SunDisc, point: Vector, wi: Direction) -> Scalar:
-    """Density of `sun_sample` toward a unit direction, () in sr^-1."""
+    """Return the density of `sun_sample` toward a unit direction, () in sr^-1."""
     del point
     return jnp.where(_inside(light, wi), 1 / (2 * jnp.pi * _height(light)), 0)
 
 
 def _bound(light: Ends[SunDisc]) -> Source:
-    """Its largest radiance, from anywhere, with the share of the sky that its largest disc is."""
+    """Bound the sun by its largest radiance, from any direction, and by the share of the sky that
+    its largest disc fills."""
     smallest, widest = least(light, "radius"), max(float(end.radius) for end in light)
     radiance = peak(light, "irradiance") / (np.pi * np.sin(smallest) ** 2)
     none = np.zeros((0, 3)), np.zeros(0), np.zeros(0)

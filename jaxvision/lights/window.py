@@ -1,5 +1,5 @@
 """A parallelogram in space, seen from one point: intersection with a ray, and a map of the unit
-square onto its directions that is uniform also for a near point.
+square onto its directions that remains nearly uniform for a near point.
 
 Lengths in metres. For ONE point or ray; the caller vmaps.
 """
@@ -50,14 +50,14 @@ class Crossing(eqx.Module):
     """The crossing of a ray's line with the plane of a window."""
 
     distance: Scalar  # () m along the ray, of either sign
-    u: Scalar  # () place along edge_u, 0 to 1 inside, no unit
-    v: Scalar  # () place along edge_v, 0 to 1 inside, no unit
-    facing: Scalar  # () cosine between the ray's way back and the front of the window
+    u: Scalar  # () position along edge_u, 0 to 1 inside, no unit
+    v: Scalar  # () position along edge_v, 0 to 1 inside, no unit
+    facing: Scalar  # () cosine between the reversed ray and the normal of the window's front
     meets: Array  # () whether the ray is not parallel to the plane
 
 
 def crossing(ray: Ray, window: Window) -> Crossing:
-    """The intersection of a ray's line with the plane of a window, in m and in units of its
+    """Return the intersection of a ray's line with the plane of a window, in m and in units of the
     edges."""
     flat = flat_quad(Quad(window.corner, window.edge_u, window.edge_v))
     height, slope, u, v = line_crossing(ray, flat)
@@ -68,7 +68,8 @@ def crossing(ray: Ray, window: Window) -> Crossing:
 
 
 def hit_window(ray: Ray, window: Window) -> tuple[Crossing, Array]:
-    """The crossing, and whether it is inside, ahead (a distance > 0, in m) and on the front."""
+    """Return the crossing, and whether it is inside the window, at a distance > 0, and on the
+    front."""
     at = crossing(ray, window)
     inside = (at.u >= 0) & (at.u <= 1) & (at.v >= 0) & (at.v <= 1)
     return at, at.meets & inside & (at.distance > 0) & (at.facing > 0)
@@ -87,8 +88,9 @@ class Spread(eqx.Module):
 
 
 def _spread(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
-    """asinh(b) - asinh(a) = asinh(b sqrt(1 + a^2) - a sqrt(1 + b^2)). If both have one sign, the
-    difference is a quotient of sums, so nothing cancels for a distant interval."""
+    """Return the map of an interval. Its span is asinh(b) - asinh(a) = asinh(b sqrt(1 + a^2) - a
+    sqrt(1 + b^2)). If a and b have the same sign, the difference is written as a quotient of sums,
+    so that nothing cancels for a distant interval."""
     a, step = start / scale, length / scale
     b = a + step
     across_a, across_b = jnp.sqrt(1 + a * a), jnp.sqrt(1 + b * b)
@@ -100,8 +102,8 @@ def _spread(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
 
 
 def _place(spread: Spread, u: Scalar) -> tuple[Scalar, Scalar]:
-    """(fraction of the interval, its derivative by u), from sinh(x + 2 h) - sinh(x) = 2 sinh(h)
-    cosh(x + h), which is accurate for a short distant interval."""
+    """Return the fraction of the interval at `u`, and its derivative with respect to u, from sinh(x
+    + 2 h) - sinh(x) = 2 sinh(h) cosh(x + h), which is accurate for a short distant interval."""
     half = u * spread.span / 2
     per_length = spread.scale / spread.length
     fraction = 2 * per_length * jnp.sinh(half) * jnp.cosh(spread.first + half)
@@ -109,14 +111,14 @@ def _place(spread: Spread, u: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def _density(spread: Spread, fraction: Scalar) -> Scalar:
-    """d u / d fraction, where `_place` is at that fraction."""
+    """Return d u / d fraction at the `u` for which `_place` returns this fraction."""
     position = spread.start + fraction * spread.length
     return spread.length / (spread.span * safe_sqrt(spread.scale**2 + position**2))
 
 
 def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
-    """For each edge, the scale is the distance from the point to the nearest of the lines parallel
-    to that edge, at which 1 / d^2 peaks."""
+    """Return the map of each edge. Its scale is the distance from the point to the nearest line of
+    the window parallel to the edge, where 1 / d^2 is largest."""
     toward = as_vec(window.corner - as_vec(point))
     normal = normalize(cross(window.edge_u, window.edge_v))
     height = dot(normal, toward)
@@ -127,7 +129,7 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
         starts.append(start)
         lengths.append(length)
         gaps.append(jnp.maximum(jnp.maximum(start, -start - length), 0))
-    # at least 1 / 64 of the edge, so that points of the window itself are defined
+    # at least 1 / 64 of the edge, so that the map is defined for points of the window itself
     scales = [
         jnp.maximum(norm(Vec(height, gap, 0 * gap)), length / 64)
         for gap, length in zip(gaps[::-1], lengths, strict=True)
@@ -139,10 +141,10 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
 def window_sample(
     window: Window, point: Vector, u: Float[Array, "2"]
 ) -> tuple[Vec, Scalar, Scalar, Float[Array, "2"]]:
-    """A position of the window by `u`, (2,) in [0, 1], dense where it is near: x = D sinh(p + u q)
-    along each edge (Johnston & Elliott, Int. J. Numer. Meth. Engng 62 (2005)). Returns the unit
-    direction, the distance, m, the solid angle per unit of the square, sr, 0 for a point behind the
-    window, and the position, (2,) in [0, 1]."""
+    """Map `u`, (2,) in [0, 1], to a position of the window, densely where the window is near: x = D
+    sinh(p + u q) along each edge (Johnston & Elliott, Int. J. Numer. Meth. Engng 62 (2005)). Return
+    the unit direction, the distance, m, the solid angle per unit of the square, sr (0 for a point
+    behind the window), and the position, (2,) in [0, 1]."""
     spread_u, spread_v = _spreads(window, point)
     s, jacobian_u = _place(spread_u, u[0])
     t, jacobian_v = _place(spread_v, u[1])
@@ -157,8 +159,8 @@ def window_sample(
 
 
 def window_pdf(window: Window, point: Vector, wi: Direction) -> Scalar:
-    """Density of the directions of `window_sample` for `u` uniform in the square, () in sr^-1; 0
-    where `wi` misses the front of the window."""
+    """Return the density of the directions of `window_sample` for `u` uniform in the square, () in
+    sr^-1; 0 if `wi` misses the front of the window."""
     at, hit = hit_window(Ray(point, wi), window)
     spread_u, spread_v = _spreads(window, point)
     per_place = _density(spread_u, at.u) * _density(spread_v, at.v)
@@ -167,12 +169,12 @@ def window_pdf(window: Window, point: Vector, wi: Direction) -> Scalar:
     return divide(per_place * distance * distance, projected, where=hit)
 
 
-_PIECES = 5  # along each side of a window
+_PIECES = 5  # pieces along each side of a window
 
 
 def _window_bound(light: Ends[Any], windows: Ends[Any]) -> Source:
-    """A lamp that emits at most its largest radiance through a window, which is divided into pieces
-    if it is fixed."""
+    """Bound a lamp that emits at most its largest radiance through a window. A fixed window is
+    divided into pieces."""
     low, high = windows
     corner, u, v = (numbers(getattr(low, name)) for name in ("corner", "edge_u", "edge_v"))
     fixed = all(

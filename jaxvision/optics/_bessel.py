@@ -1,11 +1,11 @@
 """The Bessel function of diffraction at a round aperture, vectorised.
 
-It uses Chebyshev expansions, computed with 40 digits and truncated below 1e-16: of 2 J_1(x) / x in
-x^2 up to x = 8, and beyond of the slowly varying P and Q of
+It uses Chebyshev expansions, computed with 40 digits and truncated below 1e-16. Up to x = 8, 2
+J_1(x) / x is expanded in x^2. Beyond, the slowly varying functions P and Q of
 
     J_1(x) = sqrt(2 / (pi x)) (P cos(x - 3 pi / 4) - (8 / x) Q sin(x - 3 pi / 4))
 
-in (8 / x)^2 (Abramowitz and Stegun, Handbook of Mathematical Functions, 9.2.5).
+are expanded in (8 / x)^2 (Abramowitz and Stegun, Handbook of Mathematical Functions, 9.2.5).
 """
 
 import jax.numpy as jnp
@@ -62,7 +62,7 @@ _ACROSS = (
 
 
 def jinc(square: Scalars) -> Scalars:
-    """2 J_1(x) / x as a function of `square` = x^2 >= 0; at 0 it is 1, with derivative -1 / 8."""
+    """Return 2 J_1(x) / x as a function of `square` = x^2 >= 0; at 0 it is 1, with slope -1 / 8."""
     near = square < 64
     low = chebyshev(_NEAR, jnp.where(near, square, 0) / 32 - 1)
     x = jnp.sqrt(jnp.where(near, 64, square))

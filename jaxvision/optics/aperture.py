@@ -24,7 +24,7 @@ from .overlap import _segment
 
 @takes_numbers
 def aperture_point(aperture: Aperture, u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
-    """Maps the unit square to the aperture; equal areas map to equal areas.
+    """Map the unit square to the aperture; equal areas map to equal areas.
 
     A disc uses the concentric map, which preserves neighbourhoods; a ring uses squared radius and
     angle; a polygon uses one triangle per blade.
@@ -55,7 +55,7 @@ def aperture_point(aperture: Aperture, u: Float[Array, "2"]) -> tuple[Scalar, Sc
 
 @takes_numbers
 def aperture_area(aperture: Aperture, diameter: Scalar) -> Scalar:
-    """Area of the aperture of a lens.
+    """Return the area of the aperture of a lens.
 
     Args:
         aperture: the shape.
@@ -84,7 +84,7 @@ def aperture_area(aperture: Aperture, diameter: Scalar) -> Scalar:
 def aperture_corners(
     aperture: PolygonalAperture | RectangularAperture, dtype: np.dtype
 ) -> tuple[Float[Array, " corners"], Float[Array, " corners"]]:
-    """Corners of the aperture in order, from right towards down.
+    """Return the corners of the aperture in order, from right towards down.
 
     Args:
         aperture: the shape.
@@ -103,15 +103,16 @@ def aperture_corners(
 
 @takes_numbers
 def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[Array, "size size"]:
-    """The kernel by which a pixel gathers the light of a point out of focus: the shape of the
-    aperture.
+    """Return the kernel by which a pixel gathers light from points out of focus. It has the shape
+    of the aperture.
 
-    Each weight is the share of the aperture that falls on that pixel.
+    Each weight is the share of the aperture's area that falls on that pixel.
 
     Args:
         aperture: the shape.
-        radius: () pixels, of the image of the lens's edge. A negative radius inverts the kernel,
-            for light from behind the plane in focus (`defocus_radius`); 0 is the identity.
+        radius: () pixels, radius of the image of the whole lens. A negative radius inverts the
+            kernel, for light from behind the plane in focus (`defocus_radius`); 0 gives the
+            identity.
         size: side of the kernel in pixels, odd, static. The part outside is cut off and the rest
             renormalised.
 
@@ -123,7 +124,7 @@ def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[A
     """
     check_count("size", size, 1, odd=True)
     radius = jnp.asarray(radius)
-    # a kernel of a hundredth of a pixel is a point and does not lose digits
+    # a radius of a hundredth of a pixel acts as a point and does not lose digits
     radius = jnp.where(jnp.abs(radius) <= _SMALLEST, _SMALLEST, radius)
     match aperture:
         case CircularAperture():
@@ -153,8 +154,9 @@ def _concentric(u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
 
 
 def _sample_polygon(aperture: PolygonalAperture, u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
-    """u[0] selects the triangle between the centre and one side, and the position between its
-    centre and that side; u[1] selects the position along the side."""
+    """Map the unit square to the polygon. u[0] selects the triangle between the centre and one
+    side, and the position between the centre and this side; u[1] selects the position along the
+    side."""
     n = aperture.blades
     blade = jnp.minimum(jnp.floor(u[0] * n), n - 1)
     outwards = safe_sqrt(u[0] * n - blade)
@@ -169,7 +171,7 @@ def _sample_polygon(aperture: PolygonalAperture, u: Float[Array, "2"]) -> tuple[
 
 
 def _disc_in_pixels(radius: Scalar, size: int) -> Float[Array, "size size"]:
-    """Area of a disc centred at 0 in each pixel of a square, computed in one quadrant."""
+    """Return the area of a disc centred at 0 in each pixel of a square, from one quadrant."""
     away = np.abs(np.arange(size) - size // 2)
     outer = jnp.asarray(np.arange(size // 2 + 1) + 0.5, radius.dtype)
     inner = jnp.maximum(outer - 1, 0)
@@ -177,7 +179,7 @@ def _disc_in_pixels(radius: Scalar, size: int) -> Float[Array, "size size"]:
     quadrant = jax.vmap(in_row, in_axes=(None, None, None, 0, 0))(
         radius, inner, outer, inner, outer
     )
-    halves = np.where(away == 0, 2, 1)  # of a pixel that the axis divides
+    halves = np.where(away == 0, 2, 1)  # a pixel on an axis has two equal halves
     return quadrant[away][:, away] * jnp.asarray(np.outer(halves, halves), radius.dtype)
 
 
@@ -185,8 +187,9 @@ def _disc_in_pixels(radius: Scalar, size: int) -> Float[Array, "size size"]:
 def _disc_in_rectangle(
     radius: Scalar, left: Scalar, right: Scalar, low: Scalar, high: Scalar
 ) -> Scalar:
-    """Area of the disc where left < x < right and low < y < high, all >= 0: the area left of the
-    arc, the area below its chord, and the segment beyond the chord, all >= 0."""
+    """Return the area of the disc where left < x < right and low < y < high, all bounds >= 0. It is
+    the sum of the area left of the arc, the area below the arc's chord, and the segment beyond the
+    chord, none of them negative."""
     (start_x, start_y), (end_x, end_y), angle = _arc(radius, left, right, low, high)
     full = (start_x - left) * (high - low)
     below = (end_x - start_x) * ((start_y - low) + (end_y - low)) / 2
@@ -195,7 +198,8 @@ def _disc_in_rectangle(
 
 @_disc_in_rectangle.defjvp
 def _disc_in_rectangle_jvp(primals, tangents):
-    """The area grows by the arc inside the rectangle, whose ends stay fixed."""
+    """Differentiate with respect to the radius: the derivative is the length of the arc inside the
+    rectangle."""
     radius, *sides = primals
     _, _, angle = _arc(radius, *sides)
     return _disc_in_rectangle(*primals), radius * angle * tangents[0]
@@ -204,7 +208,7 @@ def _disc_in_rectangle_jvp(primals, tangents):
 def _arc(
     radius: Scalar, left: Scalar, right: Scalar, low: Scalar, high: Scalar
 ) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar], Scalar]:
-    """The highest and the lowest point of the circle inside a rectangle, and the angle, rad,
+    """Return the highest and the lowest point of the circle inside a rectangle, and the angle, rad,
     between them."""
 
     def reach(place: Scalar) -> Scalar:
@@ -224,8 +228,9 @@ def _arc(
 def _polygon_in_pixels(
     starts: Float[Array, " n"], x: Float[Array, " corners"], y: Float[Array, " corners"]
 ) -> Float[Array, "n n"]:
-    """Area of a polygon in each unit pixel that starts at given x and y, the integral of x dy
-    around it (Green): each side's run in y within the row times its mean x within the pixel."""
+    """Return the area of a polygon in each unit pixel that starts at given x and y. By Green's
+    theorem it is the integral of x dy around the polygon: for each side, its extent in y within the
+    row times its mean x, clipped to the pixel."""
 
     def share(x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar, top: Scalar, left: Scalar) -> Scalar:
         run = y1 - y0
@@ -241,8 +246,8 @@ def _polygon_in_pixels(
 
 
 def _mean_within(a: Scalar, b: Scalar, left: Scalar) -> Scalar:
-    """The mean of x from a to b, with each x clipped to [left, left + 1], relative to the point of
-    that interval nearest to 0, so that a small polygon is accurate."""
+    """Return the mean of x from a to b, with each x clipped to [left, left + 1]. It is relative to
+    the point of this interval nearest to 0, so that a small polygon is accurate."""
     right = left + 1
     origin = jnp.clip(0, left, right)
     low, high = jnp.minimum(a, b), jnp.maximum(a, b)

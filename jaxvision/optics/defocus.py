@@ -1,25 +1,25 @@
 """Defocus of a sharp picture by its depth map.
 
-It approximates in one pass the result of sampling the lens with hundreds of rays per pixel.
+One pass approximates the result of sampling the lens with hundreds of rays per pixel.
 
 A point whose reciprocal distance differs by delta from that of the plane in focus is spread over
-the image of the aperture, with signed radius (d / 2) z_i delta: upright for points nearer than the
-plane in focus, inverted behind it. For a single plane all methods and the sampled lens give the
-same picture. They differ at the edge of a nearer surface, because the sharp picture does not
-contain the light from behind it:
+the image of the aperture. The image has the signed radius (d / 2) z_i delta, with the lens diameter
+d and the image distance z_i: it is upright for points nearer than the plane in focus, inverted
+behind it. For a single plane all methods and the sampled lens give the same picture. They differ at
+the edge of a nearer surface, because the sharp picture does not contain the light from behind it:
 
 - `gather_defocus`: each pixel averages by its own kernel. A flat picture stays flat; before a sharp
   background a blurred foreground keeps a sharp edge.
 - `scatter_defocus`: each pixel spreads its own light. The sum of light is conserved; where surfaces
-  meet there is too much or too little of it.
+  meet, pixels get too much or too little light.
 - `layered_defocus`: surfaces are blurred by depth and composited. A foreground's blurred edge
   covers the background, which is extrapolated behind it from its visible part.
 
-The errors were measured against 48 x 48 rays per pixel on patterns of amplitude 0.3 to 0.4, as rms
-over 48 x 64 pixels: a plane blurred by 7 to 10 pixels 3e-4 to 7e-4 for all methods; a blurred
-foreground before a sharp background 0.04 (gather), 0.11 (scatter), 0.03 (layers); a sharp
-foreground before a blurred background 0.001 to 0.007, 0.10 and 0.005 to 0.02; both blurred 0.01 to
-0.04 for all methods.
+The RMS errors were measured over 48 x 64 pixels against 48 x 48 rays per pixel, on patterns of
+amplitude 0.3 to 0.4. For a plane blurred by 7 to 10 pixels they are 3e-4 to 7e-4 for all methods.
+For a blurred foreground before a sharp background they are 0.04 (gather), 0.11 (scatter) and 0.03
+(layers). For a sharp foreground before a blurred background they are 0.001 to 0.007, 0.10 and 0.005
+to 0.02. If both are blurred they are 0.01 to 0.04 for all methods.
 
 Pictures are (h, w, bands) in any unit linear in light. `depth` is (h, w) m along the optical axis,
 not along the ray. NaN (no depth) counts as in focus. `radius` is the static radius in pixels of the
@@ -47,13 +47,13 @@ Depth = Float[Array, "h w"]
 Plane = Float[Array, "h w ..."]
 print_by_name(globals(), "Picture", "Depth", "Plane")
 
-# Below this share of a layer in a pixel, its colour there is uncertain.
+# If a layer has a smaller share of a pixel, its colour there is uncertain.
 _FEW = 1e-3
 
 
 @takes_numbers
 def defocus_radius(view: ThinLens, depth: Scalars) -> Scalars:
-    """Signed radius in pixels of the image of a point: half the circle of confusion.
+    """Return the signed radius, in pixels, of the image of a point: half the circle of confusion.
 
     Args:
         view: the lens.
@@ -77,7 +77,7 @@ def defocus_radius(view: ThinLens, depth: Scalars) -> Scalars:
 def gather_defocus(
     view: ThinLens, picture: Picture, depth: Depth, *, radius: int, members: int | None = None
 ) -> Picture:
-    """Blurs each pixel by the kernel of its own depth.
+    """Blur each pixel by the kernel for its own depth.
 
     Kernels of a round aperture are exact up to their edge, which is softened over one pixel. Other
     shapes are blended from a bank of kernels. The picture is mirrored at its border.
@@ -87,7 +87,7 @@ def gather_defocus(
         picture: (h, w, bands) in any unit linear in light.
         depth: (h, w) m along the axis; NaN counts as in focus.
         radius: radius of the largest kernel in pixels, static, at least 1.
-        members: number of kernels in the bank, static, at least 2; None for one per pixel of
+        members: number of kernels in the bank, static, at least 2; None for one kernel per pixel of
             radius, upright and inverted. Unused for a round aperture.
 
     Returns:
@@ -111,7 +111,7 @@ def gather_defocus(
 def scatter_defocus(
     view: ThinLens, picture: Picture, depth: Depth, *, radius: int, members: int | None = None
 ) -> Picture:
-    """Spreads each pixel's light over the image of the aperture at its own depth.
+    """Spread each pixel's light over the image of the aperture for its own depth.
 
     It is the transpose of `gather_defocus`: the sum of light is conserved, because light that
     leaves the picture is mirrored back.
@@ -141,7 +141,7 @@ def scatter_defocus(
 def layered_defocus(
     view: ThinLens, picture: Picture, depth: Depth, *, radius: int, layers: int
 ) -> Picture:
-    """Splits the picture into layers of depth, blurs each, and composites them from the nearest on.
+    """Split the picture into layers of depth, blur each, and composite them from the nearest on.
 
     The layers are at equal steps of blur from the farthest to the nearest depth. Each pixel is
     divided between the two nearest layers. The coverage A of a layer is the mask of all surfaces at
@@ -163,7 +163,7 @@ def layered_defocus(
         ValueError: `layers` is less than 1.
 
     Example:
-        A flat picture stays flat, whatever its depths.
+        A flat picture stays flat at any depths.
 
         >>> view = dict(rotation=np.eye(3), focal_length=0.05, pixel_pitch=1e-5, resolution=(5, 5))
         >>> lens = jv.ThinLens([0, 0, 0], **view, f_number=2.0, focus_distance=3.0)
@@ -238,13 +238,13 @@ def chromatic_defocus(
 
 
 def _blur(view: ThinLens, depth: Depth) -> Depth:
-    """`defocus_radius`, or 0 where the depth is unknown."""
+    """Return `defocus_radius`, or 0 where the depth is unknown."""
     known = ~jnp.isnan(depth)
     return jnp.where(known, defocus_radius(view, jnp.where(known, depth, jnp.inf)), 0)
 
 
 def _pixels_per_vergence(view: ThinLens) -> Scalar:
-    """Blur radius in pixels per reciprocal distance in m^-1."""
+    """Return the blur radius in pixels per difference of reciprocal distances in m^-1."""
     radius = view.focal_length / view.f_number / 2
     return radius / view.pixel_pitch * _reciprocal(sensor_vergence(view))
 

@@ -24,15 +24,15 @@ from .thin_lens import _reciprocal
 from .views import sensor_vergence
 from .wavefront import wavefront_kernel
 
-# The first zero of J_1, over pi.
+# The first zero of J_1, divided by pi.
 _FIRST_ZERO = 1.2196698912665045
-_WIDE = 3.0  # lambda N in a pixel, above which it is its edges that are integrated
+_WIDE = 3.0  # pixel size in lambda N; larger pixels are integrated along their edges
 
 
 @takes_numbers
 @in_range(wavelength=AMOUNT, f_number=AMOUNT)
 def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
-    """Radius of the first dark ring of the Airy pattern: 1.22 lambda N.
+    """Return the radius of the first dark ring of the Airy pattern: 1.22 lambda N.
 
     Args:
         wavelength: (...) m.
@@ -55,9 +55,9 @@ def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
 @takes_numbers
 @in_range(wavelength=AMOUNT, f_number=AMOUNT)
 def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Scalars:
-    """The Airy pattern: irradiance (2 J_1(x) / x)^2 with x = pi r / (lambda N).
+    """Return the irradiance of the Airy pattern, (2 J_1(x) / x)^2 with x = pi r / (lambda N).
 
-    Times pi / (2 lambda N)^2 its integral over the plane is 1.
+    Multiplied by pi / (2 lambda N)^2, its integral over the plane is 1.
 
     Args:
         radius: (...) m from the middle.
@@ -90,27 +90,27 @@ def airy_kernel(
     size: int,
     order: int = 8,
 ) -> Float[Array, "..."]:
-    """Share of a point's light that falls on each pixel around it.
+    """Return the share of a point's light that falls on each pixel around it.
 
     Pixels up to 3 lambda N use Gauss-Legendre quadrature of the pattern over each pixel. Larger
-    pixels contain more rings than nodes. There the light that leaves a pixel is integrated along
-    its edges. By Gauss's theorem, with Rayleigh's encircled energy 1 - J_0(x)^2 - J_1(x)^2 in x =
-    pi r / (lambda N), a pixel keeps
+    pixels contain more rings than nodes. For these, the light that leaves a pixel is integrated
+    along its edges. By Gauss's theorem, with Rayleigh's encircled energy 1 - J_0(x)^2 - J_1(x)^2 in
+    x = pi r / (lambda N), a pixel keeps
 
         [1 in the middle, else 0] - integral (J_0^2 + J_1^2) / (2 pi r^2) (r . n) ds
 
-    an integrand with hardly any rings. The share of light beyond the distance R is about 2 lambda N
-    / (pi^2 R). Light outside the kernel is included by rescaling. At a wavelength or an f-number of
-    0, all light is in the middle.
+    with the edge's normal n. This integrand has hardly any rings. The share of light beyond the
+    distance R is about 2 lambda N / (pi^2 R). The kernel is rescaled to sum 1, which includes the
+    light outside it. At a wavelength or an f-number of 0, all light is in the middle.
 
     Args:
         wavelength: () or (bands,) m.
         f_number: () working f-number, no unit.
         pixel_pitch: () m.
         size: side of the kernel in pixels, odd, static.
-        order: number of quadrature nodes per side of a pixel, half as many along its edges, static.
-            With 8 a pixel's share is accurate to 2e-5 of all light, and to 1e-7 for pixels up to 2
-            lambda N.
+        order: number of quadrature nodes per side of a pixel, static; the integral along an edge
+            uses twice as many. With 8, a pixel's share is accurate to 2e-5 of all light, and to
+            1e-7 for pixels up to 2 lambda N.
 
     Returns:
         (size, size), or (size, size, bands) for wavelengths (bands,); no unit, of sum 1.
@@ -157,14 +157,14 @@ def _leaving(scale: Scalar, size: int, order: int) -> Float[Array, "size size"]:
 
 
 def _outside(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """J_0(x)^2 + J_1(x)^2, the share of light outside x, by Hankel's expansion, with a relative
-    error of 3e-6 from x = 3 pi / 2 on. Source: DLMF 10.17.3."""
+    """Return J_0(x)^2 + J_1(x)^2, the share of light outside x, by Hankel's expansion. Its relative
+    error is 3e-6 for x >= 3 pi / 2. Source: DLMF 10.17.3."""
     far = jnp.maximum(x, 1)
     inverse = 1 / far
     wave = jnp.cos(far - np.pi / 4), jnp.sin(far - np.pi / 4)
 
     def expanded(order: int) -> tuple[Array, Array]:
-        """P and Q of the Bessel function of that order."""
+        """Return P and Q of the expansion for the Bessel function of this order."""
         term, sums = jnp.ones_like(far), [jnp.ones_like(far), jnp.zeros_like(far)]
         for k in range(1, 8):
             term = term * inverse * ((4 * order**2 - (2 * k - 1) ** 2) / (8 * k))
@@ -180,12 +180,12 @@ def _outside(x: Float[Array, "..."]) -> Float[Array, "..."]:
 def lens_kernel(
     view: ThinLens, diffraction: Diffraction | Wavefront, pixel_pitch: Scalar
 ) -> Float[Array, "..."]:
-    """Share of a point's light that falls on each pixel around it, through a lens.
+    """Return the share of a point's light that falls on each pixel around it, through a lens.
 
     Args:
-        view: the lens, whose working f-number counts.
+        view: the lens, whose working f-number is used.
         diffraction: wavelengths and size of the kernel, and aberrations.
-        pixel_pitch: () m; a part of that of `view` where a sensor's aperture is oversampled.
+        pixel_pitch: () m; a fraction of the pitch of `view` if a sensor's aperture is oversampled.
 
     Returns:
         (size, size), or (size, size, bands); no unit, of sum 1.
@@ -218,10 +218,11 @@ def lens_kernel(
 
 @takes_numbers
 def diffracted(view: ThinLens, diffraction: Diffraction | Wavefront, irradiance: Image) -> Image:
-    """Irradiance on the sensor after diffraction at the aperture.
+    """Compute the irradiance on the sensor after diffraction at the aperture.
 
-    It convolves with the `airy_kernel` of the working f-number, or with the `wavefront_kernel` of
-    a lens with aberrations. The picture is continued by its border, so a flat picture stays flat.
+    The picture is convolved with the `airy_kernel` of the working f-number, or with the
+    `wavefront_kernel` of a lens with aberrations. Border pixels are repeated outside, so a flat
+    picture stays flat.
 
     Args:
         view: the lens.
@@ -249,8 +250,9 @@ def diffraction_mtf(
     """Return the contrast of a sine pattern after diffraction; 0 from the cut-off 1 / (lambda N)
     on.
 
-    It is the overlap of the pupil with itself, shifted by 2 lambda N frequency radii: for a full
-    disc (2 / pi) (arccos v - v sqrt(1 - v^2)), with v the frequency over the cut-off.
+    It is the overlap of the pupil with a copy that is shifted by 2 lambda N `frequency` pupil
+    radii. For a full disc it is (2 / pi) (arccos v - v sqrt(1 - v^2)), with v the ratio of the
+    frequency to the cut-off.
 
     Args:
         frequency: (...) m^-1.

@@ -2,9 +2,9 @@
 inverse.
 
 Positions are in units of the image distance. Slopes are relative: m to the side per m forward. The
-forward map is the closed form of `Distortion`. The inverse uses Newton's method, which started at
-the distorted position converges for barrel and pincushion distortion. It is differentiated as an
-implicit function, not step by step.
+forward map is the closed form of `Distortion`. The inverse uses Newton's method. Started at the
+distorted position, it converges for barrel and pincushion distortion. The inverse is differentiated
+as an implicit function, not step by step.
 
 Source:
     Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971).
@@ -51,7 +51,7 @@ def distort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scala
 
 
 def _bent(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """`distort` by the polynomial alone."""
+    """Apply only the polynomial of `distort`."""
     s, _ = _scale(distortion, x, y)
     if distortion.tangential is None:
         return x * s, y * s
@@ -65,9 +65,9 @@ def _bent(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]
 
 @takes_numbers
 def distortion_area(distortion: Distortion, x: Scalar, y: Scalar) -> Scalar:
-    """Ratio of a small area in the distorted image to its area in an ideal one.
+    """Return the ratio of a small area in the distorted image to its area in an ideal image.
 
-    The determinant of the derivative of `distort`.
+    It is the determinant of the derivative of `distort`.
 
     Args:
         distortion: coefficients.
@@ -89,15 +89,15 @@ def distortion_area(distortion: Distortion, x: Scalar, y: Scalar) -> Scalar:
 
 @takes_numbers
 def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """Slopes of the chief ray that meets the sensor at a given position: the inverse of `distort`.
+    """Return the slopes of the chief ray that meets the sensor at a position: invert `distort`.
 
     A strong barrel distortion folds the plane, and nothing is imaged beyond its edge. There the
     result is a slope near the fold, with gradient 0. NaN stays NaN.
 
     Args:
         distortion: coefficients.
-        x: () place to the right, relative to the image distance.
-        y: () place downwards, relative to the image distance.
+        x: () position to the right, relative to the image distance.
+        y: () position downwards, relative to the image distance.
 
     Returns:
         (right, down), each () m per m.
@@ -118,7 +118,7 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
 @jax.custom_jvp
 @one_program
 def _undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """The inverse of `_bent` by Newton's method, with the derivative of the implicit function."""
+    """Invert `_bent` by Newton's method, with the derivative of the implicit function."""
     accuracy = 4 * jnp.finfo(x.dtype).eps * jnp.maximum(jnp.abs(x), jnp.abs(y))
 
     def residual(u: Scalar, v: Scalar) -> tuple[Scalar, Scalar]:
@@ -126,8 +126,8 @@ def _undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sc
         return at_x - x, at_y - y
 
     def step(state):
-        # the condition is carried, not evaluated again: rounded differently, a loop over many
-        # points would wait for one that it no longer moves
+        # The condition is stored in the state. If it were evaluated again with different rounding,
+        # a loop over many points could wait for a point that no longer moves.
         number, u, v, share, _ = state
         off_x, off_y = residual(u, v)
         by_u, by_v = _solve(distortion, u, v, off_x, off_y)
@@ -145,7 +145,7 @@ def _undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sc
 
     starts_well = _is_before_fold(distortion, x, y)
     start = jnp.where(starts_well, x, 0), jnp.where(starts_well, y, 0)
-    # far out, beyond the image, a whole step overshoots by more than halving can correct
+    # far outside the image, a whole step would overshoot more than halving can correct
     share = 1 / jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), 1)
     begin = (0, *start, share, jnp.ones((), bool))
     _, u, v, *_ = lax.while_loop(lambda state: state[-1], step, begin)
@@ -156,7 +156,7 @@ def _undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sc
 
 @_undistort.defjvp
 def _undistort_jvp(primals, tangents):
-    """D(k, u) = x: D_u du = dx - D_k dk."""
+    """Differentiate D(k, u) = x with coefficients k and slopes u: D_u du = dx - D_k dk."""
     distortion, x, y = primals
     by_distortion, dx, dy = tangents
     u, v = _undistort(distortion, x, y)
@@ -169,7 +169,7 @@ def _undistort_jvp(primals, tangents):
 
 
 def _scale(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """s = 1 + k_1 r^2 + ..., and its derivative in r^2."""
+    """Return s = 1 + k_1 r^2 + ..., and its derivative with respect to r^2."""
     r2 = x * x + y * y
     s, slope = jnp.zeros_like(r2), jnp.zeros_like(r2)
     for k in distortion.radial[::-1]:
@@ -178,7 +178,7 @@ def _scale(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar
 
 
 def _jacobian(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """The derivative of `_bent`, which is symmetric: (xx, xy, yy)."""
+    """Return the derivative of `_bent`, a symmetric matrix (xx, xy, yy)."""
     s, slope = _scale(distortion, x, y)
     xx, xy, yy = s + 2 * slope * x * x, 2 * slope * x * y, s + 2 * slope * y * y
     if distortion.tangential is None:
@@ -200,7 +200,7 @@ def _is_before_fold(distortion: Distortion, x: Scalar, y: Scalar) -> Bool[Array,
 def _solve(
     distortion: Distortion, x: Scalar, y: Scalar, right: Scalar, down: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """The step whose image under the derivative of `distort` is (right, down); 0 at a fold."""
+    """Solve for the step that the derivative of `_bent` maps to (right, down); 0 at a fold."""
     a, b, c = _jacobian(distortion, x, y)
     area = a * c - b * b
     inverse = divide(1, area, ~(jnp.abs(area) <= smallest_divisor(area.dtype)))

@@ -2,10 +2,10 @@
 
     E = L A cos^4 / z_i^2,   with a round aperture   E = L (pi / 4) (d / z_i)^2 cos^4
 
-A is the area of the aperture, d its diameter, z_i the distance to the sensor (the focal length only
-at infinity focus) and cos the cosine of the chief ray to the axis: the aperture is small, at
-distance z_i / cos, and inclined to both the ray and the sensor. cos^4 is applied once, here, never
-in a ray's weight.
+E is the irradiance, L the radiance, A the area of the aperture, d its diameter, z_i the distance to
+the sensor (the focal length only at infinity focus) and cos the cosine between the chief ray and
+the axis. The aperture is small, at distance z_i / cos, and inclined to both the ray and the sensor.
+cos^4 is applied once, here, never in a ray's weight.
 
 Source:
     Szeliski, Computer Vision, section 2.2.3.
@@ -27,11 +27,10 @@ from .vignetting import clear_fraction
 
 @takes_numbers
 def pixel_irradiance(view: View, radiance: Colour, row: Scalar, column: Scalar) -> Colour:
-    """Irradiance on the sensor at one pixel.
+    """Compute the irradiance on the sensor at one pixel.
 
-    A rim vignettes (`clear_fraction`), and where distortion stretches the image the irradiance is
-    reduced in proportion. A view without an f-number returns the radiance unchanged, without
-    falloff.
+    A rim vignettes (`clear_fraction`). If distortion stretches the image, the irradiance is reduced
+    in proportion. A view without an f-number returns the radiance unchanged, without falloff.
 
     Args:
         view: the camera's projection.
@@ -71,7 +70,7 @@ def pixel_irradiance(view: View, radiance: Colour, row: Scalar, column: Scalar) 
 
 @takes_numbers
 def sensor_irradiance(view: View, radiance: Image) -> Image:
-    """Irradiance on the sensor for a whole picture, with the diffraction of a thin lens.
+    """Compute the irradiance on the sensor for a whole picture, with diffraction at a thin lens.
 
     Args:
         view: the camera's projection.
@@ -84,7 +83,7 @@ def sensor_irradiance(view: View, radiance: Image) -> Image:
         ValueError: `radiance` has another resolution than the view.
 
     Example:
-        A pixel at 45 degrees gets cos^4 = 1 / 4 of what the middle gets.
+        A pixel at 45 degrees gets cos^4 = 1 / 4 of the irradiance in the middle.
 
         >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 0.05, 0.05, resolution=(1, 3), f_number=2.0)
         >>> light = jv.sensor_irradiance(view, jnp.full((1, 3, 1), 16 / np.pi))

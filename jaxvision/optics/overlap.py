@@ -1,8 +1,8 @@
 """Overlap of two apertures in projection: areas in closed form.
 
-Areas are in the square of the unit of the lengths, such as m^2 for m. The derivative of such an
-area is the length of an arc or a chord, also in closed form; it is finite where the derivative of
-the area's formula is not.
+Areas are in the square of the unit of the lengths, such as m^2 for m. The derivative of an area is
+the length of an arc or a chord, which also has a closed form. It is finite even where the
+derivative of the area's formula is not.
 """
 
 import jax
@@ -16,11 +16,11 @@ from ..core._types import Scalar, Scalars
 
 @takes_numbers
 def overlap_of_discs(distance: Scalars, first_radius: Scalars, second_radius: Scalars) -> Scalars:
-    """Area that two discs share, elementwise.
+    """Return the area that two discs share, elementwise.
 
     It is the sum of two circular segments, r^2 (alpha - sin alpha cos alpha) with alpha half the
-    angle of the arc. The angle comes from the sides of the triangle of the centres and a crossing,
-    by the half-angle formula, which is accurate where the circles just touch.
+    angle of the arc. alpha comes from the sides of the triangle of both centres and an intersection
+    of the circles, by the half-angle formula, which is accurate if the circles just touch.
 
     Args:
         distance: (...) m between the centres, >= 0.
@@ -52,7 +52,8 @@ def _overlap(distance: Scalars, first_radius: Scalars, second_radius: Scalars) -
 
 @_overlap.defjvp
 def _overlap_jvp(primals, tangents):
-    """The derivative by the distance is minus the common chord, and by each radius its arc."""
+    """Differentiate `_overlap`. The derivative with respect to the distance is minus the common
+    chord, and with respect to each radius it is the arc of that circle."""
     distance, r1, r2 = primals
     along, d1, d2 = tangents
     first, second = _half_angles(distance, r1, r2)
@@ -69,10 +70,10 @@ def overlap_of_disc_and_polygon(
     corner_right: Float[Array, " corners"],
     corner_down: Float[Array, " corners"],
 ) -> Scalar:
-    """Area that a disc shares with a polygon.
+    """Return the area that a disc shares with a polygon.
 
-    The sides inside the disc and the arcs between them bound the area. It is summed in the
-    polygon's coordinates, so its precision is that of the corners for any size of the disc.
+    The sides inside the disc and the arcs between them bound the area. The area is summed in the
+    polygon's coordinates, so it is as precise as the corners for any size of the disc.
 
     Args:
         right: () m, of the disc's centre.
@@ -85,7 +86,7 @@ def overlap_of_disc_and_polygon(
         () m^2.
     """
     x, y = corner_right - right, corner_down - down
-    # a disc that holds all corners shares the whole polygon; its square may be out of range
+    # a disc that contains all corners shares the whole polygon; its squared radius may overflow
     radius = jnp.minimum(radius, 2 * jnp.maximum(jnp.abs(x), jnp.abs(y)).max())
     return _overlap_with_polygon(right, down, radius, corner_right, corner_down)
 
@@ -95,15 +96,16 @@ def _overlap_with_polygon(
     right: Scalar, down: Scalar, radius: Scalar, x: Scalars, y: Scalars
 ) -> Scalar:
     area, arcs, enters, leaves = _sides(right, down, radius, x, y)
-    # no side in the disc: the polygon turns about all of it, or does not
+    # if no side crosses the disc, the polygon contains the whole disc or nothing of it
     apart = jnp.pi * radius * radius * jnp.round(arcs.sum() / (2 * jnp.pi))
     return jnp.where((leaves > enters).any(), area.sum(), apart)
 
 
 @_overlap_with_polygon.defjvp
 def _overlap_with_polygon_jvp(primals, tangents):
-    """By the radius, the length of the arcs; by a corner, the area that its chords sweep: their
-    points move in proportion to their distances from its ends."""
+    """Differentiate the shared area. With respect to the radius it is the length of the arcs. With
+    respect to a corner it is the area that the chords of both sides sweep, whose points move in
+    proportion to their distance from the fixed end of the side."""
     radius, x, y = primals[2:]
     to_right, to_down, wider, x_by, y_by = tangents
     _, arcs, enters, leaves = _sides(*primals)
@@ -124,10 +126,10 @@ def _sides(
 
 
 def _half_angles(d: Scalars, r1: Scalars, r2: Scalars) -> tuple[Scalars, Scalars]:
-    """Half the angle of each circle's arc inside the other disc: pi and 0 if one disc contains the
-    other, pi / 2 if they coincide."""
-    # twice the semi-perimeter, and twice it less each side; negative values form no triangle. The
-    # distance from the larger rim keeps its digits where the smaller disc lies on it.
+    """Return half the angle of each circle's arc inside the other disc. The angles are pi and 0 if
+    one disc contains the other, and pi / 2 if both coincide."""
+    # twice the semi-perimeter, and this minus twice each side; negative values form no triangle.
+    # `gap`, the distance from the larger rim, is precise if the smaller disc lies near this rim.
     larger, smaller = jnp.maximum(r1, r2), jnp.minimum(r1, r2)
     gap = d - larger
     whole, beyond = larger + smaller + d, jnp.maximum(smaller - gap, 0)
@@ -142,8 +144,8 @@ def _half_angles(d: Scalars, r1: Scalars, r2: Scalars) -> tuple[Scalars, Scalars
 
 
 def _segment(alpha: Scalars) -> Scalars:
-    """alpha - sin alpha cos alpha = (t - sin t) / 2 with t = 2 alpha, by the series t^3 / 3! (1 -
-    t^2 / (4 5) (1 - t^2 / (6 7) (...))) if the two nearly cancel."""
+    """Return alpha - sin alpha cos alpha = (t - sin t) / 2 with t = 2 alpha. If the terms nearly
+    cancel, t - sin t is the series t^3 / 3! (1 - t^2 / (4 5) (1 - t^2 / (6 7) (...)))."""
     t = 2 * alpha
     small = t < 2
     square = jnp.square(jnp.minimum(t, 2.25))
@@ -156,8 +158,9 @@ def _segment(alpha: Scalars) -> Scalars:
 def _side(
     right: Scalar, down: Scalar, radius: Scalar, x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar
 ) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """(area, angle of the arcs, positions in [0, 1] where it enters and leaves the disc) for one
-    side, whose part outside the disc is projected onto the rim."""
+    """Return, for one side, its contribution to the area, the angle of its arcs, and the positions
+    in [0, 1] where it enters and leaves the disc. The part of the side outside the disc is
+    projected onto the rim."""
     along_x, along_y = x1 - x0, y1 - y0
     square = along_x * along_x + along_y * along_y
     some = ~(square <= smallest_divisor(square.dtype) ** 2)
@@ -172,8 +175,8 @@ def _side(
         away_x, away_y = x - right, y - down
         square = away_x * away_x + away_y * away_y
         outside = square > radius * radius
-        # a point on the rim may be outside here and inside there: XLA computes its square twice,
-        # with and without fused multiply-adds, so that the factor must be right in either case
+        # XLA may compute the square twice, with and without fused multiply-adds, so that a point on
+        # the rim may count as outside and as inside. The factor must be right in both cases.
         reach = jnp.maximum(square, radius * radius)
         shrunk = radius * jax.lax.rsqrt(or_one(reach, reach > 0))
         return (
@@ -201,11 +204,11 @@ def _side(
 
 
 def _twice_triangle(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> Scalar:
-    """Twice the signed area of the triangle of two points and the origin."""
+    """Return twice the signed area of the triangle of two points and the origin."""
     return a[0] * (b[1] - a[1]) - a[1] * (b[0] - a[0])
 
 
 def _turn(x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar) -> Scalar:
-    """The angle from one direction to another, in (-pi, pi]; 0 between equal ones."""
+    """Return the angle from one direction to another, in (-pi, pi]; 0 for equal directions."""
     across, along = x0 * y1 - y0 * x1, x0 * x1 + y0 * y1
     return jnp.where(across < 0, -1, 1) * arctan2(jnp.abs(across), along)

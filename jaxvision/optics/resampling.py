@@ -1,7 +1,7 @@
-"""Interpolation between pixels, and pictures with distortion and lateral colour errors.
+"""Interpolation between pixels, distortion of pictures, and lateral chromatic aberration.
 
-Coordinates are (row, column) in pixels, with (0, 0) the centre of the upper left one. Beyond the
-picture its outermost pixels continue. Values keep their unit.
+Coordinates are (row, column) in pixels, with (0, 0) the centre of the upper left pixel. Outside the
+picture its border pixels are repeated. Values keep their unit.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ print_by_name(globals(), "Coordinates")
 def sample_image(
     image: Image, row: Coordinates, column: Coordinates, *, interpolation: str = "cubic"
 ) -> Float[Array, "..."]:
-    """The image interpolated at pixel coordinates.
+    """Interpolate an image at pixel coordinates.
 
     Args:
         image: (..., h, w, bands) in any unit.
@@ -38,7 +38,7 @@ def sample_image(
         (..., rows, columns, bands) in the unit of the image.
 
     Raises:
-        ValueError: `interpolation` is neither, or the image has no pixel.
+        ValueError: `interpolation` is neither of both, or the image has no pixel.
 
     Source:
         Keys, "Cubic Convolution Interpolation for Digital Image Processing", IEEE Trans. ASSP 29
@@ -50,7 +50,7 @@ def sample_image(
         [3.]
     """
     check_choice("interpolation", interpolation, INTERPOLATIONS)
-    image = jnp.asarray(image)  # whose rows are chosen by traced numbers
+    image = jnp.asarray(image)  # a NumPy array cannot be indexed by traced numbers
     taps = _linear_taps if interpolation == "linear" else _cubic_taps
     h, w = image.shape[-3:-1]
     if 0 in (h, w):
@@ -66,7 +66,7 @@ def sample_image(
 
 @takes_numbers
 def distort_image(view: Pinhole | ThinLens, image: Image, *, interpolation: str = "cubic") -> Image:
-    """The picture that the view's lens makes from an ideal one.
+    """Distort an ideal picture as the view's lens does.
 
     Each pixel is interpolated at the position that its light would have without distortion.
 
@@ -88,7 +88,7 @@ def distort_image(view: Pinhole | ThinLens, image: Image, *, interpolation: str 
 def undistort_image(
     view: Pinhole | ThinLens, image: Image, *, interpolation: str = "cubic"
 ) -> Image:
-    """The picture without the view's distortion: the inverse of `distort_image`.
+    """Remove the view's distortion from a picture: the inverse of `distort_image`.
 
     Args:
         view: the lens; without distortion it returns the picture itself.
@@ -108,9 +108,9 @@ def undistort_image(
 def lateral_aberration(
     image: Image, magnification: Float[Array, "..."], *, interpolation: str = "cubic"
 ) -> Image:
-    """Lateral chromatic aberration: magnifies each band about the middle of the picture.
+    """Apply lateral chromatic aberration: magnify each band about the middle of the picture.
 
-    The inverse is the aberration by 1 / `magnification`.
+    The inverse is the aberration with 1 / `magnification`.
 
     Args:
         image: (..., h, w, bands) in any unit.
@@ -121,7 +121,7 @@ def lateral_aberration(
         (..., h, w, bands) in the unit of the image.
 
     Raises:
-        ValueError: `magnification` does not hold one value per band, or another interpolation.
+        ValueError: `magnification` does not have one value per band, or another interpolation.
 
     Example:
         >>> picture = np.linspace(0, 1, 5)[None, :, None] * np.ones((1, 1, 2))  # of two bands
@@ -149,7 +149,8 @@ def lateral_aberration(
 def _bent(
     view: Pinhole | ThinLens, image: Image, move: Callable[..., tuple], interpolation: str
 ) -> Image:
-    """The image at the positions to which `move` maps the slope of each pixel's chief ray."""
+    """Interpolate the image at the positions to which `move` maps the slope of each pixel's chief
+    ray."""
     if view.distortion is None:
         return image
     if image.shape[-3:-1] != view.resolution:
@@ -171,14 +172,14 @@ def _bent(
 
 
 def _linear_taps(x: Scalars) -> list[tuple[Array, Scalars]]:
-    """(index, weight) of the samples around x."""
+    """Return (index, weight) of the two samples around x."""
     start = jnp.floor(x)
     t, first = x - start, start.astype(int)
     return [(first, 1 - t), (first + 1, t)]
 
 
 def _cubic_taps(x: Scalars) -> list[tuple[Array, Scalars]]:
-    """(index, weight) of the samples around x: Keys' kernel with a = -1/2."""
+    """Return (index, weight) of the four samples around x, for Keys' kernel with a = -1/2."""
     start = jnp.floor(x)
     t, first = x - start, start.astype(int)
     s = 1 - t

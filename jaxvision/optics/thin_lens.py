@@ -5,8 +5,8 @@
 with object distance z_o and image distance z_i in m from the lens, both positive for a real object
 and a real image. z_i < 0 is a virtual image on the object's side, as for an object inside the focal
 length. All functions are elementwise on arrays that broadcast. A distance of inf is exact, with
-gradient 0; NaN stays NaN. Divisors are bounded below by `smallest_divisor`, 3e-10 in float32: at
-z_o = f the image distance is f^2 over that instead of infinite, and all gradients are finite.
+gradient 0; NaN stays NaN. Divisors are at least `smallest_divisor`, 3e-10 in float32. So at z_o = f
+the image distance is f^2 / `smallest_divisor` instead of infinite, and all gradients are finite.
 
 Sources:
     Szeliski, Computer Vision, section 2.2.3; Hecht, Optics, chapters 5 and 6.
@@ -20,13 +20,13 @@ from ..core._arguments import in_range, takes_numbers
 from ..core._numerics import divide, or_one, smallest_divisor
 from ..core._types import AMOUNT, Scalars, is_known
 
-LONGEST = 10.0  # m: lenses as weak as this are not made, telescopes look at what is far
-NARROWEST_BLUR = 1e-6  # rad: what is said to be less was meant in another unit
+LONGEST = 10.0  # m; no lens is so weak, except in telescopes, whose objects are far
+NARROWEST_BLUR = 1e-6  # rad; smaller blurs are probably given in another unit
 
 
 @takes_numbers
 def image_distance(object_distance: Scalars, focal_length: Scalars) -> Scalars:
-    """Distance at which a thin lens images an object: z_i = f z_o / (z_o - f).
+    """Return the distance at which a thin lens images an object: z_i = f z_o / (z_o - f).
 
     The law is symmetric: an object at z_i is imaged at z_o.
 
@@ -39,7 +39,7 @@ def image_distance(object_distance: Scalars, focal_length: Scalars) -> Scalars:
 
     Raises:
         ValueError: for a focal length of 10 m or more with an object inside it, as if 50 mm were
-            passed as 50; so do all functions here that take a distance and a focal length.
+            passed as 50. All functions here that take a distance and a focal length check this.
 
     Example:
         >>> z_i = jv.image_distance(jnp.array(1.0), jnp.array(0.05))
@@ -54,8 +54,8 @@ def image_distance(object_distance: Scalars, focal_length: Scalars) -> Scalars:
 
 @takes_numbers
 def image_vergence(object_distance: Scalars, focal_length: Scalars) -> Scalars:
-    """Reciprocal of the image distance, 1 / z_i = 1 / f - 1 / z_o, which is finite where z_i is
-    not.
+    """Return the reciprocal of the image distance, 1 / z_i = 1 / f - 1 / z_o, which is finite even
+    if z_i is infinite.
 
     Args:
         object_distance: (...) m from the lens.
@@ -74,7 +74,7 @@ def image_vergence(object_distance: Scalars, focal_length: Scalars) -> Scalars:
 
 @takes_numbers
 def vergence_difference(first: Scalars, second: Scalars) -> Scalars:
-    """Difference of two reciprocal distances, accurate where they are nearly equal.
+    """Return the difference of two reciprocal distances, accurate even if they are nearly equal.
 
     Args:
         first: (...) m.
@@ -97,14 +97,14 @@ def vergence_difference(first: Scalars, second: Scalars) -> Scalars:
 
 @takes_numbers
 def magnification(object_distance: Scalars, focal_length: Scalars) -> Scalars:
-    """Image size over object size: m = -z_i / z_o = f / (f - z_o).
+    """Return the ratio of image size to object size: m = -z_i / z_o = f / (f - z_o).
 
     Args:
         object_distance: (...) m from the lens.
         focal_length: (...) m.
 
     Returns:
-        (...) relative; negative where the image is inverted.
+        (...) relative; negative if the image is inverted.
 
     Example:
         >>> f = jnp.array(0.05)
@@ -118,9 +118,11 @@ def magnification(object_distance: Scalars, focal_length: Scalars) -> Scalars:
 @takes_numbers
 @in_range(f_number=AMOUNT, focus_distance=AMOUNT)
 def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: Scalars) -> Scalars:
-    """Image distance over lens diameter, z_i / d = N (1 + |m|), for a lens in focus.
+    """Return the ratio of image distance to lens diameter, z_i / d = N (1 + |m|), for a lens in
+    focus.
 
-    It determines exposure and diffraction, and is N at infinity focus.
+    m is the magnification. The ratio determines exposure and diffraction, and is N at infinity
+    focus.
 
     Args:
         f_number: (...) N of the lens, no unit.
@@ -156,11 +158,11 @@ def lens_power(
 ) -> Scalars:
     """The lensmaker's equation: 1 / f = (n - 1) (c_1 - c_2 + (n - 1) t c_1 c_2 / n).
 
-    A thick lens is measured from its principal planes.
+    Distances of a thick lens count from its principal planes.
 
     Args:
-        front_curvature: (...) 1 / radius in m^-1, 0 for a plane; positive where the centre lies
-            behind the surface, so that a biconvex lens has c_1 > 0 > c_2.
+        front_curvature: (...) 1 / radius in m^-1, 0 for a plane; positive if the centre lies behind
+            the surface, so that a biconvex lens has c_1 > 0 > c_2.
         back_curvature: (...) m^-1, of the same sign convention.
         refractive_index: (...) n > 0, relative to the surrounding medium.
         thickness: (...) t in m on the axis; None for a thin lens.
@@ -188,7 +190,7 @@ def lens_focal_length(
     *,
     thickness: Scalars | None = None,
 ) -> Scalars:
-    """Focal length of a lens: the reciprocal of `lens_power`.
+    """Return the focal length of a lens: the reciprocal of `lens_power`.
 
     Args:
         front_curvature: (...) m^-1, as in `lens_power`.
@@ -213,7 +215,8 @@ def lens_focal_length(
 def circle_of_confusion(
     object_distance: Scalars, focus_distance: Scalars, focal_length: Scalars, f_number: Scalars
 ) -> Scalars:
-    """Diameter on the sensor of the image of a point out of focus: c = d z_i |1 / z_o - 1 / z_f|.
+    """Return the diameter, on the sensor, of the image of a point out of focus: c = d z_i |1 / z_o
+    - 1 / z_f|.
 
     d = f / N is the lens diameter and z_i the image distance of the plane in focus, where the
     sensor is.
@@ -249,7 +252,7 @@ def circle_of_confusion(
 def depth_of_field(
     focus_distance: Scalars, focal_length: Scalars, f_number: Scalars, allowed_blur: Scalars
 ) -> tuple[Scalars, Scalars]:
-    """Distances between which the circle of confusion is at most `allowed_blur`.
+    """Return the distances z between which the circle of confusion is at most `allowed_blur`.
 
         1 / z = 1 / z_f +- c N / (f z_i)
 
@@ -283,7 +286,7 @@ def depth_of_field(
 @takes_numbers
 @in_range(focal_length=AMOUNT, f_number=AMOUNT, allowed_blur=AMOUNT)
 def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: Scalars) -> Scalars:
-    """Nearest focus distance at which infinity is still sharp: f + f^2 / (c N).
+    """Return the nearest focus distance at which infinity is still sharp: f + f^2 / (c N).
 
     Everything beyond half of it is then sharp.
 
@@ -293,7 +296,7 @@ def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: 
         allowed_blur: (...) c in m on the sensor.
 
     Returns:
-        (...) m; inf where c N is 0.
+        (...) m; inf if c N is 0.
 
     Raises:
         ValueError: for an argument below 0, or a focal length of more than a million times the
@@ -309,7 +312,7 @@ def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: 
 
 
 def _check_metres(name: str, distance: Scalars, focal_length: Scalars) -> None:
-    """`ValueError` for a focal length that seems not to be in m, if both are known."""
+    """Raise `ValueError` for a focal length that seems not to be in m, if both are known."""
     if not (is_known(distance) and is_known(focal_length)):
         return
     distances, lengths = np.broadcast_arrays(np.asarray(distance), np.asarray(focal_length))
@@ -322,7 +325,7 @@ def _check_metres(name: str, distance: Scalars, focal_length: Scalars) -> None:
 
 
 def _check_focus(name: str, distance: Scalars, focal_length: Scalars) -> None:
-    """`ValueError` for a plane in focus with a virtual image, if both are known."""
+    """Raise `ValueError` for a plane in focus with a virtual image, if both are known."""
     _check_metres(name, distance, focal_length)
     if not (is_known(distance) and is_known(focal_length)):
         return
@@ -336,7 +339,7 @@ def _check_focus(name: str, distance: Scalars, focal_length: Scalars) -> None:
 
 
 def _check_blur(name: str, focal_length: Scalars, allowed_blur: Scalars) -> None:
-    """`ValueError` for lengths that seem to have different units, if they are known."""
+    """Raise `ValueError` for lengths that seem to have different units, if they are known."""
     if not (is_known(focal_length) and is_known(allowed_blur)):
         return
     lengths, blurs = np.broadcast_arrays(np.abs(focal_length), np.abs(allowed_blur))
@@ -350,13 +353,13 @@ def _check_blur(name: str, focal_length: Scalars, allowed_blur: Scalars) -> None
 
 
 def _is_near(z: Scalars, f: Scalars, times: float = 2.0) -> Bool[Array, "..."]:
-    """Whether z is at most twice f, so that the difference of reciprocals would cancel."""
+    """Whether |z| is at most `times` |f|, where the difference of reciprocals would cancel."""
     return jnp.abs(z) <= times * jnp.abs(f)
 
 
 def _parts(z: Scalars, f: Scalars) -> tuple[Scalars, Scalars]:
-    """z in m, with separate inputs for the near and the far formula, each harmless outside its
-    range."""
+    """Return z, m, as the input of the near formula and as that of the far formula, each replaced
+    by a harmless value outside the range of its formula."""
     return jnp.where(_is_near(z, f, 4.0), z, 0), jnp.where(_is_near(z, f, 1.5), jnp.inf, z)
 
 

@@ -8,7 +8,8 @@ direction (x / z_i, y / z_i, 1). The ray through the point (a, b) of the lens is
 
     origin (a, b, 0),   direction (x / z_i - a / z_f, y / z_i - b / z_f, 1)
 
-with z_f the distance in focus. Reciprocals of distances make infinity an ordinary case.
+with z_f the distance in focus. Because reciprocals of distances are used, infinity is no special
+case.
 """
 
 from collections.abc import Sequence
@@ -28,14 +29,14 @@ from .aperture import aperture_point
 from .distortion import distort, undistort
 from .thin_lens import image_vergence
 
-PARALLEL = 1e-7  # sine of the angle between directions that single precision calls one
+PARALLEL = 1e-7  # directions at a smaller sine of their angle are equal in single precision
 
 
 @takes_numbers
 def look_at(
     position: Float[Array, "3"], target: Float[Array, "3"], up: Float[Array, "3"]
 ) -> Float[Array, "3 3"]:
-    """Rotation of a camera that looks from a position at a target.
+    """Return the rotation of a camera that looks from a position at a target.
 
     Args:
         position: (3,) m.
@@ -47,7 +48,7 @@ def look_at(
         arguments that define no rotation.
 
     Raises:
-        ValueError: where the position is the target, or up lies along the line of sight, so that no
+        ValueError: if the position is the target, or up lies along the line of sight, so that no
             rotation is defined.
 
     Example:
@@ -171,11 +172,11 @@ def _rotation_matrix(vector: np.ndarray) -> np.ndarray:
 
 
 def chip_size(view: View) -> Float[Array, "2"]:
-    """Height and width of the light-sensitive area: pixels times their pitch.
+    """Return the height and width of the light-sensitive area: pixels times their pitch.
 
     Args:
         view: a pinhole or a thin lens. For a parallel projection the pixel pitch, and thus the
-            size, is in the scene.
+            size, is measured in the scene.
 
     Returns:
         (2,) m; its norm is the diagonal.
@@ -190,7 +191,7 @@ def chip_size(view: View) -> Float[Array, "2"]:
 
 
 def pixel_grid(view: View) -> tuple[Float[Array, " h"], Float[Array, " w"]]:
-    """Pixel coordinates of the whole picture, in the view's dtype.
+    """Return the pixel coordinates of the whole picture, in the view's dtype.
 
     Args:
         view: the camera's projection.
@@ -205,7 +206,7 @@ def pixel_grid(view: View) -> tuple[Float[Array, " h"], Float[Array, " w"]]:
 
 @takes_numbers
 def pixel_offset(view: View, row: Scalar, column: Scalar) -> tuple[Scalar, Scalar]:
-    """Position of a pixel's centre on the sensor, relative to the optical axis.
+    """Return the position of a pixel's centre on the sensor, relative to the optical axis.
 
     Args:
         view: the camera's projection.
@@ -227,7 +228,7 @@ def pixel_offset(view: View, row: Scalar, column: Scalar) -> tuple[Scalar, Scala
 
 
 def sensor_vergence(view: Pinhole | ThinLens) -> Scalar:
-    """Reciprocal of the distance from the pinhole or lens to the sensor, 1 / z_i.
+    """Return the reciprocal of the distance from the pinhole or lens to the sensor, 1 / z_i.
 
     Args:
         view: the camera's projection.
@@ -241,7 +242,7 @@ def sensor_vergence(view: Pinhole | ThinLens) -> Scalar:
 
 
 def focus_vergence(view: ThinLens) -> Scalar:
-    """Reciprocal of the distance in focus, 1 / z_f.
+    """Return the reciprocal of the distance in focus, 1 / z_f.
 
     Args:
         view: the lens.
@@ -262,7 +263,7 @@ def focus_vergence(view: ThinLens) -> Scalar:
 
 @takes_numbers
 def chief_slope(view: Pinhole | ThinLens, row: Scalar, column: Scalar) -> tuple[Scalar, Scalar]:
-    """Slope of the ray from a pixel's centre through the middle of the pinhole or lens.
+    """Return the slope of the ray from a pixel's centre through the middle of the pinhole or lens.
 
     Args:
         view: the camera's projection.
@@ -286,7 +287,7 @@ def chief_slope(view: Pinhole | ThinLens, row: Scalar, column: Scalar) -> tuple[
 
 @takes_numbers
 def camera_ray(view: View, row: Scalar, column: Scalar) -> Ray:
-    """The ray that a pixel's centre sees, through the middle of a lens.
+    """Return the ray that a pixel's centre sees, through the middle of a lens.
 
     Args:
         view: the camera's projection.
@@ -315,7 +316,7 @@ class Projection(NamedTuple):
 
     Attributes:
         row: () pixels, fractional; whole at the centre of a pixel.
-        column: () pixels, likewise.
+        column: () pixels, fractional; whole at the centre of a pixel.
         depth: () m along the optical axis, from the camera; <= 0 behind it.
     """
 
@@ -326,7 +327,7 @@ class Projection(NamedTuple):
 
 @takes_numbers
 def project(view: View, point: Float[Array, "3"]) -> Projection:
-    """The pixel at which a point of the world is imaged: the inverse of `camera_ray`.
+    """Return the pixel at which a point of the world is imaged: the inverse of `camera_ray`.
 
     Occlusion is ignored, and the position may lie outside the picture.
 
@@ -357,12 +358,12 @@ def project(view: View, point: Float[Array, "3"]) -> Projection:
 
 @takes_numbers
 def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) -> Ray:
-    """The ray that a pixel's centre sees through one point of the aperture.
+    """Return the ray that a pixel's centre sees through one point of the aperture.
 
-    Uniform `u` give rays with equal shares of the aperture: the mean of the radiance along them is
-    the argument of `pixel_irradiance`. Vignetting by a rim acts on that irradiance, not on these
-    rays. A blurred point far off the axis has the right brightness, but the full shape of the
-    aperture instead of a cat's eye.
+    Uniform `u` give rays with equal shares of the aperture. The mean of the radiance along these
+    rays is the argument of `pixel_irradiance`. Vignetting by a rim acts on that irradiance, not on
+    the rays. So a blurred point far off the axis has the right brightness, but the full shape of
+    the aperture instead of a cat's eye.
 
     Args:
         view: the lens.
@@ -374,7 +375,7 @@ def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) 
         The ray in the world: origin in m, direction of unit length.
 
     Example:
-        Two rays of one pixel meet where the lens is in focus.
+        Two rays of one pixel meet in the plane in focus.
 
         >>> view = dict(rotation=np.eye(3), focal_length=0.05, pixel_pitch=1e-5, resolution=(1, 1))
         >>> lens = jv.ThinLens([0, 0, 0], **view, f_number=2.0, focus_distance=3.0)
@@ -394,7 +395,7 @@ def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) 
 
 @takes_numbers
 def view_ray(view: View, row: Scalar, column: Scalar, *, u: Float[Array, "2"] | None = None) -> Ray:
-    """The ray of any view: `lens_ray` for a thin lens with a given `u`, else `camera_ray`.
+    """Return the ray of any view: `lens_ray` for a thin lens with a given `u`, else `camera_ray`.
 
     Args:
         view: the camera's projection.
@@ -418,7 +419,7 @@ def view_ray(view: View, row: Scalar, column: Scalar, *, u: Float[Array, "2"] | 
 
 @takes_numbers
 def cos_to_axis(view: View, row: Scalar, column: Scalar) -> Scalar:
-    """Cosine between a pixel's chief ray and the optical axis.
+    """Return the cosine between a pixel's chief ray and the optical axis.
 
     Args:
         view: the camera's projection.

@@ -16,13 +16,13 @@ from .aperture import aperture_area, aperture_corners
 from .overlap import overlap_of_disc_and_polygon, overlap_of_discs
 from .views import chief_slope, focus_vergence
 
-# Relative to the rim; a smaller aperture is taken as this small, with the share of a point.
+# Smallest radius of the aperture relative to the rim; a smaller aperture acts as a point too.
 _SMALLEST = 1e-4
 
 
 @takes_numbers
 def clear_fraction(view: ThinLens, row: Scalar, column: Scalar) -> Scalar:
-    """Share of the aperture's area that is visible from a pixel through the rim.
+    """Return the share of the aperture's area that is visible from a pixel through the rim.
 
     Args:
         view: the lens.
@@ -58,5 +58,5 @@ def clear_fraction(view: ThinLens, row: Scalar, column: Scalar) -> Scalar:
             shared = overlap_of_disc_and_polygon(
                 right, down, rim, signed * corners[0], signed * corners[1]
             )
-    # A sum of parts rounds to just below zero where the rim hides all of the aperture.
+    # If the rim hides the whole aperture, the sum of parts may round to just below zero.
     return jnp.where(shared <= 0, 0.0, shared) / aperture_area(view.aperture, 2 * radius)

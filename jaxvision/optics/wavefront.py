@@ -1,11 +1,11 @@
 """Aberrations of a lens: diffraction, defocus and Zernike's terms as one pupil function.
 
-With the wavefront error W in the unit disc of the pupil, a point has the image
+With the wavefront error W, m, over points rho of the unit disc of the pupil, a point has the image
 
     |U(x)|^2,   U(x) = integral exp(2 pi i W(rho) / lambda - pi i x . rho / (lambda N)) d^2 rho
 
-in m on the sensor. W = 0 gives the Airy pattern. The gradient of a large W gives the spot of
-geometrical optics, at 2 N grad W.
+with x in m on the sensor, wavelength lambda and f-number N. W = 0 gives the Airy pattern. For a
+large W, each point of the pupil sends its light to 2 N grad W, as in geometrical optics.
 
 Source:
     Born and Wolf, Principles of Optics, sections 9.1 to 9.3; Noll, "Zernike polynomials and
@@ -22,20 +22,20 @@ from jaxtyping import Array, Float
 from ..core._arguments import takes_numbers
 from ..core._types import Scalar, Scalars, check_count, is_known
 
-_MOST = 66  # terms: those of order up to 10
+_MOST = 66  # number of terms of order up to 10
 
 
 @takes_numbers
 def zernike(x: Scalars, y: Scalars, *, count: int) -> Float[Array, "... count"]:
-    """Noll's Zernike polynomials over the unit disc, each of mean square 1.
+    """Return Noll's Zernike polynomials over the unit disc, each with mean square 1.
 
-    They are piston, the tilts along x and y, defocus, astigmatism at 45 and at 0 degrees, coma
-    along y and x, trefoil along y and x, spherical aberration, and so on.
+    The polynomials are piston, the tilts along x and y, defocus, astigmatism at 45 and at 0
+    degrees, coma along y and x, trefoil along y and x, spherical aberration, and so on.
 
     Args:
         x: (...) in the unit disc, no unit.
-        y: (...) likewise.
-        count: of terms, at most 66, static.
+        y: (...) in the unit disc, no unit.
+        count: number of terms, at most 66, static.
 
     Returns:
         (..., count) no unit.
@@ -81,23 +81,25 @@ def wavefront_kernel(
     order: int = 8,
     samples: int = 128,
 ) -> Float[Array, "..."]:
-    """Share of a point's light that falls on each pixel around it, through a lens with aberrations.
+    """Return the share of a point's light that falls on each pixel around it, through a lens with
+    aberrations.
 
-    The pupil is integrated by Gauss and Legendre's rule along its chords, which has no error at its
-    rim. Light outside the kernel is included by rescaling.
+    The pupil is integrated by Gauss-Legendre quadrature along its chords, which has no error at the
+    rim. The kernel is rescaled to sum 1, which includes the light outside it.
 
     Args:
         coefficients: (terms,) m, of the terms 1, 2, ... of `zernike`; x of the pupil is to the
-            right in the picture and y down. The rms wavefront error is the root of the sum of the
-            squares of all but the first. The term 2 moves the image by 4 N c to the right.
+            right in the picture and y down. The RMS wavefront error is the root of the sum of the
+            squares of all coefficients except the first. The coefficient c of term 2 moves the
+            image by 4 N c to the right.
         wavelength: () or (bands,) m; (bands, lines) for bands of several equally strong lines.
         f_number: () working f-number N, no unit.
         pixel_pitch: () m.
         size: side of the kernel in pixels, odd, static.
         obstruction: () in [0, 1), diameter of a central stop over that of the pupil; None for none.
-        order: nodes per side of a pixel, static; 8 / 3 of pitch / (lambda N) are the least.
-        samples: nodes along and across the pupil, static; 24 + .43 pi size pitch / (lambda N) are
-            the least without aberrations.
+        order: nodes per side of a pixel, static, at least 8 / 3 pitch / (lambda N).
+        samples: nodes along and across the pupil, static; without aberrations at least 24 + .43 pi
+            size pitch / (lambda N).
 
     Returns:
         (size, size), or (size, size, bands); no unit, of sum 1.
@@ -158,14 +160,14 @@ def wavefront_kernel(
 
 
 def _polar(radius: Array | float, phase: Array) -> Array:
-    """Complex numbers of a radius and a phase in rad."""
+    """Return complex numbers with this radius and phase in rad."""
     return jax.lax.complex(radius * jnp.cos(phase), radius * jnp.sin(phase))
 
 
 def _terms(
     x: np.ndarray, y: np.ndarray, radius: Scalar | float, coefficients: Float[Array, " terms"]
 ) -> Float[Array, "samples samples"]:
-    """W in m at places of the pupil."""
+    """Return the wavefront error W in m at positions of the pupil."""
     places = (radius * jnp.asarray(z, coefficients.dtype) for z in (x, y))
     return zernike(*places, count=len(coefficients)) @ coefficients
 
@@ -178,8 +180,8 @@ def _check_nodes(
     f_number: Scalar,
     pixel_pitch: Scalar,
 ) -> None:
-    """`ValueError` for too few nodes. A rule of n nodes integrates a phase that changes by 2 n rad
-    a unit in the middle, and by 2 n / sqrt(1 - x^2) at x."""
+    """Raise `ValueError` for too few nodes. A rule of n nodes on [-1, 1] integrates a phase whose
+    slope is at most 2 n rad per unit in the middle, and 2 n / sqrt(1 - x^2) at x."""
     wide = float(np.max(pixel_pitch / (np.asarray(wavelength, float) * f_number)))
     if order < 8 / 3 * wide:
         raise ValueError(
