@@ -1,8 +1,9 @@
-"""What neighbouring pixels of a calibrated camera share.
+"""Brighter-fatter effect and mixing of neighbouring pixels of a calibrated camera.
 
-The brighter-fatter effect: a_00 from variances and covariances, a_ij of the neighbours from their
-covariances, and the kernel for a sensor. Linear mixing of pixels after the counting: the likelihood
-gives the share of the variance, and the covariances give its distribution among the neighbours.
+For the brighter-fatter effect, a_00 follows from variances and covariances, the a_ij of the
+neighbours from their covariances, and the kernel of a sensor from all of them. For linear mixing of
+pixels after charge collection, the likelihood gives the share of the variance, and the covariances
+give its distribution among the neighbours.
 """
 
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ from .neighbours import (
 )
 from .statement import LikelihoodFit
 
-STEPS = 6  # of Gauss and Newton; the model is nearly linear
+STEPS = 6  # Gauss-Newton steps; the model is nearly linear
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class AreaChanges:
     """The relative change of pixel areas per electron."""
 
     values: Lags  # (lags, lags) a_ij per electron, at offsets of 0, 1, ... rows and columns
-    errors: Lags  # standard errors; that of a_00 is from the likelihood
+    errors: Lags  # standard errors; a_00 has its error from the likelihood
 
 
 def own_area_change(fit: LikelihoodFit) -> tuple[float, float]:
@@ -96,7 +97,7 @@ def _fitted(
             expected = expected + share * mu[:, None, None]
         return (weight * (found - expected)).reshape(len(mu), -1)[:, 1:].ravel()
 
-    # mu^2 a_ij and shares of mu, so that all unknowns are alike
+    # mu^2 a_ij and shares of mu, so that all unknowns have a similar scale
     unit = jnp.concatenate([jnp.full(size, 1 / jnp.max(mu)), jnp.ones(size if mixing else 0)])
     vector = jnp.zeros(unit.size)
     slopes = jnp.zeros((1, 1))
@@ -111,7 +112,7 @@ def _fitted(
 def fitted_kernel(
     measurement: PhotonTransfer, usable: np.ndarray
 ) -> Float[np.ndarray, "rows columns"]:
-    """The kernel with a_00 = -1 whose area changes fit the measured ones best."""
+    """Return the kernel with a_00 = -1 whose area changes best fit the measured ones."""
     around = copies()
     around[0, 0] = 1
     weight = np.sqrt(around)
@@ -135,7 +136,7 @@ def fitted_effect(
 
 
 def mixed_shares(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
-    """The distribution of the variance that mixing takes from a pixel over the covariances."""
+    """Return how the variance that a pixel loses by mixing is distributed over the covariances."""
     if not tell_of_neighbours(measurement):
         return shares_of(np.zeros(0), np.zeros((0,) * 3), np.zeros((0,) * 3))
     found, variances, _ = above_dark(measurement.bright, measurement.dark)

@@ -1,9 +1,9 @@
 """Calibration of a camera's noise from photon transfer: the EMVA 1288 sheet, twice.
 
-The first sheet uses the standard's regressions (`emva1288`), the second maximum likelihood
-(`model`). The likelihood weights every level by its precision. It detects a nonlinear camera, and
-then gives gain and efficiency at zero signal. Every figure has a standard error and intervals. A
-figure that the measurement cannot give has the reason in its place.
+The first version of the sheet uses the standard's regressions (`emva1288`), the second uses maximum
+likelihood (`model`). The likelihood weights every level by its precision. It detects a nonlinear
+camera, and then gives gain and efficiency at zero signal. Every figure has a standard error and
+intervals. If the measurement cannot give a figure, the sheet states the reason instead.
 
 Noise shared by rows or columns in flats beyond that of the darks, as from flickering light under a
 rolling shutter, is subtracted first. No model includes it, and in a variance it looks like shot
@@ -173,7 +173,7 @@ class NoiseCalibration(ShownInNotebooks):
 
     @property
     def gain(self) -> float:
-        """K, DN/e-, as the table shows it: from the likelihood, or from the standard if that
+        """K, DN/e-, as in the table: from the likelihood, or from the standard if the likelihood
         failed."""
         told = self.shown.get("system_gain")
         of_standard = float(self.standard.values["system_gain"])
@@ -194,9 +194,9 @@ class NoiseCalibration(ShownInNotebooks):
 
     @property
     def efficiency(self) -> float | None:
-        """Electrons per photon, the table's value. If only the value at the posterior mode exceeds
-        1, which means an error in the input, that value is returned, because the sensor uses it.
-        None if photons are not known."""
+        """Electrons per photon, the table's value. If the value at the posterior mode, which the
+        sensor uses, exceeds 1, it is returned instead: it means an error in the input. None if
+        photons are not known."""
         if not self.measurement.photons_known:
             return None
         if self.likelihood is None:
@@ -223,7 +223,7 @@ class NoiseCalibration(ShownInNotebooks):
 def calibrate(
     measurement: PhotonTransfer, *, sampling: Emcee | None = None, seed: int = 0
 ) -> NoiseCalibration:
-    """Both sheets of a measurement: by the standard's regressions and by maximum likelihood.
+    """Calibrate a camera by the standard's regressions and by maximum likelihood.
 
     Args:
         measurement: bright and dark levels.
@@ -231,17 +231,17 @@ def calibrate(
         seed: of every draw.
 
     Returns:
-        The calibration; without a likelihood where it has no maximum.
+        The calibration; without likelihood results if the likelihood has no maximum.
     """
     require_kind("noise.calibrate: measurement", measurement, PhotonTransfer, source="from_frames")
-    measurement = as_dtype(measurement, np.float64)  # of a caller in float32
+    measurement = as_dtype(measurement, np.float64)  # the caller may use float32
     flicker = extra_in_flats(measurement, linear_levels(measurement))
     measurement = without_flicker(measurement, flicker)
     within = ranges(measurement)
     usable = linear_levels(measurement)
     dark = measurement.dark
     shared = shared_noise(dark.shared, dark.variance, dark.frames)
-    # Taps that differ in remarks alone share one program.
+    # Taps that differ only in remarks share one compiled program.
     bare = replace(measurement, remarks=(), lossy=(), doubts=(), site=None, pattern=None)
     standard = _evaluated(bare, within, shared=shared)
     window, gone = needed_window(measurement, usable)
@@ -301,7 +301,7 @@ def refitted(calibration: NoiseCalibration, terms: tuple[Parameter, ...]) -> Noi
 
 
 def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternVariance:
-    """The pattern with the likelihood's DSNU, where rounding distorts the measured one."""
+    """Return the pattern with the likelihood's DSNU if rounding distorts the measured DSNU."""
     labels = names(posterior.space)
     if OFFSET_SPREAD.name not in labels:
         return pattern
@@ -314,8 +314,8 @@ def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternV
 
 
 def _posterior(fit: LikelihoodFit, sampling: Emcee | None, seed: int) -> Posterior:
-    """The posterior of the chosen model. If the model has a scatter, which has a prior, it is taken
-    about the posterior mode."""
+    """The posterior of the chosen model. If the model has a scatter, whose prior shifts the mode,
+    the posterior is taken about its own mode."""
     vector, covariance = fit.optimum.vector, fit.inflation * fit.covariance
     problem = posterior_problem(fit)
     if problem.inputs.jeffreys:
@@ -426,5 +426,6 @@ def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) ->
 
 
 def sheet_estimate(quantity: Quantity, value: float, error: float, method: str) -> Estimate:
-    """A line of the sheet as an estimate, with the kind of intervals that the quantity needs."""
+    """Return a line of the sheet as an estimate, with intervals symmetric in the value or in its
+    logarithm."""
     return gaussian_estimate(quantity, value, error, method=method, log_scale=quantity.positive)

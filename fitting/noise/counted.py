@@ -1,12 +1,11 @@
 """Tables of codes at levels of few electrons: the choice of the levels, the counts, and their fit.
 
 With a read noise below about one electron, the histogram of the codes has a peak for each count
-of electrons, or is skew. Mean and variance lose most of this information. The black levels of
+of electrons, or is skewed. Mean and variance lose most of this information. The black levels of
 pixels differ (DSNU), which would blur the peaks. The pixel's own black level, its mean over the
-dark frames of the same exposure, is therefore subtracted from each code. The noise of that mean
-is known, and no distribution of the offsets is assumed. The gains of pixels are assumed to agree
-within a fifth of the read noise over the counted electrons, which limits the light of the
-levels.
+dark frames of the same exposure, is therefore subtracted from each code. The noise of that mean is
+known, and no distribution of the offsets is assumed. The gains of pixels are assumed to agree
+within a fifth of the read noise over the counted electrons, which limits the light of the levels.
 
 The fit uses the exact distribution of a code,
 
@@ -40,18 +39,18 @@ from .model import CountedLevels
 from .pattern import fitted_pattern
 from .shared import drift
 
-SUB_ELECTRON = 1.5  # e- of read noise above which moments hold as much information
-FINEST = 0.4  # codes of read noise, below which a pixel's black hides between two codes
+SUB_ELECTRON = 1.5  # read noise, e-, above which moments contain as much information
+FINEST = 0.4  # read noise, in codes, below which a pixel's black level between two codes is unknown
 FEWEST, MOST = 0.1, 30.0  # electrons of a level
-UNEVEN = 0.2  # of the read noise, by which unequal gains may move a level's codes
-LEVELS = 8  # of a fit at most: more cost time and add little information
-REACH = 8.0  # standard deviations on either side that a table holds
-SIZES = 64  # codes in whose multiples tables come, as each size is compiled by itself
-PLACES = 8  # of the pixels' black between two codes, at most
+UNEVEN = 0.2  # largest shift of a level's codes by unequal gains, relative to the read noise
+LEVELS = 8  # most levels in a fit: more levels cost time and add little information
+REACH = 8.0  # standard deviations on either side that a table covers
+SIZES = 64  # tables are padded to multiples of this, because each size is compiled separately
+PLACES = 8  # most classes of the pixels' black level between two codes
 
 
 def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
-    """The bright levels whose codes are counted."""
+    """Return the bright levels whose codes are counted, or the reason why there are none."""
     none, usable = np.zeros(0, int), linear_levels(measurement)
     bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
     signal, excess = signal_of(measurement)[usable], shot_of(measurement)[usable]
@@ -80,7 +79,8 @@ def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
     if not len(dim):
         return (
             f"{told} no level has {FEWEST:g} to {most:.2g} electrons, at which the histogram of "
-            "codes tells more than mean and variance; add such flats for a better gain."
+            "codes contains more information than mean and variance; add such flats for a "
+            "better gain."
         )
     return dim[np.unique(np.linspace(0, len(dim) - 1, min(len(dim), LEVELS)).astype(int))]
 
@@ -144,9 +144,9 @@ def code_tables(
     )
 
 
-BEYOND = 1.3  # times the read noise of the moments, that the sum over electrons has room for
-TOLERATED = 2.0  # chi-square per degree of freedom up to which the tables count
-TREND = 3  # exposures of darks that separate their electrons from the black level
+BEYOND = 1.3  # largest read noise in the sum over electrons, relative to that from moments
+TOLERATED = 2.0  # chi-square per degree of freedom up to which the tables are used
+TREND = 3  # exposures of darks needed to separate dark electrons from the black level
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class CodeFit:
     # (2 + m,) logarithms of gain (DN/e-), read noise (e-) and electrons of each level
     logs: Float[np.ndarray, " logs"]
     covariance: Float[np.ndarray, "logs logs"]
-    numbers: int  # how many values the tables count, over pixels and frames
+    numbers: int  # number of counted values, over pixels and frames
     failures: tuple[str, ...]  # why the fit is not used, in sentences; empty where it is used
     misfit: Misfit | None = None  # of the counts in the tables; None where no search began
 
@@ -196,13 +196,13 @@ def counts_problem(
     codes = np.asarray(tables.first)[:, None] + np.arange(tables.counts.shape[1])
     one = jnp.ones((len(codes), 1))
     sensor = Sensor(shot_noise=PoissonShotNoise(), gain=gain, read_noise=read_noise, offset=0.0)
-    # A number for each table, which a sensor of one camera has no shape for.
+    # One number per table, for which a sensor record has no shape.
     sensor = eqx.tree_at(lambda s: (s.read_noise, s.offset), sensor, (read_noise * one, 0 * one))
     problem = Problem(
         {
             "sensor.gain": Parameter(unit="DN/e⁻", transform="log"),
             "read_noise": Parameter(unit="e⁻", transform="log"),
-            "black": Parameter(shape=(len(darks),), prior=Normal(0.0, 1.0)),  # of its own errors
+            "black": Parameter(shape=(len(darks),), prior=Normal(0.0, 1.0)),  # standard errors
             "electrons": Parameter(unit="e⁻", shape=(len(levels),), transform="log"),
             "known": known,
             "expected": (np.asarray(tables.place) - unlit[of])[:, None],
@@ -267,9 +267,9 @@ def fitted_tables(measurement: PhotonTransfer) -> CodeFit | None:
 
 
 def _dark_signal(measurement: PhotonTransfer) -> np.ndarray:
-    """The dark signal of each dark in DN, from the line of their means over exposure. With too
-    few exposures it is 0, and its electrons count as read noise, as in the likelihood of the
-    moments."""
+    """Return the dark signal of each dark in DN, from a line through their means over exposure.
+    With too few exposures it is 0, and dark electrons count as read noise, as in the likelihood of
+    the moments."""
     dark = measurement.dark
     exposure, mean = np.asarray(dark.exposure), np.asarray(dark.mean)
     if len(np.unique(exposure)) < TREND:
@@ -281,8 +281,9 @@ def _dark_signal(measurement: PhotonTransfer) -> np.ndarray:
 def _frames_in_common(
     measurement: PhotonTransfer, tables: CodeTables, read_noise: float, log_gain: float
 ) -> float:
-    """The factor on variances because all flats of a pixel share the error of its black level. If
-    the codes of F flats have correlation rho, their squares have rho^2."""
+    """Return the factor on variances because all flats of a pixel share the error of its black
+    level. If the codes of F flats have the correlation rho, their squares have the correlation
+    rho^2."""
     step, most = measurement.converter.step, 1.0
     own = (read_noise * np.exp(log_gain)) ** 2 + measurement.converter.rounding
     for d in np.unique(np.asarray(tables.dark)):

@@ -32,9 +32,9 @@ from .levels import Doubt, PhotonTransfer, linear_levels, shot_of, signal_of
 from .pattern import pattern_variance
 from .quantities import ON_GAIN
 
-SKEWED, NEAR = 1.5, 0.15  # times the third cumulant of light alone, and how near to it
+SKEWED, NEAR = 1.5, 0.15  # ratio to the third cumulant of light alone, and tolerance
 SURE_OF_SKEW = 6.0  # standard errors
-SMALL = 0.1  # of the third cumulant, which unequal pixels may add
+SMALL = 0.1  # share of the third cumulant that unequal pixels may add
 FEWEST_SKEWED = 3
 
 
@@ -43,7 +43,7 @@ def multiplied(
     flats: Sequence[Sequence[FrameSample]],
     darks: Sequence[Sequence[FrameSample]],
 ) -> Doubt | None:
-    """Whether dim flats are as skew as multiplied electrons."""
+    """Return a doubt if dim flats are as skewed as multiplied electrons."""
     bright, dark = measurement.bright, measurement.dark
     if bright.spatial_variance is None or dark.spatial_variance is None:
         return None
@@ -91,7 +91,7 @@ def _third_cumulant(frames: Sequence[FrameSample], variance: float) -> tuple[flo
 
 
 FEWEST_DRIFTING = 5
-CHANCE_OF_DRIFT = 1e-6  # that levels of a steady lamp, or of one that flickers, seem to drift
+CHANCE_OF_DRIFT = 1e-6  # probability of a false drift for a steady or flickering lamp
 
 
 class Drifting(NamedTuple):
@@ -116,7 +116,7 @@ def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) ->
     if not (signal > 0).all():
         return None
     frames = np.asarray(bright.frames)[usable]
-    squares = frames * (frames**2 - 1) / 12  # of the order about its mean
+    squares = frames * (frames**2 - 1) / 12  # sum of squares of the frame order about its mean
     shares = np.asarray(bright.trend)[usable] / signal
     noise = np.asarray(bright.variance)[usable] / float(bright.pixels) / squares / signal**2
     weights = 1 / noise
@@ -158,14 +158,14 @@ def _scatter(signal: Float[np.ndarray, " levels"], times: Float[np.ndarray, " le
     return float(np.sqrt(np.sum(rest**2) / (len(x) - design.shape[1])))
 
 
-CHANCE = 1e-4  # that darks of a clean camera seem to fade
+CHANCE = 1e-4  # probability that darks of a faultless camera seem to fade
 FEWEST_LEVELS = 5
-CONSTANT = 1 / 3  # of the fall at the brightest level, which may be the same at all levels
-STEP = np.log(1.25)  # of a gain or a dark variance, from which it is another one
+CONSTANT = 1 / 3  # share of the decrease at the brightest level that may be common to all levels
+STEP = np.log(1.25)  # least step of ln gain, or of ln dark variance
 SURE = 6.0  # standard errors of the difference of two groups
-ALIKE, SUDDEN = 0.25, 0.6  # of a step: scatter within a group at most, between neighbours at least
-DITHERED = 1.0  # variance in squared steps, below which rounding bends it
-KNOWN = 0.05  # relative error of a level's variance up to which it counts
+ALIKE, SUDDEN = 0.25, 0.6  # of a step: largest scatter in a group, least between neighbours
+DITHERED = 1.0  # variance, in squared steps, below which rounding distorts it
+KNOWN = 0.05  # relative error of a level's variance up to which it is used
 OF_DARK_NOISE = (
     *("temporal_dark_noise", "read_noise", "threshold_photons", "threshold_electrons"),
     *("dynamic_range", "dynamic_range_db", "usable_bits", "dark_current_variance"),
@@ -185,7 +185,7 @@ def doubts(
     flats: Sequence[Sequence[FrameSample]],
     darks: Sequence[Sequence[FrameSample]],
 ) -> tuple[Doubt, ...]:
-    """The doubts that the levels of a series raise about figures that use all of them."""
+    """Return the doubts about figures that use all levels of a series."""
     found = [_fading(measurement, darks), multiplied(measurement, flats, darks)]
     found.append(_averaged(measurement))
     found.append(_two_gains(measurement, flats))
@@ -195,7 +195,8 @@ def doubts(
 
 
 def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[FrameSample]]) -> Doubt | None:
-    """Darks that decrease from frame to frame in proportion to the flats of their exposure."""
+    """Return a doubt if darks decrease from frame to frame in proportion to the flats of their
+    exposure."""
     dark, matched = measurement.dark, np.asarray(measurement.dark_of)
     signal = signal_of(measurement)
     there = [i for i in range(len(darks)) if (matched == i).any()]
@@ -237,7 +238,7 @@ def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[FrameSample]])
 
 
 def _averaged(measurement: PhotonTransfer) -> Doubt | None:
-    """Flats or darks, not both, with fractional numbers."""
+    """Return a doubt if either the flats or the darks have fractional values, but not both."""
     bright, dark = (levels.converter.step for levels in (measurement.bright, measurement.dark))
     if bright == dark:
         return None

@@ -45,8 +45,8 @@ from .shared import SharedNoise
 
 SENSITIVITY_TOP = 0.7
 LINEARITY_RANGE = (0.05, 0.95)
-FEWEST_FOR_LINE = 3  # levels in that range, for deviations from a line
-# Of the square of a converter's step; below it, the standard says, rounding rules.
+FEWEST_FOR_LINE = 3  # fewest levels in the linearity range for deviations from a line
+# In squared steps of the converter; below it, according to the standard, rounding dominates.
 LEAST_DARK_VARIANCE = 0.24
 UNLIKELY = 0.01  # p-value of a chi-square below which scatter is significant
 
@@ -84,7 +84,7 @@ class Misfit(eqx.Module):
     dark_variance: Float[Array, ""]  # about the line of the dark variances over exposure
     responsivity: Float[Array, ""]  # about R
     gain: Float[Array, ""]  # about K
-    # on the variances because of the misfit; 1 where chance explains the scatter
+    # factors on the variances because of the misfit; 1 where chance explains the scatter
     factors: Float[Array, "4"]
 
 
@@ -99,7 +99,7 @@ class Evaluation(eqx.Module):
 def ranges(measurement: PhotonTransfer) -> Ranges:
     """The standard's ranges of a measurement.
 
-    Without a saturation point the brightest usable level takes its place, and figures that need
+    If there is no saturation point, the brightest usable level replaces it, and figures that need
     saturation are not given.
     """
     bright = measurement.bright
@@ -131,7 +131,7 @@ def statistics(measurement: PhotonTransfer, saturation: Array | None) -> Statist
 
 
 def sheet(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> Sheet:
-    """The standard's figures; figures that the measurement cannot give are left out.
+    """Return the standard's figures, without those that the measurement cannot give.
 
     Source:
         EMVA Standard 1288, release 3.1.
@@ -236,8 +236,8 @@ def linearity_errors(
 def linearity_deviation(
     light: Float[Array, " levels"], signal: Float[Array, " levels"], within: Bool[Array, " levels"]
 ) -> Float[Array, " levels"]:
-    """Deviation of each level from the linearity line; NaN with too few levels, whose slopes must
-    not enter other figures."""
+    """Return the deviation of each level from the linearity line; NaN with too few levels, so that
+    their slopes do not enter other figures."""
     enough = jnp.sum(within) >= FEWEST_FOR_LINE
     within = within | ~enough
     safe = jnp.where(within, signal, 1)

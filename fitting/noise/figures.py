@@ -21,7 +21,7 @@ from .regressions import line
 
 SIZE = (5.4, 4.6)
 ORANGE, GREY = "tab:orange", "0.45"
-POINTS = 300  # of a drawn curve
+POINTS = 300  # points of a drawn curve
 
 
 def noise_pictures(calibration: NoiseCalibration) -> tuple[Picture, ...]:
@@ -89,7 +89,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> Figure:
         label="beyond the linear range",
         ms=6,
     )
-    # A clipped level has next to no variance: an arrow on the edge, not two decades of axis.
+    # A clipped level has almost no variance: draw an arrow on the edge instead of two more decades.
     upper.plot(
         signal[beyond & below],
         np.full((beyond & below).sum(), 1.15 * floor),
@@ -228,7 +228,7 @@ def dark_signal_figure(calibration: NoiseCalibration) -> Figure:
 
 
 def two_panels(*, height: float = 1.4) -> tuple[Figure, Axes, Axes]:
-    """A figure of two panels with one abscissa, the lower one so high where the upper one is 3."""
+    """Return a figure of two panels with a common abscissa, with heights 3 and `height`."""
     figure = Figure(figsize=SIZE, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, height))
     return figure, upper, lower
@@ -253,7 +253,7 @@ def _model_curve(
     calibration: NoiseCalibration, *, spacing: str = "log", faintest: float | None = None
 ) -> tuple[np.ndarray, Moments, Moments]:
     """(light, moments of the chosen model there, and without light), at the median exposure. The
-    light offset is left out, because it belongs to the bench."""
+    light offset is left out, because it is a property of the test bench."""
     fit = calibration.chosen
     data = fit.data
     bright = np.asarray(data.light)[np.asarray(data.lit) > 0]

@@ -26,18 +26,18 @@ from .regressions import MISFIT, Part, deviation_quantiles
 from .shared import Found, drift, temporal_lines
 from .statement import gain_drop
 
-LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
-FAR = 3.0  # standard errors between two figures that should agree
-ASTRAY = 0.5  # relative deviation of a gain from which it is none
+LEAST_EFFICIENCY = 1e-4  # least efficiency of any sensor in its design spectrum
+FAR = 3.0  # standard errors from which two figures disagree
+ASTRAY = 0.5  # relative deviation from which a gain is meaningless
 FEWEST_FOR_OFFSET = 5  # levels besides the dimmest, for a line and an offset
-SURE = 6.0  # standard errors by which darks are smoothly uneven
-GROWS = 3.0  # times as uneven as at the shortest exposure, rms
-MATTERS = 0.1  # of the noise of a pixel
+SURE = 6.0  # standard errors of a smooth unevenness of darks
+GROWS = 3.0  # ratio of the rms unevenness to that at the shortest exposure
+MATTERS = 0.1  # least unevenness, relative to the noise of a pixel
 SAID = 2.0  # standard errors below which an offset of the light is not reported
 
 
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
-    """Every finding, the most consequential first."""
+    """Return all findings, the most consequential first."""
     return said(FINDINGS, calibration)
 
 
@@ -64,7 +64,7 @@ def processing(calibration: NoiseCalibration) -> list[str]:
 
 
 def _within_error(calibration: NoiseCalibration) -> Numbers | None:
-    """An efficiency above 1 by no more than its error."""
+    """Return an efficiency that exceeds 1 by no more than its error."""
     value = calibration.efficiency
     if value is None or value <= 1 or is_impossible(calibration):
         return None
@@ -98,7 +98,7 @@ def unstated_taps(calibration: NoiseCalibration) -> tuple[int, int] | str | None
 
 
 def _as_they_are(key: str, sentences: Callable[[NoiseCalibration], Iterable[str]]) -> Finding:
-    """Sentences that were made where their numbers were found."""
+    """Return a finding whose sentences come from another module."""
     return Finding(key, lambda c: [{"told": told} for told in sentences(c)], "{told}")
 
 
@@ -172,7 +172,7 @@ def _linear(fits: bool, calibration: NoiseCalibration) -> Numbers | None:
     linear, chosen = calibration.linear, calibration.chosen
     if (linear.p_value >= MISFIT) != fits:
         return None
-    # By how much it matters; the number of a failed fit is meaningless.
+    # State how much it matters, unless the fit failed.
     off = float(linear.values["system_gain"]) / float(chosen.values["system_gain"]) - 1
     noise = "with pixel noise only"
     if linear.data.shared is not None:
@@ -287,7 +287,8 @@ def _variance_scatter(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _rest(explained: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """The chi-square of the chosen model, if it is significant or if the linear one did not do."""
+    """Return the chi-square of the chosen model, if it is significant or if the linear model
+    failed."""
     if calibration.likelihood is None or (calibration.chosen.inflation == 1) != explained:
         return None
     chosen = calibration.chosen
@@ -333,7 +334,8 @@ def _exact(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _floored(bent: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Whether the standard's dark noise is at its floor, though each dark is above it or not."""
+    """Return the floor if the standard's dark noise is at it; `bent` tells whether each single dark
+    is above it."""
     measurement = calibration.measurement
     least = least_dark_variance(measurement)
     above = float(np.min(np.asarray(measurement.dark.variance))) > least
@@ -395,8 +397,8 @@ def _glow(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _dark_currents(kind: str, calibration: NoiseCalibration) -> Numbers | None:
-    """Dark currents by mean and variance that disagree: as variances scatter, as both are biased by
-    rounding, or neither."""
+    """Return dark currents from mean and variance that disagree because variances scatter, because
+    rounding biases both, or for another reason."""
     values, errors = calibration.standard.values, calibration.standard.errors
     if "dark_current_mean" not in values:
         return None

@@ -52,7 +52,8 @@ class Moments:
         self._shares = live.variance_shares()
 
     def add(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
-        """Add the squares of one more frame, minus the first and without its shift of the mean."""
+        """Add the squares of a further frame, after subtracting the first frame and the shift of
+        the mean."""
         for axis, squares in enumerate(self._squares):
             squares += weight * self._live.line_means(deviation, axis) ** 2
 
@@ -62,7 +63,7 @@ class Moments:
         """The variances of pixels, rows, columns and whole frames between `count` frames, DN^2.
 
         `total` is the sum of the frames (DN), `variance` T averaged over the pixels, and
-        `wandering` W. Where a frame is a single row or column, its lines are pixels."""
+        `wandering` W. If a frame is a single row or column, its lines are single pixels."""
         of_rows, of_columns = (
             float(np.nanmean(count * squares - self._live.line_means(total, axis) ** 2))
             / (count * (count - 1))
@@ -94,7 +95,7 @@ class Moments:
 
 
 UNEVEN = 3.0  # standard errors from which light counts as uneven
-LEAST_FLICKER = 1e-5  # of a pixel's variance, below which what a flickering lamp adds is left
+LEAST_FLICKER = 1e-5  # share of a pixel's variance below which lamp flicker is not removed
 
 
 class Unlit(NamedTuple):
@@ -105,7 +106,7 @@ class Unlit(NamedTuple):
 
 
 class LevelStatistics(NamedTuple):
-    """The statistics of one level, as `Levels` has them for all, and a summary of each frame."""
+    """The fields of `Levels` for one level, and a summary of each frame."""
 
     mean: float
     variance: float
@@ -129,7 +130,7 @@ class LevelSums:
     S1^2 are small and their difference keeps its precision.
 
     `top` is the DN from which a pixel is saturated, `unlit` has mean and variance of a flat's
-    darks, and `corner` is the place of a frame's first pixel in its file."""
+    darks, and `corner` is the position of a frame's first pixel in its file."""
 
     def __init__(
         self,
@@ -151,12 +152,12 @@ class LevelSums:
         self.hits = 0
 
     def add(self, name: str, frame: np.ndarray) -> None:
-        """One more frame, or the first."""
+        """Add the first or a further frame."""
         deviation = frame - self.first
         if self.shown and (jumps := hits(deviation, self.live)) is not None:
             deviation = jumps.change
             self.hits += int(jumps.up.sum() + jumps.down.sum())
-            if len(self.shown) == 1:  # so that those below are of the first frame
+            if len(self.shown) == 1:  # so that the following frames are compared with the first
                 self.first = np.where(jumps.down, frame - deviation, self.first)
                 self.shown[0] = self._sample_of(self.shown[0].name, self.first)
             frame = self.first + deviation
@@ -164,8 +165,8 @@ class LevelSums:
         self._shifts.append(self.live.mean(deviation))
         if len(self.shown) == 1:
             return
-        # Light that drifts between the frames moves all pixels together: no noise of pixels, and
-        # products would mix it with that noise.
+        # A drift of the light between frames shifts all pixels together. It is not pixel noise, and
+        # products would mix the two.
         deviation = self.live.only(deviation - self._shifts[-1])
         self._total += deviation
         if self._unlit is not None:
@@ -209,7 +210,7 @@ class LevelSums:
         along = (self._shifted - shifts.mean() * self._total) / np.sqrt(size)
         self._add_squares(along - pattern)
         self._add_squares(along, weight=-1.0)
-        # Of shot noise, which grows with the light, `along` has more than the mean frame.
+        # `along` has more shot noise than the mean frame, because shot noise grows with the light.
         shot = 1 - self._unlit.variance * self.live.count / max(temporal, 1e-300)
         return 1 + (1 - 2 * shot) * share / (count * (count - 1))
 
@@ -222,7 +223,7 @@ class LevelSums:
         wandering = float(np.var(self._shifts, ddof=1))
         parts = self._lines.temporal(total, live.mean(temporal), wandering, count)
         variance = parts.of_a_pixel
-        # A frame's mean holds the noise of its own pixels, too, which went with it.
+        # The mean of a frame includes the noise of its own pixels, which was subtracted with it.
         lost = wandering - parts.frames
         temporal += lost
         covariances = self._neighbours.covariances(total, variance, lost, count)

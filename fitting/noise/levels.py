@@ -7,11 +7,11 @@ numbers and of their squares,
     variance  s^2 = (L S2 - S1^2) / (L (L - 1))          averaged over the pixels
     spatial   s^2_measured = variance of S1 / L over the pixels
 
-All frames of a level count, and a fixed pattern cancels in the temporal variance. DN is the digital
-number; exposures are seconds; light is counted in photons per pixel and exposure.
+All frames of a level are used, and a fixed pattern cancels in the temporal variance. DN is the
+digital number; exposures are seconds; light is counted in photons per pixel and exposure.
 
-Flats whose converter writes codes of a piecewise linear curve (companding): above a knee, the
-slope of the signal is r times the slope below.
+Some converters write codes of a piecewise linear curve (companding): above a knee, the slope of the
+signal is r times the slope below.
 
 With K DN an electron below the knee and s_k DN of signal at it, the variance of light is
 
@@ -32,12 +32,12 @@ from jaxtyping import Array, Float, Int
 from ..codes import Converter
 from .shared import SharedVariance
 
-FEWEST = 3  # levels to either side
-BENT = 0.85  # r, from which a bend may be a smooth one
-FLAT = 0.02  # r, below which a well is full
-ALIKE = 0.03  # relative departure of variances from both lines, rms, besides their own noise
-RISES = 1.05  # largest signal to that of the first level behind a knee, at least
-BESIDE = 0.1  # of the signal, by which the knee may lie beside the gap between the levels
+FEWEST = 3  # fewest levels on either side
+BENT = 0.85  # r above which a bend may be a smooth curve
+FLAT = 0.02  # r below which the well is full
+ALIKE = 0.03  # relative rms deviation of variances from both lines, beyond their noise
+RISES = 1.05  # least ratio of the largest signal to that of the first level above a knee
+BESIDE = 0.1  # largest distance of the knee from the gap between the levels, relative to the signal
 
 
 class Knee(NamedTuple):
@@ -79,10 +79,10 @@ def knee_of(
 
 FEWEST_PIXELS = 100
 REACH = 3  # rows and columns up to which pixels count as neighbours
-SATURATED_DROP = 5.0  # standard errors by which the variance falls behind the saturation point
+SATURATED_DROP = 5.0  # standard errors by which the variance decreases above the saturation point
 LINEAR_TOP = 0.95  # of the saturation signal: the upper end of the standard's linearity range
 CLEAR_OF_CLIPPING = 4.0  # standard deviations
-FEWEST_OF_ONE = 4  # levels that one of two converters read
+FEWEST_OF_ONE = 4  # fewest levels read by one of two converters
 
 
 class Levels(eqx.Module):
@@ -100,15 +100,15 @@ class Levels(eqx.Module):
         shared: noise that is shared by rows, columns and whole frames; None where only sums over
             the pixels are known.
         flicker: (2, levels) noise of rows and of columns that was subtracted from `variance`, DN^2;
-            None where none was.
+            None if none was subtracted.
         converter: grid of the values.
         covariances: (levels, lags, lags) of neighbouring pixels, at offsets of 0 to `REACH` rows
             and columns, with the variance at (0, 0), DN^2; None without frames or where the pixels
             are not adjacent.
         residues: (levels, 2, 5, residues) means of the average frame and of its variance, by row,
             by column and by position in a cell (`periodic`); None without frames.
-        quarters: (levels, 2, 8) the same for the quarters of a frame, and for its centre and
-            border.
+        quarters: (levels, 2, 8) means of the average frame and of its variance for the quarters of
+            a frame, its centre and border, and the steps at its middle (`periodic`).
         local_pattern: (levels,) variance that is the same in all frames, from differences of
             neighbours, DN^2; None without frames.
         blocks: (levels, 2, 8) covariance of a pixel and the one below (beside) it, by row (column)
@@ -165,7 +165,7 @@ class CodeTables(eqx.Module):
 
     level: Int[Array, " tables"]  # index of the bright level
     dark: Int[Array, " tables"]  # index of the dark that gives the pixels' black
-    place: Float[Array, " tables"]  # mean of the pixels' black level less a whole code, codes
+    place: Float[Array, " tables"]  # mean of the pixels' black level minus a whole code, codes
     # variance of the error of a pixel's assumed black level, codes^2: noise of the dark frames,
     # positions within a table, and drift
     known: Float[Array, " tables"]
@@ -185,7 +185,7 @@ class PhotonTransfer(eqx.Module):
         light_step: rounding step of the photon counts, photons.
         photons_known: false where `bright.light` is the exposure in s.
         full_scale: largest DN, None where unknown.
-        remarks: sentences on what the reader of the files did.
+        remarks: sentences on what was done in reading the files.
         lossy: names of frames whose files are JPEG.
         doubts: figures that the frames do not determine, and why.
         site: name of the amplifier tap or mosaic site of these pixels; None for all pixels.
@@ -236,7 +236,7 @@ def shot_of(measurement: PhotonTransfer) -> Float[np.ndarray, " levels"]:
 
 
 def finer(bright: Levels, dark: Levels) -> Converter:
-    """The common grid of the numbers of both."""
+    """Return the common grid of the numbers of bright and dark levels."""
     return min(bright.converter, dark.converter, key=lambda one: one.step)
 
 
@@ -289,5 +289,5 @@ def _first_converter(measurement: PhotonTransfer) -> np.ndarray:
 
 
 def rounding_step(amounts: np.ndarray) -> float:
-    """1 where all counts are whole numbers, as if rounded; else 0."""
+    """Return 1 if all photon counts are whole numbers, as if rounded; else 0."""
     return 1.0 if np.array_equal(amounts, np.round(amounts)) else 0.0

@@ -17,8 +17,8 @@ from jaxvision.errors import InputError, plain_text
 
 from .levels import FEWEST_PIXELS, Levels, PhotonTransfer, rounding_step
 
-FEWEST_FOR_POWER, LIGHTS = 4, 4.0  # levels, and times the dimmest signal, to tell a power of it
-STRAIGHT, CURVED = 0.05, 4.0  # relative scatter of variance over signal; times that of its root
+FEWEST_FOR_POWER, LIGHTS = 4, 4.0  # levels, and range of signals, needed to find a power law
+STRAIGHT, CURVED = 0.05, 4.0  # relative scatter of variance over signal; ratio to its root's
 COUNT_COLUMNS = ("bright_sum", "bright_pvar", "dark_sum", "dark_pvar")
 MOMENT_COLUMNS = ("mean_bright_DN", "var_bright_DN2", "mean_dark_DN", "var_dark_DN2")
 PIXELS_COLUMN, FRAMES_COLUMN = "pixels", "frames"
@@ -113,7 +113,7 @@ def _columns(file: Path) -> dict[str, np.ndarray]:
 
 def _column(file: Path, columns: dict[str, np.ndarray], name: str) -> np.ndarray:
     if name not in columns:
-        raise InputError(f"{file}: has no column {name}; add it (there are {', '.join(columns)}).")
+        raise InputError(f"{file}: has no column {name}; add it (it has {', '.join(columns)}).")
     return columns[name]
 
 
@@ -125,7 +125,7 @@ def _pixels(file: Path, columns: dict[str, np.ndarray], frames: np.ndarray) -> i
         counts = columns["bright_sum"] / (frames * columns["mean_bright_DN"])
     else:
         raise InputError(
-            f"{file}: says nothing of the number of pixels, on which every error depends; add a "
+            f"{file}: does not give the number of pixels, on which every error depends; add a "
             f"column {PIXELS_COLUMN}."
         )
     count = round(float(np.median(counts)))
@@ -152,8 +152,8 @@ def _moments(
 def _refuse_deviations(
     file: Path, mean: np.ndarray, variance: np.ndarray, unlit: np.ndarray, of_dark: np.ndarray
 ) -> None:
-    """Refuse standard deviations in a column of variances: their squares are proportional to the
-    signal, but they are not."""
+    """Refuse standard deviations in a column of variances. Their squares are proportional to the
+    signal, but the values themselves are not."""
     signal = mean - unlit
     seen = (signal > 0) & (variance > of_dark) & (mean <= mean[np.argmax(variance)])
     if seen.sum() < FEWEST_FOR_POWER or np.ptp(np.log(signal[seen])) < np.log(LIGHTS):
@@ -190,6 +190,4 @@ def _depth(
             f"A bit depth of {implied:.0f} was inferred from {clipped.sum()} levels at which every "
             f"pixel reads {brightest:.0f} DN.",
         )
-    return None, (
-        "The table does not show the bit depth, so clipping by the ADC is not looked for.",
-    )
+    return None, ("The table does not show the bit depth, so clipping by the ADC is not detected.",)

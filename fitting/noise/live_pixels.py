@@ -6,8 +6,9 @@ variances, and from the pixel count for the errors. So are pixels whose converte
 never changes, where columns, rows or sites have converters of their own.
 
 Pixels with outliers in single frames, such as hits by cosmic rays, can outweigh the noise of all
-others in a variance. They are separate from the distribution of the others. A noise distribution
-with a tail, as from few electrons, multiplied electrons or warm pixels, is continuous.
+others in a variance. Such outliers are separated by a gap from the distribution of all other
+pixels, while a noise distribution with a tail (few electrons, multiplied electrons, warm pixels) is
+continuous.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-WIDE = 0.5  # noise of a pixel over a bit's value, from which both of its states occur
-FEWEST = 64  # pixels of a line, among which both then occur
+WIDE = 0.5  # noise of a pixel over a bit's value from which both states of the bit occur
+FEWEST = 64  # pixels of a line in which both states must then occur
 MOST_LINES = 0.75  # of the lines; a bit stuck in more of them makes the converter's own grid
 SHOWN_LINES = 4  # lines that are listed
 SITES = 2  # rows and columns of a cell
@@ -43,7 +44,7 @@ class StuckBit(NamedTuple):
 
 
 def stuck_bits(frames: Sequence[np.ndarray]) -> list[StuckBit]:
-    """Bits that are stuck in some columns, rows or sites of a cell of 2 x 2.
+    """Find bits that are stuck in some columns, rows or sites of a cell of 2 x 2.
 
     Example:
         >>> from fitting.noise.live_pixels import stuck_bits
@@ -109,9 +110,9 @@ def _words(name: str, lines: np.ndarray) -> str:
     return f"{len(lines)} {name}s ({listed}, ...)"
 
 
-FOLLOWS = 0.1  # of what light adds to most pixels; a pixel that gains less is dead
-LIT = 20.0  # times a pixel's noise, that light must add before that can be told
-FAR = 6.0  # standard deviations from the others in the dark, of every frame of an exposure
+FOLLOWS = 0.1  # share of the signal of most pixels below which a pixel is dead
+LIT = 20.0  # least signal for this test, relative to a pixel's noise
+FAR = 6.0  # standard deviations from the other pixels in every dark frame of an exposure
 DECILE = 1.2816  # standard deviations of a normal distribution from its middle to a decile
 MOST = 0.1  # share of the pixels; of more, something else is the cause
 MOST_COVERED = 0.5  # share of the pixels in rows and columns at a border that light never reaches
@@ -119,7 +120,8 @@ SHOWN = 6  # rows, columns or pixels that are listed
 
 
 def line_products(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
-    """Sums of the products of neighbours, by row of those below, by column of those beside."""
+    """Return sums of products of neighbouring pixels: by row for vertical neighbours, by column for
+    horizontal neighbours."""
     below = np.einsum("ij,ij->i", x[:-1], x[1:])
     beside = np.einsum("ij,ij->j", x[:, :-1], x[:, 1:])
     return below, beside
@@ -170,7 +172,7 @@ class LivePixels:
         inverse = [float(np.mean(1 / of)) for of in counts]
         square = [float(np.sum(of**2)) / n**2 for of in counts]
         rows, columns = (np.maximum(of, 1) for of in self._of_line)
-        # Covariance of a row's mean with the frame's by what they have of the same columns.
+        # Covariance of a row's mean with the frame's mean, from the columns that both contain.
         crossed = self.mask / np.outer(rows, np.ones_like(columns)) * columns / n
         of_rows = float(crossed.sum()) / lines[0]
         crossed = self.mask / np.outer(np.ones_like(rows), columns) * rows[:, None] / n
@@ -304,10 +306,10 @@ def _where(mask: Bool[np.ndarray, "h w"]) -> str:
     return f", {'; '.join(parts)}," if parts else ""
 
 
-HIT, BULK = 8.0, 5.0  # standard deviations of a pixel's change: of most hits, and of no noise
+HIT, BULK = 8.0, 5.0  # standard deviations of a pixel's change: typical of hits; beyond noise
 MOST_HIT = 0.01  # share of the pixels; of more, something else is the cause
-AWAY = 5  # rows to the pixel whose noise stands in, further than neighbours are compared
-SAMPLED = 100_000  # pixels that estimate the usual change
+AWAY = 5  # rows to the pixel that replaces a hit, farther than compared neighbours
+SAMPLED = 100_000  # pixels used to estimate the usual change
 
 
 class Hits(NamedTuple):
@@ -315,7 +317,7 @@ class Hits(NamedTuple):
 
     up: Bool[np.ndarray, "h w"]  # true where a pixel is much brighter in the second frame
     down: Bool[np.ndarray, "h w"]  # true where it is much brighter in the first frame
-    change: Float[np.ndarray, "h w"]  # second frame less the first, with these pixels set aside, DN
+    change: Float[np.ndarray, "h w"]  # second frame minus the first, with these pixels replaced, DN
 
 
 def hits(change: Float[np.ndarray, "h w"], live: LivePixels) -> Hits | None:

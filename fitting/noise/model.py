@@ -4,7 +4,7 @@
     signal     x   = K mu
     mean       y   = offset + h(x)
     variance   s^2 = h'(x)^2 K^2 V(mu) + K^2 sigma_d^2 + q^2 / 12
-    neighbours T   = h'(x)^2 K^2 (mu - V(mu))       sum of the covariances of all others with one
+    neighbours T   = h'(x)^2 K^2 (mu - V(mu))       covariance of a pixel with all others, summed
     h(x)           = x (1 - c_1 x / X - c_2 (x / X)^2)
     V(mu)          = mu, or (1 - kappa) C_00(mu)
 
@@ -14,15 +14,15 @@ efficiency R / K. mu_p: photons per pixel; t: s. h: a compression behind the gai
 brightest level's signal. q: step of the converter, DN; q^2 / 12: rounding, counted once. Read noise
 is added behind the compression. C_00: the variance of a pixel whose charges repel each other
 (Astier 2019, `jaxvision.sensor.flat_covariances`). Its a_00 = -beta K / X, so to first order beta
-is the relative loss of variance at the brightest level. The other a_ij have the relative sizes of
-the measured covariances. kappa is the share of a pixel's signal variance that linear mixing with
-its neighbours takes. Neither changes the noise of sums over many pixels.
+is the relative loss of variance at the brightest level. The other a_ij are proportional to the
+measured covariances. kappa is the relative loss of a pixel's signal variance by linear mixing with
+its neighbours. Neither changes the noise of sums over many pixels.
 
 The observed mean of L frames of n pixels is Normal with variance s^2 / (n L). Given the mean, the
 observed variance is Gamma. Its degrees of freedom follow from its sampling variance, (2 s^4 / (L -
-1) + kappa_4 / L) / n, minus the part that the mean explains. Shot noise is skew, which gives the
-two a covariance of kappa_3 / (n L). Two random effects are optional: an error tau_H mu_p of the
-light of a level, and an error tau_0 of its black level.
+1) + kappa_4 / L) / n, minus the part that the mean explains. Shot noise is skewed, which gives mean
+and variance a covariance of kappa_3 / (n L). Two random effects are optional: an error tau_H mu_p
+of the light of a level, and an error tau_0 of its black level.
 
 The data of the `Problem` are a row for each level: mean, temporal variance, T, and the spatial
 variance of a dark level, NaN where unknown. `predict` gives their `Expected` distribution, and
@@ -49,17 +49,17 @@ from .quantised import Moments, Window, quantised_moments
 from .quantities import RESPONSIVITY, SCATTERS, SIGNAL_RATE
 from .shared import SharedNoise
 
-UNKNOWN_LIGHT = 1e6  # relative variance of a level's light that is kept out
+UNKNOWN_LIGHT = 1e6  # relative variance of the light of an excluded level
 
 
 class OffsetData(eqx.Module):
-    """What is known of the spatial variances of the dark levels."""
+    """The spatial variances of the dark levels and their errors."""
 
     # variance of the pixels' means beyond temporal noise, DN^2; 0 at bright levels
     spatial: Float[Array, " levels"]
     # their sampling variance by temporal noise, DN^4; 0 at bright levels
     noise: Float[Array, " levels"]
-    darks: Float[Array, ""]  # number of levels that show the same pixels
+    darks: Float[Array, ""]  # number of dark levels of the same pixels
     pixels: Float[Array, ""]  # effective number of independent pixels
 
 
@@ -71,7 +71,7 @@ class CountedLevels(eqx.Module):
     # level
     logs: Float[Array, " logs"]
     covariance: Float[Array, "logs logs"]
-    # 1 for a level that a fit leaves out, whose light is then unknown, else 0
+    # 1 for a level that a fit leaves out, whose light is then unknown; 0 for others
     kept_out: Float[Array, " m"]
 
 
@@ -92,8 +92,7 @@ class NoiseData(eqx.Module):
     photons_known: bool = eqx.field(static=True, default=True)
     shared: SharedNoise | None = None  # noise of rows, columns or frames; None without
     neighbours: NeighbourData | None = None  # covariances of neighbouring pixels
-    # how the offsets of the pixels differ in the darks; None where rounding leaves it without
-    # effect
+    # spread of the pixels' offsets in the darks; None if rounding makes it irrelevant
     offsets: OffsetData | None = None
     # variance of a frame's mean because the light fluctuates, DN^2; None without
     unsteady: Float[Array, " levels"] | None = None
@@ -113,12 +112,12 @@ class Expected(eqx.Module):
     # variance of the pixels' means, DN^2; None without `OffsetData`
     spatial: Float[Array, " levels"] | None
     of_mean: Float[Array, " levels"]  # sampling variance of the mean
-    of_variance: Float[Array, " levels"]  # that of the temporal variance
+    of_variance: Float[Array, " levels"]  # sampling variance of the temporal variance
     of_both: Float[Array, " levels"]  # their covariance
     # sampling variance of T; None where T is not known
     of_neighbours: Float[Array, " levels"] | None
-    # that of the spatial variance, and its covariances with mean and temporal variance; None
-    # without `OffsetData`
+    # sampling variance of the spatial variance, and its covariances with mean and temporal
+    # variance; None without `OffsetData`
     of_spatial: Float[Array, "3 levels"] | None
     # levels that tables of codes replace, and ln p of these; None for none
     tables: tuple[Int[Array, " m"], Float[Array, ""]] | None
@@ -155,7 +154,7 @@ def level_moments(
 
 
 def expected_neighbours(values: dict[str, Array], data: NoiseData) -> Float[Array, " levels"]:
-    """T, the sum of the covariances of all other pixels with one."""
+    """Return T, the covariance of a pixel with all others, summed."""
 
     def at(light: Array, lit: Array, exposure: Array) -> Array:
         mu = expected_electrons(values, data, light, lit, exposure)
@@ -248,7 +247,8 @@ def predict(values: dict[str, Array], inputs: NoiseData) -> Expected:
         spread = spread + data.shared.of_variance / (frames - 1)
     of_spatial = None
     if data.offsets is not None and model.die is not None and model.uneven is not None:
-        # What the die has in common in all darks counts as new in each, as many times as large.
+        # An error that all darks of the die share counts as independent in each, with a variance
+        # larger by the number of darks.
         shown = jnp.where(data.lit > 0, 1.0, data.offsets.darks) / data.offsets.pixels
         die = shown[:, None, None] * model.die
         mean_variance = mean_variance + die[:, 0, 0]
@@ -277,7 +277,7 @@ def predict(values: dict[str, Array], inputs: NoiseData) -> Expected:
 class LevelStatistics(eqx.Module):
     """The likelihood of rows of mean, temporal variance, T and spatial variance of each level."""
 
-    # factor on its logarithm, as if the errors were larger by 1 / sqrt(weight)
+    # factor on the log likelihood, as if errors were larger by 1 / sqrt(weight)
     weight: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=1.0)
     least_squares = False
     surrogate = None
@@ -299,7 +299,8 @@ class LevelStatistics(eqx.Module):
         return self._terms_and_residuals(prediction, jnp.asarray(data))[1]
 
     def draw(self, key: Array, prediction: Expected) -> Array:
-        """Simulated rows, each number by itself and Gaussian; NaN where it is not predicted."""
+        """Return simulated rows of independent Gaussian numbers; NaN where a number is not
+        predicted."""
         of, nothing = prediction, jnp.full_like(prediction.mean, jnp.nan)
         columns = ((of.mean, of.of_mean), (of.variance, of.of_variance))
         columns += ((of.neighbours, of.of_neighbours),)

@@ -6,8 +6,8 @@ Of L frames at one level of light, with d_p the deviation of pixel p from its me
 
 minus the variance of the frames' means, as for the variance C_00. Independent pixels have C_ij = 0
 within s^2 / sqrt((L - 1) pairs). The brighter-fatter effect (Antilogus 2014, Astier 2019) gives
-a_ij x^2 at a signal of x DN, to first order, with a_ij per electron. Mixing after the counting
-gives a term in proportion to x. Covariances that all frames have, such as row noise, are subtracted
+a_ij x^2 at a signal of x DN, to first order, with a_ij per electron. Mixing after charge collection
+gives a term proportional to x. Covariances that all frames have, such as row noise, are subtracted
 with the darks. The noise r^2 of h rows adds r^2 (r^2 + 2 s^2 / w) / (h (L - 1)) to the sampling
 variance of C_ij, and twice that of C_0j.
 """
@@ -24,10 +24,10 @@ from .levels import REACH, Levels, PhotonTransfer, shot_of, signal_of
 from .live_pixels import LivePixels
 from .shared import temporal_lines
 
-PERIOD = 32  # pixels after which the sensor of the series repeats itself
-TERMS = 20  # the next is below 1e-10 up to a_00 mu = -1
+PERIOD = 32  # period, in pixels, of the sensor for which the series is computed
+TERMS = 20  # the next term is below 1e-10 up to a_00 mu = -1
 
-SURE = 3.6  # standard errors by which nearest neighbours covary: one in 1,000 cameras without
+SURE = 3.6  # standard errors of a significant covariance: 1 in 1,000 cameras without one
 
 Lags = Float[np.ndarray, "lags lags"]
 
@@ -57,8 +57,8 @@ class Neighbours:
         self._products = np.zeros_like(self._pairs)
 
     def add(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
-        """Products of one more frame, minus the first frame and without its shift of the mean; 0
-        for invalid pixels."""
+        """Add the products of a further frame, after subtracting the first frame and the shift of
+        the mean; 0 for invalid pixels."""
         self._products += weight * self._sums(deviation)
 
     def covariances(self, total: np.ndarray, variance: float, lost: float, count: int) -> Lags:
@@ -118,8 +118,8 @@ def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray, np
         for axis, line in enumerate(lines):
             if not line.believed:
                 continue
-            # All offsets of as many rows see the same products of the rows' noise, and of 0 rows
-            # their squares.
+            # Offsets by the same number of rows share the products of row noise; at 0 rows these
+            # are squares.
             product = line.variance * (line.variance + 2 * own / shape[1 - axis])
             product = product / shape[axis] / freedom
             twice = np.expand_dims(np.where(reach, 1.0, 2.0), 1 - axis)
@@ -127,7 +127,7 @@ def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray, np
             total = total + product * (2 * (2 * REACH) ** 2 + REACH * (4 * REACH + 2) ** 2)
         return each, total
 
-    varying = np.asarray(dark.variance) > 0  # identical frames hold no information
+    varying = np.asarray(dark.variance) > 0  # identical frames contain no information
     unlit, unlit_total = (1 / one[varying] for one in chance(dark))
     common = np.sum(unlit * np.asarray(dark.covariances)[varying], axis=0) / unlit.sum(axis=0)
     each, total = chance(bright)
@@ -136,8 +136,8 @@ def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray, np
 
 
 def tell_of_neighbours(measurement: PhotonTransfer) -> bool:
-    """Whether covariances are known and come from pixels. Flicker also covaries, more strongly than
-    charges do, and differs between frames.
+    """Return whether covariances are known and come from pixels. Flicker also makes pixels covary,
+    more strongly than charges do, and differs between frames.
     """
     bright, dark = measurement.bright, measurement.dark
     known = bright.covariances is not None and dark.covariances is not None
@@ -201,8 +201,9 @@ def shape_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> La
     """a_ij / a_00, (lags, lags), from covariances above dark (DN^2) that grow with the square of
     the signal (DN), and their sampling variances (DN^4).
 
-    Each is shrunk by the part of its square that chance explains. Without any significant one, the
-    four nearest neighbours share equally. The shape enters only at second order in a_00.
+    Each covariance is shrunk by the part of its square that chance explains. If none is
+    significant, the four nearest neighbours share equally. The shape matters only at second order
+    in a_00.
     """
     slopes, errors = _powers_of(signal, found, variances)[1]
     square = np.maximum(slopes**2, np.finfo(float).tiny)
@@ -216,7 +217,7 @@ def shape_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> La
 
 
 def nearest() -> Lags:
-    """a_ij / a_00 if only the four nearest neighbours gain."""
+    """Return a_ij / a_00 for an effect on the four nearest neighbours alone."""
     shape = np.zeros((REACH + 1, REACH + 1))
     shape[0, 0], shape[0, 1], shape[1, 0] = 1, -0.25, -0.25
     return shape
@@ -241,8 +242,8 @@ def shares_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> L
 def _powers_of(
     signal: np.ndarray, found: np.ndarray, variances: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """r and its error, b and its error, in C = r x + b x^2, at each offset, by weighted least
-    squares."""
+    """Return r with its error and b with its error in C = r x + b x^2, at each offset, by weighted
+    least squares."""
     x, weight = signal[:, None, None], 1 / variances
     moments = [np.sum(weight * x**power, axis=0) for power in (2, 3, 4)]
     first, second = (np.sum(weight * x**power * found, axis=0) for power in (1, 2))

@@ -1,7 +1,7 @@
 """Fixed pattern of a sensor, DSNU and PRNU, from the spatial variances of its levels.
 
-    s^2 = s^2_measured - var_y / L                 pattern left after L frames of temporal noise
-    s^2 = s_dark^2 + PRNU^2 (mu_y - mu_y.dark)^2   what dark signal and gain of the pixels add up to
+    s^2 = s^2_measured - var_y / L                 pattern without the noise of L averaged frames
+    s^2 = s_dark^2 + PRNU^2 (mu_y - mu_y.dark)^2   sum of the variations of dark signal and gain
 
 The standard (EMVA 1288, release 3.1) uses one dark level and one at half of saturation. The
 weighted fit uses all levels. Uneven light counts as PRNU in both. Both are estimates for the
@@ -26,7 +26,7 @@ from .regressions import Part, p_value, sampling_variance
 from .shared import NOTHING, Found, fixed_lines, one_pattern
 
 HALF = 0.5  # of the saturation signal: where the standard measures PRNU
-MOSTLY = 2.0  # times the bound by temporal noise alone, beyond which other errors make it
+MOSTLY = 2.0  # ratio to the bound from temporal noise above which other errors dominate
 SEEN = 2.0  # standard errors above zero from which a pattern variance is a finding
 
 
@@ -37,10 +37,10 @@ class Spread:
     Attributes:
         variance: DN^2 for offsets; relative for gains.
         noise: its standard error for this sensor alone, not for the population of its sensors.
-        parts: of pixels, and of rows and columns where their means are known; 0 where no difference
-            of rows or columns is significant.
-        temporal: the part of `noise` from temporal noise, which more frames lower; None where that
-            is all of it.
+        parts: variances of pixels and, where their means are known, of rows and columns; 0 where
+            rows or columns do not differ significantly.
+        temporal: the part of `noise` from temporal noise, which more frames reduce; None if all of
+            it is temporal.
     """
 
     variance: float
@@ -93,7 +93,7 @@ class PatternVariance:
 
 
 def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
-    """Spatial variance that temporal noise does not explain.
+    """Return the spatial variance that temporal noise does not explain.
 
     Args:
         levels: that have a `spatial_variance`.
@@ -104,9 +104,9 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
     measured, temporal, frames = (
         np.asarray(x) for x in (levels.spatial_variance, levels.variance, levels.frames)
     )
-    if levels.flicker is not None:  # an average over few frames keeps a share of it
+    if levels.flicker is not None:  # an average over few frames retains a part of it
         temporal = temporal + np.asarray(levels.flicker).sum(axis=0)
-    # Of h rows' noise, a variance over the pixels of a frame has (h - 1) / h.
+    # A variance over the pixels of a frame contains (h - 1) / h of the variance of h rows.
     common = sum(varying / count for _, varying, count in _lines(levels))
     n, rest = float(levels.pixels), (temporal - common) / frames
     pattern = measured - rest
@@ -139,7 +139,7 @@ def _population_spread(
         Part(line.variance if line.believed else 0.0, max(float(count) - 1, 1.0))
         for line, count in zip(lines, counts, strict=False)
     ]
-    # Of w columns of n / w pixels the die has (w - 1) (n / w) / (n - 1).
+    # The variance over a die contains (w - 1) (n / w) / (n - 1) of that of w columns.
     lost = sum(part.variance * (n / (part.degrees + 1) - 1) / (n - 1) for part in parts)
     variance = of_die + lost
     own = max(variance - sum(part.variance for part in parts), 0.0)
@@ -208,7 +208,8 @@ def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:
 
 
 def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVariance:
-    """The standard's two levels: the most frames first, then closest to half of saturation."""
+    """Return the pattern from the standard's two levels: those with the most frames, then the
+    bright level closest to half of saturation."""
     bright, dark = measurement.bright, measurement.dark
     pattern, by_noise = pattern_variance(bright)
     dark_pattern, dark_by_noise = pattern_variance(dark)
@@ -242,7 +243,7 @@ def fitted_pattern(
     signal = np.concatenate([_signal(measurement)[usable], np.zeros(len(dark_pattern))])
     observed = np.concatenate([pattern[usable], dark_pattern])
     by_noise = np.concatenate([by_noise[usable], dark_by_noise])
-    told = by_noise > 0  # by levels whose frames are not all alike
+    told = by_noise > 0  # levels whose frames are not identical
     signal, observed, by_noise = signal[told], observed[told], by_noise[told]
     unequal = unequal_offsets(dark), _all_unequal_gains(measurement, usable)
     design = np.stack([np.ones_like(signal), signal**2], axis=1)

@@ -21,13 +21,13 @@ from .live_pixels import LivePixels
 from .shared import believed_lines
 
 RESIDUES = 16  # rows or columns modulo it; also places in a cell of 4 x 4
-LONGER = 30  # modulo which periods of 3, 5 and 6 show
+LONGER = 30  # modulus that reveals periods of 3, 5 and 6
 CELL = 4
 PERIODS = (2, 4, 8)
 LINES = ("rows", "columns")
 CENTRE, QUARTERS = "centre and border", "quadrants"
 HALVES = ("left and right", "top and bottom")
-PARTS_OF = {  # quarters of a frame in each
+PARTS_OF = {  # quarters of a frame in each part
     HALVES[0]: ([0, 2], [1, 3]),
     HALVES[1]: ([0, 1], [2, 3]),
     QUARTERS: ([0], [1], [2], [3]),
@@ -38,11 +38,11 @@ CONTRASTS = (
     (QUARTERS, [0, 3], [1, 2]),
     (CENTRE, [4], [5]),
 )
-BLOCKS = 24  # of lines along a side, between which steps are looked for
-FEWEST_STEPS = 6  # that estimate the chance differences of blocks of lines
-CHANCE = 1e-4  # that a camera without structure shows as much
-SMALL = 0.1  # of a pixel's temporal noise; structure below it changes nothing that noise does not
-BENT = 0.2  # of a difference in signal: what a curved characteristic may make of it in gain
+BLOCKS = 24  # blocks of lines along a side for the detection of steps
+FEWEST_STEPS = 6  # needed to estimate chance differences between blocks of lines
+CHANCE = 1e-4  # probability of a false finding
+SMALL = 0.1  # of a pixel's temporal noise, below which structure is negligible
+BENT = 0.2  # largest gain difference that nonlinearity makes of a signal difference, relative to it
 WORDS = {
     2: "Even and odd {0}",
     3: "The {0} of every three",
@@ -125,7 +125,7 @@ def _inner_half(h: int, w: int) -> Bool[np.ndarray, "h w"]:
 def _step(lines: np.ndarray) -> tuple[float, float]:
     """The step of the lines at their middle relative to changes elsewhere, with its two-sided
     p-value. Differences of neighbouring blocks elsewhere are the replicates."""
-    size = max(len(lines) // BLOCKS // 2 * 2, 2)  # even, for what repeats after two lines
+    size = max(len(lines) // BLOCKS // 2 * 2, 2)  # even, for structure that repeats after two lines
     before = -(-len(lines) // 2) - size
     start = before % (2 * size)
     count = (len(lines) - start) // (2 * size)
@@ -230,7 +230,7 @@ def _period(values: Float[np.ndarray, "5 residues"], kind: int) -> int:
         return found
     if found == 2:
         return max(found, _shortest(longer, (2, 6)))
-    # A period of 6 explains one of 2 or 3, too: it is there where both leave something to it.
+    # A period of 6 also explains one of 2 or 3. It is real if neither explains all structure.
     sixths = [_shortest(longer, (two_or_three, 6)) for two_or_three in (2, 3)]
     return max(min(filter(None, sixths), default=0), _shortest(longer, (5,)))
 
@@ -299,14 +299,15 @@ def _unequal_parts(
 def _gains_of_parts(
     measurement: PhotonTransfer, usable: np.ndarray, lit: np.ndarray, unlit: np.ndarray
 ) -> tuple[np.ndarray, list[str]]:
-    """K of the quarters, the centre and the border, and which of `CONTRASTS` differ."""
+    """Return the system gain K of each quarter, the centre and the border of the frame, and which
+    of `CONTRASTS` are significant."""
     bright, dark = measurement.bright, measurement.dark
     signal, shot = np.moveaxis(lit - unlit, 1, 0)  # (levels, places) each
     variance, frames = np.asarray(bright.variance)[usable], np.asarray(bright.frames)[usable]
     weight = ((frames - 1) / variance**2)[:, None]
     squares = np.sum(weight * signal**2, axis=0)
     gains = np.sum(weight * signal * shot, axis=0) / squares
-    # Noise of whole rows or columns makes variances of halves less well known.
+    # Noise shared by rows or columns increases the error of the variances of halves.
     if bright.flicker is not None or believed_lines(dark.shared, dark.variance, dark.frames):
         return gains, []
     pixels = float(bright.pixels) / np.array([4, 4, 4, 4, 2, 2])
@@ -326,13 +327,13 @@ def _gains_of_parts(
 
 
 def taps_in_words(taps: tuple[int, int] | str | None) -> str:
-    """As a rig states them."""
+    """Return `taps` as a rig states them."""
     return f'"{taps}"' if isinstance(taps, str) else str(list(taps or ()))
 
 
 def taps_of(found: tuple[Periodic, ...], *, apart: int = 1) -> tuple[int, int] | str | None:
     """The `camera.taps` that describes the differing pixels; None if none does. Pixels of a site
-    lie `apart`: 2 in a mosaic."""
+    are `apart` pixels from each other: 2 in a mosaic."""
     periods = {one.where: apart * one.period for one in found if one.period}
     if "mosaic" in periods:
         return (2 * apart, 2 * apart)
@@ -349,7 +350,8 @@ def unequal_gains_of(found: tuple[Periodic, ...]) -> float:
 def periodic_in_words(
     found: tuple[Periodic, ...], gain: float, *, apart: bool = False, spacing: int = 1
 ) -> list[str]:
-    """One or two sentences for each structure, of pixels that lie `spacing` apart."""
+    """Return one or two sentences for each structure; `spacing` is the distance of the pixels in
+    the frame."""
     sentences = []
     for one in found:
         if one.where == "mosaic":

@@ -10,8 +10,8 @@ window of M codes that contains the whole signal:
 
     P(c) = 1/M sum_k phi(2 pi k / M) sinc(k / M) exp(-2 pi i k c / M).
 
-If the codes are summed first, a moment is a weighted sum of phi over the frequencies. Its weights
-depend on the clipping but on no parameter:
+If the codes are summed first, a moment is a weighted sum of phi over the frequencies. The weights
+depend on the clipping but not on the parameters:
 
     E[(z - r)^p] = sum_k phi(2 pi k / M) w_p(k),
     w_p(k) = 1/M sinc(k / M) sum_c (max(c, 0) - r)^p exp(-2 pi i k c / M).
@@ -41,15 +41,15 @@ from jaxtyping import Array, Float, Int
 from jaxvision.errors import InputError
 
 REACHED = 6.0  # standard deviations of the offsets on either side
-WIDEST = 1.0  # codes: of offsets that spread more, all places on the grid are alike
-WIDEST_CLIPPED = 3.0  # the same, where black is clipped, which is no periodic matter
-SPREAD = 8.0  # standard deviations on either side that a window holds
+WIDEST = 1.0  # codes, spread of offsets above which all positions on the grid are equally likely
+WIDEST_CLIPPED = 3.0  # the same limit if black is clipped, which is not periodic
+SPREAD = 8.0  # standard deviations on either side that a window covers
 DECAY = 6.5  # phi is negligible where K sigma_d u exceeds this
-PADDED = 4  # levels of a window come in multiples of it, the last repeated
-FINER = 2  # sizes of a sum over frequencies in an octave: few, as each is compiled by itself
+PADDED = 4  # the number of levels of a window is padded to a multiple by repeating the last
+FINER = 2  # sizes of the frequency sum per octave: few, because each is compiled separately
 FINEST_READ_NOISE = 0.1  # DN; below, phi hardly decays and the data hardly determine it
 ORDERS = (1, 2, 3, 4)
-LARGEST = 2**27  # numbers of a transform: 2 GB
+LARGEST = 2**27  # largest transform, in numbers: 2 GB
 
 
 class Window(eqx.Module):
@@ -133,7 +133,7 @@ def _nodes(spread: float, finest: float) -> Float[Array, " nodes"]:
     smallest read noise passes."""
     harmonics = DECAY / (2 * np.pi * finest)
     half = REACHED * (spread * 2 * harmonics + 1.2)
-    half = int(2 ** (np.ceil(FINER * np.log2(half)) / FINER))  # of few sizes, as the frequencies
+    half = int(2 ** (np.ceil(FINER * np.log2(half)) / FINER))  # few sizes, as for the frequencies
     return jnp.asarray(np.linspace(-REACHED, REACHED, 2 * half + 1))
 
 
@@ -149,7 +149,7 @@ def quantised_moments(
     """First four cumulants of the digital number at ONE level (vmap it over the window)."""
     frequencies = window.cosine.shape[-1]
     u = 2 * jnp.pi * jnp.arange(frequencies, dtype=gain.dtype) / window.size
-    # cos - 1 as -2 sin^2 of half the angle: nothing cancels where u is small.
+    # cos - 1 is computed as -2 sin^2 of half the angle, which has no cancellation at small u.
     log_size = -((gain * read_noise * u) ** 2) / 2 - 2 * electrons * jnp.sin(u * gain / 2) ** 2
     phase = u * (offset - window.centre) + electrons * jnp.sin(u * gain)
     size = jnp.exp(log_size)

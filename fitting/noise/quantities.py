@@ -64,7 +64,7 @@ HEADINGS = {  # of the sheet, in the order of the standard's summary
 
 
 def _number(name: str, symbol: str, unit: str, *, positive: bool = False) -> Parameter:
-    """One number of the likelihood, which is fitted by its logarithm where it is positive."""
+    """Return one parameter of the likelihood; a positive one is fitted by its logarithm."""
     transform = "log" if positive else "identity"
     return Parameter(name, symbol=symbol, unit=unit, transform=transform, shape=())
 

@@ -18,19 +18,19 @@ from .live_pixels import LivePixels, line_products
 
 BLOCK = 8  # pixels of a side
 SURE = 6.0  # standard errors
-SHARED = 0.1  # of the noise, by which less the covariance across a border must be
-PARTED = 0.5  # of what the lowest covariance lacks, that the others of a period lack too
-KEPT = 0.1  # of K, by which less a pattern may grow with the signal
-STEPS = np.arange(1, 17)  # of JPEG's rounding that are looked for, DN
-SMOOTH = 1 / 1.3  # deviations of a coefficient, in steps, from which raw numbers show no comb
-COMB, FEWEST_COMBS = 5.0, 10  # standard errors, and coefficients of 63 that show a comb
+SHARED = 0.1  # share of the noise by which the covariance across a border must be smaller
+PARTED = 0.5  # share of the lowest covariance's deficit that the others of a period must have
+KEPT = 0.1  # share of K below which the growth of a pattern with the signal is accepted
+STEPS = np.arange(1, 17)  # quantiser steps of JPEG that are tested, DN
+SMOOTH = 1 / 1.3  # deviation of a coefficient, in steps, above which raw frames have no comb
+COMB, FEWEST_COMBS = 5.0, 10  # standard errors, and coefficients of 63, that show a comb
 MOST_BLOCKS = 4096  # used to find combs, evenly spread over a frame
 FEWEST_FOR_PATTERN = 7  # levels, for a polynomial of four terms
 FEWEST_FOR_CURVE = 3
 BELOW_SATURATION = 0.8  # of the largest signal; levels above it may be saturated
 STRAIGHT = 0.85  # exponent of the light below which a signal is curved
 NOT_THE_CAMERAS = "gain, read noise and quantum efficiency are not the camera's. Give raw frames."
-GROWS = 0.7  # share of what noise gains over black that must be in proportion to the signal
+GROWS = 0.7  # share of the noise above black that must be proportional to the signal
 
 
 def block_products(
@@ -70,12 +70,12 @@ def combs(
     of_block = np.sqrt(np.sum(coefficients**2, axis=(1, 2)) / (BLOCK**2 - 1))
     every = coefficients.std(axis=0)
     for own, step in zip(found, STEPS, strict=True):
-        some = of_block > SMOOTH * step  # others, as in the dark, cluster about 0
+        some = of_block > SMOOTH * step  # narrower coefficients, as in the dark, cluster about 0
         if np.count_nonzero(some) < 4:
             continue
         lively = coefficients if some.all() else coefficients[some]
         turns = lively / step
-        turns -= np.rint(turns)  # less than half a turn, of which float32 has all that is needed
+        turns -= np.rint(turns)  # less than half a turn, for which float32 suffices
         mean = np.cos((2 * np.pi * turns).astype(np.float32)).mean(axis=0, dtype=float)
         told = (every if some.all() else lively.std(axis=0)) > SMOOTH * step
         own[:] = np.where(told, mean * np.sqrt(2 * len(lively)), np.nan)
@@ -127,7 +127,7 @@ def _rounded_blocks(measurement: PhotonTransfer, usable: np.ndarray) -> list[str
     each = np.asarray(measurement.bright.combs)[usable]
     told = np.isfinite(each)
     both = np.where(told, each, 0.0).sum(axis=0) / np.sqrt(np.maximum(told.sum(axis=0), 1))
-    # One level may be too dim, another too bright to show what the others do.
+    # Single levels may be too dim or too bright to show the effect.
     at_most = np.maximum(both, np.where(told, each, 0.0).max(axis=0) - 1.0)
     count = int((at_most.max(axis=0) > COMB).sum())
     if count < FEWEST_COMBS:
@@ -146,7 +146,7 @@ def _parted_blocks(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]
     variance, frames = (np.asarray(x)[usable] for x in (bright.variance, bright.frames))
     shares = np.asarray(bright.blocks)[usable] / variance[:, None, None]
     found = np.average(shares, axis=0, weights=frames - 1)  # (2, residues)
-    widest = 1 + 2 * max(float(found.mean()), 0.0)  # noise that neighbours share has fewer degrees
+    widest = 1 + 2 * max(float(found.mean()), 0.0)  # shared noise has fewer degrees
     error = widest / np.sqrt(np.sum(frames - 1) * float(bright.pixels) / BLOCK)
     least = found.min(axis=1)
     others = (found.sum(axis=1) - least) / (BLOCK - 1)
@@ -180,7 +180,7 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
     bright, dark = measurement.bright, measurement.dark
     if bright.local_pattern is None or dark.local_pattern is None:
         return []
-    # Frames that share noise keep less of it the more of them are averaged.
+    # The more frames are averaged, the less of their shared noise remains.
     counts = np.asarray(bright.frames)[usable]
     usable = usable[counts == np.median(counts)]
     if len(usable) < FEWEST_FOR_PATTERN:
@@ -195,7 +195,7 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
         )
     )
     rest, top = variance / frames, float(signal.max())
-    # Of differences of neighbours half as many again count as of pixels.
+    # Differences of neighbours have 1.5 times the sampling variance of single pixels.
     errors = 4 * np.maximum(pattern, 0) * rest + 2 * rest**2 * frames / (frames - 1)
     errors = np.sqrt(1.5 * errors / float(bright.pixels))
     told = errors > 0
@@ -213,7 +213,7 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
         found = covariance @ (design.T @ (y / scale))
         misfit = np.sum((y / scale - design @ found) ** 2) / max(len(y) - len(powers), 1)
         error = np.sqrt(covariance[1, 1] * max(misfit, 1))
-        # Offsets and gains of pixels that go together add no more than this.
+        # Correlated offsets and gains of pixels add at most this.
         together = 2 * np.sqrt(max(found[0], 0) * max(found[2], 0))
         slope = float(found[1] - together) / top
         if slope < max(SURE * float(error) / top, KEPT * gain):
@@ -227,8 +227,8 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
 
 
 def tone_curve(measurement: PhotonTransfer) -> float | None:
-    """The exponent of a tone curve that was applied to the frames, of the signal over light; None
-    where it is straight, or where noise grows with it.
+    """Return the exponent of the signal as a power of the light, if a tone curve was applied to the
+    frames; None if the signal is linear or if the noise grows with it.
 
     A wrongly stated light bends the signal too, but leaves the variance in proportion to it.
     """
