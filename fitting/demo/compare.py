@@ -127,7 +127,7 @@ def truths(truth: Truth) -> dict[Key, float]:
 
 
 def compare(sections: Iterable[Section], truth: Truth) -> list[Comparison]:
-    """Compare every estimate that has a known truth with this truth.
+    """Compare every estimate that has a known true value with this value.
 
     If the standard's estimate and the likelihood's use the same frames, only the latter is taken.
     """

@@ -50,7 +50,7 @@ FLAT_SIZE, STACK_SIZE, SPHERE_SIZE = (240, 320), (96, 128), (128, 128)
 FLAT_EXPOSURES = np.round(np.linspace(5e-4, 2.45e-2, 25), 6)  # 1.08 times saturation at the end
 STACK_EXPOSURES = tuple(float(2.0**stop) for stop in range(-11, -2))
 SPATIAL_FRAMES = 16
-RAYS = 64  # of a pixel of the sphere, which is the mean over its area
+RAYS = 64  # rays per pixel of the sphere, averaged over the pixel's area
 RED_GREEN_BLUE = ("red", "green", "blue")
 
 
@@ -117,7 +117,7 @@ def simulate_lab(folder: Path, *, seed: int = 0, progress: Progress | None = Non
     """Write `noise`, `response` and `brdf`, each a rig with its images.
 
     Args:
-        folder: in which the three rigs' folders are made.
+        folder: folder for the three rigs.
         seed: of the camera's die and of every frame.
         progress: called with (images written, all images).
 
@@ -183,7 +183,7 @@ class _Counted:
 
 
 class _Film:
-    """Number the frames of a part from its first."""
+    """Numbers the frames of a part, starting at `first`."""
 
     def __init__(self, first: int, counted: _Counted) -> None:
         self.next, self.counted = first, counted

@@ -54,7 +54,7 @@ def against_truth(sections: Iterable[Section], truth: Truth) -> Section:
     """
     comparisons = compare(sections, truth)
     caption = (
-        "Each estimate less its truth, in standard errors: thick 68 %, thin 95 % interval. "
+        "Each estimate minus its true value, in standard errors: thick 68 %, thin 95 % interval. "
         "Grey: where 95 % of all truths should fall."
     )
     return Section(
@@ -64,7 +64,7 @@ def against_truth(sections: Iterable[Section], truth: Truth) -> Section:
         tables=(comparison_table(comparisons),),
         pictures=(
             Picture(
-                "forest", "What the files gave back", caption, partial(forest_figure, comparisons)
+                "forest", "Estimates from the files", caption, partial(forest_figure, comparisons)
             ),
         ),
     )

@@ -194,9 +194,9 @@ class NoiseCalibration(ShownInNotebooks):
 
     @property
     def efficiency(self) -> float | None:
-        """Electrons per photon, the table's value. If the value at the posterior mode, which the
-        sensor uses, exceeds 1, it is returned instead: it means an error in the input. None if
-        photons are not known."""
+        """Electrons per photon, as in the table. The sensor uses the value at the posterior mode;
+        if only that value exceeds 1, which means an error in the input, it is returned instead.
+        None if photons are not known."""
         if not self.measurement.photons_known:
             return None
         if self.likelihood is None:

@@ -35,7 +35,7 @@ from .shared import shared_variance
 from .usable import check
 
 DARK_MATCH = 0.05  # relative difference in exposure up to which a dark is a flat's own
-BRIGHTEST = 2  # levels by which dead pixels are found
+BRIGHTEST = 2  # levels used to find dead pixels
 
 
 @double_precision
@@ -88,12 +88,12 @@ class Reduced:
 
 
 def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> PhotonTransfer:
-    """Reduces all frames of a rig, one frame in memory at a time."""
+    """Reduce all frames of a rig, one frame in memory at a time."""
     return reduced_rig(rig, channel=channel, load=load).measurement
 
 
 def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Reduced:
-    """`reduce_rig`, with the names of the frames that it used."""
+    """Like `reduce_rig`, with the names of the used frames."""
     require(rig, "photon transfer")
     require_one_setting(rig, "read them with fitting.noise.read_by_setting")
     rig, odd, remarks = _without_odd_heads(rig)
@@ -121,7 +121,7 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
     lit = replace(source, codes=Codes())
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
     bright, of_flats = _reduced(lit, flats, odd=odd["flat"], light=amounts, dark=dark)
-    if bright.left_out:  # their values hold no information on the ADC
+    if bright.left_out:  # their values contain no information on the ADC
         lit = _recounted(lit, of_flats)
     if dark.left_out:
         source = _recounted(source, of_darks)
@@ -184,7 +184,7 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
 
 
 def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Levels:
-    """Reduces the darks of a rig alone."""
+    """Reduce only the darks of a rig."""
     rig, odd, _ = _without_odd_heads(rig)
     channel = channel or _first_site(rig.camera)
     entries = _pooled(rig.dark)
@@ -200,7 +200,7 @@ class _Source:
     """Where the frames of a measurement come from.
 
     Attributes:
-        rig: that lists the files.
+        rig: the rig that lists the files.
         channel: mosaic site or amplifier tap.
         load: function that reads an image from its path.
         live: (h, w) true where a pixel is used; None for all.
@@ -303,8 +303,8 @@ def _gaps(bright: Levels, dark: Levels) -> Float[np.ndarray, "levels darks"]:
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[OddFrames]], list[str]]:
-    """A rig without the frames whose metadata contradict it, the dropped flats and darks, and
-    remarks."""
+    """Return a rig without the frames whose metadata contradict it, the dropped flats and darks,
+    and remarks."""
     entries = {"flat": rig.flat, "dark": rig.dark}
     stated = [
         Stated(name, rig.path(name), entry.exposure, group)

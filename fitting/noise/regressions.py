@@ -34,7 +34,7 @@ def through_origin(x: Array, y: Array, within: Array) -> Float[Array, ""]:
 
 
 def line(x: Array, y: Array, *, weights: Array | None = None) -> tuple[Array, Array]:
-    """The weighted least-squares line."""
+    """Return intercept and slope of the weighted least-squares line."""
     weights = jnp.ones_like(x) if weights is None else weights
     total = jnp.sum(weights)
     centre_x, centre_y = jnp.sum(weights * x) / total, jnp.sum(weights * y) / total
@@ -44,7 +44,7 @@ def line(x: Array, y: Array, *, weights: Array | None = None) -> tuple[Array, Ar
 
 
 def surprise(chi2: Array, degrees: Array) -> Array:
-    """The p-value of a chi-square."""
+    """Return the p-value of a chi-square."""
     free = jnp.maximum(degrees, 1)
     return jnp.where(degrees > 0, gammaincc(free / 2, chi2 / 2), 1)
 

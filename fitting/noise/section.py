@@ -28,7 +28,7 @@ from .regressions import MISFIT, deviation_quantiles
 from .sensor import write_fitted_sensor
 from .sites import sensor_of_sites, write_sensor_of_sites
 
-# What dark noise enters, and whether its upper bound is one of theirs.
+# Figures that depend on dark noise, and whether its upper bound gives an upper bound of theirs.
 FROM_DARK_NOISE = {
     "temporal_dark_noise": True,
     "read_noise": True,
@@ -123,7 +123,7 @@ def sections_of_sites(
         "Sites by likelihood",
         ("site", *heads),
         tuple(row for row in rows if len(row) == len(heads) + 1),
-        "Each site is calibrated by itself; value and standard error.",
+        "Each site is calibrated separately; value and standard error.",
     )
     told, records = (), {}
     whole = all(site in calibrations for site in camera.sites)
@@ -185,11 +185,11 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
 
 
 def _without_doubted(calibration: NoiseCalibration, listed: Sequence[Estimate]) -> list[Estimate]:
-    """The figures, with the reason in place of those that the frames do not determine."""
+    """Return the figures; those that the frames do not determine are replaced by the reason."""
     doubts = calibration.measurement.doubts
     why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
     if processing(calibration):
-        not_raw = "these files are no raw frames (see the first sentence)"
+        not_raw = "these files are not raw frames (see the first sentence)"
         why |= dict.fromkeys((*ON_GAIN, *OF_DARK_NOISE), not_raw)
     return [
         one
@@ -210,8 +210,9 @@ def _bound(calibration: NoiseCalibration, quantity: Quantity, value: float) -> s
 
 
 def _missing_method(name: str, standard: bool, likelihood: bool) -> str | None:
-    """The method that has no figure for a quantity: "" if both lack it, None if neither does. The
-    likelihood has one dark current, from means and variances together, and no separate lines."""
+    """Return the method that has no figure for a quantity: "" if both lack it, None if both have
+    it. The likelihood has one dark current, from means and variances together, and no separate
+    lines."""
     if not standard and not likelihood:
         return ""
     return None if likelihood or name.startswith("dark_current") else LIKELIHOOD

@@ -32,12 +32,12 @@ from .pattern import SEEN
 from .shared import drift, temporal_lines
 from .statement import fitted_without
 
-AT_FULL_SCALE = 0.98  # of it, from which a brightest level counts as the converter's end
-CUT = 0.5  # of the shot noise of so many electrons, below which a level is one of full wells
+AT_FULL_SCALE = 0.98  # share of full scale from which the brightest level is at the converter's end
+CUT = 0.5  # share of the expected shot noise below which a level has full wells
 
 
 def ends_at_full_scale(calibration: NoiseCalibration) -> bool:
-    """Whether the converter's range ends before the well of one setting is full."""
+    """Return whether the converter's range ends before the well is full."""
     measurement = calibration.measurement
     if measurement.full_scale is None:
         return False
@@ -92,9 +92,9 @@ def _well_of(held: float, mean: float) -> float:
     return root_scalar(missed, bracket=(held, mean + 10 * sigma)).root
 
 
-DRAWS = 1000  # kept at most
+DRAWS = 1000  # most draws that are kept
 WHOLE = 0.01  # bits by which a range may exceed a power of two
-LINES = ("row_noise", "column_noise")  # which the read noise of the likelihood holds
+LINES = ("row_noise", "column_noise")  # noise that the likelihood's read noise includes
 
 
 def fitted_sensor(
@@ -136,7 +136,7 @@ class Numbers(eqx.Module):
         return self.natural[:, self.about.labels.index(name)]
 
     def having(self, told: dict[str, Float[np.ndarray, " draws"]]) -> "Numbers":
-        """The numbers with these parameters in place of their own."""
+        """Return the numbers with these parameters replaced."""
         natural = self.natural.copy()
         for name, values in told.items():
             natural[:, self.about.labels.index(name)] = values
@@ -182,8 +182,8 @@ def drawn_numbers(
 
 
 def bits_of(full_scale: float, converter: Converter) -> float:
-    """The bits of a converter whose largest number is known. A step that a file scaled is known to
-    a few digits; a range may end early."""
+    """The bits of a converter whose largest number is known. A step that was scaled in the file is
+    known to a few digits, and the range may end early."""
     return float(
         np.ceil(np.log2((full_scale - converter.origin) / (converter.step or 1.0) + 1) - WHOLE)
     )
@@ -205,7 +205,7 @@ def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
 
 
 def codes_in_words(converter: Converter) -> str:
-    """A sentence on the step of the numbers in the files; empty where they are the codes."""
+    """Return a sentence on the step of the numbers in the files; empty if these are the codes."""
     if converter.step in (0.0, 1.0):
         return ""
     return f" Its codes are the file's numbers divided by {converter.step:.5g}."
@@ -262,7 +262,7 @@ def _beside_the_likelihood(
                 found[name] = np.maximum(np.concatenate([[one.variance], drawn]), 0.0)
     labels = names(calibration.posterior.space)
     if "frame_noise" not in found and "black_scatter" in labels:
-        # Levels of so many frames wander by that much.
+        # Drift of the black level between levels of this many frames.
         place, frames = labels.index("black_scatter"), float(np.median(np.asarray(dark.frames)))
         value, error = calibration.posterior.mode[place], calibration.chosen.errors["black_scatter"]
         add("frame_noise", frames * float(value) ** 2, 1 / (2 * error**2))
@@ -313,14 +313,15 @@ def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str,
     values = dict(zip(about.labels, natural, strict=True))
     converter, scale = about.converter, about.full_scale
     gain, read = values["system_gain"], (values["read_noise"] * values["system_gain"]) ** 2
-    if about.photons_known:  # no more than an electron for each photon
+    if about.photons_known:  # at most one electron for each photon
         gain = jnp.maximum(gain, values["responsivity"])
     step, origin = converter.step or 1.0, converter.origin
     current = None if about.fades else values.get("dark_current")
     offset = values.get("light_offset")
     if offset is not None and not about.photons_known:
         offset = ShutterOffset(offset)
-    # The sensor rounds once, by its step; what its file went through beyond that is read noise.
+    # The sensor rounds once, by its step; the variance of further rounding in the file counts as
+    # read noise.
     rounding = converter.rounding - (0.0 if scale is None else step**2 / 12)
     read = read + rounding - sum(known[name] for name in LINES if name in known)
     rms = {name: jnp.sqrt(variance) for name, variance in known.items()}

@@ -20,10 +20,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from scipy.special import chdtri, fdtrc, ndtri
 
-SURE = 4.0  # deviates of a normal distribution: once in 30,000 cameras without shared noise
-LOWEST = 0.05  # chance of darks that show as little of the noise that they have
-RAREST, EPSILON = 1e-300, 1e-16  # of a chance, and of what it lacks of one
-MOST_DEGREES, TINY = 1e9, 1e-300  # as good as infinitely many; as good as nothing
+SURE = 4.0  # normal deviate, exceeded once in 30,000 cameras without shared noise
+LOWEST = 0.05  # probability of so small an estimate in the darks if they have the noise
+RAREST, EPSILON = 1e-300, 1e-16  # least probability, and least distance from 1
+MOST_DEGREES, TINY = 1e9, 1e-300  # degrees that count as infinite; ratio that counts as 0
 
 
 class SharedVariance(eqx.Module):
@@ -57,7 +57,7 @@ class SharedNoise(eqx.Module):
     """
 
     of_mean: Float[Array, ""]  # variance of a level's mean by shared noise, DN^2
-    of_variance: Float[Array, ""]  # variance of a level's variance by it, DN^4
+    of_variance: Float[Array, ""]  # variance of a level's variance by shared noise, DN^4
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Found:
 
     variance: float  # DN^2
     error: float  # its standard error
-    significance: float  # of the variance above 0, as a normal deviate
+    significance: float  # significance of a variance above 0, as a normal deviate
 
     @property
     def believed(self) -> bool:
@@ -113,7 +113,7 @@ def extra_lines(
     of_darks = float(np.mean(of_dark[0])) / across
     own = unlit.variance + of_darks
     known = 2 * (own / unlit.error) ** 2
-    more = max(float(np.mean(by_pixels)) - of_darks, 0.0)  # of the flats' pixels, known well
+    more = max(float(np.mean(by_pixels)) - of_darks, 0.0)  # of pixels
     beneath = known * (1 + more / (own * known / chdtri(known, 1 - LOWEST))) ** 2
     values = np.asarray(bright.rows if axis == 0 else bright.columns) - alike
     expected, degrees = by_pixels + alike, (of_bright[1] - 1) * max(lines - 1, 1.0)
@@ -150,7 +150,7 @@ def shared_noise(
     of_mean = sum(one / count for one, count in lines)
     if wander.believed:
         degrees = float(np.sum(np.asarray(frames) - 1))
-        of_mean += wander.variance * degrees / max(degrees - 2, 1)  # that of Student's t
+        of_mean += wander.variance * degrees / max(degrees - 2, 1)  # variance of Student's t
     of_variance = sum(2 * one**2 / count for one, count in lines)
     return SharedNoise(jnp.asarray(of_mean, float), jnp.asarray(of_variance, float))
 

@@ -38,9 +38,9 @@ from .sensor import Numbers, best_and_draws, drawn_numbers, sensors_of
 from .statement import CURVE, SHARING
 
 PHASES = {bayer(phase): phase for phase in ("RGGB", "GRBG", "GBRG", "BGGR")}
-RED_FIRST = ("RGGB", "GRBG")  # whose first row of the cell, with green 1, has the red pixels
-OWN = ("gain", "quantum_efficiency", "read_noise", "prnu")  # factors of each tap
-# What is one number, and the power of electrons per DN that makes it one of charge.
+RED_FIRST = ("RGGB", "GRBG")  # patterns whose first row (with green 1) has the red pixels
+OWN = ("gain", "quantum_efficiency", "read_noise", "prnu")  # individual properties of each tap
+# Common properties, and the power of electrons per DN that converts each to charge.
 COMMON = {
     "dark_current": ("dark currents", 0),
     "light_offset": ("offsets of the light", 0),
@@ -59,7 +59,7 @@ class SensorOfSites:
     Attributes:
         best: the best fit.
         draws: the same sensor with a leading axis of draws at every number.
-        findings: sentences on quantities that should be equal for all sites and are not.
+        findings: sentences on quantities that should be equal for all sites but differ.
     """
 
     best: Sensor
@@ -120,7 +120,8 @@ def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera
 def joined_sensors(
     sensors: Sequence[tuple[Sensor, Sensor]], camera: Camera
 ) -> tuple[Sensor, Sensor]:
-    """One sensor with its draws, from those of all sites; common parameters become their mean."""
+    """Return one sensor with its draws, from the sensors of all sites; common parameters become
+    means over sites."""
     each = []
     for i, (best, draws) in enumerate(sensors):
         count = min(leaf.shape[0] for _, own in sensors for leaf in jax.tree.leaves(own))
@@ -153,8 +154,8 @@ def write_sensor_of_sites(
 
 
 def camera_of_taps(taps: Taps) -> Camera | None:
-    """The pattern and taps by which a rig states the taps of a sensor, whose `sites` are their
-    names in reading order; None where no rig states them."""
+    """Return the pattern and taps by which a rig states the taps of a sensor (its `sites` are the
+    taps' names in reading order); None if no rig can state them."""
     tile = np.asarray(taps.pattern)
     known: dict[str, Any] = {} if taps.names else {"taps": tile.shape}
     if taps.names is not None:
@@ -186,13 +187,14 @@ def stated_in_words(camera: Camera) -> str:
 
 
 def tap_of(taps: Taps, site: str, pattern: str | None) -> int | None:
-    """The tap of a site of frames: that of its name, and of a mosaic of another phase that of its
-    colour. Green pixels differ by the colour of their row. None where names do not tell."""
+    """Return the tap that reads a site of frames: the tap of the same name or, in a mosaic of
+    another phase, of the same colour. Green pixels differ by the colour of their row. None if names
+    do not determine the tap."""
     camera = camera_of_taps(taps)
     if camera is None or (camera.pattern is None) != (pattern is None):
         return None
     if pattern != camera.pattern and len(camera.sites) > len(pattern or ""):
-        return None  # which amplifier reads a pixel depends on its place
+        return None  # the amplifier of a pixel depends on its position
     if (pattern in RED_FIRST) != (camera.pattern in RED_FIRST):
         site = {"green 1": "green 2", "green 2": "green 1"}.get(site, site)
     if site not in camera.sites:
@@ -221,14 +223,14 @@ def of_tap(sensor: Sensor, tap: int) -> Sensor:
 
 
 def _shuffled(numbers: Numbers, seed: int, count: int) -> Numbers:
-    """Draws in another order, so that draws of two taps from one seed are independent."""
+    """Return draws in another order, so that draws of two taps from one seed are independent."""
     order = np.concatenate([[0], 1 + np.random.default_rng(seed).permutation(count - 1)])
     return numbers.at(order)
 
 
 def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]]:
-    """The parameters of all taps under the condition of common die properties, and findings on
-    those that differ."""
+    """Return the parameters of all taps under the condition of common die properties, and findings
+    on properties that differ."""
     labels = set.intersection(*(set(one.about.labels) for one in each))
     shared = [
         name for name in COMMON if name in labels and all(one.of(name)[1:].std() for one in each)
@@ -298,7 +300,7 @@ def _unequal(
             told[COMMON[name][0]] = p_value
     return tuple(
         f"The {what} of the taps differ by more than their errors ({format_p(p_value)}), but the "
-        "sensor of all has one; calibrate each by --channel for a camera file of its own."
+        "sensor of all has one; calibrate each by --channel for a separate camera file."
         for what, p_value in told.items()
     )
 

@@ -3,11 +3,11 @@ camera needs.
 
 The first model is a linear camera with pixel noise and the detected noise of rows, columns or
 frames of the darks. Further effects are tried if it misses the measurement (p < 0.1 %), or if
-nearest neighbours covary, which means and variances need not show. The effects that the darks alone
-show (a drifting black level, or excess scatter of the variances) are added. The candidates are
-random errors of the light, a compression of one or two terms, an offset of the light, and a drift
-of the black level from level to level. A candidate is kept if its squared Wald ratio exceeds the
-logarithm of the number of observations (Schwarz' criterion, BIC) and if such a ratio occurs by
+nearest neighbours covary, which means and variances need not show. Effects that are visible in the
+darks alone (a drifting black level, or excess scatter of the variances) are added. The candidates
+are random errors of the light, a compression of one or two terms, an offset of the light, and a
+drift of the black level from level to level. A candidate is kept if its squared Wald ratio exceeds
+the logarithm of the number of observations (Schwarz' criterion, BIC) and if such a ratio occurs by
 chance in fewer than one of a hundred cameras (`inference.candidates`).
 """
 
@@ -63,14 +63,14 @@ from .quantities import (
 from .regressions import MISFIT, inflation, line_misfit, p_value, sampling_errors
 from .shared import drift, shared_noise
 
-START_NOISES = 12  # read noises tried where a likelihood has several optima
-START_SHIFTS = (-0.3, 0.0, 0.3)  # codes, of the black level tried with each
-START_SPREADS = (0.8, 1.0, 1.3)  # times the observed spread of the offsets, likewise
+START_NOISES = 12  # read noises tried if a likelihood has several optima
+START_SHIFTS = (-0.3, 0.0, 0.3)  # shifts of the black level, in codes, tried with each read noise
+START_SPREADS = (0.8, 1.0, 1.3)  # factors on the observed spread of the offsets, tried too
 FINEST_SPREAD = 1e-3  # DN
 SCATTER_STARTS = {"light_scatter": 3e-3, "variance_scatter": 5e-3}
-SPURIOUS = 0.01  # chance of a term that a camera does not have
-SPURIOUS_SHARING = 0.001  # the same of neighbours that share charges, which leads the gain astray
-SPURIOUS_BESIDE = 0.05  # the same where nearest neighbours covary significantly
+SPURIOUS = 0.01  # probability of keeping a term that a camera does not have
+SPURIOUS_SHARING = 0.001  # the same for sharing between neighbours, which biases the gain
+SPURIOUS_BESIDE = 0.05  # the same if nearest neighbours covary significantly
 SHARING = (BRIGHTER_FATTER, PIXEL_MIXING)
 CURVE = (COMPRESSION, COMPRESSION_2, LIGHT_OFFSET, SHUTTER_OFFSET)
 
@@ -134,7 +134,7 @@ def restated(
     problem: Problem, space: ParameterSpace, *, candidates: Sequence[Candidate] = ()
 ) -> Problem:
     """The problem of the same data with other parameters."""
-    assert problem.present is not None  # no dark has a T
+    assert problem.present is not None  # darks have no T
     rows = jnp.where(problem.present, problem.data, jnp.nan)
     return stated(space, problem.inputs, rows, candidates=candidates)
 
@@ -171,7 +171,7 @@ class LikelihoodFit:
 
     @property
     def data(self) -> NoiseData:
-        """How the levels that were fitted were taken."""
+        """Light, exposure and number of frames of the fitted levels."""
         return self.problem.inputs
 
     @property
@@ -198,7 +198,7 @@ class LikelihoodFit:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of the unconstrained vector, not inflated."""
+        """Covariance of the unconstrained vector, not inflated."""
         return np.linalg.inv(self.optimum.information)
 
     @property
@@ -215,7 +215,7 @@ def observations(problem: Problem) -> int:
 
 
 def start_vector(problem: Problem, standard: Sheet) -> Float[Array, " p"]:
-    """Where a fit starts: the standard's figures, no compression, slight scatter."""
+    """Return the start of a fit: the standard's figures, no compression, slight scatter."""
     data, (mean, variance, _, spatial) = problem.inputs, problem.data.T
     dark, gain = data.lit == 0, standard["system_gain"]
     responsivity = data.top_signal / jnp.max(data.light)
@@ -285,7 +285,7 @@ def fitted(
     try:
         optimum = search(problem, start[None], without=without)
     except InputError as error:
-        if near is not None:  # the other model's end is out of bounds for this one
+        if near is not None:  # the other model's optimum is out of bounds for this model
             return fitted(problem, standard, without=without)
         raise InputError(
             "the likelihood of the levels is nowhere finite; look for levels whose frames are all "
@@ -303,8 +303,8 @@ def _chi_square(vector: Array, problem: Problem) -> Array:
 
 
 def fitted_without(fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"]) -> Optimum:
-    """The same model fitted by the same compiled program without some levels. The first level
-    stays."""
+    """Fit the same model without some levels, by the same compiled program. The first level must be
+    kept."""
     gone, problem = jnp.asarray(left_out)[:, None], fit.problem
     assert problem.present is not None
     problem = eqx.tree_at(
@@ -352,7 +352,7 @@ def likelihood_sheet(
     )
     if (
         data.window is not None
-    ):  # what the darks show, not what reads into a well-dithered converter
+    ):  # the dark noise in the darks, not the read noise before the converter
         shown = predicted_moments(values, data, data.light).variance[jnp.argmin(data.lit)]
         figures["temporal_dark_noise"] = jnp.sqrt(shown)
     if "compression" in values:
@@ -393,7 +393,7 @@ def dark_scatter(measurement: PhotonTransfer) -> ParameterSpace:
 def candidates_for(
     measurement: PhotonTransfer, inputs: NoiseData, always: ParameterSpace, *, sharing: bool
 ) -> tuple[Candidate, ...]:
-    """The effects that a camera may need beside the parameters that it has anyhow."""
+    """Return the effects that a camera may need in addition to its basic parameters."""
     offset = LIGHT_OFFSET if measurement.photons_known else SHUTTER_OFFSET
     by_chance = SPURIOUS_BESIDE if sharing else SPURIOUS_SHARING
     found = [
@@ -432,8 +432,8 @@ def choose_model(
     chosen = _reduced(fitted(whole, standard), standard, sharing)
     drifts = _may_be_drift(chosen, trend)
     if drifts or (chosen.p_value < MISFIT and any(p in chosen.space for p in CURVE)):
-        # Light that drifts from level to level looks like a curve, to which a search can lead
-        # although the variances contradict it.
+        # A drift of the light from level to level resembles a curved response, which a search may
+        # find although the variances contradict it.
         bent = [one.name for one in candidates if one.parameter in CURVE]
         other = _reduced(fitted(whole, standard, without=bent), standard, sharing)
         described = drifts and other.p_value >= MISFIT
@@ -444,7 +444,7 @@ def choose_model(
 
 def _reduced(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFit:
     """The fit without the candidates that fail the criterion, with the weakest dropped first. If
-    nearest neighbours covary significantly, the stronger form of sharing stays, however uncertain
+    nearest neighbours covary significantly, the stronger form of sharing is kept, however uncertain
     its size: without it, the gain would be wrong by more than its error."""
     while True:
         there = [one for one in fit.problem.candidates if one.name not in fit.without]
@@ -462,10 +462,10 @@ def _reduced(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFi
 
 def _price(fit: LikelihoodFit, candidate: Candidate, sharing: bool) -> float:
     """The squared Wald ratio that a candidate needs. Mixing or repulsion of neighbours changes the
-    gain by as many standard errors. It needs the ratio of one in a thousand cameras, or one in
-    twenty beside the other form if nearest neighbours covary significantly. The scatter of m lights
-    about a curve of q terms is underestimated by (m - q) / m and uncertain, so a term of the curve
-    must then pass Fisher's F test."""
+    gain by as many standard errors as its own ratio. It needs the ratio of one in a thousand
+    cameras, or one in twenty beside the other form if nearest neighbours covary significantly. The
+    scatter of m lights about a curve of q terms is underestimated by (m - q) / m and uncertain, so
+    a term of the curve must then pass Fisher's F test."""
     count, scatter = float(observations(fit.problem)), None
     if sharing and candidate.parameter in SHARING:
         count = 1.0
@@ -479,5 +479,5 @@ def _may_be_drift(fit: LikelihoodFit, trend: Drifting | None) -> bool:
     curvature."""
     if trend is None or not any(p in fit.space for p in CURVE):
         return False
-    # Means depart by half of what the slope does, and darks in between take as long again.
+    # Means deviate by half as much as the slope does, and darks in between double the time.
     return bool(abs(float(gain_drop(fit.values, fit.data))) <= 4 * abs(trend.total))

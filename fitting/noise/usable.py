@@ -12,10 +12,10 @@ from .raw_frames import tone_curve
 
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
 MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8
-SEEN = 3.0  # standard errors by which a level must vary more than its darks
+SEEN = 3.0  # standard errors by which the variance of a level must exceed that of its darks
 FEWEST_FOR_BLACK = 6  # levels needed to estimate the flats' black level by a parabola
-SURE_OF_BLACK = 6.0  # standard errors by which it must differ from the darks
-MOST_OFF_BLACK = 0.1  # of the least signal; less changes no gain by more
+SURE_OF_BLACK = 6.0  # standard errors by which this black level must differ from the darks
+MOST_OFF_BLACK = 0.1  # of the least signal: the change of the gain by a smaller difference
 
 
 def check(file: Path, measurement: PhotonTransfer) -> None:

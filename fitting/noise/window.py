@@ -1,12 +1,13 @@
 """The levels that need the exact moments of rounding and clipped black.
 
-The usual moments have a variance of 1/12 for rounding and no clipping of black. For a normal signal
-of standard deviation s rounded to whole numbers, the errors of mean and variance are at most
+The usual moments assume a variance of 1/12 for rounding and no clipping of black. For a normal
+signal of standard deviation s rounded to whole numbers, the errors of mean and variance are at most
 
     sum_k exp(-2 pi^2 k^2 s^2) / (pi k),    4 sum_k (s^2 + 1 / (2 pi k)^2) exp(-2 pi^2 k^2 s^2)
 
 (Widrow and Kollar, "Quantization Noise", 2008, chapter 4) for any position of the mean between two
-codes. With clipping at m below the mean, z = m / s, and the normal density phi and tail Q, they are
+codes. If values below mean - m are clipped, with z = m / s and the normal density phi and tail
+probability Q, the errors are
 
     a = s (phi(z) - z Q(z)),    b + 2 m a + a^2,    b = s^2 ((1 + z^2) Q(z) - z phi(z)).
 
@@ -27,12 +28,12 @@ from .regressions import sampling_variance
 from .shared import drift
 from .statement import noise_data
 
-ROUNDING = 1 / 12  # variance of numbers rounded to whole ones
+ROUNDING = 1 / 12  # variance of rounding to whole numbers
 NAME = "exact rounding and clipping"
 HARMONICS = np.arange(1, 9)
 NEAR_BLACK = 4.5  # standard deviations above 0 DN within which clipping changes the moments
-BETWEEN = 0.25  # of rounding where a signal lies between two codes
-AFFECTED_DEVIATION = 1.0  # codes; levels noisier than this see rounding as 1/12 in any case
+BETWEEN = 0.25  # largest variance of a rounded signal, midway between two codes
+AFFECTED_DEVIATION = 1.0  # codes; at larger noise, rounding always has a variance of 1/12
 
 
 def usual_moments_error(
@@ -87,9 +88,9 @@ def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -
     deviation, dark = np.sqrt(variance), lit == 0
     near_black = mean < NEAR_BLACK * deviation
     affected = near_black | (deviation < AFFECTED_DEVIATION) | dark
-    # Clipping hides up to half of a deviation.
+    # Clipping hides up to half of a standard deviation.
     widest = (2 if near_black[dark].any() else 1.2) * float(deviation[affected].max())
-    # Between two codes even a noise of nothing has a variance of 1 / 4.
+    # Midway between two codes, even vanishing noise gives a variance of 1 / 4.
     least = variance[dark].max() - ROUNDING
     read_noise = float(np.sqrt(least)) if least > BETWEEN else 0.0
     levels = np.flatnonzero(affected)

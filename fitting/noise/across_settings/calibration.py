@@ -31,7 +31,7 @@ from ..settings import Setting
 from .setting import FramesOfSetting, estimates_from_calibration, estimates_from_darks
 from .statement import Figures, SharedFit, fitted
 
-ALIKE = 0.1  # relative deviation of settings up to which one value, less well known, serves all
+ALIKE = 0.1  # relative deviation of settings up to which one value with a larger error is used
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class Pooled:
     """An average over settings."""
 
     settings: tuple[int, ...]  # indices of the pooled settings
-    value: float  # of the full well, e-; of a pattern its variance, e-^2 or relative
+    value: float  # full well, e-; for a pattern its variance, e-^2 or relative
     error: float  # its standard error; for a pattern from temporal noise alone
-    chi_square: float  # of the settings about the value
-    # of a pattern's variance, as this sensor is one sample of its population
+    chi_square: float  # chi-square of the settings about the value
+    # standard error of a pattern's variance because the sensor is one sample of its population
     parts: tuple[Part, ...] = ()
     spread: float = 0.0  # rms deviation of the settings from the value, in its unit
 
@@ -123,7 +123,7 @@ class CameraCalibration(ShownInNotebooks):
         frames: of each setting.
         calibrations: of each setting alone; None where it has darks alone.
         fit: of all settings.
-        full_well: e-, where the pixel fills before the ADC's range ends.
+        full_well: e-, from settings at which the pixel fills before the ADC's range ends.
         dsnu: variance, e-^2, where frames of pixels are known.
         prnu: relative variance, where frames of pixels are known.
         left_out: settings that the fit omits, and why, in sentences.
@@ -174,7 +174,7 @@ def calibrate_settings(
     calibrations: Sequence[NoiseCalibration | InputError | None] | None = None,
     seed: int = 0,
 ) -> CameraCalibration:
-    """A camera's noise over its gains and temperatures.
+    """Calibrate a camera's noise over its gains and temperatures.
 
     Quantum efficiency is shared, read noise follows from noise before and behind the amplifier, and
     dark current follows Arrhenius' law. Each of these assumptions is tested and dropped if it
@@ -182,7 +182,7 @@ def calibrate_settings(
 
     Args:
         frames: of at least two settings, as `read_by_setting` returns them.
-        calibrations: of each setting alone, as `calibrate_one` returns them; None makes them.
+        calibrations: of each setting alone, as `calibrate_one` returns them; None computes them.
         seed: of every draw.
 
     Returns:

@@ -26,7 +26,7 @@ NAMES: dict[Quantity, str] = {
 
 
 def findings(calibration: CameraCalibration) -> tuple[str, ...]:
-    """Every finding, the most consequential first."""
+    """Return all findings, the most consequential first."""
     return said(FINDINGS, calibration)
 
 
@@ -35,7 +35,7 @@ def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
     claim = next((one for one in calibration.fit.claims if one.law == law), None)
     if claim is None or claim.holds:
         return None
-    # with one degree of freedom all are as significant, but for rounding
+    # with one degree of freedom all are equally significant, except for rounding
     most = sorted(claim.own, key=lambda one: -round(abs(one.value) / one.error, 3))[:3]
     shown = most if law[0] == "dark_current" else [_relative(one) for one in most]
     scale, unit = (1, "e⁻/s") if law == ("dark_current", "temperature") else (100, "%")

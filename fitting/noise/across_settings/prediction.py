@@ -24,7 +24,7 @@ from .sensor import sensor_without
 from .setting import estimates_from_calibration
 from .statement import fitted
 
-SHOWN = 3  # settings of which missing effects are named
+SHOWN = 3  # most settings whose missing effects are named
 
 
 @double_precision
@@ -71,7 +71,8 @@ def _predicted(
 
 
 def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
-    """How well the settings are predicted, and which effect the camera lacks where they are not."""
+    """Return how well the settings are predicted, and which effects the camera lacks if they are
+    not."""
     if not predictions:
         return ()
     sums: dict[str, Agreement] = {}

@@ -125,7 +125,7 @@ def without_whole(
 
 
 def unread(failed: Mapping[Setting, InputError]) -> list[Section]:
-    """A section that gives the reason, for each setting whose frames cannot be used."""
+    """Return a section for each setting whose frames cannot be used, with the reason."""
     return [
         Section(
             *(f"{KIND}_{_word(setting.label)}", f"{TITLE_OF_ONE}: {setting.label}", ()),
@@ -276,14 +276,14 @@ def _settings_table(calibration: CameraCalibration) -> Table:
         shown = (None if np.isnan(number) else float(number) for number in numbers)
         rows.append((setting.label, *shown, saturation, ends_at))
     return Table(
-        "Each setting by itself",
+        "Each setting separately",
         (
             *("setting", "K [DN/e⁻]", "η [%]", "σ_d [e⁻]", "μ_I [e⁻/s]"),
             *("saturation [e⁻]", "range ends at"),
         ),
         tuple(rows),
-        "What the fit of all settings was made from; settings of darks alone tell the dark current "
-        "in DN, here over the K of their gain.",
+        "The input of the fit of all settings. Settings with darks alone give the dark current "
+        "in DN, divided here by the K of their gain.",
     )
 
 
@@ -307,6 +307,6 @@ def _claims_table(calibration: CameraCalibration) -> Table:
             (name, one.chi_square, degrees, one.p_value, "holds" if one.holds else "given up")
             for name, one, degrees in judged
         ),
-        "Score tests: what chi-square would fall by if each gain, or each temperature, had a value "
-        "of its own. A claim is given up below p = 0.1 %, the worst first.",
+        "Score tests: the decrease of chi-square if each gain, or each temperature, had its own "
+        "value. A claim is dropped below p = 0.1 %, the worst first.",
     )

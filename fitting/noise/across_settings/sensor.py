@@ -1,9 +1,9 @@
 """A calibrated camera as a sensor at any gain and temperature in its range.
 
-What the settings share (gain, efficiency, read noise, dark current, fixed pattern) follows from the
-fit over all of them. The other effects are those of the nearest setting with flats, whose own fit
-is conditioned on what the settings share: with own draws (s, r), of covariance C, and a draw s* of
-all settings, r becomes r + C_rs C_ss^-1 (s* - s).
+The shared parameters (gain, efficiency, read noise, dark current, fixed pattern) follow from the
+fit over all settings. All other effects come from the nearest setting with flats, whose fit is
+conditioned on the shared parameters. If its draws are (s, r), with s shared, r not shared and
+covariance C, and s* is a draw of the fit over all settings, r becomes r + C_rs C_ss^-1 (s* - s).
 
 Source:
     Journel & Huijbregts, "Mining Geostatistics", 1978, section VII.A (Matheron's conditioning).
@@ -59,10 +59,11 @@ def sensor_at(
     temperature (`ArrheniusDarkCurrent`) if there is one. Otherwise it is interpolated linearly
     between the temperatures. Compression, light offset, mixing, the brighter-fatter effect and
     noise of rows, columns and frames are those of the nearest setting with flats, in electrons.
-    A full well is that of a setting whose converter does not end first. Fixed patterns have the
-    values of the best fit in every draw. The exposure is the median of the flats' exposures, so
-    light is a rate in photons per pixel and second. If the numbers of the nearest setting are
-    multiples of a step, as left-aligned ones are, the sensor gives the converter's own codes.
+    The full well comes from settings at which the pixel fills before the converter's range ends.
+    Fixed patterns have the values of the best fit in every draw. The exposure is the median of the
+    flats' exposures, so light is a rate in photons per pixel and second. If the numbers of the
+    nearest setting are multiples of a step, as left-aligned ones are, the sensor gives the
+    converter's own codes.
 
     Args:
         calibration: of the camera.
@@ -86,7 +87,7 @@ def sensor_without(
     gain: float | None,
     temperature: float | None,
 ) -> tuple[Sensor, Sensor]:
-    """As `sensor_at`, where the settings' own fits leave out some of their levels."""
+    """Like `sensor_at`, with fits of the settings that leave out some of their levels."""
     if calibration.is_impossible:
         raise InputError("More electrons are counted than photons arrive; correct the photons.")
     settings, posterior = calibration.settings, calibration.posterior
@@ -125,7 +126,7 @@ def sensor_without(
     lit = [one.frames for one in calibration.frames if isinstance(one.frames, PhotonTransfer)]
     exposures = np.concatenate([np.asarray(one.bright.exposure) for one in lit])
     shared = {"exposure_time": np.median(exposures)} | _pattern(calibration)
-    if "full_well" not in here.beside:  # the converter's range ends first
+    if "full_well" not in here.beside:  # the converter's range ends before the well is full
         wells = {i: full_well(one) for i, one in calibrations.items()}
         filled = [w[0] / np.exp(at.log_gain[0, i]) for i, w in wells.items() if w is not None]
         if filled:
@@ -155,8 +156,8 @@ def _sensor(own: Sensor, shared: dict[str, Array], law: tuple[Array, ...] | None
 def _weights(
     settings: Sequence[Setting], factor: float, warmth: float | None
 ) -> Float[np.ndarray, " settings"]:
-    """The weight of each setting where figures are interpolated linearly over temperature at each
-    measured gain, then over the logarithm of the gain."""
+    """Return the weight of each setting in a linear interpolation over temperature at each measured
+    gain, then over the logarithm of the gain."""
     log_factor = np.log([s.gain_factor for s in settings])
     kelvin = np.array([s.temperature or 1.0 for s in settings])
     every, gains = np.eye(len(settings)), np.unique(log_factor)
@@ -173,7 +174,7 @@ def _weights(
 
 
 def _distance(setting: Setting, factor: float, warmth: float | None) -> tuple[float, float]:
-    """By gain first, then by temperature."""
+    """Return a distance that sorts by gain first, then by temperature."""
     by_gain = abs(float(np.log(setting.gain_factor / factor)))
     return by_gain, abs((setting.temperature or 0.0) - (warmth or 0.0))
 
@@ -184,7 +185,7 @@ def _given_all(
     at: Figures,
     left_out: Bool[np.ndarray, " levels"] | None,
 ) -> Numbers:
-    """The parameters of one setting's own fit, given what all settings determine."""
+    """Return the parameters of one setting's own fit, conditioned on the shared ones."""
     own, told = calibration.calibrations[i], calibration.fit.by_setting[i].names
     assert own is not None
     numbers, covariance = drawn_numbers(own, left_out=left_out), own.posterior.covariance
@@ -211,8 +212,8 @@ def _given_all(
 def _black_level(
     calibration: CameraCalibration, i: int, at: Figures, numbers: Numbers | None
 ) -> Float[np.ndarray, " draws"]:
-    """DN without dark current: of the setting's own fit, or of all its darks where it has no
-    flats."""
+    """Return the black level without dark current, DN: from the setting's own fit, or from all its
+    darks if it has no flats."""
     frames = calibration.frames[i].frames
     darks = frames if isinstance(frames, Levels) else frames.dark
     weight = np.asarray(darks.frames) / np.asarray(darks.variance)
@@ -236,7 +237,7 @@ def _pattern(calibration: CameraCalibration) -> dict[str, float]:
         if pooled is None or not (pooled.serves and pooled.significant):
             continue
         own, rows, columns = (*(part.variance for part in pooled.parts), 0.0, 0.0, 0.0)[:3]
-        if name == "prnu":  # no field for the gains of rows
+        if name == "prnu":  # a sensor has no field for the gains of rows
             own, rows = own + rows, 0.0
         total = own + rows + columns
         for field, part in ((name, own), (f"row_{name}", rows), (f"column_{name}", columns)):
@@ -261,7 +262,7 @@ def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Pa
 def write_sensor_of_sites_at(
     calibrations: Mapping[str, CameraCalibration], camera: Camera, gain: float | None, path: Path
 ) -> None:
-    """As `write_sensor_at`, for a camera whose sites were calibrated separately."""
+    """Like `write_sensor_at`, for a camera whose sites were calibrated separately."""
     warmest = next(iter(calibrations.values())).fit.reference
     each = [sensor_at(calibrations[s], gain=gain, temperature=warmest) for s in camera.sites]
     best, draws = joined_sensors(each, camera)

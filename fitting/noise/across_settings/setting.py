@@ -1,4 +1,4 @@
-"""Flats and darks of a rig setting by setting, and each one's estimates of what settings share.
+"""Flats and darks of a rig for each setting, and the setting's estimates of the shared parameters.
 
 For flats and darks these are ln K, ln R, ln sigma_d and the dark current I of the likelihood fit,
 with their covariance. The other parameters of that fit are marginalised. For darks alone, weighted
@@ -38,7 +38,7 @@ from ..usable import check
 FROM_BOTH = ("system_gain", "responsivity", "read_noise", "dark_current")
 FROM_DARKS = ("dark_signal_rate", "read_variance", "dark_variance_rate")
 ESTIMATED = FROM_BOTH + FROM_DARKS  # the order of every vector of estimates
-FEWEST_EXPOSURES = 3  # of darks alone: a line and whether it is one
+FEWEST_EXPOSURES = 3  # exposures of darks alone, for a line and a test of it
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class FramesOfSetting:
 
     Attributes:
         setting: gain and temperature.
-        frames: of flats and darks; `Levels` where there are darks alone.
+        frames: of flats and darks; `Levels` if there are only darks.
     """
 
     setting: Setting
@@ -107,7 +107,7 @@ def estimates_from_darks(setting: Setting, darks: Levels) -> SettingEstimates:
     if len(np.unique(exposure)) < FEWEST_EXPOSURES:
         raise InputError(
             f"The darks of {setting.label} have no flats and fewer than {FEWEST_EXPOSURES} "
-            "different exposures, from which nothing follows; add flats, or other exposures."
+            "different exposures, which determine nothing; add flats, or other exposures."
         )
     pixels = float(darks.pixels)
     of_mean, of_variance = variance / pixels, 2 * variance**2 / pixels
@@ -146,7 +146,7 @@ def read_by_setting(
         channel: site of a Bayer mosaic; empty for the first green.
 
     Returns:
-        The frames of each gain and temperature, in their order.
+        The frames of each setting, ordered by gain and temperature.
 
     Raises:
         InputError: for files that cannot be used.
@@ -162,8 +162,8 @@ def reduce_by_setting(
     load: Load = read_image,
     failed: dict[Setting, InputError] | None = None,
 ) -> tuple[FramesOfSetting, ...]:
-    """As `read_by_setting`, for a rig in memory. `failed` collects unusable settings with the
-    reason, and they are left out; with None, the rig is refused."""
+    """Like `read_by_setting`, for a rig in memory. `failed` collects unusable settings, which are
+    left out, with the reason; if it is None, the rig is refused."""
     rigs = by_setting(rig)
     found: dict[Setting, FramesOfSetting] = {}
     lit = {setting.gain for setting, own in rigs.items() if own.flat}

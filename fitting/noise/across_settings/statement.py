@@ -52,8 +52,8 @@ from .setting import ESTIMATED, SettingEstimates
 
 BOLTZMANN_EV = 1.380649e-23 / 1.602176634e-19  # eV/K
 SEEN = 4.0  # standard errors of dark current at the warmest setting from which it has a law
-USUAL_ENERGY = 0.6  # eV, where the search of the law begins
-EXPLAINED = 1e-6  # of a deviation's length, below which the parameters explain it
+USUAL_ENERGY = 0.6  # eV, start of the search
+EXPLAINED = 1e-6  # share of a deviation's length below which the parameters explain it
 
 Quantity = Literal["system_gain", "quantum_efficiency", "read_noise", "dark_current"]
 Axis = Literal["gain", "temperature"]
@@ -146,10 +146,10 @@ class OwnDeviation:
 class Claim:
     """An assumption of the model, with its test."""
 
-    quantity: Quantity  # the claim is that it follows its law, or that settings share it,
+    quantity: Quantity  # the claim is that it follows its law, or that settings share it
     axis: Axis  # over these settings
     chi_square: float  # its decrease if the claim were dropped
-    degrees: int  # of freedom that dropping it would cost
+    degrees: int  # degrees of freedom that dropping it would cost
     # deviation of each gain or temperature, where the frames determine one
     own: tuple[OwnDeviation, ...]
     rivals: tuple[Law, ...] = ()  # for a dropped claim, the other claims that failed with it
@@ -181,12 +181,12 @@ class SharedFit:
     settings: tuple[Setting, ...]  # in the order of gain and temperature
     by_setting: tuple[SettingEstimates, ...]  # estimates of each setting
     freed: frozenset[Law]  # claims that were dropped
-    # by parameter, the gains, temperatures or settings that have a value of their own
+    # by parameter, the gains, temperatures or settings that have their own value
     labels: dict[str, tuple[str, ...]]
     fit: Fit  # values of the P parameters
     posterior: Posterior  # of the same parameters, each named by its gain, temperature or setting
     figures: Figures  # of the best fit at each setting
-    # that could be tested; the failed ones first, in the order of failure
+    # claims that could be tested; the failed ones first, in the order of failure
     claims: tuple[Claim, ...]
     reference: float | None  # T_ref, K; None where no temperature is stated
 
@@ -440,7 +440,7 @@ def proportional_gain(fit: SharedFit) -> tuple[float, float, tuple[OwnDeviation,
         p_values.append(float(chdtrc(len(rest) - 1, missed @ precision @ missed)))
         if p_values[-1] >= MISFIT or len(rest) == 1:
             break
-        # One gain off, all others in proportion: the score of its indicator.
+        # One gain deviates, all others are proportional: the score of its indicator.
         score = precision @ missed
         size = np.diag(precision) - weights * precision.sum(axis=1)
         off.append(rest.pop(int(np.argmax(score**2 / size))))

@@ -1,7 +1,7 @@
 """Frames compared with the prediction of a camera.
 
-The camera alone predicts, by the moments of `jaxvision`. These frames enter no fit, except for the
-rate of the light if their photons are unknown, which the means then determine. Let r be the
+The prediction uses the camera alone, by the moments of `jaxvision`. The compared frames are not
+fitted, except that their means determine the rate of the light if photons are unknown. Let r be the
 residuals of one quantity over the levels, N their covariance from the noise of the frames, and P
 that from the draws of the camera:
 
@@ -10,7 +10,7 @@ that from the draws of the camera:
                                      degrees of freedom
 
 A fit explains the sum of the covariances of all neighbours, in which the nearest ones have little
-weight. These are compared as if they had been kept out.
+weight. The nearest ones are compared as if they had been held out.
 """
 
 from dataclasses import dataclass, replace
@@ -38,12 +38,12 @@ from .moments import (
     noise,
 )
 
-REFINEMENTS = 3  # of the rate of the light; the signal is nearly linear in it
-CLOSE = (0.9, 1.1)  # of chi-square over its degrees of freedom, where no effect is looked for
-CHANCE = 1e-3  # of a chi-square further from its degrees of freedom without a missing effect
+REFINEMENTS = 3  # updates of the rate of the light; the signal is nearly linear in it
+CLOSE = (0.9, 1.1)  # chi-square per degree of freedom at which no missing effect is searched
+CHANCE = 1e-3  # probability of such a chi-square without a missing effect
 NEIGHBOURS = "covariances of neighbours"
-IN_ONE = 1e-4  # codes from an end of the scale, and of variance, within which all is in one code
-UNKNOWN = 1e9  # times the noise of the frames, the variance of what a camera does not predict
+IN_ONE = 1e-4  # codes from an end of the scale, and variance, within which all values have one code
+UNKNOWN = 1e9  # relative variance of a quantity that a camera does not predict
 PARTS = {"means": (0,), "variances": (1,), NEIGHBOURS: (2, 3)}
 
 
@@ -87,7 +87,7 @@ class Comparison:
         noise: (quantities, levels) sampling variance by the frames' own noise.
         camera: (quantities levels, quantities levels) covariance from the draws of the camera; 0
             for the data to which the camera was fitted.
-        agreement: by the names of `PARTS`; for means alone where the camera states no noise.
+        agreement: by the names of `PARTS`; for means alone if the camera states no noise.
         ended: levels that were left out because the camera predicts them at an end of its scale.
     """
 
@@ -133,8 +133,8 @@ def compare(
     light_error: float = 0.0,
     variance_error: float = 0.0,
 ) -> Comparison:
-    """The prediction of a measurement by a camera, compared with the measurement. Without
-    `noise_known` means are compared alone, with the errors that the frames' own variances give."""
+    """Compare a measurement with its prediction by a camera. Without `noise_known` only means are
+    compared, with errors from the variances of the frames."""
     errors = {"light_error": light_error, "variance_error": variance_error}
     lit, levels = levels_of(measurement, usable, **errors)
     shown = np.ones(lit.lit.size, bool) if shown is None else shown
@@ -154,7 +154,7 @@ def compare(
         raise InputError("a parameter is too uncertain, and predicts infinite variances.")
     own = noise(levels, found)
     spread = drawn - drawn.mean(axis=0)
-    if unscaled:  # each draw has its own rate of the light, by the means
+    if unscaled:  # the means determine a rate of the light for each draw
         weight = shown * found.by_light[0] / own[0]
         moved = spread[:, 0] @ weight / float(np.sum(weight * found.by_light[0]))
         spread = spread - moved[:, None, None] * found.by_light
@@ -196,7 +196,7 @@ def _agreement(
     missed: np.ndarray, scatter: np.ndarray, camera: np.ndarray, fitted: bool, free: int
 ) -> Agreement:
     if fitted:
-        # In no direction a fit to data with this scatter is less certain than they are.
+        # A fit to data with this scatter is at least as certain as the data in every direction.
         taken = float(np.sum(np.minimum(eigh(camera, scatter, eigvals_only=True), 1.0)))
         chi_square = float(missed @ np.linalg.solve(scatter, missed))
         degrees = len(missed) - free - min(taken, len(missed) - 1.0 - free)
@@ -217,8 +217,8 @@ def _expected(
 ) -> tuple[
     Expected, Float[np.ndarray, "draws quantities levels"], Float[np.ndarray, "values values"]
 ]:
-    """The predictions of the best estimate and of the draws, in the numbers of the file, whose
-    codes the sensor gives. Without draws there is one row."""
+    """Return the predictions of the best estimate and of the draws, converted from the sensor's
+    codes to the numbers of the file. Without draws there is one row."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
     of_every = expected(every, lit, neighbours=neighbours)
     values = of_every[0].copy()

@@ -4,8 +4,9 @@ variances and covariances.
 Each candidate adds its signature, times a fitted size, to the prediction of the camera. Levels may
 also scatter in light, black level or variance. Scatter can explain any misfit, so its sizes
 (variance components by restricted likelihood) are fitted together with each candidate. A candidate
-counts by its further decrease of the misfit. The candidate that explains most is chosen, then the
-next, until the rest is insignificant or no candidate passes. Scatter is named if it passes.
+is judged by its further decrease of the misfit. The candidate that explains most is chosen, then
+the next, until the remaining misfit is insignificant or no candidate passes the threshold. Scatter
+is named if it passes the threshold.
 """
 
 from collections.abc import Callable
@@ -20,11 +21,11 @@ from ...inference.formatting import format_with_error
 from .comparison import PARTS, Agreement, Comparison
 from .moments import Expected, noise
 
-MOST = 4  # effects that are named
-PRICE = 15.0  # fall of -2 log likelihood that an effect must earn: once in 10,000 by chance
-REFINEMENTS = 3  # of the noise of the frames with an effect
-LEAST_SHARE = 10.0  # by which an effect may lower a variance, of which errors are made, at most
-FINEST = 1e-8  # of the largest scatter that residuals allow, squared: as good as none
+MOST = 4  # most effects that are named
+PRICE = 15.0  # decrease of -2 log likelihood needed for an effect: once in 10,000 by chance
+REFINEMENTS = 3  # updates of the noise of the frames with an effect
+LEAST_SHARE = 10.0  # largest factor by which an effect may lower the variance that gives the errors
+FINEST = 1e-8  # squared, of the largest scatter that residuals allow; counts as none
 
 Shape = Float[np.ndarray, "quantities levels"]
 
@@ -241,12 +242,12 @@ SCATTERS = (  # new at every level
         lambda t: (None, t.total, None, None),
         lambda a, t: f"variances that scatter by {a.in_words(100)} % rms from level to level",
     ),
-    Candidate("", lambda t: (None, None, t.total, t.total), lambda a, t: ""),  # of no known kind
+    Candidate("", lambda t: (None, None, t.total, t.total), lambda a, t: ""),  # of unknown cause
 )
 
 
-# A linear camera that is calibrated on a curved response has other slopes, too: none of these
-# effects explains much without the others.
+# A linear camera calibrated on a curved response also has wrong slopes: each of these effects
+# explains little without the others.
 TOGETHER = (("compression", "light"), ("compression", "gain"), ("compression", "gain", "light"))
 
 
@@ -361,7 +362,7 @@ class _Fit:
         fitted = self._sizes(columns, self._covariance(logs))[0][-len(some) :]
         if any(one.positive and size < 0 for one, size in zip(some, fitted, strict=True)):
             return -np.inf
-        # Restricted likelihoods of other columns compare by what all lose to the same ones.
+        # Restricted likelihoods with different columns are comparable after a common correction.
         return self._unrestricted(self._columns, self._logs) - self._unrestricted(columns, logs)
 
     def take(self, one: Candidate, gain: float) -> Missing:

@@ -17,10 +17,10 @@ from ..levels import CLEAR_OF_CLIPPING, PhotonTransfer
 
 QUANTITIES = ("mean", "variance", "along rows", "along columns")
 SHORTEST = 1e-12  # s, of a flash or a bias frame
-DITHERED = 0.6  # codes rms, below which rounding is no noise of its own
+DITHERED = 0.6  # codes rms, below which rounding is not an independent error
 REACHED = 6.0  # standard deviations of the pixels' offsets on either side
-FINE = 0.1  # codes between two of these offsets, over which rounding is averaged
-MOST = 1024  # of these offsets, beyond which those of many codes are taken further apart
+FINE = 0.1  # codes between two offsets, over which rounding is averaged
+MOST = 1024  # most offsets; for a wider spread they are farther apart
 
 
 class Lit(eqx.Module):
@@ -78,7 +78,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class Frames:
-    """Statistics of the frames of levels, as `Levels` has them.
+    """Statistics of the frames of levels, from `Levels`.
 
     Attributes:
         light: (levels,) in the unit of the measurement.
@@ -128,7 +128,7 @@ class Frames:
 def levels_of(
     measurement: PhotonTransfer, usable: np.ndarray, *, light_error: float, variance_error: float
 ) -> tuple[Lit, Frames]:
-    """The usable bright levels and all darks in one row."""
+    """Return the usable bright levels and all darks as one sequence of levels."""
     bright, dark = measurement.bright, measurement.dark
     darks = dark.mean.size
 
@@ -198,7 +198,7 @@ def _at(sensor: Sensor, at: Lit) -> tuple[Sensor, Array]:
     time = jnp.maximum(at.exposure, SHORTEST)
     offset = sensor.light_offset
     if offset is not None and not isinstance(offset, ShutterOffset):
-        offset = at.lit * offset  # no shutter lets light into a dark
+        offset = at.lit * offset  # light through the shutter does not affect darks
     sensor = replace(sensor, exposure_time=time, frame_noise=None, light_offset=offset)
     return sensor, jnp.full((1, 1, 1), at.light / time)
 
@@ -238,8 +238,8 @@ def clipped(
 ) -> tuple[Float[np.ndarray, "2 levels"], Float[np.ndarray, "values values"]]:
     """Mean and variance near the ends of the scale, averaged over the offsets of the pixels; and
     the covariance, for one pixel, of their parts that are neither linear nor quadratic in its
-    offset. Averages over the pixels of a die differ by it, divided by their number, from those of
-    other dies of the same mean and spread of the offsets."""
+    offset. Divided by the number of pixels, it is the covariance of averages over a die between
+    dies with the same mean and spread of the offsets."""
     every = (sensor.dsnu, sensor.row_dsnu, sensor.column_dsnu)
     spread = float(np.sqrt(sum(float(x) ** 2 for x in every if x is not None)))
     spread *= 1.0 if sensor.gain is None else float(sensor.gain)

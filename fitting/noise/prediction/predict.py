@@ -28,11 +28,11 @@ from ..sites import camera_of_taps, of_tap, stated_in_words, tap_of
 from .comparison import Comparison, compare
 from .missing import Missing, missing_effects
 
-DRAWS = 200  # of a camera file, by which its own uncertainty is judged
-LEAST = 3  # levels of light beyond the terms of a curve that half of the levels must have
-NOISES = ("read_noise", "shot_noise")  # without which no variance is predicted
-EVERY = 2  # levels of which one is kept out
-FEWEST_DARKS = 8  # from which on darks are kept out, too
+DRAWS = 200  # draws of a camera file that are used for its uncertainty
+LEAST = 3  # levels, beyond the number of a curve's terms, that half of the levels must have
+NOISES = ("read_noise", "shot_noise")  # fields needed to predict variances
+EVERY = 2  # one of this many levels is held out
+FEWEST_DARKS = 8  # number of darks from which darks are held out, too
 
 Camera = NoiseCalibration | Sensor | str | os.PathLike[str]
 
@@ -81,16 +81,17 @@ def predict(
             calibration, with its draws beside it) or a camera, or the name of a shipped camera.
         measurement: flats of at least 4 levels and darks, as `read_photon_transfer` or
             `from_frames` returns them.
-        draws: for a sensor that is no file, the same sensor with a leading axis of draws at every
-            number; None where its numbers are exact.
+        draws: for a sensor that is not a file, the same sensor with a leading axis of draws at
+            every number; None if its numbers are exact.
         light_error: relative standard deviation of the true light of a level about the stated one.
 
     Returns:
-        Mean, variance and covariance of neighbours of each level beside the prediction, with
+        Mean, variance and covariance of neighbours at each level with their prediction,
         chi-squares, and the effects that the camera lacks.
 
     Raises:
-        InputError: for an argument that is no camera of one channel, and for frames of other bits.
+        InputError: for an argument that is not a camera of one channel, and for frames with another
+            number of bits.
 
     Example:
         >>> from fitting.noise import Camera, from_frames, predict
@@ -129,7 +130,7 @@ def predict(
     usable = linear_levels(measurement)
     unstated = [field for field in NOISES if getattr(camera, field) is None]
     dithered = camera
-    if camera.read_noise is None:  # what rounding does to means depends on it
+    if camera.read_noise is None:  # the effect of rounding on means depends on it
         step = (measurement.converter.step or 1.0) * (1.0 if camera.gain is None else camera.gain)
         read = np.sqrt(np.asarray(measurement.dark.variance).mean()) / step
         dithered = replace(camera, read_noise=read)
@@ -249,7 +250,7 @@ def _compared(
     kept_out: Bool[np.ndarray, " levels"] | None,
     errors: dict[str, float],
 ) -> Comparison:
-    """The comparison for the camera as written, not as fitted."""
+    """Return the comparison for the camera as it is read from its file."""
     camera, drawn = written(calibration, kept_out=kept_out)
     fitted, usable = kept_out is None, calibration.usable
     at = {"shown": kept_out, "fitted": fitted, **errors}

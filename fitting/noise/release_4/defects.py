@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from scipy.special import betaincinv, erfc
 
 CLASSES = 256
-ROUNDING = 1e-9  # of a class, in an average that is a multiple of 1 / L
+ROUNDING = 1e-9  # tolerance, in classes, for an average that is a multiple of 1 / L
 
 
 class Histogram(NamedTuple):

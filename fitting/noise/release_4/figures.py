@@ -18,7 +18,7 @@ from .stacks import Averages
 SIZE = (5.4, 4.6)
 ORANGE, GREY, PURPLE = "tab:orange", "0.45", "tab:purple"
 COLOURS = {"total": "k", "row": BLUE, "col": ORANGE, "pixel": GREEN}
-WIDE = 10  # of amplitudes, from which their axis is logarithmic
+WIDE = 10  # ratio of amplitudes from which their axis is logarithmic
 NAMES = {"total": "all pixels", "row": "rows", "col": "columns", "pixel": "pixels"}
 
 
@@ -45,7 +45,7 @@ def pictures_of_images(sheet: Release4) -> tuple[Picture, ...]:
         Picture(
             "spatial_variances",
             "Nonuniformity and noise at all levels",
-            "Standard deviations of what rows, columns and pixels add, "
+            "Standard deviations of the contributions of rows, columns and pixels, "
             f"{how}, against the signal, with the temporal noise of a pixel. A part that noise "
             "makes negative is not drawn; circles on the left are the dark.",
             partial(spatial_variances_figure, sheet),

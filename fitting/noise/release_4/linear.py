@@ -18,7 +18,7 @@ from ..quantities import NEED_PHOTONS
 
 
 def figures(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> Sheet:
-    """The figures of release 4 Linear; figures that the measurement cannot give are left out.
+    """Return the figures of release 4 Linear, without those that the measurement cannot give.
 
     Source:
         EMVA Standard 1288, release 4.0 Linear (2021).

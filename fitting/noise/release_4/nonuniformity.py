@@ -15,8 +15,8 @@ Intervals refer to the population of pixels, rows and columns of which the frame
 squares of the dark and the bright average have a Wishart distribution in each stratum. Their
 covariances are drawn from the inverse Wishart distribution, and each figure is computed from every
 draw. One draw serves both averages, because the dark pattern is also in the bright average.
-Filtered lines and pixels are correlated, and the pixels' tails may be heavier than Gaussian, so
-fewer degrees of freedom count.
+Filtered lines and pixels are correlated, and the pixels' tails may be heavier than Gaussian, so the
+number of degrees of freedom is reduced.
 """
 
 from functools import cache
@@ -28,7 +28,7 @@ from scipy.ndimage import correlate1d, uniform_filter
 from scipy.signal import fftconvolve
 
 BOXES, BINOMIAL = (7, 11), np.array([1.0, 2.0, 1.0]) / 4
-BORDER = 9  # pixels that the windows reach
+BORDER = 9  # width of the border that the windows reach, pixels
 FEWEST_LINES = 8  # rows and columns that must be left within the borders
 DRAWS = 4000
 
@@ -46,10 +46,10 @@ class Loss(NamedTuple):
     """The share of variances that the filter passes.
 
     Attributes:
-        lines: share of the variance that the filter leaves of independent rows or columns.
-        pixels: the same of independent pixels.
-        line_degrees: share of the degrees of freedom that it leaves of rows or columns.
-        pixel_degrees: the same of pixels.
+        lines: share of the variance of independent rows or columns that the filter passes.
+        pixels: the same for independent pixels.
+        line_degrees: share of the degrees of freedom of rows or columns that remains.
+        pixel_degrees: the same for pixels.
     """
 
     lines: float = 1.0
@@ -138,7 +138,7 @@ def _inverse_wishart(
     values, vectors = np.linalg.eigh(square)
     root = vectors * np.sqrt(np.maximum(values, 0))
     wishart = np.zeros((DRAWS, 2, 2))
-    # With one more degree, a variance by itself is chi-square of `degrees`.
+    # With one more degree of freedom, a single variance is chi-square with `degrees`.
     wishart[:, 0, 0] = np.sqrt(rng.chisquare(degrees + 1, DRAWS))
     wishart[:, 1, 1] = np.sqrt(rng.chisquare(degrees, DRAWS))
     wishart[:, 1, 0] = rng.standard_normal(DRAWS)

@@ -1,12 +1,12 @@
 """The saturation point of release 4 (clause 6.6): the light at which .1 to .2 % of the numbers are
 at the end of the scale.
 
-If one level has none and the next has some of its numbers at the end, the light at .15 % is
-interpolated in the normal deviate of the share, which is about linear in the light. If the levels
-are too far apart for that, the numbers are taken as Gaussian: mean and standard deviation are
-extrapolated from the two levels below to where .15 % would lie beyond the end. The standard error
-covers any share between .1 and .2 %. It also includes the error of the counts, or a tenth of the
-distance from the mean to the end, because tails need not be Gaussian.
+If one level has no numbers at the end and the next has some, the light at .15 % is interpolated in
+the normal deviate of the share, which is about linear in the light. If the levels are too far apart
+for that, the numbers are taken as Gaussian: mean and standard deviation are extrapolated from the
+two levels below to the light at which .15 % would lie beyond the end. The standard error covers any
+share between .1 and .2 %. It also includes the error of the counts, or a tenth of the distance from
+the mean to the end, because tails need not be Gaussian.
 
 If no level reaches the share (the full well comes first, or a table has no pixels), the saturation
 point of release 3.1, the largest variance, takes its place.
@@ -25,7 +25,7 @@ from ..levels import PhotonTransfer
 
 SHARES = np.array([0.001, 0.0015, 0.002])
 FEWEST = 10  # numbers at the end, and below, for an interpolation
-TAILS = 0.1  # of the way from the mean to the end
+TAILS = 0.1  # share of the distance from the mean to the end
 WIDTH_OF_ERROR = float(np.sqrt(24))  # `Ranges.saturation_width` is the base of a triangle
 
 

@@ -40,13 +40,13 @@ OF_PARTS = {
     for kind, unit in (("dsnu", "e⁻"), ("prnu", "%"))
     for part in PARTS
 }
-# What the standard's floor of dark noise is a bound of, and whether an upper one.
+# Figures that the standard's floor of dark noise bounds, and whether from above.
 BELOW_FLOOR = {
     **dict.fromkeys(("temporal_dark_noise", "read_noise"), True),
     **dict.fromkeys(("threshold_photons", "threshold_electrons"), True),
     **dict.fromkeys(("dynamic_range", "dynamic_range_db", "usable_bits"), False),
 }
-LEAK = 0.1  # of a part: reported share of row and column noise that the average retains
+LEAK = 0.1  # share of a part from which retained row and column noise is reported
 
 
 def section(sheet: Release4) -> Section:
@@ -103,7 +103,7 @@ def sections(sheet: Release4) -> list[Section]:
 
 
 def _without_doubted(sheet: Release4, listed: list[Estimate]) -> tuple[Estimate, ...]:
-    """The figures, with the reason in place of those that the frames do not determine."""
+    """Return the figures; those that the frames do not determine are replaced by the reason."""
     doubts = sheet.stacks.measurement.doubts
     why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
     found = []
@@ -138,7 +138,7 @@ def _linear(sheet: Release4) -> list[Estimate]:
             side = "below" if BELOW_FLOOR[name] else "above"
             reason = (
                 f"{side} {float(values[name]):.3g} {quantity.unit}: dark noise is under the "
-                f"standard's floor of {floor:.2g} DN, where rounding rules"
+                f"standard's floor of {floor:.2g} DN, where rounding dominates"
             )
             listed.append(not_determined(quantity, reason, method=LINEAR))
         else:
@@ -159,7 +159,7 @@ def _why_missing(sheet: Release4, name: str) -> str:
 def _nonuniformities(sheet: Release4) -> list[Estimate]:
     if not sheet.nonuniformity:
         reason = (
-            "a table of temporal sums does not hold the pixels; give the frames in a rig folder"
+            "a table of temporal sums does not contain the pixels; give the frames in a rig folder"
         )
         return [not_determined(quantity, reason, method=LINEAR) for quantity in OF_PARTS.values()]
     relative = float(sheet.linear.errors["system_gain"]) / sheet.gain
@@ -247,7 +247,7 @@ def _findings(sheet: Release4) -> tuple[str, ...]:
         )
         sentences.append(
             f"The high-pass leaves {lines} of the deviation of independent rows and columns and "
-            f"{pixels} of that of independent pixels; figures behind it are not corrected for that."
+            f"{pixels} of that of independent pixels; figures after it are not corrected for that."
         )
         sentences += _uneven(sheet.nonuniformity)
     return (*sentences, *_leaks(sheet, stacks.averages))
@@ -288,8 +288,8 @@ def _uneven(found: Mapping[str, Nonuniformity]) -> list[str]:
 
 
 def _leaks(sheet: Release4, averages: Averages) -> list[str]:
-    """Temporal noise of rows and columns, and drift, that stays in an average or that the standard
-    subtracts twice."""
+    """Return findings on temporal noise of rows and columns, and on drift, that an average retains
+    or that the standard subtracts twice."""
     measurement, unlit, sentences = sheet.stacks.measurement, averages.unlit, []
     shared, own = measurement.dark.shared, int(measurement.dark_of[averages.level])
     split: Split = sheet.nonuniformity[PLAIN].dark
@@ -349,7 +349,7 @@ def _variances(sheet: Release4, averages: Averages) -> Table:
         "Spatial variances of the average frames",
         ("average", "filter", *(f"s² {part} [DN²]" for part in PARTS), "σ² [DN²]", "frames"),
         tuple(rows),
-        "By (36), (41), (42) and (65) of release 4.0 Linear; below 0 where noise makes them so.",
+        "By (36), (41), (42) and (65) of release 4.0 Linear; noise can make them negative.",
     )
 
 
@@ -370,8 +370,8 @@ def _variances_of_levels(sheet: Release4, averages: Averages) -> Table:
         "Spatial variances of all levels",
         (*heads, "σ² [DN²]", "frames"),
         tuple(rows),
-        f"{how}; the dark is that of the averages. The temporal noise that few frames leave is "
-        "taken out.",
+        f"{how}; the dark is that of the averages. The temporal noise that remains in few frames "
+        "is subtracted.",
     )
 
 

@@ -80,7 +80,7 @@ def release_4_sheet(stacks: Stacks, *, seed: int = 0) -> Release4:
     """The sheet of EMVA 1288, release 4.0, of a camera.
 
     Args:
-        stacks: of `read_stacks` or `stacks_from_frames`.
+        stacks: from `read_stacks` or `stacks_from_frames`.
         seed: of the draws behind the intervals.
 
     Returns:

@@ -52,7 +52,7 @@ class Stack:
 
     @property
     def rest(self) -> float:
-        """The share of the standard's sigma^2_stack that stays in the average, DN^2."""
+        """Part of the standard's sigma^2_stack that remains in the average, DN^2."""
         return (self.noise + self.drift) / self.frames
 
 
@@ -62,8 +62,8 @@ class Averages:
 
     Attributes:
         level: index of the bright level, about half of saturation.
-        lit: its frames.
-        unlit: those of its dark.
+        lit: frames of this level.
+        unlit: frames of its dark.
     """
 
     level: int
@@ -121,7 +121,7 @@ def read_stacks(
 
 
 def reduce_stacks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Stacks:
-    """Reduces all frames of a rig, one frame in memory at a time."""
+    """Reduce all frames of a rig, one frame in memory at a time."""
     reduced = reduced_rig(rig, channel=channel, load=load)
     check(rig.folder, reduced.measurement)
     top = reduced.measurement.full_scale
@@ -175,7 +175,7 @@ def _summed(stack: Stack) -> _Summed:
     """The summary of every level."""
     image = stack.image
     filtered = high_pass(image) if can_filter(image.shape) else image
-    kept = stack.noise + stack.drift - stack.rest  # of all numbers about the average frame
+    kept = stack.noise + stack.drift - stack.rest  # variance of all numbers about the average frame
     return _Summed(
         mean=float(image.mean()),
         noise=stack.noise,
