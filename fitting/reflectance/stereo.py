@@ -47,22 +47,22 @@ from .stereo_lights import (
 from .stereo_misfit import Departures, departures, shared_squares
 from .stereo_model import Surface, fitted_surface
 
-ROUNDS = 30  # of reweighting toward the least sum of absolute residuals
+ROUNDS = 30  # reweightings toward the least sum of absolute residuals
 FAR = 2.5  # standard deviations at which a reading is left out (Rousseeuw & Leroy, 1987)
 NORMAL_MAD = 1.4826  # the standard deviation of a Gaussian over its median absolute deviation
-CHANCE = 0.01  # that a pixel without broken readings leaves one out
-RETURNS = 5  # rounds in which readings come back, each by the scatter of those before
+CHANCE = 0.01  # probability that a pixel without wrong readings leaves one out
+RETURNS = 5  # rounds that accept excluded readings again, by the scatter of the accepted ones
 CLEAR = 3.0  # standard deviations of a reading between its prediction and a limit
 PASSES = 8  # at most, of a fit and the readings that it predicts between the limits
-CONTRADICTED, USUAL = 0.5, 0.25  # share of an image's pixels; the most that the median image may
-APART = 8.0  # times the median image's median residual, from which an image stands apart
-FEWEST = 30  # pixels by which an image is judged
-ALONE = 0.02  # logarithm of a factor that sets an image apart from those that agree
-SHARED, SMALL = 0.5, 0.02  # of the residuals' squares; of the albedo: a contradiction that is told
-FITTED = 256  # pixels that show first whether a rough body explains residuals
-SHOWN_BY = 32  # lights whose residuals show what a rough surface does to normals
-NEGLIGIBLE = 1e-6  # of the albedo: a departure from Lambert's law that is rounding
-DARK = 3.0  # standard errors from 0: the mean of images without light
+CONTRADICTED, USUAL = 0.5, 0.25  # share of contradicted pixels; largest in the median image
+APART = 8.0  # ratio to the median image's median residual from which an image deviates
+FEWEST = 30  # fewest pixels to judge an image
+ALONE = 0.02  # logarithm of a factor from which an image deviates from those that agree
+SHARED, SMALL = 0.5, 0.02  # of the residuals' squares, of the albedo: reported contradiction
+FITTED = 256  # pixels of a first test whether a rough body explains residuals
+SHOWN_BY = 32  # lights from which residuals reveal the effect of roughness on normals
+NEGLIGIBLE = 1e-6  # of the albedo: departures from Lambert's law below it are rounding
+DARK = 3.0  # standard errors from 0 within which the mean of images shows no light
 HEADS = ("", "median", "90 % of pixels in", "unit")
 
 
@@ -135,7 +135,7 @@ class Stereo:
         return picture_html(figure_png(maps), table, meaning="normals and albedo")
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # threads cost more than systems this small
+@threadpool_limits.wrap(limits=1, user_api="blas")  # systems are too small for threads
 def photometric_stereo(
     images: ArrayLike,
     lights: ArrayLike,
@@ -153,31 +153,32 @@ def photometric_stereo(
 
     Args:
         images: (lights, h, w) linear readings without black level, in any unit; NaN marks a missing
-            reading, and the others are used.
+            reading; the remaining readings are used.
         lights: (lights, 3) unit vectors toward the lights, in any axes.
         intensities: (lights,) irradiance on a surface that faces the light, W m^-2 or relative;
             None for 1.
         covariance: (lights, 4, lights, 4) of directions and logarithms of intensities, as
             `fitting.lights.calibrate` finds it; None for exact lights.
-        lowest: readings at or below it are left out as shadow, in the unit of the images; so are
-            readings that the others predict less than three standard deviations above it.
-        highest: readings at or above it are left out as clipped; so are readings that the others
-            predict less than three standard deviations below it. Without it, the largest reading
-            takes its place where many readings equal it, and a sentence says so.
-        robust: whether to leave out readings that the others contradict, as in highlights and cast
-            shadows. A reading is left out if it lies beyond 2.5 standard deviations of the fit of
-            least absolute residuals, and if the least-squares fit of the others would be off by as
-            much in fewer than one of a hundred pixels. This needs at least six usable lights. Five
-            leave one residual, so that hardly any reading is left out and the errors are as large
-            as the contradiction. With two wrong readings among six, as at the rim of a body, a
-            wrong one may remain and the normal be off by 0.25 rad. An image that the others
+        lowest: readings at or below it are left out as shadow, in the unit of the images. So are
+            readings that the other images predict to be less than three standard deviations above
+            it.
+        highest: readings at or above it are left out as clipped. So are readings that the other
+            images predict to be less than three standard deviations below it. If None, and many
+            readings equal the largest one, that reading is the limit, and a finding says so.
+        robust: whether to leave out readings that the other images contradict, as in highlights and
+            cast shadows. A reading is left out if it lies beyond 2.5 standard deviations of the fit
+            of least absolute residuals, and if the least-squares fit of the others would be off by
+            as much in fewer than one of a hundred pixels. This needs at least six usable lights.
+            Five leave one residual, so that hardly any reading is left out and the errors are as
+            large as the contradiction. With two wrong readings among six, as at the rim of a body,
+            a wrong one may remain and the normal be off by 0.25 rad. An image that the others
             contradict in most pixels is left out as a whole and named. So is one of at least five
             images that is brighter or darker than predicted by one factor in all pixels.
         model: reflectance, one of those that `calibrate` fits. A lobe lies on a Lambertian body,
             whose albedo differs between pixels; all pixels of a material share the amplitude and
             the shape of the lobe, or the roughness of the body. Facets have an index of 1.5.
-        materials: (h, w) whole numbers, one label a material; pixels below 0 are Lambertian. None
-            for one material.
+        materials: (h, w) whole numbers, one label per material; pixels with negative labels are
+            Lambertian. None for one material.
         viewer: (3,) unit vector toward the camera, in the axes of the lights. Only a `model` other
             than Lambert's, and the comparison with a rough surface, use it.
 
@@ -188,16 +189,16 @@ def photometric_stereo(
         departures that neighbouring lights share, and a sentence says so. With fewer than 32 lights
         they also include the change of the normal by a rough body (Oren and Nayar's), if that
         explains the residuals: it turns normals toward the viewer and leaves hardly any residual. A
-        factor of one light's intensity or an offset of all readings that explains residuals in all
-        pixels is named, and so is what pixels read that face away from a light. g is not corrected
-        for it, but the standard deviations include the change that a correction would make. Where
-        no pixel faces away from a light, lights of one height hide an offset. On simulated balls
-        under 6 to 96 lights, cones of 95 % contained the true normal in 93 to 98 % of the pixels of
-        a matt ball, in 92 to 100 % of a glossy one and in 91 to 100 % of a rough one. With a
-        `model`, the departures are those from it, and the standard deviations include the errors of
-        its numbers. Interreflection between parts of a surface changes the readings as another
-        normal would, leaves hardly any residual, and is not included: in a hollow the standard
-        deviations are lower bounds.
+        finding names a factor of one light's intensity, or an offset of all readings, that explains
+        residuals in all pixels, and also the readings of pixels that face away from a light. g is
+        not corrected for these, but the standard deviations include the change that a correction
+        would make. Where no pixel faces away from a light, lights of one height hide an offset. On
+        simulated balls under 6 to 96 lights, cones of 95 % contained the true normal in 93 to 98 %
+        of the pixels of a matt ball, in 92 to 100 % of a glossy one and in 91 to 100 % of a rough
+        one. With a `model`, departures are measured from this model, and the standard deviations
+        include the errors of its parameters. Interreflection between parts of a surface changes the
+        readings as another normal would, leaves hardly any residual, and is not included: in a
+        hollow the standard deviations are lower bounds.
 
     Raises:
         InputError: for fewer than three lights, lights in one plane, and shapes that do not agree.
@@ -316,10 +317,10 @@ def _materials_finding(model: Model, surface: Surface) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Rough:
-    """What a rough body in place of Lambert's would change."""
+    """The change if a rough body replaces Lambert's law."""
 
-    covariance: Matrices  # of g, with the change that it would make
-    sigma: float  # its roughness, rad
+    covariance: Matrices  # of g, including the change by the rough body
+    sigma: float  # roughness, rad
     sigma_sd: float
     explained: float  # share of the residuals' squares
     turned: float  # rad, median change of the normals
@@ -333,9 +334,9 @@ def _rough_body(
     found: Departures,
     viewer: Float[np.ndarray, "3"],
 ) -> _Rough | None:
-    """The body of Oren and Nayar, if it explains the residuals of Lambert's law. It turns normals
-    toward the viewer and leaves hardly any residual under few lights. The departures that are found
-    remain in the covariance unless it leaves none."""
+    """Return the rough body (Oren-Nayar), if it explains the residuals of Lambert's law. It rotates
+    normals toward the viewer and leaves hardly any residual under few lights. The detected
+    departures remain in the covariance, unless the rough body explains all of them."""
     weights = found.weights
     rows, flat = directions * irradiance[:, None], counts.reshape(len(readings), -1)
     g = solved(rows, readings, weights)[0]
@@ -405,7 +406,8 @@ def _unlit_finding(
 def _deviations(
     normals: Vectors, albedo: OfPixels, covariance: Matrices
 ) -> tuple[OfPixels, OfPixels]:
-    """Standard deviations of the normal, rad, and of the albedo, from the covariance of g."""
+    """Return standard deviations of the normal, rad, and of the albedo, from the covariance of
+    g."""
     along = np.einsum("pi,pij,pj->p", normals, covariance, normals)
     aside = (np.trace(covariance, axis1=-2, axis2=-1) - along) / 2
     return np.sqrt(aside) / albedo, np.sqrt(along)
@@ -620,7 +622,8 @@ def _common_errors(covariance: ArrayLike, lights: int) -> np.ndarray:
 def _least_squares(
     rows: Rows, readings: Readings, weights: Readings
 ) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, " pixels"]]:
-    """g, its covariance from the scatter of the residuals, and the number of readings used."""
+    """Return g, its covariance from the scatter of the residuals, and the number of used
+    readings."""
     g, inverse = solved(rows, readings, weights)
     used = weights.sum(axis=0).astype(int)
     return g, inverse * _scatter(rows, readings, weights > 0, g, used)[:, None, None], used
@@ -635,7 +638,7 @@ def _scatter(
 
 
 def _between(rows: Rows, g: Vectors, scatter: OfPixels, limits: tuple[float, float]) -> Counted:
-    """Readings that a fit predicts away from both limits."""
+    """Find readings that a fit predicts to be clear of both limits."""
     predicted, margin = rows @ g.T, CLEAR * np.sqrt(np.nan_to_num(scatter))
     return (predicted - margin > limits[0]) & (predicted + margin < limits[1])
 
@@ -677,7 +680,7 @@ def _usual_residual(rows: Rows, readings: Readings, near: Counted, g: Vectors) -
 
 
 def _consistent(rows: Rows, readings: Readings, counts: Counted) -> Counted:
-    """The readings near the fit of least absolute residuals, if there are at least five."""
+    """Return the readings near the fit of least absolute residuals, if there are at least five."""
     used = counts.sum(axis=0)
     weights = counts.astype(float)
     size = np.abs(np.where(counts, readings, 0)).max(axis=0)
@@ -701,8 +704,8 @@ def _consistent(rows: Rows, readings: Readings, counts: Counted) -> Counted:
 
 def _explained(rows: Rows, readings: Readings, apart: Counted, near: Counted) -> Counted:
     """Excluded readings that agree with the others' prediction, by Student's t for the largest of
-    all prediction errors. If no reading were wrong, the others would be those nearest to the fit,
-    whose scatter is too small. Their variance is corrected as that of a truncated Gaussian."""
+    all prediction errors. If no reading is wrong, the accepted readings are those nearest to the
+    fit, so their scatter is too small. Their variance is corrected as for a truncated Gaussian."""
     some = np.flatnonzero(apart.any(axis=0))
     found = np.zeros_like(apart)
     if not some.size:
@@ -722,8 +725,8 @@ def _explained(rows: Rows, readings: Readings, apart: Counted, near: Counted) ->
 
 
 def _median(residuals: Readings, used: Int[np.ndarray, " pixels"]) -> OfPixels:
-    """The lower median of the residuals, without the three that least absolute deviations make 0
-    for three unknowns."""
+    """Return the lower median of the residuals, without the three residuals that a
+    least-absolute-deviations fit of three unknowns makes 0."""
     ordered = np.sort(residuals, axis=0)  # NaN last
     place = np.clip(3 + (used - 4) // 2, 0, len(ordered) - 1)
     return np.take_along_axis(ordered, place[None], axis=0)[0]

@@ -14,20 +14,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-FLAT = 1e-6  # least over largest singular value of lights that lie in a plane
-ROUNDS, DONE = 40, 1e-6  # of Gauss-Newton; the largest step of a factor that ends them
+FLAT = 1e-6  # least over largest singular value below which lights lie in a plane
+ROUNDS, DONE = 40, 1e-6  # Gauss-Newton steps; largest change of a factor at convergence
 TAIL = 2.4  # standard deviations from which a residual counts less (Cauchy's weights)
 NORMAL_MAD = 1.4826  # the standard deviation of a Gaussian over its median absolute deviation
-PARTS = 10  # of the image, each of which is left out once
-MOST, FEWEST = 2_000, 100  # pixels that estimate it
-LIT = 0.1  # of the brightest pixels' mean reading: pixels that tell it
+PARTS = 10  # parts of the image, each left out once
+MOST, FEWEST = 2_000, 100  # most and fewest pixels of the estimate
+LIT = 0.1  # share of the brightest pixels' mean reading above which pixels are used
 UNLIT = 0.1  # -n.l from which a pixel surely faces away from a light
-SMALL = 1e-4  # of the albedo: an offset in the shadow that changes no normal
+SMALL = 1e-4  # of the albedo: an offset in the shadow too small to change normals
 CLEAR = 5.0  # standard errors from which a factor or offset is significant
-DETERMINED = 10.0  # times what noise in g adds to the information on a factor
-WIDEST = 10.0  # factor of a light; beyond, its direction is wrong or no light is
-AT_ONCE, ROUNDED = 500, 1e-12  # pixels; of the largest variance: no more than rounding
-EXPLAINED = 0.5  # least share of the residuals' squares that it explains
+DETERMINED = 10.0  # ratio to the part of the information on a factor that noise in g adds
+WIDEST = 10.0  # largest factor of a light; beyond it, the direction is wrong or the light off
+AT_ONCE, ROUNDED = 500, 1e-12  # pixels computed together; of the largest variance: rounding
+EXPLAINED = 0.5  # least share of the residuals' squares that must be explained
 Rows = Float[np.ndarray, "lights 3"]
 Readings = Float[np.ndarray, "lights pixels"]
 Counted = Bool[np.ndarray, "lights pixels"]
@@ -86,8 +86,8 @@ def by_lights(
     g: Vectors,
     covariance: Float[np.ndarray, "lights 4 lights 4"],
 ) -> Matrices:
-    """Covariance of g by errors of the lights' directions and logarithms of intensities:
-    dg = -M^-1 sum w r (E dl.g + r.g d ln E), r = E l."""
+    """Return the covariance of g from errors of the lights' directions and logarithms of
+    intensities: dg = -M^-1 sum w r (E dl.g + r.g d ln E), r = E l."""
     flat = covariance.reshape(4 * len(rows), -1)
     sizes, axes = np.linalg.eigh(flat)
     seen = sizes > ROUNDED * sizes[-1]
@@ -116,7 +116,8 @@ def common_departure(rows: Rows, readings: Readings, counts: Counted) -> Common 
 
 
 def offset_in_shadow(rows: Rows, readings: Readings, counts: Counted) -> Common | None:
-    """An offset of all readings, by those of pixels that face away from a light and should be 0."""
+    """Return an offset of all readings, from pixels that face away from a light and should read
+    0."""
     some = _bright(readings, counts)
     own = readings[:, some]
     g, _ = solved(rows, own, counts[:, some].astype(float))

@@ -41,22 +41,22 @@ from .stereo_lights import Images, Matrices, OfPixels, Readings, Rows, predicted
 
 REACH = 0.8  # w: as slow as n.l and rough surfaces change with the light
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e8, 21)])  # tau^2 / sigma^2
-THINNEST = 1e-4  # of the largest eigenvalue: features of the process that are left out
-WHOLE = 1e-9  # of the largest eigenvalue: what is no more than rounding
+THINNEST = 1e-4  # of the largest eigenvalue: smaller features of the process are left out
+WHOLE = 1e-9  # of the largest eigenvalue: below it is rounding
 EVIDENCE = 10.0  # logarithm of the likelihood ratio from which departures are significant
-FEW_LIGHTS = 16  # whose residuals, as far as they are no noise, are taken for slow departures
+FEW_LIGHTS = 16  # lights below which residuals beyond noise count as slow departures
 CLEAR = 3.0  # standard deviations of a reading: smallest mean of pixels that estimate departures
-SEEN = 5.0  # standard errors of the correlation of neighbouring pixels, likewise
-ROUNDS = 30  # of the distribution over the pixels
-MATT = 0.95  # share of pixels without departures that the search for it starts from
-ALIKE = 0.05  # weight of all variances and ratios alike, beside their distribution
-FINEST, LEVELS = 0.22, 64  # step of ln sigma^2, and at most so many of them
-QUIETEST = 1e-9  # of the largest variance: noise that is no more than rounding
-LOUDEST = 2.0  # times what neighbours do not share
+SEEN = 5.0  # standard errors at which neighbouring pixels are correlated
+ROUNDS = 30  # updates of the distribution over the pixels
+MATT = 0.95  # share of pixels without departures at the start of the search
+ALIKE = 0.05  # weight of a uniform distribution added to that over the pixels
+FINEST, LEVELS = 0.22, 64  # step of ln sigma^2, and most steps
+QUIETEST = 1e-9  # of the largest variance: smaller noise is rounding
+LOUDEST = 2.0  # largest noise, relative to the part that neighbours do not share
 INSIDE, NEWTON = 0.95, 8  # probability of a cone; rounds of the search for its radius
-MOST, AT_ONCE = 2_000, 1_000  # pixels that estimate it; pixels that are computed together
-OF_PHOTONS = (0.0, 0.5, 0.8, 0.93, 0.98, 0.995, 0.999, 0.9999)  # of a typical reading's variance
-OF_LAMPS = (0.5, 0.8, 0.95, 0.99)  # the same, of what grows with a square
+MOST, AT_ONCE = 2_000, 1_000  # most pixels of the estimate; pixels computed together
+OF_PHOTONS = (0.0, 0.5, 0.8, 0.93, 0.98, 0.995, 0.999, 0.9999)  # of a reading's variance
+OF_LAMPS = (0.5, 0.8, 0.95, 0.99)  # the same for noise that grows with the square of the reading
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,10 @@ from .models import REFLECTANCES, has_lobe, log_range
 from .names import INDEX, Model
 from .stereo_lights import NORMAL_MAD, TAIL, Counted, Matrices, Readings, Rows, Vectors, predicted
 
-AT_ONCE = 512  # pixels that are computed together, and the most that estimate a material
-STEPS, SHARED_STEPS, FIRST = 20, 25, 6  # of a pixel; of a material; of each of its starts
+AT_ONCE = 512  # pixels computed together, and most pixels that estimate a material
+STEPS, SHARED_STEPS, FIRST = 20, 25, 6  # steps for a pixel, a material, a start
 DONE = 1e-7  # change of a logarithm that ends the search
-STARTS = (0.3, 0.55, 0.8)  # of the logarithm of the shape, in its range
+STARTS = (0.3, 0.55, 0.8)  # starts of the log shape, as shares of its range
 LONGEST = 0.7  # step of a logarithm
 
 
@@ -36,16 +36,16 @@ LONGEST = 0.7  # step of a logarithm
 class Surface:
     """The model at the fitted normals."""
 
-    extra: Readings  # readings of the model less those of Lambert's law for the same g
+    extra: Readings  # readings of the model minus those of Lambert's law for the same g
     # derivatives of the model by g
     slopes: Float[np.ndarray, "lights pixels 3"]
     g: Vectors
-    covariance: Matrices  # of g by the shared numbers
+    covariance: Matrices  # of g from errors of the shared numbers
     # by label: specular amplitude of a lobe, and shape, with standard deviations
     numbers: dict[int, tuple[Float[np.ndarray, " numbers"], Float[np.ndarray, " numbers"]]]
 
     def tilt(self, rows: Rows) -> Readings:
-        """Readings of the linear model with these slopes, less those of Lambert's law."""
+        """Return readings of the linear model with these slopes, minus those of Lambert's law."""
         return predicted(self.slopes, self.g) - predicted(rows, self.g)
 
 
@@ -71,7 +71,7 @@ def _linearised(model: Model, g: Array, shared: Array, lights: Array, viewer: Ar
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Readings of pixels of one material, and what predicts them."""
+    """Readings of pixels of one material, with the data that predict them."""
 
     model: Model
     lights: Rows  # unit
@@ -142,7 +142,7 @@ class _Pixels:
     def search(
         self, g: Vectors, shared: np.ndarray, scale: float, steps: int
     ) -> tuple[float, np.ndarray, Vectors]:
-        """Cost, shared logarithms and g after Gauss-Newton steps."""
+        """Return cost, shared logarithms and g after Gauss-Newton steps."""
         low, high = log_range(self.model)
         g = self.normals(g, shared, scale, 6)
         cost, damping = self.cost(g, shared, scale), 1e-3
