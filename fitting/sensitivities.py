@@ -109,9 +109,10 @@ class Sensitivities:
 
     @double_precision
     def delta_e(self, illuminant: ArrayLike, *, reflectances: ArrayLike | None = None) -> Bands:
-        """CIEDE2000 difference between each reflectance and its colour from the camera, with the
-        mean matrix. The spread over draws comes from the errors of the sensitivities. The mean also
-        includes the error of the best matrix.
+        """CIEDE2000 difference between each reflectance and its colour from the camera.
+
+        The camera's colours use the mean matrix. The spread over draws comes from the errors of the
+        sensitivities. The mean also includes the error of the best matrix.
 
         Args:
             illuminant: (bands,) spectrum of the light on a perfect white, relative.

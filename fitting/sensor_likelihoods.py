@@ -44,8 +44,10 @@ class SensorNoise(eqx.Module):
     """A datum is normal about the sensor's mean signal with the sensor's temporal variance.
 
     Codes at an end of the ADC's range are censored. It does not include differences between pixels
-    (fixed pattern) or a full well. Attributes: sensor: record, or the path of one in the problem's
-    records.
+    (fixed pattern) or a full well.
+
+    Attributes:
+        sensor: record, or the path of one in the problem's records.
 
     Example:
         >>> import jaxvision as jv

@@ -98,7 +98,7 @@ def test_a_prediction_of_something_else_is_refused():
         records=problem.records,
     )
     assert "sensor.shot_noise" in {e.name for e in called_for(problem).left_out.dropped}
-    with pytest.raises(InputError, match="predict must show the scene"):
+    with pytest.raises(InputError, match="predict must render the scene"):
         called_for(brighter)
 
 

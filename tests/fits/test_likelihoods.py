@@ -598,7 +598,7 @@ def test_a_table_of_codes_is_multinomial_within_its_codes():
         SensorCounts(tables.sensor, 4, codes=TABLE_CODES).draw(jax.random.key(0), lights)
     with pytest.raises(InputError, match="whole and at least 0, and one is -"):
         tables.check_data(-counts)
-    with pytest.raises(InputError, match=r"of each table \d+ codes are given and 2 counts;"):
+    with pytest.raises(InputError, match=r"each table has \d+ codes and 2 counts;"):
         tables.check_data(counts[:, :2])
     with pytest.raises(InputError, match=r"one is 0\.5; give counts, no shares"):
         tables.check_data(np.full(counts.shape, 0.5))

@@ -199,7 +199,7 @@ TWICE = [np.maximum(IMAGES[0], IMAGES[1])]
     [
         ([0 * IMAGES[0] + 64], MASK, {}, r"images\[0\]: no highlight on the ball"),
         (TWICE, MASK, {}, "two highlights"),
-        ([64 + 0 * IMAGES[0] + 2000.0 * (ROWS < 36)], MASK, {}, "are bright, as of a matte or"),
+        ([64 + 0 * IMAGES[0] + 2000.0 * (ROWS < 36)], MASK, {}, "are bright, as on a matte or"),
         ([64 + 0 * IMAGES[0] + 4031.0 * (ROWS < 50)], MASK, {}, "ball are saturated"),
         (IMAGES[:1], np.roll(MASK, 12, axis=0), {}, "cut by the border"),
         (IMAGES[:1], MASK & (ROWS < 45), {}, "from the outline of a ball"),
