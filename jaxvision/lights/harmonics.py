@@ -19,8 +19,8 @@ _COSINE = np.pi * np.repeat([1, 2 / 3, 1 / 4], [1, 3, 5])
 
 @takes_numbers
 def harmonics(direction: Directions) -> Float[Array, "9 ..."]:
-    """Return the nine orthonormal real spherical harmonics of order <= 2 of unit directions: (9,
-    ...), no unit, with (l, m) in the order (0,0), (1,-1), (1,0), (1,1), (2,-2) ... (2,2)."""
+    """Return the nine orthonormal real spherical harmonics of order <= 2 of unit directions, as
+    (9, ...), no unit, with (l, m) in the order (0,0), (1,-1), (1,0), (1,1), (2,-2) ... (2,2)."""
     d = as_vec(direction)
     x, y, z = d.x, d.y, d.z
     c0, c1, c2 = (float(np.sqrt(share / np.pi)) for share in (0.25, 0.75, 3.75))

@@ -2,7 +2,7 @@
 
 Records hold numbers and have no behaviour. Every record is a frozen pytree. Non-static leaves are
 arrays that keep the caller's floating dtype; an effect that is absent is `None` and is never
-traced. Only shapes, kinds and choices of algorithm are static, so a sweep over exposure, gain or
+traced. Only shapes, types and choices of algorithm are static, so a sweep over exposure, gain or
 bit depth compiles once. SI units throughout; world axes are right-handed. The shapes in the
 docstrings are those of one record: a batch is a record whose leaves are stacked along a leading
 axis, for `vmap`. A wrong shape raises `ValueError`.

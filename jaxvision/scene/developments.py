@@ -273,7 +273,7 @@ class UnsharpMask(Shown):
         size: side of the Gaussian in pixels, odd; static.
 
     Example:
-        An edge overshoots, and as much on either side.
+        An edge overshoots by the same amount on either side.
 
         >>> how = jv.Development(sharpening=jv.UnsharpMask(1.0, 0.5, size=3))
         >>> edge = jv.develop(jnp.array([[[0.0], [0.0], [1.0], [1.0]]]), how).ravel()
@@ -319,7 +319,7 @@ class Development(Shown):
     """The steps from raw data to a picture, in the order of the fields; `None` leaves a step out.
 
     Attributes:
-        black_level: () DN, which is subtracted.
+        black_level: () DN, subtracted first.
         white_level: () DN that becomes 1, above the black level; None keeps DN.
         demosaicing: interpolation from one band per pixel to all.
         white_balance: gains, or a method to estimate them.

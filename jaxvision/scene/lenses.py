@@ -18,7 +18,7 @@ from ..core._types import (
     print_by_name,
 )
 
-# A thinner ring, relative to its radius, is closed.
+# Largest obstruction; with a thinner ring the aperture is closed.
 _WIDEST_STOP = 1 - 1e-6
 
 
@@ -103,7 +103,8 @@ class Rim(Shown):
         diameter: () m, > 0.
 
     Example:
-        A pixel sees the rim moved by its radius: discs that share (2 pi / 3 - sqrt(3) / 2) / pi.
+        Seen from this pixel, the rim is displaced by its radius, and the two discs overlap by
+        (2 pi / 3 - sqrt(3) / 2) / pi of their area.
 
         >>> lens = dict(rotation=np.eye(3), focal_length=0.05, pixel_pitch=1e-5, resolution=(1, 1))
         >>> view = jv.ThinLens([0, 0, 0], **lens, f_number=2.0, rim=jv.Rim(0.025, 0.025))
@@ -149,7 +150,8 @@ class Diffraction(Shown):
 
 class Wavefront(Shown):
     """Aberrations of a lens together with the diffraction at its aperture, the same over the whole
-    picture. All coefficients 0 are `Diffraction`; large ones are the spot of geometrical optics.
+    picture. With all coefficients 0 it equals `Diffraction`; large coefficients give the spot of
+    geometrical optics.
 
     Attributes:
         coefficients: (terms,) m, of Noll's Zernike terms 1, 2, ...; `optics.zernike` names them.
@@ -186,13 +188,13 @@ class Wavefront(Shown):
 
 
 class Distortion(Shown):
-    """Polynomial distortion: the image position of a ray that an ideal lens images at (x, y).
+    """Polynomial distortion. A ray that an ideal lens images at (x, y) is imaged at
 
         r^2 = x^2 + y^2,   s = 1 + k_1 r^2 + k_2 r^4 + ...
         (x s + 2 p_1 x y + p_2 (r^2 + 2 x^2),   y s + p_1 (r^2 + 2 y^2) + 2 p_2 x y)
 
-    A sensor off the optical axis, and pixels that are not square, shift and stretch that image;
-    `optics.opencv_view` makes such views from a camera matrix.
+    A sensor whose middle is off the optical axis shifts this image, and pixels that are not square
+    stretch it; `optics.opencv_view` makes such views from a camera matrix.
 
     Attributes:
         radial: (terms,) k_1, k_2, ..., no unit; k_1 < 0 is a barrel, k_1 > 0 a pincushion.

@@ -9,8 +9,8 @@ from ..core._types import AMOUNT, Colour, as_float, check_fields
 
 
 class Light(Shown):
-    """Base of every kind of light; the record and the equations of a kind are in one file in
-    `lights/`.
+    """Base class of all lights. Each file in `lights/` has the record and the equations of one
+    light.
 
     Attributes:
         spectra: names of the fields whose last axis is a spectrum, one number for each band. A

@@ -18,19 +18,19 @@ from ..core._types import (
 
 
 class Map(Shown, Varying):
-    """Numbers that vary over a surface, in place of one number or spectrum of a material.
+    """Numbers that vary over a surface and replace one number or spectrum of a material.
 
     Between the centres of texels the numbers are bilinear. Texture coordinates (u, v) run from 0 to
     1 over the map: u along its columns, v along its rows, (0, 0) at the corner of the first texel.
-    A `Quad` has them along its edges, a `TriangleMesh` at its vertices, and a `Sphere` by longitude
-    about the world's z axis, u = phi / 2 pi, and by the angle to it, v = theta / pi.
+    A `Quad` has them along its edges, and a `TriangleMesh` at its vertices. On a `Sphere`, u = phi
+    / 2 pi is the longitude about the world's z axis, and v = theta / pi the angle to this axis.
 
     Attributes:
         values: (rows, columns, ...) in the unit of the field that they replace: (rows, columns,
             bands) for a spectrum, (rows, columns) for one number.
         uv: (2, 3) no unit, maps the shape's (u, v, 1) to the map's (u, v); (2, 4) maps (x, y, z, 1)
             of a point in the world, m, and suits any shape; None for the shape's own coordinates.
-        wrap: what lies beyond the map: "repeat" tiles it, "clamp" continues its border; static.
+        wrap: continuation beyond the map: "repeat" tiles it, "clamp" extends its border; static.
 
     Raises:
         ValueError: for values without rows and columns.

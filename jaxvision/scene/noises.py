@@ -104,7 +104,8 @@ class HotPixels(Shown):
 class PoissonShotNoise(Shown):
     """Electrons are counted exactly: a Poisson draw replaces the mean.
 
-    It is for means up to 2^31 electrons. Larger means are refused, and give NaN under `jax.jit`.
+    It is valid for means up to 2^31 electrons. Larger means raise an error, or give NaN under
+    `jax.jit`.
 
     Example:
         >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), gain=2.0)
@@ -118,7 +119,7 @@ class FastPoissonShotNoise(Shown):
 
     The draws are whole numbers, ten times faster than `PoissonShotNoise`, with gradients along the
     draw. The total variation distance from the Poisson distribution is at most 1.4e-4 at every mean
-    up to 2^31 electrons. Larger means are refused, and give NaN under `jax.jit`. `sensor.count`
+    up to 2^31 electrons. Larger means raise an error, or give NaN under `jax.jit`. `sensor.count`
     gives the details.
 
     Example:
@@ -147,7 +148,8 @@ print_by_name(globals(), "ShotNoise")
 
 
 class ResetNoise(Shown):
-    """The kT/C noise of a sense node reset before each read-out without correlated sampling.
+    """The kTC noise of a sense node that is reset before each read-out, without correlated double
+    sampling.
 
     Attributes:
         capacitance: () F, >= 0.

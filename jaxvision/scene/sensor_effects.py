@@ -19,7 +19,7 @@ from ..core._types import (
     is_known,
 )
 
-_SUM_OFF = 1e-4  # of a kernel's sum from 1; above, it was not normalised
+_SUM_OFF = 1e-4  # largest deviation of a kernel's sum from 1
 
 
 class SensorEffect(Shown):
@@ -79,7 +79,7 @@ class Nonlinearity(SensorEffect):
 
 
 class Compression(Nonlinearity):
-    """A signal of s = e (1 - first u - second u^2), u = e / electrons, for a charge of e electrons.
+    """The signal e (1 - first u - second u^2), with u = e / electrons, for a charge e.
 
     Below 0 and above `electrons` it continues as a straight line.
 
@@ -103,7 +103,7 @@ class Compression(Nonlinearity):
         if not is_known(self.first) or not is_known(self.second):
             return
         c1, c2 = float(self.first), 0.0 if self.second is None else float(self.second)
-        turn = [-c1 / (3 * c2)] if c2 and 0 < -c1 / (3 * c2) < 1 else []  # of the slope
+        turn = [-c1 / (3 * c2)] if c2 and 0 < -c1 / (3 * c2) < 1 else []  # extremum of the slope
         least = min(1 - 2 * c1 * u - 3 * c2 * u * u for u in (0.0, 1.0, *turn))
         if not least > 0:
             raise ValueError(

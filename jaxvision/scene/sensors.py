@@ -42,8 +42,8 @@ from .noises import (
 )
 from .sensor_effects import Mixing, Nonlinearity, SensorEffect
 
-MOST_UNEVEN = 0.5  # relative rms of gains; above, per cent were meant
-LARGEST_PIXEL = 0.1  # m^2; above, a number in um^2 was meant
+MOST_UNEVEN = 0.5  # relative RMS of gains; larger numbers are probably per cent
+LARGEST_PIXEL = 0.1  # m^2; larger numbers are probably in um^2
 
 
 class PhotonConversion(Shown):
@@ -54,7 +54,7 @@ class PhotonConversion(Shown):
         pixel_area: () m^2 of the whole pixel, > 0, at most 0.1 m^2.
 
     Example:
-        1 uW cm^-2 of 1 um for 1 ms on 1 um^2 is the constant of EMVA 1288.
+        1 uW cm^-2 at 1 um, for 1 ms on 1 um^2, gives the constant 50.34 of EMVA 1288.
 
         >>> photons = jv.PhotonConversion(wavelength=1e-6, pixel_area=1e-12)
         >>> sensor = jv.Sensor(photon_conversion=photons, exposure_time=1e-3)
@@ -134,11 +134,12 @@ class BrighterFatter(Shown):
     """The brighter-fatter effect: collected charge repels later charge into neighbouring pixels, so
     bright spots grow with light.
 
-    The charge Q moves the borders of pixels while it is collected. Across the border between the
-    pixels p and q flows the current (I_p + I_q) (phi_p - phi_q) / 2 with phi = K * Q. No electron
-    is lost. In even light this is the model of Antilogus et al. (JINST 9 C03048, 2014) and Astier
-    et al. (A&A 629 A36, 2019) with the area changes a = K's discrete Laplacian per electron
-    (`jaxvision.sensor.area_changes`); K is the kernel of Coulton et al. (AJ 155 258, 2018).
+    The charge Q moves the borders of pixels while it is collected. The current (I_p + I_q) (phi_p -
+    phi_q) / 2 flows across the border between the pixels p and q, with the arriving charge I, the
+    kernel K and the convolution phi = K * Q. No electron is lost. In uniform light this is the
+    model of Antilogus et al. (JINST 9 C03048, 2014) and Astier et al. (A&A 629 A36, 2019). The area
+    changes a per electron are the discrete Laplacian of K (`jaxvision.sensor.area_changes`). K is
+    the kernel of Coulton et al. (AJ 155 258, 2018).
 
     Attributes:
         kernel: (rows, columns) per electron, K at offsets of 0, 1, ... rows and columns, even in
@@ -215,7 +216,7 @@ class RollingShutter(Shown):
 
 
 class ShutterOffset(Shown):
-    """An exposure that is longer than the stated time.
+    """An exposure of the light that is longer than the nominal exposure time.
 
     Attributes:
         time: () s, added to the exposure time of light, but not of dark current; may be negative.
@@ -247,9 +248,10 @@ class Taps(Shown):
             For the sites of a mosaic, they hold in the light of the camera's calibration.
         stretched: whether the pattern covers the frame once instead of being repeated: ((0, 1), (2,
             3)) are then its quadrants. Static.
-        cell: rows and columns of a mosaic in each part of a stretched pattern, which has them part
-            by part: ((0, 1, 2, 3),) with the cell (1, 2) are odd and even columns of the left half
-            and of the right one. The mosaic begins at the first pixel of the frame. Static.
+        cell: rows and columns of the mosaic in each part of a stretched pattern. The pattern lists
+            the mosaic of one part after the other: ((0, 1, 2, 3),) with the cell (1, 2) are the odd
+            and even columns of the left half and those of the right half. The mosaic begins at the
+            first pixel of the frame. Static.
         names: of the taps, such as ("red", "green 1", "green 2", "blue"), which match frames of
             another mosaic phase; or None. Static.
 
@@ -359,7 +361,7 @@ class Sensor(Shown):
         gain: () DN per e-, > 0. It is proportional to a camera's ISO setting (ISO 12232 by
             saturation: 78 over the lx s that just fill the ADC's range).
         offset: () DN added before conversion (the black level).
-        taps: readout amplifiers or mosaic sites with numbers of their own.
+        taps: readout amplifiers or mosaic sites with parameters of their own.
         bits: () of the ADC, a whole number from 1 to the largest that the dtype represents exactly
             (11, 24 and 53 for float16, float32 and float64). The output is rounded to whole DN and
             clipped to [0, 2^bits - 1].

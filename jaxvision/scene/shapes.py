@@ -136,7 +136,7 @@ class Box(Shown):
 
 
 def _as_indices(x: Any) -> Array:
-    """An int32 array; `ValueError` unless the numbers are integers that it holds."""
+    """Convert integers to an int32 array; raise `ValueError` for other numbers."""
     array = jnp.asarray(within_integers(plain_array("TriangleMesh.faces", x)))
     if not jnp.issubdtype(array.dtype, jnp.integer):
         raise ValueError(f"TriangleMesh.faces must be whole numbers, got {array.dtype}.")
@@ -153,8 +153,8 @@ class TriangleMesh(Shown):
         vertices: (vertices, 3) m.
         faces: (faces, 3) integers, the vertices of each triangle.
         normals: (vertices, 3) no unit, interpolated for shading; None for flat triangles. Lengths
-            are ignored. Where the interpolated normal vanishes the triangle is flat, and where it
-            points to the back the triangle is black.
+            are ignored. Where the interpolated normal vanishes, the triangle's own normal is used;
+            where it points to the back, the triangle is black.
         uv: (vertices, 2) no unit, or None.
 
     Example:

@@ -14,8 +14,8 @@ from .shapes import Quad, Shape, Sphere, TriangleMesh
 
 
 class Material(Shown):
-    """Base of every family of BRDFs; the record and the equations of a family are in one file in
-    `brdf/`.
+    """Base class of all materials. Each file in `brdf/` has the record and the equations of one
+    family of BRDFs.
 
     Attributes:
         spectra: names of the fields that are spectra, one number for each band. A class sets it; a
@@ -40,19 +40,19 @@ class Surface(Shown):
         shape: geometry of the surface.
         material: its reflection; any number of it may be a `Map`.
         emission: (bands,) radiance of its front, equal in all directions, W m^-2 sr^-1, or None.
-        two_sided: whether both sides are fronts, with the normal turned towards the viewer;
+        two_sided: whether both sides are fronts, with the normal flipped towards the viewer;
             otherwise a surface is black from behind. Static.
-        normals: a `Map` of (3,) shading normals of any length, or None. x follows growing u, z the
-            shape's normal n, and y is n x x. On a mesh y is the side of decreasing v, up in the
-            picture, also where its texture coordinates are mirrored. Where a glossy material would
-            mirror the viewer below the surface, its normal is bent back to where the mirrored
-            viewer grazes it.
+        normals: a `Map` of (3,) shading normals of any length, or None. The x axis points along
+            growing u, the z axis along the shape's normal n, and the y axis along n x x. On a mesh
+            the y axis points to decreasing v, up in the picture, even if its texture coordinates
+            are mirrored. If the mirror direction of the viewer would lie below the surface, the
+            normal is bent until this direction grazes the surface.
 
     Raises:
         ValueError: for a map on a shape without texture coordinates, unless `Map.uv` places it.
 
     Example:
-        A lamp shines to its front alone.
+        A lamp shines only to its front.
 
         >>> lamp = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), jv.Lambert([0.5 / np.pi]), [2.0])
         >>> seen = (jv.Ray([0, 0, z], [0, 0, -z]) for z in (1, -1))
@@ -148,7 +148,7 @@ class Scene(Shown):
 
 
 def _check_bands(scene: Scene) -> None:
-    """`ValueError` unless all spectra of a scene have one number of bands."""
+    """Raise `ValueError` unless all spectra of a scene have the same number of bands."""
     spectra, neutral = [], []
     for i, surface in enumerate(scene.surfaces):
         place = f"Scene.surfaces[{i}]"

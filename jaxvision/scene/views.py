@@ -153,7 +153,7 @@ NARROWEST = (
 )
 
 
-WIDEST = 4.0  # focal lengths that the side of a pixel may have
+WIDEST = 4.0  # largest side of a pixel in focal lengths
 
 
 def _check_view(view: View, **ranges: Range) -> None:
@@ -179,7 +179,7 @@ def _check_view(view: View, **ranges: Range) -> None:
         check_count(f"{name}.resolution", size, 1)
 
 
-# Tolerance of unit axes at right angles: rotations in files have three digits.
+# Tolerance for unit axes at right angles, because rotations in files may have three digits.
 _ASKEW = 2e-3
 
 

@@ -1,10 +1,10 @@
-"""Random numbers for pixels: a hash of (pixel, use) under the key, computed where it is used.
+"""Random numbers for pixels: a hash of the key, the pixel and the use, computed when it is needed.
 
 `jax.random` stores its bits before they are used, and XLA cannot fuse its loop over the rounds of
 threefry with other work. The unrolled hash takes half the time for a Gaussian draw in each of 12
 megapixels. The bits are those of Threefry-2x32-20 (Salmon et al., "Parallel Random Numbers: As Easy
-as 1, 2, 3", SC 2011). The draw of a pixel depends on the key, its place and its use, and not on the
-other effects of the sensor.
+as 1, 2, 3", SC 2011). The draw of a pixel depends on the key, its position and its use, and not on
+the other effects of the sensor.
 """
 
 from enum import IntEnum
@@ -37,7 +37,7 @@ class Frame(IntEnum):
     BANDING = 5
     TRANSFER = 6
     COLUMN = 7
-    OFFSET = 16  # of the whole frame
+    OFFSET = 16  # the offset of the whole frame
 
 
 class Die(IntEnum):
@@ -55,12 +55,12 @@ class Die(IntEnum):
 
 
 def subkey(key: Key | None, use: Frame | Die) -> Key:
-    """The key of one use; `ValueError` if there is no key to draw from."""
+    """Return the key of one use; raise `ValueError` if there is no key to draw from."""
     return jax.random.fold_in(needed(key, use), int(use))
 
 
 def needed(key: Key | None, use: Frame | Die) -> Key:
-    """The key; `ValueError` if it is None."""
+    """Return the key; raise `ValueError` if it is None."""
     if key is None:
         name = "key" if isinstance(use, Frame) else "die_key"
         raise ValueError(f"{name} must be a random key, got None: this sensor draws from it.")
@@ -68,32 +68,32 @@ def needed(key: Key | None, use: Frame | Die) -> Key:
 
 
 def gaussian(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """Standard Gaussian draws of that shape, no unit."""
+    """Return standard Gaussian draws of this shape, no unit."""
     return upper_quantile(words(key, use, shape), counting_dtype(dtype)).astype(dtype)
 
 
 def uniform(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """Draws that are uniform in (0, 1] with full relative precision near 0, no unit. They are
-    float32 where the dtype is narrower, because that dtype would round them to 0 or 1."""
+    """Return draws that are uniform in (0, 1] with full relative precision near 0, no unit. For a
+    dtype narrower than float32 they are float32, because the dtype would round them to 0 or 1."""
     return tail_probability(words(key, use, shape), counting_dtype(dtype))
 
 
 def counting_dtype(dtype: DTypeLike) -> jnp.dtype:
-    """The dtype in which random bits are counted. 2^32 is beyond float16."""
+    """Return the dtype in which random bits are counted, because 2^32 is beyond float16."""
     return jnp.dtype(dtype if jnp.dtype(dtype).itemsize >= 4 else jnp.float32)
 
 
 def along_columns(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """A standard Gaussian draw for each column and band, (1, w, bands), no unit; frames of a batch
-    share it."""
+    """Return a standard Gaussian draw for each column and band, (1, w, bands), no unit; frames of a
+    batch share it."""
     check_image(f"Noise by {use.name.lower()}", shape)
     ones = (1,) * (len(shape) - 2)
     return gaussian(key, use, shape[-2:], dtype).reshape(*ones, *shape[-2:])
 
 
 def along_rows(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """A standard Gaussian draw for each row and band, (h, 1, bands), no unit; frames of a batch
-    share it."""
+    """Return a standard Gaussian draw for each row and band, (h, 1, bands), no unit; frames of a
+    batch share it."""
     check_image(f"Noise by {use.name.lower()}", shape)
     *batch, height, _, bands = shape
     ones = (1,) * len(batch)
@@ -101,13 +101,13 @@ def along_rows(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike
 
 
 def check_image(effect: str, shape: Shape) -> None:
-    """Raises `ValueError` if an effect between pixels, rows or columns is given no image."""
+    """Raise `ValueError` if an effect between pixels, rows or columns is given no image."""
     if len(shape) < 3:
         raise ValueError(f"{effect} needs an image (..., h, w, bands), got shape {shape}.")
 
 
 def tail_probability(bits: Words, dtype: DTypeLike) -> Scalars:
-    """(bits + 1/2) / 2^32, never 0."""
+    """Return (bits + 1/2) / 2^32, which is never 0."""
     return (bits.astype(dtype) + jnp.asarray(0.5, dtype)) * jnp.asarray(2.0**-32, dtype)
 
 
@@ -138,8 +138,8 @@ _TAIL = (
 
 
 def upper_quantile(bits: Words, dtype: DTypeLike) -> Scalars:
-    """The z that a standard Gaussian exceeds with probability `tail_probability(bits)`, to 5e-7 up
-    to |z| = 5.3 and 4e-4 up to 6.3, in every dtype."""
+    """Return the z that a standard Gaussian exceeds with probability `tail_probability(bits)`. Its
+    error is 5e-7 up to |z| = 5.3 and 4e-4 up to 6.3, in every dtype."""
     centred, probability = from_middle(bits, dtype)
     w = -jnp.log(4 * probability * (1 - probability))
     centre = polynomial(_CENTRE, w - 2.5)
@@ -148,8 +148,8 @@ def upper_quantile(bits: Words, dtype: DTypeLike) -> Scalars:
 
 
 def from_middle(bits: Words, dtype: DTypeLike) -> tuple[Scalars, Scalars]:
-    """1/2 - `tail_probability(bits)`, and its distance from the nearer of 0 and 1. Both are
-    computed without cancellation.
+    """Return 1/2 - `tail_probability(bits)`, and the distance of the probability from the nearer of
+    0 and 1. Both are computed without cancellation.
     """
     above = bits < jnp.uint32(2**31)
     nearer = jnp.where(above, bits, ~bits)
@@ -159,7 +159,7 @@ def from_middle(bits: Words, dtype: DTypeLike) -> tuple[Scalars, Scalars]:
 
 
 def words(key: Key | None, use: Frame | Die, shape: Shape) -> Words:
-    """32 random bits for each entry of `shape`. Two uses share one hash, which yields two words."""
+    """Return 32 random bits for each entry of `shape`. Two uses share one hash of two words."""
     seed = seed_of(needed(key, use))
     place = jax.lax.iota(jnp.uint32, int(np.prod(shape))).reshape(shape)
     return threefry(seed, place, jnp.uint32(use // 2))[use % 2]
@@ -167,7 +167,7 @@ def words(key: Key | None, use: Frame | Die, shape: Shape) -> Words:
 
 @jax.jit
 def threefry(seed: UInt32[Array, "2"], first: Words, second: Words) -> tuple[Words, Words]:
-    """Threefry-2x32 of 20 rounds: the block cipher of the counter (first, second)."""
+    """Encrypt the counter (first, second) by the block cipher Threefry-2x32 with 20 rounds."""
     keys = seed[0], seed[1], seed[0] ^ seed[1] ^ jnp.uint32(_PARITY)
     x, y = first + keys[0], jnp.broadcast_to(second + keys[1], first.shape)
     for i in range(5):

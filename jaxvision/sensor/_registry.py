@@ -37,21 +37,21 @@ def register(
     moments: Callable[[Any, Any], Any] | None = None,
     bound: Bound | None = None,
 ) -> None:
-    """Register an effect on charge with sensors, and with it with camera files and `effects`.
+    """Register an effect on charge, for use in sensors, camera files and `effects`.
 
     It acts on the charge of the pixels after full wells and charge transfer, and before the
     read-out. In camera files it is a table `[[sensor.own]]` with its name as `kind`.
 
     Args:
         effect: the class of the record.
-        charge: `charge(key, effect, electrons)`, (..., h, w, bands) electrons; `key` is None where
-            no random key is passed.
+        charge: `charge(key, effect, electrons)`, (..., h, w, bands) electrons; `key` is None if no
+            random key is passed.
         moments: `moments(effect, moments) -> Moments`, mean and variance of the charge of a pixel
-            in uniform light; without it `expected_signal` and related functions refuse the sensor.
+            in uniform light; without it `expected_signal` and related functions reject the sensor.
         bound: `bound(ends, electrons) -> (moved, grows)`, for the effect at both ends of the range
-            of a fit. `moved`: largest rms change of a pixel's electrons, where no pixel holds more
-            than `electrons` rms. `grows`: largest factor on charge, or on a change of it, >= 1.
-            Without it `effects` keeps everything of the sensor before it.
+            of a fit. `moved`: largest RMS change of a pixel's electrons, if no pixel holds more
+            than `electrons` RMS. `grows`: largest factor on charge, or on a change of charge, >= 1.
+            Without it `effects` keeps all effects of the sensor that act before.
 
     Example:
         >>> class Loss(jv.SensorEffect):
@@ -70,7 +70,8 @@ def register_curve(
     slopes: Callable[[Ends], tuple[float, float]] | None = None,
     inverse: Curve | None = None,
 ) -> None:
-    """Register an effect that acts on each pixel separately and draws nothing: a `Nonlinearity`.
+    """Register an effect that acts on each pixel separately, without random draws: a
+    `Nonlinearity`.
 
     Its moments follow from the derivatives of the curve, to second order in the noise for the mean
     and to first order for the variance.
@@ -79,9 +80,9 @@ def register_curve(
         effect: the class of the record.
         curve: `curve(effect, electrons) -> electrons`, elementwise; 0 stays 0.
         slopes: `slopes(ends) -> (least, most)`, smallest and largest slope of the curve at any
-            charge, over the whole range of a fit; without it `effects` keeps everything of the
-            sensor before it.
-        inverse: `inverse(effect, signal) -> electrons`; without it `correct` refuses the sensor.
+            charge, over the whole range of a fit; without it `effects` keeps all effects of the
+            sensor that act before.
+        inverse: `inverse(effect, signal) -> electrons`; without it `correct` rejects the sensor.
 
     Example:
         >>> class Square(jv.Nonlinearity):
@@ -107,7 +108,7 @@ def register_curve(
 
 
 def _through(curve: Callable[[Scalars], Scalars], moments: Any) -> Any:
-    """Mean g + g'' v / 2 and variance g'^2 v behind a curve g."""
+    """Return the mean g + g'' v / 2 and the variance g'^2 v after a curve g, for the variance v."""
     mean, one = moments.mean, jnp.ones_like(moments.mean)
 
     def slope(x: Scalars) -> Scalars:
@@ -120,7 +121,7 @@ def _through(curve: Callable[[Scalars], Scalars], moments: Any) -> Any:
 
 
 def stage_of(effect: SensorEffect) -> Stage:
-    """The functions that an effect has registered.
+    """Return the functions that an effect has registered.
 
     Args:
         effect: any registered effect.
@@ -143,13 +144,13 @@ def stage_of(effect: SensorEffect) -> Stage:
 
 
 def charge_effects(sensor: Sensor) -> tuple[SensorEffect, ...]:
-    """All effects on charge that the sensor has, in their order."""
+    """Return all effects on charge that the sensor has, in their order."""
     last = (sensor.mixing, sensor.nonlinearity)
     return (*(sensor.own or ()), *(effect for effect in last if effect is not None))
 
 
 def affected(key: Key | None, effects: tuple[SensorEffect, ...], electrons: Scalars) -> Scalars:
-    """The electrons after all effects; each effect draws with its own key."""
+    """Return the electrons after all effects; each effect draws with its own key."""
     for i, effect in enumerate(effects):
         own = None if key is None else jax.random.fold_in(key, 0x0E00 + i)
         electrons = stage_of(effect).charge(own, effect, electrons)
@@ -157,8 +158,8 @@ def affected(key: Key | None, effects: tuple[SensorEffect, ...], electrons: Scal
 
 
 def moments_after(effects: tuple[SensorEffect, ...], moments: Any) -> Any:
-    """Mean and variance after all effects; `ValueError` for an effect without registered
-    moments."""
+    """Return mean and variance after all effects; raise `ValueError` for an effect without
+    registered moments."""
     for effect in effects:
         own = stage_of(effect).moments
         if own is None:

@@ -1,4 +1,4 @@
-"""Amplifiers (taps) and sites of a mosaic: the number of each pixel's tap."""
+"""Amplifiers (taps) and sites of a mosaic: the parameter of each pixel's tap."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +13,7 @@ from ._draws import Shape, check_image
 def tap_map(
     values: Float[Array, " taps"], taps: Taps, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
-    """A map of the pixels from one number for each tap."""
+    """Return a map of the pixels from one number for each tap."""
     check_image("Sensor.taps", shape)
     height, width = shape[-3:-1]
     tile = np.asarray(taps.pattern)
@@ -31,8 +31,8 @@ def tap_map(
 def factored(
     number: Scalars, taps: Taps | None, name: str, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
-    """A number of the sensor times the factor of each pixel's tap, in the unit of the number: ()
-    becomes (h, w, 1)."""
+    """Multiply a parameter of the sensor by the factor of each pixel's tap: () becomes (h, w,
+    1)."""
     factors = None if taps is None else getattr(taps, name)
     if taps is None or factors is None:
         return number
@@ -40,8 +40,8 @@ def factored(
 
 
 def total_gain(sensor: Sensor, *, shape: Shape, dtype: DTypeLike) -> Scalars | None:
-    """The gain in DN per electron, () or (h, w, 1) with the gains of the taps; None where it is
-    1."""
+    """Return the gain in DN per electron, () or (h, w, 1) with the gains of the taps; None for a
+    gain of 1."""
     if sensor.taps is None or sensor.taps.gain is None:
         return sensor.gain
     gain = jnp.ones((), dtype) if sensor.gain is None else sensor.gain

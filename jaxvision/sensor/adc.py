@@ -1,4 +1,4 @@
-"""Electrons to digital numbers: gain, offset, rounding and clipping. In DN."""
+"""Conversion of electrons to digital numbers (DN): gain, offset, rounding and clipping."""
 
 import jax.numpy as jnp
 
@@ -13,7 +13,7 @@ from .fixed_pattern import column_gains
 
 @takes_numbers
 def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None) -> Spectrum:
-    """Converts electrons to digital numbers: gain, offset, then rounding and clipping by the ADC.
+    """Convert electrons to digital numbers: gain, offset, then rounding and clipping by the ADC.
 
     Gradients pass through rounding as if it were the identity, and are 0 where the signal is
     clipped. With Gaussian noise of s DN rms before rounding, the slope of the mean has an error of
@@ -25,7 +25,7 @@ def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None)
         die_key: random key of the individual sensor; draws the gains of the column amplifiers.
 
     Returns:
-        (..., bands) DN, whole numbers in floating point where `bits` is given.
+        (..., bands) DN, whole numbers in floating point if `bits` is given.
 
     Raises:
         ValueError: if `sensor.column_prnu` is given and `die_key` is None, or `bits` exceeds the
@@ -52,7 +52,7 @@ def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None)
 
 @takes_numbers
 def amplified(sensor: Sensor, electrons: Scalars) -> Scalars:
-    """Electrons after gain and offset: K electrons + offset."""
+    """Apply gain K and offset, in DN: K electrons + offset."""
     gain = total_gain(sensor, shape=electrons.shape, dtype=electrons.dtype)
     signal = electrons if gain is None else electrons * gain
     if sensor.offset is not None:
@@ -66,5 +66,5 @@ def amplified(sensor: Sensor, electrons: Scalars) -> Scalars:
 
 @takes_numbers
 def largest_number(bits: Scalar) -> Scalar:
-    """The largest DN of an ADC, 2^bits - 1."""
+    """Return the largest DN of an ADC, 2^bits - 1."""
     return jnp.round(exp2(bits)) - 1

@@ -1,18 +1,19 @@
 """The brighter-fatter effect: collected charge moves the borders of pixels during the exposure.
 
-Q denotes the electrons held, I the electrons that arrive over the exposure, K the kernel, and phi =
-K * Q. Across the border of neighbours p and q flows (I_p + I_q) (phi_p - phi_q) / 2, and
+Q denotes the electrons that a pixel holds, I the electrons that arrive over the exposure, K the
+kernel, * a convolution, and phi = K * Q. The current (I_p + I_q) (phi_p - phi_q) / 2 flows across
+the border of neighbours p and q, and
 
     dQ_p / dt = I_p + sum over the four q of (I_p + I_q) (phi_q - phi_p) / 2,     t from 0 to 1.
 
-In even light, with a = Laplacian of K and mu = I, Poisson charges have the covariances
+In uniform light, with a = Laplacian of K and mu = I, Poisson charges have the covariances
 
     C(k) = (exp(2 a(k) mu) - 1) / (2 a(k)) = mu + a mu^2 + (2/3) (a*a) mu^3 + (1/3) (a*a*a) mu^4 ...
 
-in Fourier space: equation 20 of Astier et al. (A&A 629 A36, 2019) with b = 0. The variance falls
-below mu by a term in a_00 mu^2, and the covariances of neighbours grow with mu^2. The sum of a is
-0, so variance and covariances add up to mu. A pattern of sensitivities is smoothed: its variance
-becomes
+as a function of the spatial frequency k: equation 20 of Astier et al. (A&A 629 A36, 2019) with b =
+0. The variance falls below mu by a term in a_00 mu^2, and the covariances of neighbours grow with
+mu^2. The sum of a is 0, so variance and covariances add up to mu. The effect also smooths a pattern
+of sensitivities of power spectrum p(k)^2, which becomes
 
     p(k)^2 mu^2 ((exp(a(k) mu) - 1) / (a(k) mu))^2.
 """
@@ -39,9 +40,10 @@ from .shot_noise import count
 Quadrant = Float[Array, "rows columns"]
 
 PERIOD = 32  # pixels after which the sensor of the closed forms repeats itself
-TERMS = 20  # of their series in sum |a| mu: the next is below 1e-10 up to FURTHEST
-SMALLEST = 1e-12  # per electron: S of less is taken as this, which changes no value
-FURTHEST = 2.0  # sum |a| mu beyond which the relative change is held: borders have crossed a pixel
+TERMS = 20  # terms of their series in sum |a| mu; the next term is below 1e-10 up to FURTHEST
+SMALLEST = 1e-12  # lower limit of S = sum |a| per electron, which changes no value
+# Beyond this sum |a| mu the relative change stays constant, because borders have crossed a pixel.
+FURTHEST = 2.0
 
 
 @takes_numbers
@@ -53,7 +55,7 @@ def gathered(
     shot_noise: ShotNoise | None = None,
     full_well: Scalar | None = None,
 ) -> Counts:
-    """Electrons that pixels collect while their charge repels later electrons.
+    """Return the electrons that pixels collect while their charge repels later electrons.
 
     Args:
         key: random key of the frame; may be None without `shot_noise`.
@@ -77,7 +79,7 @@ def gathered(
     check_image("Sensor.brighter_fatter", electrons.shape)
     parts = effect.steps
     kernel = _unfold(effect.kernel) * (parts / (parts - 1))
-    # outside the loop, where the kernel's numbers may be known
+    # prepared outside the loop, because the kernel's numbers may be known here
     terms, settings = summed(kernel, electrons, border="mirror")
     return _gather_in_parts(key, electrons, terms, settings, parts, shot_noise, full_well)
 
@@ -92,7 +94,7 @@ def _gather_in_parts(
     shot_noise: ShotNoise | None,
     full_well: Scalar | None,
 ) -> Counts:
-    """The charges after the given number of steps of the exposure."""
+    """Return the charges after the given number of steps of the exposure."""
     arriving = electrons / parts
 
     def part(i: Array, held: Counts) -> Counts:
@@ -108,14 +110,15 @@ def _gather_in_parts(
 
 @takes_numbers
 def area_changes(kernel: Quadrant) -> Float[Array, "_ _"]:
-    """The relative change of the area of surrounding pixels per electron: a_ij, the Laplacian of K.
+    """Return a_ij, the relative change of the area of surrounding pixels per electron, which is the
+    Laplacian of K.
 
     Args:
         kernel: (rows, columns) per electron, at offsets of 0, 1, ... rows and columns.
 
     Returns:
-        (rows + 1, columns + 1) per electron at the same offsets; over all pixels, of either sign of
-        the offsets, they sum to 0.
+        (rows + 1, columns + 1) per electron at the same offsets. Over all pixels, with offsets of
+        either sign, they sum to 0.
 
     Example:
         >>> print(jv.sensor.area_changes(jnp.array([[1e-6]])) * 1e6)
@@ -132,7 +135,7 @@ def area_changes(kernel: Quadrant) -> Float[Array, "_ _"]:
 
 @takes_numbers
 def flat_covariances(area_change: Quadrant, electrons: Scalars) -> Float[Array, "..."]:
-    """Covariances of the charges of neighbouring pixels in even light, for Poisson charges.
+    """Return the covariances of neighbouring pixels in uniform light, for Poisson charges.
 
     The closed form at the top of `jaxvision.sensor.brighter_fatter` is summed on a sensor of 32 x
     32 pixels without borders, with 20 terms of its series. It is accurate to 1e-10 of mu up to sum
@@ -140,7 +143,7 @@ def flat_covariances(area_change: Quadrant, electrons: Scalars) -> Float[Array, 
 
     Args:
         area_change: (rows, columns) per electron, a at offsets of 0, 1, ... rows and columns, at
-            most 16 each; `area_changes` of a kernel, or measured ones, whose sum need not be 0.
+            most 16 each; from `area_changes`, or measured values, whose sum need not be 0.
         electrons: (...) mu, expected electrons per pixel, >= 0.
 
     Returns:
@@ -164,26 +167,27 @@ def flat_covariances(area_change: Quadrant, electrons: Scalars) -> Float[Array, 
 
 @takes_numbers
 def flat_variance(effect: BrighterFatter, electrons: Scalars) -> Scalars:
-    """Variance, electrons^2, of Poisson charges of pixels in even light of `electrons` >= 0."""
+    """Return the variance, electrons^2, of a pixel's Poisson charge in uniform light of
+    `electrons` >= 0."""
     size, terms = _series(area_changes(effect.kernel), _count_series)
     return electrons * polynomial([term[0, 0] for term in terms], _hold(size, electrons))
 
 
 @takes_numbers
 def smoothed_pattern(effect: BrighterFatter, electrons: Scalars) -> Scalars:
-    """The factor, no unit, by which even light of `electrons` >= 0 reduces the variance of
-    sensitivities that are independent from pixel to pixel."""
+    """Return the factor, no unit, by which uniform light of `electrons` >= 0 reduces the variance
+    of sensitivities that are independent from pixel to pixel."""
     size, terms = _series(area_changes(effect.kernel), _pattern_series)
     return polynomial([term[0, 0] for term in terms], _hold(size, electrons))
 
 
 def _count_series(m: int) -> float:
-    """Power series of (exp(2 y) - 1) / (2 y)."""
+    """Return coefficient m of the power series of (exp(2 y) - 1) / (2 y)."""
     return 2**m / factorial(m + 1)
 
 
 def _pattern_series(m: int) -> float:
-    """Power series of ((exp y - 1) / y)^2."""
+    """Return coefficient m of the power series of ((exp y - 1) / y)^2."""
     return (2 ** (m + 2) - 2) / factorial(m + 2)
 
 
@@ -192,7 +196,7 @@ def _hold(size: Scalar, electrons: Scalars) -> Scalars:
 
 
 def _drift(arriving: Counts, potential: Counts) -> Counts:
-    """The charge that each pixel gains from its four neighbours, per arriving charge."""
+    """Return the charge that each pixel gains from its four neighbours in one step."""
     gained = jnp.zeros_like(arriving)
     for axis in (-3, -2):
         before = (slice(None),) * (arriving.ndim + axis)
@@ -203,20 +207,20 @@ def _drift(arriving: Counts, potential: Counts) -> Counts:
 
 
 def _unfold(kernel: Quadrant) -> Float[Array, "_ _"]:
-    """The kernel at offsets of either sign."""
+    """Return the kernel at offsets of either sign."""
     rows, columns = (np.abs(np.arange(1 - n, n)) for n in kernel.shape)
     return kernel[rows][:, columns]
 
 
 def _series(area_change: Quadrant, weight: Callable[[int], float]) -> tuple[Scalar, list[Quadrant]]:
-    """S = sum |a|, and the coefficients of sum over m of weight(m) mu^m (a * ... * a) with m
-    factors a, in powers of S mu, highest first."""
+    """Return S = sum |a|, and the coefficients, in powers of S mu, highest first, of the sum over m
+    of weight(m) mu^m (a * ... * a) with m factors a."""
     rows, columns = area_change.shape
     if max(rows, columns) > PERIOD // 2:
         raise ValueError(
             f"area_change must reach at most {PERIOD // 2} pixels, got {rows, columns}."
         )
-    # cosines summed over offsets of either sign, and back over the frequencies of either sign
+    # cosine transforms over offsets of either sign, and back over frequencies of either sign
     there, back = zip(*(_cosines(n, area_change.dtype) for n in (rows, columns)), strict=True)
     copies = jnp.asarray(np.outer(_copies(rows), _copies(columns)), area_change.dtype)
     size = jnp.maximum(jnp.sum(jnp.abs(area_change) * copies), SMALLEST)
@@ -229,8 +233,8 @@ def _series(area_change: Quadrant, weight: Callable[[int], float]) -> tuple[Scal
 
 
 def _cosines(lags: int, dtype: DTypeLike) -> tuple[Array, Array]:
-    """(half a period, lags) from offsets of 0, 1, ... to frequencies, and (lags, half a period)
-    back."""
+    """Return the cosine transform from offsets 0, 1, ... to frequencies, (half a period, lags), and
+    the inverse transform, (lags, half a period)."""
     frequencies = np.arange(PERIOD // 2 + 1)
     cosines = np.cos(2 * np.pi * frequencies[:, None] * np.arange(lags) / PERIOD)
     weights = _copies(frequencies.size)
@@ -240,5 +244,5 @@ def _cosines(lags: int, dtype: DTypeLike) -> tuple[Array, Array]:
 
 
 def _copies(lags: int) -> Float[np.ndarray, " lags"]:
-    """The number of offsets of that size."""
+    """Return the number of offsets with each magnitude: 1 for 0, else 2."""
     return np.where(np.arange(lags) == 0, 1.0, 2.0)

@@ -18,12 +18,12 @@ from ..scene import ChargeTransfer
 from ._draws import Frame, check_image, gaussian
 from .exposure import Counts
 
-Shares = Float[Array, " size"]  # of the packets of all rows, no unit
+Shares = Float[Array, " size"]  # one share for the packet of each row, no unit
 
 
 @takes_numbers
 def bloomed(electrons: Counts, full_well: Scalar, blooming: Scalar) -> Counts:
-    """Electrons after overfull wells have spilled along their columns.
+    """Return the electrons after overfull wells have spilled along their columns.
 
     The share `blooming` of the charge above `full_well` spills, half up and half down the column.
     Each further full well passes on the same share. The charge moves until it finds room or is
@@ -77,7 +77,8 @@ def _flow(
 
 @takes_numbers
 def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
-    """Electrons that are read after imperfect transfers along columns and the serial register.
+    """Return the electrons that are read after imperfect transfers along columns and the serial
+    register.
 
     Each transfer leaves the share eps of a packet to the next one. The expected share of the packet
     of row i
@@ -116,15 +117,16 @@ def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
 
 @takes_numbers
 def transfer_noise(key: Key | None, electrons: Counts, transfer: ChargeTransfer) -> Counts:
-    """The random part of charge transfer, electrons, for `transferred` packets n of shares p:
-    Gaussian, of variance sum n p (1 - p), with an unbiased gradient of its mean square where
+    """Draw the random part of charge transfer, electrons. For packets of n electrons with shares p
+    it is Gaussian with variance sum n p (1 - p). The gradient of its mean square is unbiased if
     packets hold electrons."""
     draw = gaussian(key, Frame.TRANSFER, electrons.shape, electrons.dtype)
     return safe_sqrt(_random_variance(electrons, transfer)) * draw
 
 
 def _random_variance(electrons: Counts, transfer: ChargeTransfer) -> Counts:
-    """sum n p (1 - p), written as positive terms: with p s for p, n p (s (1 - s) + s^2 (1 - p))."""
+    """Return sum n p (1 - p), written as positive terms. With a share s of the serial register, p s
+    replaces p, and a term becomes n (p s (1 - s) + p (1 - p) s^2)."""
     eps, serial, trail = transfer.inefficiency, transfer.serial_inefficiency, transfer.trail
     of_rows = _trailing(electrons, eps, trail, axis=-3, weight=_random)
     if serial is None:
@@ -148,14 +150,14 @@ def _random(share: Shares, rest: Shares) -> Shares:
 
 @takes_numbers
 def counted_variance(mean: Counts, variance: Counts, transfer: ChargeTransfer) -> Counts:
-    """Variance, electrons^2, of independently transferred electrons: sum n p (1 - p) + var p^2 over
-    packets of mean n and their shares p."""
+    """Return the variance, electrons^2, of independently transferred electrons: sum n p (1 - p) +
+    var p^2 over packets with mean n, variance var and shares p."""
     return _random_variance(mean, transfer) + transferred_variance(variance, transfer)
 
 
 @takes_numbers
 def transferred_variance(variance: Counts, transfer: ChargeTransfer) -> Counts:
-    """Variance of transferred electrons if each packet splits in fixed shares."""
+    """Return the variance of transferred electrons if each packet splits in fixed shares."""
     read = _trailing(variance, transfer.inefficiency, transfer.trail, axis=-3, weight=_squared)
     if transfer.serial_inefficiency is None:
         return read
@@ -183,9 +185,10 @@ def _trailing(
 def _shares(
     inefficiency: Scalar, size: int, trail: int, like: Counts
 ) -> list[tuple[Shares, Shares]]:
-    """For each lag k, the share of the packet of row i that is read there, by C(i + k, k) / C(i + k
-    - 1, k - 1) = (i + k) / k. The last lag takes the remainder, but at least its own share, because
-    1 minus the others has no digits there."""
+    """Return, for each lag k, the share of the packet of row i that is read k rows later, and 1
+    minus this share. The recursion is C(i + k, k) / C(i + k - 1, k - 1) = (i + k) / k. The last lag
+    takes the remainder, but at least its own share, because the remainder is a difference that may
+    cancel."""
     row = jnp.arange(size, dtype=like.dtype)
     kept = (row + 1) * log1p(-inefficiency)
     shares = [jnp.exp(kept)]

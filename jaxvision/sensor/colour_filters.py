@@ -20,7 +20,7 @@ print_by_name(globals(), "Picture", "Mosaic")
 
 
 def bayer(phase: str) -> Pattern:
-    """The 2 x 2 tile of a Bayer mosaic (US patent 3971065).
+    """Return the 2 x 2 tile of a Bayer mosaic (US patent 3971065).
 
     Args:
         phase: the four colours of the tile, read like text: one of `BAYER_PHASES`.
@@ -40,18 +40,18 @@ def bayer(phase: str) -> Pattern:
 
 
 def as_pattern(pattern: Pattern | str) -> Pattern:
-    """A pattern from its rows or from the name of a Bayer phase."""
+    """Return a pattern from its rows or from the name of a Bayer phase."""
     return as_tile(pattern)
 
 
 def check_pattern(pattern: Pattern, *, bands: int | None = None, name: str = "pattern") -> None:
-    """Checks that a pattern tiles the plane with the bands 0 to its largest, all present."""
+    """Check that a pattern tiles the plane and contains all bands from 0 to its largest."""
     check_tile(name, pattern, bands=bands)
 
 
 def sites(pattern: Pattern | str, height: int, width: int) -> tuple[Bool[Array, "h w"], ...]:
-    """For each band of the pattern, the mask of its pixels, composed of rows and columns so that a
-    program stores no mask of every pixel."""
+    """Return the mask of the pixels of each band. It is composed of masks of rows and columns, so
+    that a program does not store it for every pixel."""
     pattern = as_pattern(pattern)
     check_pattern(pattern)
     tile = np.asarray(pattern)
@@ -70,7 +70,7 @@ def sites(pattern: Pattern | str, height: int, width: int) -> tuple[Bool[Array, 
 
 @takes_numbers
 def mosaic(image: Picture, pattern: Pattern | str) -> Mosaic:
-    """The picture that a sensor behind a colour filter array measures: one value for each pixel.
+    """Return the picture that a sensor behind a colour filter array measures, one value per pixel.
 
     Args:
         image: (..., h, w, bands) in any unit.

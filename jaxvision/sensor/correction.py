@@ -53,13 +53,13 @@ from .nonlinearity import charge_of_signal, signal_of_charge
 from .read_out import read_out_variance
 from .sampling import light_share
 
-FAR = 4.0  # standard deviations of noise, within which a pixel may be full, dead or dark
-DEAD = 0.1  # relative sensitivity below which a pixel whose flat is no more than noise is dead
+FAR = 4.0  # a pixel may be full, dead or dark if it is within so many standard deviations of noise
+DEAD = 0.1  # a pixel whose flat is within the noise is dead below this relative sensitivity
 
 Along = Literal["pixels", "rows", "columns", "frame", "all"]
 Kernel = Float[Array, "rows columns"]
 
-_PERIOD, _REACH = 32, 8  # of the grid on which a kernel is inverted, and of what is kept, pixels
+_PERIOD, _REACH = 32, 8  # pixels: grid on which a kernel is inverted, and reach of the result
 UNITS = ("electrons", "photons", "irradiance")
 
 
@@ -83,12 +83,12 @@ class Master(Shown):
 
 
 class Masters(Shown):
-    """Frames for correcting others, of the same exposure time.
+    """Frames for the correction of other frames with the same exposure time.
 
     Attributes:
-        dark: frame without light, with black level, dark current and the offset of each pixel; or
-            None.
-        flat: frame in uniform light, with the sensitivity of each pixel; or None.
+        dark: frame without light, which shows black level, dark current and the offset of each
+            pixel; or None.
+        flat: frame in uniform light, which shows the sensitivity of each pixel; or None.
         defects: (h, w) true for pixels that must not be used; or None.
 
     Example:
@@ -110,8 +110,8 @@ class Part(Shown):
         amplitude: (..., h, w, bands) standard deviation in the unit of the frame; its sign matters
             where draws persist.
         kernel: (rows, columns) no unit, with which the error is convolved, or None.
-        along: which pixels share a draw: none ("pixels"), those of a row or a column, or all of one
-            "frame"; "all" means that it persists. Static.
+        along: which pixels share a draw: none ("pixels"), the pixels of a row or a column, or all
+            pixels of one "frame"; with "all" the draw also persists over frames. Static.
         lasts: whether the draws are the same in all frames. Static.
 
     Example:
@@ -133,8 +133,9 @@ class Calibrated(Shown):
         image: (..., h, w, bands) photoelectrons for a pixel of mean sensitivity, or photons, or W
             m^-2; NaN in defects and where the raw value or the flat was saturated, or the flat
             has no light.
-        parts: of its error.
-        saturated: (..., h, w, bands) where a raw value was; None where no end is known.
+        parts: the parts of its error.
+        saturated: (..., h, w, bands) whether the raw value was saturated; None if the sensor has
+            neither `bits` nor a `full_well`.
 
     Example:
         >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), gain=0.5, offset=10.0)
@@ -149,8 +150,8 @@ class Calibrated(Shown):
 
     @property
     def variance(self) -> Counts:
-        """Variance of the noise that is new in each frame, (..., h, w, bands): shot noise, read-out
-        and rounding."""
+        """The variance of the noise that is new in each frame, (..., h, w, bands): shot noise,
+        read-out noise and rounding."""
         return self._sum(lambda part: not part.lasts)
 
     @property
@@ -166,9 +167,9 @@ class Calibrated(Shown):
         return jnp.stack(found) if found else jnp.zeros((0, *self.image.shape))
 
     def mean(self, where: Bool[Array, "h w"] | None = None) -> Moments:
-        """Mean and variance, (..., bands) in the unit of the image and its square, of the pixels
-        where `where` is true. NaN is never used, and shared errors are included. Warns of saturated
-        pixels unless traced."""
+        """Return the mean of the pixels where `where` is true, (..., bands) in the unit of the
+        image, and the variance of this mean. NaN pixels are left out, and errors that pixels share
+        are included. Warn of saturated pixels unless traced."""
         kept = jnp.isfinite(self.image)
         if where is not None:
             kept = kept & _broadcast(jnp.asarray(where)[..., None], kept)
@@ -188,7 +189,7 @@ class Calibrated(Shown):
         return Moments(value, sum(variances, jnp.zeros_like(value)))
 
     def filtered(self, kernel: Kernel) -> "Calibrated":
-        """The frame after a convolution with border "mirror", with the resulting covariances.
+        """Return the frame after a convolution with border "mirror", and its covariances.
 
         Args:
             kernel: (rows, columns) no unit.
@@ -201,7 +202,7 @@ class Calibrated(Shown):
         return Calibrated(convolve(self.image, kernel), tuple(parts), self.saturated)
 
     def __sub__(self, other: "Calibrated") -> "Calibrated":
-        """The difference of two frames of one camera. Errors that both share cancel."""
+        """Return the difference of two frames of one camera. Errors that both share cancel."""
         lasting = {part.name: part for part in other.parts if part.lasts}
         parts = [part for part in other.parts if not part.lasts]
         for part in self.parts:
@@ -219,7 +220,7 @@ class Calibrated(Shown):
 
 
 def _broadcast(picture: Array, frames: Counts) -> Array:
-    """A picture with as many axes as frames."""
+    """Add leading axes to a picture, to as many axes as the frames have."""
     return picture.reshape(*(1,) * (frames.ndim - picture.ndim), *picture.shape)
 
 
@@ -228,14 +229,14 @@ def _blur(picture: Counts, kernel: Kernel | None) -> Counts:
 
 
 def _combine_kernels(first: Kernel | None, second: Kernel | None) -> Kernel | None:
-    """The kernel of two convolutions in sequence."""
+    """Return the kernel of two convolutions in sequence."""
     if first is None or second is None:
         return second if first is None else first
     return convolve2d(first, second)
 
 
 def _variance(part: Part) -> Counts:
-    """Variance of each pixel; amplitudes are taken as constant over the reach of the kernel."""
+    """Return the variance of each pixel; amplitudes count as constant over the kernel's reach."""
     kernel = part.kernel
     if part.along in ("frame", "all") or kernel is None:
         return _blur(part.amplitude, kernel) ** 2
@@ -247,7 +248,7 @@ def _variance(part: Part) -> Counts:
 
 
 def _sum_variance(part: Part, weights: Counts) -> Scalars:
-    """Variance of a weighted sum over the pixels, (..., bands)."""
+    """Return the variance of a weighted sum over the pixels, (..., bands)."""
     back = weights if part.kernel is None else convolve(weights, part.kernel[::-1, ::-1])
     share = back * part.amplitude
     match part.along:
@@ -271,23 +272,23 @@ def correct(
     expected: Counts | None = None,
     unit: str = "electrons",
 ) -> Calibrated:
-    """Undoes a camera: black level, gain, non-linearity, mixing, charge transfer, brighter-fatter
-    effect, dark current, flat field, crosstalk, smear and light offset.
+    """Undo the effects of a camera: black level, gain, non-linearity, mixing, charge transfer,
+    brighter-fatter effect, dark current, flat field, crosstalk, smear and light offset.
 
     Charge transfer and the brighter-fatter effect are undone to first order. Without a master, the
-    differences between pixels stay in the image. Their size, as the sensor states it, is a part of
+    differences between pixels stay in the image. Their RMS, as given in the sensor, is a part of
     the error. Banding counts as row noise.
 
     Args:
-        raw: (..., h, w, bands) DN; (..., h, w, 1) of a mosaic. Leading axes are frames.
-        camera: the sensor, or a camera with it.
+        raw: (..., h, w, bands) DN; (..., h, w, 1) for a mosaic. Leading axes are frames.
+        camera: the sensor, or a camera that contains it.
         masters: dark and flat frames, and defects.
         draws: the same record with a leading axis of draws at every number, from the posterior of
-            its calibration: `read_sensor(file, draws=200)`. Their covariance gives the error parts
-            that pixels share.
-        expected: (..., h, w, bands) photoelectrons, whatever the unit, for the shot noise variance,
-            such as a smoothed picture. None takes the image itself, whose noise then affects the
-            variance.
+            its calibration: `read_sensor(file, draws=200)`. The covariance of the draws gives the
+            error parts that pixels share.
+        expected: (..., h, w, bands) expected photoelectrons for the variance of shot noise, such as
+            a smoothed picture; in photoelectrons for every `unit`. None takes the image itself,
+            whose noise then affects the variance.
         unit: "electrons", "photons" per pixel and exposure, or "irradiance" in W m^-2.
 
     Returns:
@@ -299,8 +300,8 @@ def correct(
             differs from the frames', and a flat that is saturated throughout.
 
     Warns:
-        UserWarning: for a dark master that is far from what the camera states, and for raw
-            numbers below those without light, unless traced.
+        UserWarning: for a dark master that differs much from the dark signal of the camera, and for
+            raw numbers below those without light, unless traced.
 
     Example:
         >>> sensor = jv.Sensor(nonlinearity=jv.Compression(0.05, electrons=1e4), offset=64.0)
@@ -352,7 +353,7 @@ def correct(
 
 
 def _find_saturated(sensor: Sensor, raw: Counts) -> Bool[Array, "..."] | None:
-    """Pixels at the end of the converter's range or within the noise of a full well."""
+    """Find pixels at the end of the ADC's range, or within the noise of a full well."""
     bad = None
     if sensor.bits is not None:
         bad = raw >= largest_number(sensor.bits)
@@ -364,12 +365,13 @@ def _find_saturated(sensor: Sensor, raw: Counts) -> Bool[Array, "..."] | None:
 
 
 def _find_ended(sensor: Sensor, flat: Master) -> Bool[Array, "..."]:
-    """Pixels of a flat some of whose frames may have been saturated: within the noise of an end."""
+    """Find pixels of a flat that may have been saturated in some frames: those within the noise of
+    the end of the range."""
     if sensor.bits is None:
         return jnp.zeros(flat.mean.shape, bool)
     top = largest_number(sensor.bits)
     gain = 1.0 if sensor.gain is None else jnp.max(sensor.gain)
-    near = FAR * jnp.sqrt(gain * top + QUANTISATION_VARIANCE)  # of electrons that fill the range
+    near = FAR * jnp.sqrt(gain * top + QUANTISATION_VARIANCE)  # noise at the end of the range, DN
     ended = flat.mean >= (top if sensor.shot_noise is None else top - near)
     if is_known(ended) and bool(ended.all()):
         raise ValueError(
@@ -380,7 +382,7 @@ def _find_ended(sensor: Sensor, flat: Master) -> Bool[Array, "..."]:
 
 
 def _add_defects_of_flat(sensor: Sensor, masters: Masters) -> Masters:
-    """Masters whose defects include the pixels of a flat that are saturated or show only noise."""
+    """Add the pixels of a flat that are saturated or show only noise to the defects."""
     if masters.flat is None:
         return masters
     flat = _flat(sensor, masters, masters.flat.mean)
@@ -395,7 +397,7 @@ def _add_defects_of_flat(sensor: Sensor, masters: Masters) -> Masters:
 
 
 def _warn_of_raw(sensor: Sensor, raw: Counts, dark: Master | None) -> None:
-    """Of raw numbers that lie on average below those without light by more than their noise."""
+    """Warn if the mean of the raw numbers is below that without light by far more than noise."""
     if not is_known(raw):
         return
     black = jnp.zeros(raw.shape[-3:], raw.dtype)
@@ -412,9 +414,9 @@ def _warn_of_raw(sensor: Sensor, raw: Counts, dark: Master | None) -> None:
 
 
 def _warn_of_dark(sensor: Sensor, dark: Master) -> None:
-    """Of a dark master that differs from what the camera states by more than twice its noise."""
+    """Warn if a dark master differs from the camera's dark signal by more than twice the noise."""
     held = mean_dark(sensor, dark.mean) + jnp.zeros_like(dark.mean)
-    beside = _light_offset(sensor, dark.mean)  # which a covered lens may keep out
+    beside = _light_offset(sensor, dark.mean)  # may be absent in a dark frame with a covered lens
     found, expected = jnp.median(dark.mean), jnp.median(amplified(sensor, held))
     most = expected if beside is None else jnp.median(amplified(sensor, held + beside))
     noise = jnp.sqrt(jnp.median(signal_variance(sensor, jnp.zeros_like(dark.mean))))
@@ -429,7 +431,7 @@ def _warn_of_dark(sensor: Sensor, dark: Master) -> None:
 
 
 def _times(x: Scalars, factor: Scalars | None) -> Scalars:
-    """A product in which an absent factor is 1."""
+    """Return a product in which an absent factor counts as 1."""
     return x if factor is None else x * factor
 
 
@@ -438,7 +440,7 @@ def _multiply(one: Scalars | None, other: Scalars | None) -> Scalars | None:
 
 
 def _image(sensor: Sensor, raw: Counts, masters: Masters, flat: Counts | None) -> Counts:
-    """Photoelectrons in a pixel of mean sensitivity."""
+    """Return the photoelectrons in a pixel of mean sensitivity."""
     light = _without_dark(sensor, _charge(sensor, raw, masters.dark))
     light = light if flat is None else light / _response(flat)
     if sensor.crosstalk is not None:
@@ -456,7 +458,7 @@ def _without_dark(sensor: Sensor, charge: Counts) -> Counts:
 
 
 def _light_offset(sensor: Sensor, like: Counts) -> Scalars | None:
-    """Photoelectrons of a light offset that is stated in photons; None without one."""
+    """Return the photoelectrons of a light offset given in photons; None without one."""
     if sensor.light_offset is None or isinstance(sensor.light_offset, ShutterOffset):
         return None
     colours = sensor.colour_filter
@@ -465,7 +467,7 @@ def _light_offset(sensor: Sensor, like: Counts) -> Scalars | None:
 
 
 def _shutter(sensor: Sensor) -> Scalar | None:
-    """The stated exposure time over the exposure time of the light, or None if they are equal."""
+    """Return the nominal exposure time divided by that of the light; None if both are equal."""
     if not isinstance(sensor.light_offset, ShutterOffset):
         return None
     assert sensor.exposure_time is not None
@@ -473,7 +475,7 @@ def _shutter(sensor: Sensor) -> Scalar | None:
 
 
 def _charge(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
-    """Electrons that a pixel held, of light and dark current."""
+    """Return the electrons that a pixel held, from light and dark current."""
     signal = _signal(sensor, raw, dark)
     charge = signal
     if sensor.nonlinearity is not None:
@@ -490,7 +492,7 @@ def _charge(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
 
 
 def _signal(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
-    """Electrons that a linear sensor would have read."""
+    """Return the electrons that a linear sensor would have read."""
     gain = total_gain(sensor, shape=raw.shape, dtype=raw.dtype)
     if dark is not None:
         above = raw - _broadcast(dark.mean.astype(raw.dtype), raw)
@@ -507,12 +509,12 @@ def _signal(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
 
 
 def _response(flat: Counts) -> Counts:
-    """Sensitivity of each pixel relative to the mean pixel, from the flat."""
+    """Return the sensitivity of each pixel relative to the mean pixel, from the flat."""
     return flat / jnp.mean(flat, (-3, -2), keepdims=True)
 
 
 def _flat(sensor: Sensor, masters: Masters, raw: Counts) -> Counts | None:
-    """Photoelectrons in the flat, or None without a flat."""
+    """Return the photoelectrons in the flat, or None without a flat."""
     if masters.flat is None:
         return None
     flat = _broadcast(masters.flat.mean.astype(raw.dtype), raw)
@@ -520,7 +522,7 @@ def _flat(sensor: Sensor, masters: Masters, raw: Counts) -> Counts | None:
 
 
 def _fill_masters(masters: Masters, defects: Bool[Array, "h w"]) -> Masters:
-    """Masters with defects filled."""
+    """Fill the defects of all masters."""
 
     def filled(master: Master | None) -> Master | None:
         return master and replace(master, mean=_fill(master.mean, defects))
@@ -529,8 +531,8 @@ def _fill_masters(masters: Masters, defects: Bool[Array, "h w"]) -> Masters:
 
 
 def _fill(raw: Counts, defects: Bool[Array, "h w"]) -> Counts:
-    """Fill defects with the mean of the usable pixels around them, within 5 x 5; without one, with
-    that of the frame."""
+    """Fill defects with the mean of the usable pixels within 5 x 5; if there are none, with the
+    mean of the frame."""
     good = jnp.broadcast_to(~_broadcast(defects[..., None], raw), raw.shape)
     around = jnp.ones((5, 5), raw.dtype)
     count = convolve(good.astype(raw.dtype), around)
@@ -540,7 +542,7 @@ def _fill(raw: Counts, defects: Bool[Array, "h w"]) -> Counts:
 
 
 def _parts(sensor: Sensor, raw: Counts, masters: Masters, expected: Counts | None) -> list[Part]:
-    """All parts of the error except those of the camera's parameters, electrons."""
+    """Return all parts of the error except those of the camera's parameters, electrons."""
     of = {"shape": raw.shape, "dtype": raw.dtype}
     flat = _flat(sensor, masters, raw)
     response = None if flat is None else _response(flat)
@@ -555,10 +557,10 @@ def _parts(sensor: Sensor, raw: Counts, masters: Masters, expected: Counts | Non
         light = light if sensor.crosstalk is None else drifted(light, sensor.crosstalk)
         charge = _times(light, response)
         charge = charge if sensor.dark_current is None else charge + mean_dark(sensor, raw)
-    light = _without_dark(sensor, charge)  # of the pixel, not of the mean one
+    light = _without_dark(sensor, charge)  # photoelectrons of this pixel, not of the mean pixel
     apart = None if sensor.crosstalk is None else _inverse(_cross(sensor.crosstalk))
     unmixed = None if sensor.mixing is None else _inverse(sensor.mixing.kernel.astype(raw.dtype))
-    behind = _combine_kernels(unmixed, apart)  # of what is added behind the mixing
+    behind = _combine_kernels(unmixed, apart)  # for noise that is added after the mixing
     slope = None if sensor.nonlinearity is None else 1 / _slope(sensor, charge)
     gain = total_gain(sensor, **of)
     parts: list[Part] = []
@@ -620,7 +622,7 @@ def _hum(sensor: Sensor) -> Scalar | float:
 
 
 def _slope(sensor: Sensor, charge: Counts) -> Counts:
-    """The derivative of the signal with respect to the charge."""
+    """Return the derivative of the signal with respect to the charge."""
     curve = sensor.nonlinearity
     assert curve is not None
     one = jnp.ones_like(charge)
@@ -628,7 +630,7 @@ def _slope(sensor: Sensor, charge: Counts) -> Counts:
 
 
 def _camera_parts(sensor: Sensor, draws: Sensor, image: Callable[[Sensor], Counts]) -> list[Part]:
-    """The derivatives of an image along the principal axes of the draws of its camera."""
+    """Return the derivatives of an image along the principal axes of its camera's draws."""
     leaves, tree = jax.tree.flatten(sensor)
     drawn = [np.asarray(x, float) for x in jax.tree.leaves(draws)]
     if jax.tree.structure(draws) != tree or any(
@@ -657,7 +659,7 @@ def _camera_parts(sensor: Sensor, draws: Sensor, image: Callable[[Sensor], Count
 
 
 def _scale(sensor: Sensor, unit: str, raw: Counts, masters: Masters) -> Scalars | None:
-    """The unit per electron of light; None where it is 1."""
+    """Return the factor from photoelectrons to the unit; None for a factor of 1."""
     if unit == "electrons":
         return None
     several = sensor.quantum_efficiency is not None and sensor.quantum_efficiency.ndim > 0
@@ -669,7 +671,7 @@ def _scale(sensor: Sensor, unit: str, raw: Counts, masters: Masters) -> Scalars 
         per_photon = per_photon * sensor.quantum_efficiency
     of = {"shape": raw.shape, "dtype": raw.dtype}
     per_photon = factored(per_photon, sensor.taps, "quantum_efficiency", **of)
-    if masters.flat is not None:  # which made all taps alike
+    if masters.flat is not None:  # the flat has equalised the taps
         per_photon = jnp.mean(per_photon)
     if sensor.pixel_aperture is not None:
         per_photon = per_photon * light_share(sensor.pixel_aperture)
@@ -685,14 +687,14 @@ def _scale(sensor: Sensor, unit: str, raw: Counts, masters: Masters) -> Scalars 
 
 
 def _cross(share: Scalar) -> Kernel:
-    """The kernel of crosstalk."""
+    """Return the kernel of crosstalk."""
     around = jnp.asarray([[0, 1, 0], [1, 0, 1], [0, 1, 0]], share.dtype)
     middle = jnp.asarray([[0, 0, 0], [0, 1, 0], [0, 0, 0]], share.dtype)
     return share * around + (1 - 4 * share) * middle
 
 
 def _inverse(kernel: Kernel) -> Float[Array, "height width"]:
-    """The kernel that inverts another, truncated at 8 pixels."""
+    """Return the kernel that inverts another kernel, truncated at 8 pixels."""
     rows, columns = kernel.shape
     wide = jnp.zeros((_PERIOD, _PERIOD), kernel.dtype).at[:rows, :columns].set(kernel)
     wide = jnp.roll(wide, (-(rows // 2), -(columns // 2)), (0, 1))

@@ -12,7 +12,7 @@ ELEMENTARY_CHARGE = 1.602176634e-19  # C, exact in the SI since 2019
 
 @takes_numbers
 def dark_rate(dark_current: Scalar | DarkCurrent) -> Scalar:
-    """Dark current at the temperature of its law.
+    """Return the dark current at the temperature given in its law.
 
     Args:
         dark_current: () e- s^-1 per pixel, returned unchanged, or a temperature law.

@@ -14,7 +14,7 @@ E[f(X)], each a mean over draws. For Poisson counts N, with respect to the mean 
 For a reading X = m + s Z with Gaussian noise, rounded and clipped by an ADC, with respect to m and
 s:
 
-    pathwise          f'(X) and f'(X) Z: unbiased for a continuous f, clipping among them; blind to
+    pathwise          f'(X) and f'(X) Z: unbiased for a continuous f, including clipping; blind to
                       steps
     measure_valued    (f(m + s W) - f(m - s W)) / (s sqrt(2 pi)) with W of Rayleigh's distribution,
                       and (f(m + s D) - f(X)) / s with D of Maxwell's on both sides: unbiased for
@@ -59,10 +59,11 @@ def expected_of_count(
     estimator: str = "measure_valued",
     draws: int = 2,
 ) -> Float[Array, "..."]:
-    """E[f(N)] of Poisson counts, the mean over draws. Its gradient is that of the chosen estimator.
+    """Return E[f(N)] for Poisson counts N, as the mean over draws. Its gradient is that of the
+    chosen estimator.
 
-    The variables that `function` closes over get gradients, too. Second derivatives in the mean are
-    not those of the expectation.
+    Variables that `function` captures get gradients, too. Second derivatives with respect to the
+    mean are not those of the expectation.
 
     Args:
         key: random key.
@@ -81,7 +82,8 @@ def expected_of_count(
         ValueError: another estimator, too few draws, or values of another shape.
 
     Example:
-        The chance of an empty pixel, exp(-m), is a step of the count, which has no slope along it.
+        The chance of an empty pixel is exp(-m), but the function of the count is a step, whose
+        derivative along the draw is 0.
 
         >>> def empty(n):
         ...     return jnp.where(n < 0.5, 1.0, 0.0)
@@ -115,11 +117,11 @@ def expected_of_reading(
     estimator: str = "measure_valued",
     draws: int = 2,
 ) -> Float[Array, "..."]:
-    """E[f(X)] of readings with Gaussian noise, the mean over draws. Its gradient is that of the
-    chosen estimator. `function` may round and clip, as an ADC does.
+    """Return E[f(X)] for readings X with Gaussian noise, as the mean over draws. Its gradient is
+    that of the chosen estimator. `function` may round and clip, as an ADC does.
 
-    The variables that `function` closes over get gradients, too. Second derivatives are not those
-    of the expectation.
+    Variables that `function` captures get gradients, too. Second derivatives are not those of the
+    expectation.
 
     Args:
         key: random key.
@@ -139,8 +141,8 @@ def expected_of_reading(
         ValueError: another estimator, too few draws, or values of another shape.
 
     Example:
-        Rounded to whole numbers, a reading half-way between two of them with noise of 0.1 grows
-        four times as fast as the light.
+        A reading with noise of 0.1, half-way between two whole numbers and rounded to these, grows
+        on average four times as fast as the light.
 
         >>> def number(m):
         ...     key = jax.random.key(0)
@@ -169,7 +171,7 @@ def expected_of_reading(
 
 
 def _one_sided(key: Key, mean: Scalars) -> tuple[Scalars, Scalars]:
-    """Draws of Rayleigh's distribution, and of Maxwell's with a random sign."""
+    """Draw from Rayleigh's distribution, and from Maxwell's with a random sign."""
     flat, deep, sign = jax.random.split(jax.random.fold_in(key, 1), 3)
     rayleigh = jnp.sqrt(jax.random.chisquare(flat, 2, shape=mean.shape, dtype=mean.dtype))
     maxwell = jnp.sqrt(jax.random.chisquare(deep, 3, shape=mean.shape, dtype=mean.dtype))
@@ -185,11 +187,11 @@ def expected_of_defect(
     estimator: str = "measure_valued",
     draws: int = 2,
 ) -> Float[Array, "..."]:
-    """E[f(B)] of pixels that have a defect (B = 1) with a given chance, else B = 0, the mean over
-    draws. Its gradient is that of the chosen estimator.
+    """Return E[f(B)] for pixels that have a defect (B = 1) with a given chance, else B = 0, as the
+    mean over draws. Its gradient is that of the chosen estimator.
 
-    The variables that `function` closes over get gradients, too. Second derivatives are not those
-    of the expectation.
+    Variables that `function` captures get gradients, too. Second derivatives are not those of the
+    expectation.
 
     Args:
         key: random key.
@@ -259,14 +261,14 @@ def _values(
 def _score(
     values: Float[Array, "draws ..."], scores: Float[Array, "draws ..."]
 ) -> Float[Array, "..."]:
-    """The score estimator of the slope for the parameter of each pixel."""
+    """Return the score estimator of the slope with respect to each pixel's parameter."""
     others = (values.sum(0, keepdims=True) - values) / (len(values) - 1)
     return jax.vmap(jnp.multiply)(values - others, scores).mean(0)
 
 
 def _attach_slopes(average: Scalars, *slopes: tuple[Scalars, Scalars]) -> Scalars:
-    """An average whose derivative with respect to each parameter is the given slope. Slopes of the
-    pixels of a picture add up."""
+    """Return the average with the given slope as its derivative with respect to each parameter. For
+    a single average over all pixels, the contributions of the pixels add up."""
     along = average
     for slope, parameter in slopes:
         change = jax.lax.stop_gradient(slope) * parameter

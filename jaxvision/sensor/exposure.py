@@ -1,9 +1,9 @@
-"""Irradiance to expected electrons: photons, filters, quantum efficiency, the pixel's aperture.
+"""Expected electrons from irradiance: photons, filters, quantum efficiency, the pixel's aperture.
 
-Irradiance is in W m^-2, or in photons per second and pixel where the sensor has no
-`photon_conversion`; photons and electrons are counted per pixel and exposure. Smear and crosstalk
+Irradiance is in W m^-2, or in photons per second and pixel if the sensor has no
+`photon_conversion`. Photons and electrons are counted per pixel and exposure. Smear and crosstalk
 act before electrons are counted. Each electron moves independently, so charge from other pixels is
-Poisson, too, and only the expectation changes.
+Poisson-distributed, too, and only the expectation changes.
 """
 
 from dataclasses import replace
@@ -40,7 +40,7 @@ print_by_name(globals(), "Light", "Counts")
 
 @takes_numbers
 def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) -> Spectrum:
-    """Photons per second and pixel: lambda E A / (h c).
+    """Return photons per second and pixel, lambda E A / (h c).
 
     Multiplied by the exposure time it is mu_p of EMVA 1288.
 
@@ -66,7 +66,7 @@ def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) 
 
 @takes_numbers
 def at_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -> Sensor:
-    """The sensor at another ISO setting, with a gain in proportion.
+    """Return the sensor at another ISO setting, with a gain in proportion.
 
     ISO 12232 rates a camera by the exposure H in lx s that just fills the range of its ADC: S = 78
     / H. A gain twice as large halves H. Noise before the amplifier keeps its value in electrons, so
@@ -91,7 +91,7 @@ def at_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -
 
 @takes_numbers
 def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
-    """Expected photoelectrons of a pixel of mean sensitivity: eta mu_p.
+    """Return the expected photoelectrons of a pixel of mean sensitivity: eta mu_p.
 
     Args:
         sensor: its fields from `photon_conversion` to `exposure_time` are used, the light offset
@@ -131,7 +131,7 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
 
 
 def _free_dark(sensor: Sensor, photons: Spectrum) -> Counts:
-    """Photoelectrons behind all filters."""
+    """Return the photoelectrons behind all filters."""
     electrons = photons
     if sensor.infrared_cut is not None:
         electrons = electrons * _band_values("Sensor.infrared_cut", sensor.infrared_cut, electrons)
@@ -148,7 +148,7 @@ def _free_dark(sensor: Sensor, photons: Spectrum) -> Counts:
 
 @takes_numbers
 def expected_charge(sensor: Sensor, irradiance: Light) -> Counts:
-    """Expected photoelectrons in each pixel after smear and crosstalk.
+    """Return the expected photoelectrons in each pixel after smear and crosstalk.
 
     Args:
         sensor: the sensor.
@@ -172,7 +172,7 @@ def expected_charge(sensor: Sensor, irradiance: Light) -> Counts:
 
 @takes_numbers
 def filtered(colour_filter: ColourFilter, electrons: Image) -> Counts:
-    """Electrons that each pixel of a mosaic sensor counts.
+    """Return the electrons that each pixel of a mosaic sensor counts.
 
     Args:
         colour_filter: transmissions of the colours and their pattern.
@@ -205,9 +205,10 @@ def filtered(colour_filter: ColourFilter, electrons: Image) -> Counts:
 
 @takes_numbers
 def drifted(electrons: Counts, crosstalk: Scalars) -> Counts:
-    """Electrons after crosstalk: each pixel gives a share to each of its four neighbours.
+    """Return the electrons after crosstalk: each pixel gives a share to each of its four
+    neighbours.
 
-    The same amount returns over the border of the image, so no electrons are lost.
+    As much returns over the border of the image as leaves it, so no electrons are lost.
 
     Args:
         electrons: (..., h, w, bands) electrons.
@@ -236,7 +237,7 @@ def drifted(electrons: Counts, crosstalk: Scalars) -> Counts:
 
 @takes_numbers
 def smeared(electrons: Counts, smear: Scalars) -> Counts:
-    """Electrons after the frame has been shifted along its columns under light.
+    """Return the electrons after the frame has been shifted along its columns under light.
 
     Args:
         electrons: (..., h, w, bands) electrons.
@@ -260,8 +261,8 @@ def smeared(electrons: Counts, smear: Scalars) -> Counts:
 
 @takes_numbers
 def mean_dark(sensor: Sensor, like: Spectrum) -> Scalars:
-    """Expected dark electrons of a pixel in one exposure, mu_d, () in the dtype of `like`; 0
-    without a dark current."""
+    """Return the expected dark electrons of a pixel in one exposure, mu_d, () in the dtype of
+    `like`; 0 without a dark current."""
     if sensor.dark_current is None:
         return jnp.zeros((), like.dtype)
     return over_exposure(sensor, dark_rate(sensor.dark_current))
@@ -269,7 +270,7 @@ def mean_dark(sensor: Sensor, like: Spectrum) -> Scalars:
 
 @takes_numbers
 def over_exposure(sensor: Sensor, rate: Scalars) -> Scalars:
-    """Electrons that a rate, e- s^-1, yields in one exposure; the rate itself without an
+    """Return the electrons that a rate, e- s^-1, yields in one exposure; the rate itself without an
     `exposure_time`."""
     return rate if sensor.exposure_time is None else rate * sensor.exposure_time
 
@@ -285,7 +286,7 @@ def _check_irradiance(irradiance: Spectrum) -> None:
 
 
 def _band_values(name: str, x: Scalars, like: Spectrum) -> Scalars:
-    """A scalar unchanged; one value per band broadcast over the pixels."""
+    """Return a scalar unchanged; broadcast one value per band over the pixels."""
     if x.ndim == 0:
         return x
     if x.shape != like.shape[-1:]:
@@ -297,7 +298,7 @@ def _band_values(name: str, x: Scalars, like: Spectrum) -> Scalars:
 
 
 def _rgb_advice(shape: tuple[int, ...], bands: int) -> str:
-    """The error message's advice for a picture of three bands and a sensor of other bands."""
+    """Return advice for the error message if an RGB picture meets a sensor with other bands."""
     if shape[-1:] != (3,) or bands == 3:
         return ""
     return (

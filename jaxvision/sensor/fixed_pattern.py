@@ -30,7 +30,8 @@ from ._taps import factored
 def sensitivity(
     die_key: Key | None, sensor: Sensor, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars | None:
-    """Response of each pixel relative to the mean pixel: max(1 + PRNU, 0), and 0 for dead pixels.
+    """Draw the response of each pixel relative to the mean pixel: max(1 + PRNU, 0), and 0 for dead
+    pixels.
 
     Whether a pixel is dead is drawn, so the gradient with respect to `dead_pixels` is 0.
     `expected_signal` and `pattern_variance` have the gradient of an average die.
@@ -67,7 +68,7 @@ def sensitivity(
 def hot_rates(
     die_key: Key | None, hot_pixels: HotPixels, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
-    """Excess dark current of each pixel: 0 in most, exponentially distributed in hot pixels.
+    """Draw the excess dark current of each pixel: 0 in most, exponential in hot pixels.
 
     Dead and hot pixels are drawn from the two ends of one uniform number, so no pixel is both if
     the two fractions add up to at most 1. The position of the number within its end sets the
@@ -99,7 +100,7 @@ def hot_rates(
 def offsets(
     die_key: Key | None, sensor: Sensor, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars | None:
-    """Offset of each pixel: the DSNU of pixels, columns and rows.
+    """Draw the offset of each pixel: the DSNU of pixels, columns and rows.
 
     Args:
         die_key: random key of the individual sensor.
@@ -108,7 +109,7 @@ def offsets(
         dtype: floating dtype of the result.
 
     Returns:
-        Electrons, broadcasting against that shape; None if the sensor has none of them.
+        Electrons, broadcasting against that shape; None if the sensor has none of these effects.
     """
     parts = []
     if sensor.dsnu is not None:
@@ -125,7 +126,7 @@ def offsets(
 def conversion_gains(
     die_key: Key | None, rms: Scalars, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
-    """Conversion gain of each pixel relative to the mean: 1 + rms times a standard Gaussian.
+    """Draw each pixel's conversion gain relative to the mean: 1 + rms times a standard Gaussian.
 
     Args:
         die_key: random key of the individual sensor.
@@ -141,7 +142,7 @@ def conversion_gains(
 
 @takes_numbers
 def column_gains(die_key: Key | None, rms: Scalars, *, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """Gain of each column amplifier relative to the mean: 1 + rms times a standard Gaussian.
+    """Draw each column amplifier's gain relative to the mean: 1 + rms times a standard Gaussian.
 
     Args:
         die_key: random key of the individual sensor.

@@ -1,6 +1,6 @@
 """Mixing of counted electrons between neighbours: a linear filter after the shot noise.
 
-Independent pixels of variance v have after a kernel w
+After a kernel w, independent pixels of variance v have
 
     variance     v sum w^2
     covariance   v sum w(k) w(k + lag)
@@ -26,7 +26,7 @@ from .exposure import Counts
 
 @takes_numbers
 def mixed(electrons: Counts, mixing: Mixing) -> Counts:
-    """Electrons after mixing; electrons that leave over the border of the image return.
+    """Return the electrons after mixing; electrons that leave over the image's border return.
 
     Args:
         electrons: (..., h, w, bands) electrons.
@@ -49,8 +49,8 @@ def mixed(electrons: Counts, mixing: Mixing) -> Counts:
 
 @takes_numbers
 def even_mixing(share: Scalar) -> Mixing:
-    """The mixing with four equal nearest neighbours that reduces a pixel's variance by a given
-    share.
+    """Return the mixing with four equal nearest neighbours that reduces a pixel's variance by a
+    given share.
 
     Args:
         share: () of the variance, 1 - sum kernel^2, below 4/5, no unit.
@@ -70,7 +70,8 @@ def even_mixing(share: Scalar) -> Mixing:
 
 
 def _moments(mixing: Mixing, moments: Any) -> Any:
-    """Moments for independent pixels; pixels beyond the border have the same variance."""
+    """Return the moments after mixing of independent pixels. Pixels beyond the border are taken to
+    have the same variance."""
     check_image("Sensor.mixing", moments.mean.shape)
     square = mixing.kernel.astype(moments.mean.dtype) ** 2
     return moments._replace(
@@ -79,8 +80,8 @@ def _moments(mixing: Mixing, moments: Any) -> Any:
 
 
 def _bound(ends: Ends[Mixing], electrons: float) -> tuple[float, float]:
-    """S = sum |w| over the neighbours, which bounds the change of the mean and of its rms relative
-    to the largest charge."""
+    """Bound the change of the mean and of its RMS by S = sum |w| over the neighbours, relative to
+    the largest charge."""
     low, high = (np.asarray(end.kernel, float) for end in ends)
     largest = np.maximum(np.abs(low), np.abs(high))
     middle = tuple(size // 2 for size in largest.shape)

@@ -6,7 +6,7 @@
 
 Every further source of the sensor adds its term. Differences between the pixels of a die (dead, hot
 and trapping pixels, columns) enter mean and temporal variance as averages over dies. Under the
-brighter-fatter effect, variances are those of even light at each pixel's mean. Blooming has no
+brighter-fatter effect, variances are those of uniform light at each pixel's mean. Blooming has no
 closed form and is neglected.
 """
 
@@ -48,10 +48,10 @@ from .read_out import read_out_variance
 
 Covariances = Float[Array, "... lags lags"]  # at offsets of 0, 1, ... rows and columns
 
-_FAR = 50.0  # standard deviations: the tail beyond is 0 even in float64
-FAINT = 20.0  # electrons: below it Poisson's counts are summed one by one
-COUNTS = 64  # of them; one variable of mean FAINT in 1e13 is larger
-ROUNDED = 8  # codes on either side of the mean, standard deviations and more
+_FAR = 50.0  # standard deviations; the tail beyond is 0 even in float64
+FAINT = 20.0  # electrons; below this mean, Poisson counts are summed one by one
+COUNTS = 64  # number of summed counts; a Poisson variable of mean FAINT exceeds it once in 1e13
+ROUNDED = 8  # codes on either side of the mean, which are at least as many standard deviations
 QUANTISATION_VARIANCE = 1 / 12  # DN^2, the variance of rounding to whole numbers
 
 
@@ -75,7 +75,8 @@ class Moments(NamedTuple):
 
 @takes_numbers
 def expected_signal(sensor: Sensor, irradiance: Light) -> Counts:
-    """Mean raw signal of the EMVA 1288 model, before clipping: mu_y = K (eta mu_p + mu_d) + offset.
+    """Return the mean raw signal of the EMVA 1288 model, before clipping: mu_y = K (eta mu_p +
+    mu_d) + offset.
 
     Args:
         sensor: the sensor.
@@ -94,7 +95,7 @@ def expected_signal(sensor: Sensor, irradiance: Light) -> Counts:
 
 @takes_numbers
 def signal_variance(sensor: Sensor, irradiance: Light) -> Counts:
-    """Temporal variance of one pixel, before clipping.
+    """Return the temporal variance of one pixel, before clipping.
 
         var_y = K^2 (eta mu_p + mu_d + sigma_read^2) + 1/12
 
@@ -118,7 +119,8 @@ def signal_variance(sensor: Sensor, irradiance: Light) -> Counts:
 
 @takes_numbers
 def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
-    """Variance of the pixels' mean signals over the die under uniform irradiance, before clipping.
+    """Return the variance, over the die, of the pixels' mean signals under uniform irradiance,
+    before clipping.
 
         s_y^2 = K^2 ((PRNU eta mu_p)^2 + DSNU^2)
 
@@ -176,7 +178,8 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
 def neighbour_covariances(
     sensor: Sensor, irradiance: Light, *, reach: int = 1
 ) -> Float[Array, "... lags lags"]:
-    """Temporal covariances of a pixel with its neighbours in even light, before clipping.
+    """Return the temporal covariances of a pixel with its neighbours in uniform light, before
+    clipping.
 
     Pixels are correlated by the brighter-fatter effect, by mixing, and by noise of rows, columns
     and frames. At an offset of i rows and j columns the noise adds row_noise^2 if i = 0,
@@ -193,8 +196,8 @@ def neighbour_covariances(
         reach: largest offset in pixels, at least 0; static.
 
     Returns:
-        (..., bands, reach + 1, reach + 1) DN^2 at offsets of 0, 1, ... rows and columns, those of
-        (i, j) and (i, -j) averaged; at (0, 0) the variance.
+        (..., bands, reach + 1, reach + 1) DN^2 at offsets of 0, 1, ... rows and columns. Values at
+        (i, j) and (i, -j) are averaged. At (0, 0) it is the variance.
 
     Raises:
         ValueError: if the sensor has user-defined effects, which may correlate pixels.
@@ -241,8 +244,8 @@ def neighbour_covariances(
 
 @takes_numbers
 def signal_to_noise(sensor: Sensor, irradiance: Light) -> Counts:
-    """Signal-to-noise ratio of one pixel: the signal above dark over the temporal noise, before
-    clipping.
+    """Return the signal-to-noise ratio of one pixel: the signal above dark divided by the temporal
+    noise, before clipping.
 
         SNR = eta mu_p / sqrt(eta mu_p + mu_d + sigma_read^2 + 1 / (12 K^2))
 
@@ -274,14 +277,14 @@ def signal_to_noise(sensor: Sensor, irradiance: Light) -> Counts:
 
 @takes_numbers
 def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
-    """Mean and temporal variance of raw data that a full well and the range of the ADC clip.
+    """Return the mean and temporal variance of raw data clipped by a full well and the ADC's range.
 
-    Below 20 electrons the sum over Poisson counts is explicit, except under the brighter-fatter
-    effect, poor charge transfer, or unequal gains. Elsewhere the clipped variable is taken as
-    Gaussian, which is exact for Gaussian noise. For Poisson noise the error of the mean is less
-    than 0.07 of the noise's rms over sqrt(electrons at the clipping level). Rounding is exact for
-    noise below 1 DN. For larger noise it adds 1/12 DN^2. The result is smooth in every parameter of
-    a noisy sensor, and its gradients fall to 0 beyond saturation.
+    Below 20 electrons the sum over Poisson counts is explicit, except with the brighter-fatter
+    effect, poor charge transfer, mixing, or unequal gains. Elsewhere the clipped variable is taken
+    as Gaussian, which is exact for Gaussian noise. For Poisson noise the error of the mean is less
+    than 0.07 times the noise's RMS divided by sqrt(electrons at the clipping level). Rounding is
+    exact for noise below 1 DN. For larger noise it adds 1/12 DN^2. The result is smooth in every
+    parameter of a noisy sensor, and its gradients fall to 0 beyond saturation.
 
     Args:
         sensor: its `full_well` and `bits` clip.
@@ -291,7 +294,7 @@ def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
         Mean (..., bands) in DN and variance (..., bands) in DN^2.
 
     Example:
-        Half of the readings about 0 are cut off there.
+        The readings scatter about 0, and the negative half of them is clipped to 0.
 
         >>> sensor = jv.Sensor(read_noise=100.0, bits=12)
         >>> moments = jv.clipped_moments(sensor, jnp.zeros(1))
@@ -322,7 +325,7 @@ def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
 
 @takes_numbers
 def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None = None) -> Moments:
-    """Moments of a Gaussian variable clipped to [low, high].
+    """Return the moments of a Gaussian variable clipped to [low, high].
 
     Args:
         moments: mean and variance (...) before clipping, in any unit and its square.
@@ -334,7 +337,7 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
         is clipped and the variance stays 0.
 
     Raises:
-        ValueError: for a low end above the high one, unless traced.
+        ValueError: for a low end above the high end, unless traced.
 
     Example:
         >>> gaussian = jv.Moments(jnp.array(0.0), jnp.array(1.0))
@@ -348,7 +351,7 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
     mean, variance = moments
     noisy = ~(variance <= 0)
     sigma = jnp.sqrt(jnp.where(noisy, variance, 1))
-    # at an end the slopes of the mean's side, here and in `_outside`, whose sum is the true one
+    # at an end, take the slopes on the mean's side here and in `_outside`; their sum is right
     clipped = mean
     if low is not None:
         clipped = jnp.where(clipped < low, low, clipped)
@@ -364,7 +367,7 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
 def _one_end_moments(
     mean: Scalars, sigma: Scalars, clipped: Scalars, *, low: Scalar | None, high: Scalar | None
 ) -> tuple[Scalars, Scalars]:
-    """Mean and variance of a Gaussian variable clipped at one end or not at all."""
+    """Return mean and variance of a Gaussian variable clipped at one end or not at all."""
     if low is not None:
         sign, end = 1, low
     elif high is not None:
@@ -379,9 +382,9 @@ def _one_end_moments(
 def _both_ends_moments(
     mean: Scalars, sigma: Scalars, clipped: Scalars, low: Scalar, high: Scalar
 ) -> tuple[Scalars, Scalars]:
-    """Mean and variance of a Gaussian clipped to [low, high]: low + sigma (A - B), A = max(Z + p,
-    0), B = max(Z - q, 0), with the distances p, q of the mean from the nearer and the farther end
-    over sigma; noise much wider than the window has its own series."""
+    """Return mean and variance of a Gaussian clipped to [low, high]. The clipped variable is low +
+    sigma (A - B), with A = max(Z + p, 0), B = max(Z - q, 0), and p, q the distances of the mean
+    from both ends divided by sigma. Noise much wider than the window has its own series."""
     p, q = _inside(mean, sigma, low, 1), _inside(mean, sigma, high, -1)
     moved = clipped + sigma * (tail_mean(_outside(p)) - tail_mean(_outside(q)))
     near, far = jnp.minimum(p, q), jnp.maximum(p, q)
@@ -405,18 +408,19 @@ def _both_ends_moments(
 
 
 def _inside(mean: Scalars, sigma: Scalars, end: Scalar, sign: int) -> Scalars:
-    """Distance of the mean inside an end, in standard deviations; `sign` is 1 for the low end."""
+    """Return how far the mean lies inside an end, in standard deviations; `sign` is 1 for the low
+    end, -1 for the high end."""
     clips = ~jnp.isinf(end)
     return jnp.where(clips, sign * (mean - jnp.where(clips, end, 0)) / sigma, _FAR)
 
 
 def _outside(inside: Scalars) -> Scalars:
-    """-|inside|, in standard deviations."""
+    """Return -|inside|, in standard deviations."""
     return jnp.where(inside < 0, inside, -inside)
 
 
 def _charge(sensor: Sensor, irradiance: Light) -> Moments:
-    """Moments of the electrons in a pixel, before any well is full."""
+    """Return the moments of the electrons in a pixel, before any well is full."""
     mean = expected_charge(sensor, irradiance)
     if sensor.dead_pixels is not None:
         mean = mean * (1 - sensor.dead_pixels)
@@ -434,7 +438,7 @@ def _charge(sensor: Sensor, irradiance: Light) -> Moments:
 
 
 def _read(sensor: Sensor, charge: Moments) -> Moments:
-    """Moments of the electrons that are read out."""
+    """Return the moments of the electrons that are read out."""
     mean, variance = _act(sensor, _passed_on(sensor, charge))
     if None not in (sensor.mixing, sensor.brighter_fatter, sensor.shot_noise):
         variance = variance * _repelled_share(sensor, charge.mean)
@@ -445,8 +449,8 @@ def _read(sensor: Sensor, charge: Moments) -> Moments:
 
 
 def _repelled_share(sensor: Sensor, mean: Scalars) -> Scalars:
-    """The relative excess of variance after mixing for charges that repel each other, compared with
-    independent charges. Neighbours of repelling charges are correlated."""
+    """Return the variance after mixing for charges that repel each other, relative to independent
+    charges of the same variance. Repelling charges of neighbours are correlated."""
     assert sensor.mixing is not None
     assert sensor.brighter_fatter is not None
     lit, kernel = mean > 0, sensor.mixing.kernel.astype(mean.dtype)
@@ -456,7 +460,7 @@ def _repelled_share(sensor: Sensor, mean: Scalars) -> Scalars:
 
 
 def _charge_moments(sensor: Sensor, irradiance: Light, reach: int) -> tuple[Scalars, Covariances]:
-    """Mean of the charges after mixing, and their covariances, electrons^2."""
+    """Return the mean of the charges after mixing, and their covariances, electrons^2."""
     charge = _charge(sensor, irradiance)
     mean, variance = _passed_on(sensor, charge)
     size = reach + _farthest(sensor)
@@ -471,19 +475,20 @@ def _charge_moments(sensor: Sensor, irradiance: Light, reach: int) -> tuple[Scal
 
 
 def _offsets(reach: int, like: Scalars) -> tuple[Array, Array, Array]:
-    """Whether an offset is 0, and its rows and columns, with axes for broadcasting."""
+    """Return whether each offset is 0, and its rows and columns, with axes for broadcasting."""
     along = np.indices((reach + 1, reach + 1)).reshape(2, *(1,) * like.ndim, reach + 1, reach + 1)
     rows, columns = (jnp.asarray(x, like.dtype) for x in along)
     return (rows == 0) & (columns == 0), rows, columns
 
 
 def _farthest(sensor: Sensor) -> int:
-    """The largest distance, in pixels, of two pixels that share electrons of a third."""
+    """Return the largest distance, in pixels, of two pixels that get electrons of the same third
+    pixel."""
     return 0 if sensor.mixing is None else max(sensor.mixing.kernel.shape) - 1
 
 
 def _repel(effect: BrighterFatter, electrons: Scalars, reach: int) -> Covariances:
-    """`flat_covariances` at offsets of up to `reach` rows and columns, electrons^2."""
+    """Return `flat_covariances` at offsets of up to `reach` rows and columns, electrons^2."""
     area = area_changes(effect.kernel)
     size = max(reach + 1, *area.shape)
     area = jnp.pad(area, [(0, size - n) for n in area.shape])
@@ -493,7 +498,7 @@ def _repel(effect: BrighterFatter, electrons: Scalars, reach: int) -> Covariance
 def _mix(
     kernel: Float[Array, "rows columns"], found: Covariances, reach: int
 ) -> Float[Array, "... kept kept"]:
-    """Covariances after mixing, from those before it, which extend further."""
+    """Return the covariances after mixing, from those before it, which extend further."""
     shared = correlate2d(kernel, kernel, mode="full")  # sum w(k) w(k + lag)
     shared = (shared + shared[:, ::-1]) / 2
     lags = np.arange(reach + 1)
@@ -503,7 +508,7 @@ def _mix(
 
 
 def _passed_on(sensor: Sensor, charge: Moments) -> Moments:
-    """Moments of the electrons after charge transfer."""
+    """Return the moments of the electrons after charge transfer."""
     if sensor.charge_transfer is None:
         return charge
     mean, variance = charge
@@ -513,13 +518,13 @@ def _passed_on(sensor: Sensor, charge: Moments) -> Moments:
 
 
 def _act(sensor: Sensor, charge: Moments) -> Moments:
-    """Moments of the electrons after all effects on charge."""
+    """Return the moments of the electrons after all effects on charge."""
     return moments_after(charge_effects(sensor), charge)
 
 
 def _count_sum_moments(sensor: Sensor, mean: Scalars) -> Moments:
-    """Moments of the raw numbers for Poisson counts of a mean below FAINT, summed over counts near
-    the mean."""
+    """Return the moments of the raw numbers for Poisson counts with a mean below FAINT, summed over
+    all counts below COUNTS."""
     about = _convert(sensor, _read(sensor, Moments(mean, jnp.zeros_like(mean)))).mean
     about = jax.lax.stop_gradient(about)
 
@@ -542,8 +547,8 @@ def _count_sum_moments(sensor: Sensor, mean: Scalars) -> Moments:
 
 
 def _convert(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> Moments:
-    """Moments of the numbers of the ADC, DN. Without noise, rounding counts as 1/12 DN^2, except
-    for electrons of one count, whose code is known."""
+    """Return the moments of the numbers of the ADC, DN. Without noise, rounding counts as 1/12
+    DN^2, except for one known count of electrons, whose code is known."""
     if sensor.bits is None:
         return _signal(sensor, read)
     analogue = _signal(replace(sensor, bits=None), read)
@@ -557,8 +562,9 @@ def _convert(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> Mo
 
 
 def _round(analogue: Moments, fine: Bool[Array, "..."], high: Scalar) -> Moments:
-    """Moments of Gaussian noise of less than 1 DN rms, rounded to whole numbers from 0 to `high`.
-    With P_c = P(x > c + 1/2), the mean is sum P_c and the mean square sum (2 c + 1) P_c."""
+    """Return the moments of a signal with Gaussian noise below 1 DN RMS, rounded to whole numbers
+    from 0 to `high`. With P_c = P(x > c + 1/2), the mean is sum P_c and the mean square is sum (2 c
+    + 1) P_c."""
     noisy = fine & (analogue.variance > 0)
     sigma = jnp.sqrt(jnp.where(noisy, analogue.variance, 1))
     base = jax.lax.stop_gradient(jnp.floor(analogue.mean)) - ROUNDED
@@ -575,7 +581,7 @@ def _round(analogue: Moments, fine: Bool[Array, "..."], high: Scalar) -> Moments
 
 
 def _signal(sensor: Sensor, read: Moments) -> Moments:
-    """Moments of the signal in DN, before clipping."""
+    """Return the moments of the signal in DN, before clipping."""
     variance = read.variance
     if sensor.column_prnu is not None:
         variance = variance * (1 + sensor.column_prnu**2)

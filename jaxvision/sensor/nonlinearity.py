@@ -22,12 +22,12 @@ from ..core._types import Scalars
 from ..scene import Compression, Nonlinearity, ResponseSpline, ResponseTable
 from ._registry import register_curve, stage_of
 
-_STEPS = 30  # of a search: bisection alone leaves 1e-9 of an interval, Newton's steps far less
+_STEPS = 30  # steps of a search; bisection alone leaves 1e-9 of an interval, Newton's far less
 
 
 @takes_numbers
 def signal_of_charge(nonlinearity: Nonlinearity, electrons: Scalars) -> Scalars:
-    """The signal for a charge.
+    """Return the signal for a charge.
 
     Args:
         nonlinearity: the curve.
@@ -52,7 +52,7 @@ def signal_of_charge(nonlinearity: Nonlinearity, electrons: Scalars) -> Scalars:
 
 @takes_numbers
 def charge_of_signal(nonlinearity: Nonlinearity, signal: Scalars) -> Scalars:
-    """The charge for a signal: the inverse of `signal_of_charge`.
+    """Return the charge for a signal: the inverse of `signal_of_charge`.
 
     Args:
         nonlinearity: the curve.
@@ -101,8 +101,9 @@ def _expand(effect: Compression, signal: Scalars) -> Scalars:
 
 
 def _slopes_of_compression(ends: Ends[Compression]) -> tuple[float, float]:
-    """The smallest and the largest value of 1 - 2 c u - 3 d u^2 over u in [0, 1], at an end or at
-    the vertex; linear in c and d."""
+    """Return the smallest and the largest slope 1 - 2 c u - 3 d u^2 over u in [0, 1]. They are at
+    u = 0, at u = 1 or at the vertex, and at an end of the ranges of c and d, because the slope is
+    linear in both."""
     found = []
     for c in (float(end.first) for end in ends):
         for d in (0.0 if end.second is None else float(end.second) for end in ends):
@@ -118,15 +119,15 @@ register_curve(Compression, curve=_compress, slopes=_slopes_of_compression, inve
 
 
 def _interpolate(x: Scalars, inputs: Scalars, outputs: Scalars) -> Scalars:
-    """Linear interpolation between the entries, and linear extrapolation beyond them."""
+    """Interpolate linearly between the entries, and extrapolate linearly beyond them."""
     k = jnp.clip(jnp.searchsorted(inputs, x, side="right") - 1, 0, inputs.shape[0] - 2)
     slopes = jnp.diff(outputs) / jnp.diff(inputs)
     return outputs[k] + slopes[k] * (x - inputs[k])
 
 
 def _chords(ends: Ends[Any]) -> tuple[float, float]:
-    """The smallest and the largest slope between two entries, with each entry at either end of its
-    range."""
+    """Return the smallest and the largest slope between two entries, with each entry at either end
+    of its range."""
     low, high = (np.asarray(end.signal, float) for end in ends)
     first, last = (np.asarray(end.electrons, float) for end in ends)
     shortest, longest = first[1:] - last[:-1], last[1:] - first[:-1]
@@ -164,8 +165,9 @@ def _smooth_inverse(curve: ResponseSpline, signal: Scalars) -> Scalars:
 
 
 def _slopes_of_spline(ends: Ends[ResponseSpline]) -> tuple[float, float]:
-    """Smallest and largest slope of the cubic segments, at an end or the vertex of a parabola;
-    three times the chord's for a free parameter."""
+    """Return the smallest and largest slope of the cubic segments, which is a parabola in each,
+    with extrema at an end or the vertex. If a parameter is free, they are 0 and three times the
+    largest slope of a chord."""
     low = ends.low
     free = any(not np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, ends), strict=True))
     if free:
@@ -192,8 +194,9 @@ def _found(
     low: Scalars,
     high: Scalars,
 ) -> Scalars:
-    """The place at which a rising curve takes a value, between two places; beyond them the curve is
-    a straight line. It takes Newton steps, or bisects where a step leaves the bracket."""
+    """Find the charge between `low` and `high` at which a rising curve takes a value; beyond them
+    the curve is a straight line. The search takes Newton steps, or bisects if a step leaves the
+    bracket."""
     held, seen, low, high = jax.lax.stop_gradient((effect, signal, low, high))
     low, high = jnp.broadcast_to(low, seen.shape), jnp.broadcast_to(high, seen.shape)
 
@@ -215,5 +218,5 @@ def _found(
 
     found = jax.lax.fori_loop(0, _STEPS, step, ((low + high) / 2, low, high))[0]
     slope = at(found)[1]
-    # one more step, from a place that is held: its derivatives are those of the inverse
+    # one more step, from a constant start, has the derivatives of the inverse
     return found + divide(signal - curve(effect, found), slope, slope > 0)

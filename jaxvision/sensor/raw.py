@@ -1,4 +1,4 @@
-"""Irradiance to raw data, in the order of the steps. A step whose parameter is None is not traced.
+"""Raw data from irradiance, step by step. A step whose parameter is None is not traced.
 
 Functions act elementwise on arrays (..., bands) of any shape, so an image is one call and one loop
 over its pixels. Effects between pixels, rows or columns need an image (..., h, w, bands). Leading
@@ -26,12 +26,12 @@ from .shot_noise import MOST_ELECTRONS, count
 def collect(
     key: Key | None, sensor: Sensor, irradiance: Light, *, die_key: Key | None = None
 ) -> Counts:
-    """Draws the electrons read from each pixel in one exposure.
+    """Draw the electrons read from each pixel in one exposure.
 
-    At each charge transfer an electron is left behind at random. A Poisson packet thinned in this
+    At each charge transfer, electrons are left behind at random. A Poisson packet thinned in this
     way stays Poisson, so transfers act on the expectation before the count. If a full well clips
     the packets or charges have repelled each other, transfers act on the charge itself, and the
-    noise of this selection is added.
+    noise of this random selection is added.
 
     Gradients are those of the draw (see `count`). They are unbiased for means and mean squares,
     except with a full well of w electrons that clips Poisson counts of mean m. Charge beyond the
@@ -111,8 +111,8 @@ def collect(
 
 
 def _surely_full(mean: Counts, full_well: Scalar) -> Counts:
-    """The mean, limited so that `count` draws at most twice the well: the well is full in either
-    case."""
+    """Limit the mean to the largest mean of `count` if this is at least twice the well. The well is
+    full with either mean."""
     return jnp.where(full_well <= MOST_ELECTRONS / 2, jnp.minimum(mean, MOST_ELECTRONS), mean)
 
 
@@ -120,7 +120,7 @@ def _surely_full(mean: Counts, full_well: Scalar) -> Counts:
 def raw_image(
     key: Key | None, sensor: Sensor, irradiance: Light, *, die_key: Key | None = None
 ) -> Counts:
-    """Draws the raw data of one exposure: `digitise` of `collect`.
+    """Draw the raw data of one exposure: `digitise` applied to `collect`.
 
     Args:
         key: random key of the frame; may be None if the sensor does not need it.

@@ -24,7 +24,7 @@ from .dark import BOLTZMANN, ELEMENTARY_CHARGE
 
 
 def reset_noise_rms(reset: ResetNoise) -> Scalar:
-    """Reset (kTC) noise of a sense node: sqrt(k T C) / q.
+    """Return the reset (kTC) noise of a sense node: sqrt(k T C) / q.
 
     Args:
         reset: capacitance and temperature of the sense node.
@@ -36,7 +36,7 @@ def reset_noise_rms(reset: ResetNoise) -> Scalar:
         >>> round(float(jv.sensor.reset_noise_rms(jv.ResetNoise(1.6e-15, 300.0))), 1)
         16.1
     """
-    # each factor lies within the range of float32; k T C does not
+    # each factor is within the range of float32, but k T C is not
     electrons = BOLTZMANN / ELEMENTARY_CHARGE * reset.temperature
     return safe_sqrt(electrons * (reset.capacitance / ELEMENTARY_CHARGE))
 
@@ -50,11 +50,11 @@ def read_out_noise(
     shape: Shape,
     dtype: DTypeLike,
 ) -> Scalars | None:
-    """Draws the sum of all noise that reading one frame adds.
+    """Draw the sum of all noise that the read-out of one frame adds.
 
     Whether a pixel belongs to the tail or has a trap is drawn. Gradients with respect to
     `tail_fraction` and the fraction of telegraph noise are therefore 0; `read_out_variance` has
-    those of the variance.
+    gradients of the variance with respect to both.
 
     Args:
         key: random key of the frame.
@@ -98,7 +98,7 @@ def read_out_noise(
 def read_out_variance(
     sensor: Sensor, *, dtype: DTypeLike, shape: Shape | None = None
 ) -> Scalar | Scalars:
-    """Variance of `read_out_noise` in one pixel of a frame, averaged over all pixels.
+    """Return the variance of `read_out_noise` in one pixel of a frame, averaged over all pixels.
 
     Args:
         sensor: the sensor.
@@ -141,7 +141,8 @@ def read_out_variance(
 
 
 def _rms_of_each(key: Key | None, sensor: Sensor, shape: Shape, dtype: DTypeLike) -> Scalars | None:
-    """Reset and read noise as one Gaussian: their variances add, and one draw is enough."""
+    """Return the RMS of reset and read noise as one Gaussian: their variances add, and one draw is
+    enough."""
     match sensor.read_noise:
         case HeavyTailedReadNoise(rms=rms, tail_rms=tail, tail_fraction=fraction):
             in_tail = uniform(key, Frame.READ_TAIL, shape, dtype) <= fraction
@@ -163,7 +164,8 @@ def _telegraph(
     shape: Shape,
     dtype: DTypeLike,
 ) -> Scalars:
-    """The state of each trap after the read-out minus its state before, from two bits of a word."""
+    """Draw the state of each trap after the read-out minus its state before, from two random
+    bits."""
     trapped = uniform(die_key, Die.TRAP, shape, dtype) <= telegraph.fraction
     states = (words(key, Frame.TELEGRAPH, shape) >> 30).astype(jnp.int32)
     jump = (states >> 1) - (states & 1)
@@ -171,7 +173,7 @@ def _telegraph(
 
 
 def _hum(key: Key | None, banding: Banding, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """An offset that oscillates over the rows with a random phase."""
+    """Draw an offset that oscillates over the rows with a random phase."""
     check_image("Sensor.banding", shape)
     rows = jnp.arange(shape[-3], dtype=dtype).reshape(*(1,) * (len(shape) - 3), -1, 1, 1)
     phase = uniform(key, Frame.BANDING, (), dtype).astype(dtype)

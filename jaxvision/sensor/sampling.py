@@ -1,7 +1,8 @@
-"""The pixel's aperture: a square, sqrt(fill factor) of the pitch wide, that averages irradiance.
+"""The pixel's aperture: a square of width sqrt(fill factor) times the pitch, which averages
+irradiance.
 
 Its MTF is a sinc in each direction. A narrow aperture passes more contrast above the Nyquist
-frequency, which appears as aliases. A full aperture attenuates it. A microlens widens the aperture.
+frequency, which appears as aliasing; a full aperture passes less. A microlens widens the aperture.
 Irradiance in W m^-2 or any other unit; frequencies in cycles per pixel pitch.
 """
 
@@ -16,9 +17,9 @@ from ..scene import PixelAperture
 
 
 def light_share(aperture: PixelAperture) -> Scalar:
-    """Share of the light on a pixel that reaches its active area.
+    """Return the share of the light on a pixel that reaches its active area.
 
-    The fill factor, plus the share of the remaining light that the microlens brings in.
+    It is the fill factor, plus the share of the remaining light that the microlens collects.
 
     Args:
         aperture: fill factor and microlens.
@@ -39,7 +40,7 @@ def light_share(aperture: PixelAperture) -> Scalar:
 def pixel_means(
     irradiance: Image, aperture: PixelAperture
 ) -> Float[Array, "*batch rows columns bands"]:
-    """Mean irradiance over the active area of each pixel.
+    """Return the mean irradiance over the active area of each pixel.
 
     Each sample represents its cell of the pixel.
 
@@ -75,14 +76,15 @@ def pixel_means(
 
 @takes_numbers
 def aperture_mtf(aperture: PixelAperture, frequency: Scalars) -> Scalars:
-    """Contrast of a grating along rows or columns behind the pixel's aperture: sinc(width f).
+    """Return the contrast of a grating along rows or columns after the pixel's aperture,
+    sinc(width f).
 
     Args:
         aperture: the pixel's aperture.
         frequency: (...) cycles per pixel.
 
     Returns:
-        (...) contrast relative to the scene; negative where the grating is reversed.
+        (...) contrast relative to the scene; negative if the grating's contrast is reversed.
 
     Example:
         >>> full = jv.PixelAperture(1.0)
@@ -94,7 +96,7 @@ def aperture_mtf(aperture: PixelAperture, frequency: Scalars) -> Scalars:
 
 @jax.custom_jvp
 def _sinc(x: Scalars) -> Scalars:
-    """sin(pi x) / (pi x), accurate near its zeros."""
+    """Return sin(pi x) / (pi x), accurate near its zeros."""
     least = smallest_divisor(x.dtype)
     away = jnp.maximum(jnp.abs(x), least / 2)
     sine, _ = sine_cosine(away / 2)
@@ -103,8 +105,8 @@ def _sinc(x: Scalars) -> Scalars:
 
 @_sinc.defjvp
 def _sinc_jvp(primals, tangents):
-    """(cos(pi x) - sinc(x)) / x. Near 0 this cancels, and the series -pi^2 x / 3 (1 - z / (2 5) (1
-    - z / (4 7) (...))) in z = (pi x)^2 is used."""
+    """Differentiate `_sinc`: (cos(pi x) - sinc(x)) / x. Near 0 this cancels, and is replaced by the
+    series -pi^2 x / 3 (1 - z / (2 5) (1 - z / (4 7) (...))) in z = (pi x)^2."""
     (x,), (change,) = primals, tangents
     size = jnp.abs(x)
     z = jnp.square(jnp.pi * jnp.minimum(size, 0.6))
@@ -118,7 +120,7 @@ def _sinc_jvp(primals, tangents):
 
 
 def _cell_weights(aperture: PixelAperture) -> Float[Array, " n"]:
-    """Share of the aperture's width in each cell across a pixel; the shares add up to 1."""
+    """Return the share of the aperture's width in each cell across a pixel; they add up to 1."""
     n = aperture.oversampling
     width = safe_sqrt(light_share(aperture))
     edges = jnp.linspace(-0.5, 0.5, n + 1, dtype=width.dtype)

@@ -5,7 +5,7 @@ Up to a mean of 10 both Poisson samplers sum the distribution. Above, the exact 
 Mathematics and Economics 12 (1993), PTRS). It computes the probability of a count n from n - mu by
 Loader's form ("Fast and Accurate Computation of Binomial Probabilities", 2000), in which no term is
 larger than the result. The usual n ln mu - mu - ln n! loses 30 bits at a mean of 1e9.
-`jax.random.poisson` uses it in float32, and its variance is wrong from a mean of 2e5 on.
+`jax.random.poisson` uses the usual form in float32, and its variance is wrong above a mean of 2e5.
 
 The fast sampler turns one uniform number into a count by the inverse of the Poisson distribution.
 Up to a mean of 10 the distribution is summed; above, its inverse is an expansion in z, the Gaussian
@@ -50,15 +50,15 @@ from ._draws import (
     words,
 )
 
-MOST_ELECTRONS = 2.0**31  # largest Poisson mean: up to here the samplers' errors were measured
-SUMMED_MEAN = 10.0  # up to here the distribution is summed; Hörmann's constants hold above
-MOST_PROPOSALS = 256  # each is accepted with a chance above 1/2; the count is NaN after so many
+MOST_ELECTRONS = 2.0**31  # largest Poisson mean for which the samplers' errors were measured
+SUMMED_MEAN = 10.0  # up to this mean the distribution is summed; Hörmann's constants hold above
+MOST_PROPOSALS = 256  # then the count is NaN; each proposal is accepted with a chance above 1/2
 SUMMED_COUNTS = 38  # P(N >= 38) is 4e-11 at a mean of 10, below the smallest uniform number
 
 
 @takes_numbers
 def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
-    """Draws the electrons counted in each pixel.
+    """Draw the electrons counted in each pixel.
 
     With `PoissonShotNoise` the cumulative probabilities are accurate to 3e-6 at every mean up to
     2^31, also in float32. `FastPoissonShotNoise` differs from it in total variation by less than
@@ -107,7 +107,7 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
 
 
 def _check_countable(mean: Scalars) -> None:
-    """Refuse means beyond the range of the Poisson draws, if they are known."""
+    """Raise `ValueError` for known means beyond the range of the Poisson draws."""
     if is_known(mean) and (beyond := np.asarray(mean) > MOST_ELECTRONS).any():
         raise ValueError(
             f"mean must be at most {MOST_ELECTRONS:.0f} electrons for Poisson draws, got "
@@ -117,7 +117,7 @@ def _check_countable(mean: Scalars) -> None:
 
 
 def _exact_poisson(key: Key, bits: Words, mean: Scalars) -> Scalars:
-    """A Poisson draw for each mean, from 32 uniform bits for each entry."""
+    """Draw a Poisson count for each mean, from 32 uniform bits for each entry."""
     few = mean < SUMMED_MEAN
     summed = _summed_inverse(tail_probability(bits, mean.dtype), jnp.where(few, mean, 0))
     many = (mean >= SUMMED_MEAN) & (mean <= MOST_ELECTRONS)
@@ -126,15 +126,15 @@ def _exact_poisson(key: Key, bits: Words, mean: Scalars) -> Scalars:
 
 @one_program
 def _rejection_draws(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scalars:
-    """Poisson draws for means of at least 10, as distances from the mean's whole part, tested in
-    float32; the whole part where `done`."""
+    """Draw Poisson counts for means of at least 10. Proposals are distances from the mean's whole
+    part, tested in float32. Where `done`, the result is the whole part."""
     seed = seed_of(key)
     place = jax.lax.iota(jnp.uint32, mean.size).reshape(mean.shape)
     whole = jnp.floor(mean)
     part = mean - whole
     b = 0.931 + 2.53 * jnp.sqrt(mean)
     a = -0.059 + 0.02483 * b
-    inverse_alpha = 1.006 * (1.1239 + 1.1328 / (b - 3.4))  # his hat is up to 0.5 % too low
+    inverse_alpha = 1.006 * (1.1239 + 1.1328 / (b - 3.4))  # Hörmann's hat is up to 0.5 % too low
     shape = [x.astype(jnp.float32) for x in (part, mean, a, b, inverse_alpha)]
 
     def propose(state: tuple[UInt32[Array, ""], Scalars]) -> tuple[UInt32[Array, ""], Scalars]:
@@ -146,7 +146,7 @@ def _rejection_draws(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scala
         accepted &= (steps >= -whole) & jnp.isnan(drawn)
         return attempt + 1, jnp.where(accepted, steps, drawn)
 
-    # one array of state, NaN where nothing is drawn yet: XLA would compute two of them apart
+    # one array of state, NaN where nothing is drawn yet, because XLA would need two loops for two
     start = jnp.zeros((), jnp.uint32), jnp.where(done, 0, jnp.nan).astype(mean.dtype)
 
     def is_left(state: tuple[UInt32[Array, ""], Scalars]) -> Bool[Array, ""]:
@@ -166,26 +166,28 @@ def _accept(
     b: Scalars,
     inverse_alpha: Scalars,
 ) -> Bool[Array, "..."]:
-    """Whether a proposal is accepted, with `bits` for its chance."""
+    """Whether a proposal is accepted; `bits` are its random bits."""
     height = tail_probability(bits, mean.dtype) * inverse_alpha / (a / (edge * edge) + b)
     return height <= _poisson_probability(steps - part, mean)
 
 
 def _poisson_probability(excess: Scalars, mean: Scalars) -> Scalars:
-    """P(N = mean + excess) by Loader's form at the next count: P(n) = P(n + 1) (n + 1) / mean."""
+    """Return P(N = mean + excess), from Loader's form for the next count: P(n) = P(n + 1) (n + 1) /
+    mean."""
     n = jnp.maximum(mean + (excess + 1), 1)
     size = jnp.exp(-poisson_deviance(n, excess + 1, mean) - stirling_remainder(n))
     return size * jnp.sqrt(n / (2 * np.pi)) / mean
 
 
-# 1/3, 1/5, ... of arctanh(v) - v, cut below an ULP of it at v = 0.1, by the size of a number
+# Coefficients 1/3, 1/5, ... of arctanh(v) - v, truncated below an ULP at v = 0.1, for numbers of 4
+# and 8 bytes.
 _ARCTANH = {4: [1 / k for k in (9, 7, 5, 3)], 8: [1 / k for k in range(17, 1, -2)]}
 
 
 @takes_numbers
 def poisson_deviance(n: Scalars, excess: Scalars, mean: Scalars) -> Scalars:
-    """Loader's D_0 = n ln(n / mean) - excess, no unit, without cancellation, for counts n >= 1 and
-    `excess` = n - mean, electrons, known more accurately than the difference."""
+    """Return Loader's D_0 = n ln(n / mean) - excess, no unit, without cancellation, for counts n >=
+    1. `excess` = n - mean, electrons, must be more accurate than the computed difference."""
     v = excess / (n + mean)
     square = v * v
     near = v * square * polynomial(_ARCTANH[8 if v.dtype == jnp.float64 else 4], square)
@@ -194,8 +196,8 @@ def poisson_deviance(n: Scalars, excess: Scalars, mean: Scalars) -> Scalars:
 
 @takes_numbers
 def stirling_remainder(n: Scalars) -> Scalars:
-    """ln n! - (n + 1/2) ln n + n - ln(2 pi) / 2, no unit, by its continued fraction. The error is
-    1e-5 at n = 1 and 1e-13 from 30 counts on."""
+    """Return ln n! - (n + 1/2) ln n + n - ln(2 pi) / 2, no unit, by its continued fraction. The
+    error is 1e-5 at n = 1 and 1e-13 for n >= 30."""
     fraction = n
     for term in (22999 / 22737, 195 / 371, 53 / 210, 1 / 30):
         fraction = n + term / fraction
@@ -203,13 +205,13 @@ def stirling_remainder(n: Scalars) -> Scalars:
 
 
 def _inverse_poisson(bits: Words, mean: Scalars) -> Scalars:
-    """The count that a Poisson variable of that `mean` exceeds with a probability of at most (bits
-    + 1/2) / 2^32, from 32 uniform bits for each entry.
+    """Return the count that a Poisson variable of this `mean` exceeds with a probability of at most
+    (bits + 1/2) / 2^32, from 32 uniform bits for each entry.
     """
     few = mean < SUMMED_MEAN
     many = jnp.where(few, SUMMED_MEAN, mean)
     z, root = upper_quantile(bits, mean.dtype), jnp.sqrt(many)
-    # the remainder is small beside a large mean and keeps its digits if rounded separately
+    # the terms below are small compared with a large mean, and are precise if rounded separately
     whole = jnp.floor(many)
     x = (many - whole) + root * z + (1 / 3 + z**2 / 6)
     x = x - (z / 36 + z**3 / 72) / root + (-8 / 405 + 7 * z**2 / 810 + z**4 / 270) / many
@@ -219,14 +221,14 @@ def _inverse_poisson(bits: Words, mean: Scalars) -> Scalars:
 
 
 def _along_draw(drawn: Scalars, mean: Scalars) -> Scalars:
-    """A count with the slope 1/2 + N / (2 mean), or 1 without light."""
+    """Return a count N with the slope 1/2 + N / (2 mean), or 1 without light."""
     slope = divide(drawn + mean, 2 * mean, ~(mean <= smallest_divisor(mean.dtype)), otherwise=1)
     return replace_gradient(jax.lax.stop_gradient(drawn), jax.lax.stop_gradient(slope) * mean)
 
 
 def _summed_inverse(probability: Scalars, mean: Scalars) -> Scalars:
-    """The number of survival functions P(N > 0), P(N > 1), ... that exceed `probability`. Each is
-    summed from its small end, so that the probabilities of rare counts are accurate.
+    """Return how many of P(N > 0), P(N > 1), ... exceed `probability`. Each is summed from its
+    small terms on, so that the probabilities of rare counts are accurate.
     """
     terms = [mean * jnp.exp(-mean)]
     for n in range(2, SUMMED_COUNTS):

@@ -1,12 +1,12 @@
-"""The exposure of each row over time, and the average of a moving scene over it.
+"""The exposure of each row over time, and the average of a moving scene over each exposure.
 
 Times in s; weights have no unit. The time from the first row's opening to the last row's closing is
-cut into equal slots. The scene is evaluated in the middle of each slot, and a row weights each slot
-by the part that lies within its own exposure. For a slot that a row covers in part, the scene in
-the middle of that part is interpolated linearly between the middles of two slots. A linear change
-is averaged exactly for every row. Slots as long as an exposure or longer begin earlier and end
-later, so that the first and the last middle fall on those of the first and the last row. A global
-shutter opens all rows at time 0.
+divided into equal slots. The scene is evaluated in the middle of each slot, and a row weights each
+slot by the part of it within the row's own exposure. If a row's exposure covers a slot in part, the
+scene in the middle of this part is interpolated linearly between the middles of two slots. So a
+linear change is averaged exactly for every row. If slots are at least as long as an exposure, they
+begin earlier and end later, so that the middles of the first and last slot are those of the first
+and last row's exposure. A global shutter opens all rows at time 0.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ Pictures = TypeVar("Pictures")
 def row_starts(
     shutter: RollingShutter | None, exposure_time: Scalar, *, rows: int
 ) -> Float[Array, " rows"]:
-    """Time at which the exposure of each row begins.
+    """Return the time at which the exposure of each row begins.
 
     Args:
         shutter: the rolling shutter; None for a global shutter, which opens every row at 0.
@@ -52,7 +52,7 @@ def row_starts(
 def exposure_slots(
     shutter: RollingShutter | None, exposure_time: Scalar, *, rows: int, slots: int
 ) -> tuple[Float[Array, " slots"], Float[Array, "rows slots"]]:
-    """Time slots of an exposure, and the weight of each slot in the average of each row.
+    """Return the time slots of an exposure, and the weight of each slot in the average of each row.
 
     Args:
         shutter: the rolling shutter; None for a global shutter.
@@ -101,14 +101,14 @@ def exposed(
     rows: int,
     slots: int,
 ) -> Pictures:
-    """A picture averaged over the exposure of each row.
+    """Average a picture over the exposure of each row.
 
     Args:
         shutter: the rolling shutter; None for a global shutter.
         exposure_time: () s.
         picture_at: function from a time () in s to the picture (rows, w, bands) in any unit, or to
             a record of several such pictures. It is called once for each slot without compilation:
-            wrap it in `jax.jit` where this is slow.
+            wrap it in `jax.jit` if this is slow.
         rows: number of rows, static.
         slots: number of times at which the picture is evaluated, static; for a smooth motion the
             error falls with the square of it.
@@ -120,7 +120,7 @@ def exposed(
         ValueError: `slots` is less than 1.
 
     Example:
-        What grows brighter by 1 each second, seen for 2 s by each row.
+        The scene grows brighter by 1 each second, and each row is exposed for 2 s.
 
         >>> shutter = jv.RollingShutter(line_time=2.0)
         >>> growing = lambda t: t * jnp.ones((2, 1, 1))
