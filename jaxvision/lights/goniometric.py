@@ -217,7 +217,7 @@ def flux(light: Goniometric) -> Colour:
         light: the lamp.
 
     Returns:
-        (bands,) W, the integral of its intensity over all directions; lm for an intensity in cd.
+        (bands,) W, the integral of its intensity in W sr^-1 over all directions; lm for cd.
 
     Example:
         >>> even = np.ones((2, 1)), [0, np.pi], [0.0]

@@ -68,7 +68,7 @@ def crossing(ray: Ray, window: Window) -> Crossing:
 
 
 def hit_window(ray: Ray, window: Window) -> tuple[Crossing, Array]:
-    """Return the crossing, and whether it is inside the window, at a distance > 0, and on the
+    """Return the crossing, and whether it is inside the window, at a distance > 0 in m, and on the
     front."""
     at = crossing(ray, window)
     inside = (at.u >= 0) & (at.u <= 1) & (at.v >= 0) & (at.v <= 1)
