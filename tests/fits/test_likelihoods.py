@@ -600,7 +600,7 @@ def test_a_table_of_codes_is_multinomial_within_its_codes():
         tables.check_data(-counts)
     with pytest.raises(InputError, match=r"each table has \d+ codes and 2 counts;"):
         tables.check_data(counts[:, :2])
-    with pytest.raises(InputError, match=r"one is 0\.5; give counts, no shares"):
+    with pytest.raises(InputError, match=r"one is 0\.5; give counts, not shares"):
         tables.check_data(np.full(counts.shape, 0.5))
     for codes, words in (([5, 6, 5], "hold 5 twice"), ([5, np.nan], "hold one that is not finite")):
         with pytest.raises(InputError, match=f"codes {words}; give each code of a table once"):

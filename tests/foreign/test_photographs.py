@@ -29,7 +29,7 @@ def test_a_camera_that_clips_below_full_scale_is_noticed(seed):
     found = of(np.minimum(images, 2000))
     assert found.clip == 2000
     count = int((np.minimum(images, 2000)[:, found.rows, found.columns] == 2000).sum())
-    assert any(f"{count} samples stand at 2000 DN and none above" in s for s in found.findings)
+    assert any(f"{count} samples are at 2000 DN and none above" in s for s in found.findings)
     for clear in (images, 60 + np.round((images - 60) / 16)):
         assert of(clear).clip == 4095
     assert of(np.minimum(images, 2000), saturation=3000).clip == 3000

@@ -239,7 +239,7 @@ def test_a_file_and_its_rig_are_read_by_reflectance(tmp_path):
     np.testing.assert_allclose(seen.uncertain["intensity_sd"], found.intensity_sd, rtol=1e-2)
     other = rig.replace(f"{found.places[0, 0]:.6f}", f"{found.places[0, 0] + 0.005:.6f}")
     (tmp_path / "rig.toml").write_text(other)
-    with pytest.raises(InputError, match=r"is none of those of lights\.npz"):
+    with pytest.raises(InputError, match=r"is not in lights\.npz"):
         read_reflectance_observation(tmp_path)
     both_given = rig.replace("intensity_sd", "direction_sd = 0.01\nintensity_sd", 1)
     (tmp_path / "rig.toml").write_text(both_given)

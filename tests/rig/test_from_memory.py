@@ -198,7 +198,7 @@ def test_photographs_of_a_known_shape(tmp_path, shape):
         ({"intensity_sd": [0.01] * 3}, "values of intensity_sd"),
         ({"intensity_sd": -0.01}, "intensity_sd"),
         ({"direction_sd": np.nan}, "direction_sd"),
-        ({"direction_sd": 3.0}, "3 rad tells nothing of a direction; give it in radians"),
+        ({"direction_sd": 3.0}, "3 rad leaves the direction unknown; give it in radians"),
     ],
 )
 def test_unusable_errors_of_lights_are_refused(given, said):
