@@ -154,7 +154,7 @@ def run(
     title: str, path: Path, options: Options, calibrate: Calibrate, *, repeats: bool = False
 ) -> None:
     """Calibrate, write the requested files, and print the result. A section without results says
-    why, and the exit status is that of bad input. A command that `repeats` its fits is compiled
+    why, and the exit status is the one for bad input. A command that `repeats` its fits is compiled
     with optimisation, other commands without."""
     if not repeats:
         compile_quickly()

@@ -452,7 +452,7 @@ class Level(Entry):
         exposure: s, or as "1/8"; 0 for a bias frame, or where the light comes from a flash.
         iso: ISO speed at which the frames were taken.
         gain_db: gain at which the frames were taken, dB, instead of an ISO speed.
-        temperature: K, of the sensor (default: that of the camera).
+        temperature: K, of the sensor (default: the camera's temperature).
     """
 
     files: Annotated[tuple[str, ...], Field(min_length=2)]

@@ -48,8 +48,8 @@ class Sensitivities:
     Attributes:
         wavelengths: (bands,) m.
         channels: names.
-        draws: (draws, bands, channels) of the sensitivities, in the unit of readings over that of
-            the light, at least 0.
+        draws: (draws, bands, channels) of the sensitivities, in the unit of readings divided by the
+            unit of the light, at least 0.
         length: (channels,) correlation length over wavelength, m.
         noise: (channels,) standard deviation of the readings, relative to the stated one; in the
             unit of the readings if none was stated.
@@ -80,8 +80,8 @@ class Sensitivities:
         return bands(np.einsum("...b,dbc->d...c", self._light("light", light), self.draws))
 
     def white_balance(self, illuminant: ArrayLike) -> Bands:
-        """Factors on the channels that make the readings of white equal to that of the second
-        channel.
+        """Factors on the channels that make all readings of white equal to the reading of the
+        second channel.
 
         Args:
             illuminant: (bands,) spectrum of the light on a perfect white, relative.

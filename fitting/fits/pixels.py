@@ -44,7 +44,7 @@ def fit_map(
     """Fit a problem at every pixel separately, or once for all pixels of each label.
 
     One compiled program fits `chunk` pixels at a time, so the memory is bounded by one chunk and
-    the maps. Estimates, errors and verdict are those of `fit` for the pixel's data, except for the
+    the maps. Estimates, errors and verdict equal those of `fit` for the pixel's data, without the
     test of neighbouring residuals. If a pixel cannot be fitted, because data are missing or not
     finite, the maps are NaN, and the findings count it.
 
@@ -58,7 +58,7 @@ def fit_map(
             shape in the problem followed by that of the map differs between pixels; any other leaf
             is used for all pixels. None takes the problem's inputs for all pixels.
         labels: (*map) whole numbers. Pixels of one label (a material) share one set of parameters;
-            pixels with a negative label are left out. None fits every pixel by itself.
+            pixels with a negative label are left out. None fits every pixel separately.
         starts: number of searches for each pixel, spread over bounds and priors.
         misfit: as `fit` takes it.
         chunk: number of pixels fitted at a time.

@@ -158,7 +158,7 @@ class Fit:
                 ({"gain": "camera.sensor.gain"}, {"camera.*": "left.*"}).
 
         Returns:
-            What `Problem(..., prior=...)` takes.
+            The prior, for `Problem(..., prior=...)`.
 
         Raises:
             InputError: for a name that matches nothing, a fit that did not converge, and a

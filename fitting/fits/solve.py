@@ -88,8 +88,7 @@ def fit(
 
     A `Candidate` is kept only if the data support it: it passes Schwarz' criterion, and chance does
     not explain its distance from the absent value. The weakest candidate is dropped first. The
-    estimates are those of the problem without the dropped terms, and `Fit.choices` gives the
-    reasons.
+    estimates belong to the problem without the dropped terms, and `Fit.choices` gives the reasons.
 
     If finite differences at the optimum differ from the gradient, for example because edges of
     shadows move, the fit uses finite differences for its verdict and curvature, and a finding names

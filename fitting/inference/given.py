@@ -113,7 +113,7 @@ def number_or_name(what: str) -> Callable[[Any], Any]:
 
 
 def end_or_name(what: str) -> Callable[[Any], Any]:
-    """As `number_or_name`, for a bound that may be None."""
+    """Like `number_or_name`, for a bound that may be None."""
     convert = number_or_name(what)
     return lambda value: None if value is None else convert(value)
 

@@ -206,8 +206,8 @@ class _Proposed:
 
 
 def _proposals(space: ParameterSpace, mode: Array, covariance: np.ndarray) -> list[Proposal]:
-    """Proposals on the unconstrained scale and, if there are bounds, on that of the numbers
-    themselves."""
+    """Return proposals on the unconstrained scale and, if there are bounds, also on the scale of
+    the numbers themselves."""
     centre = np.asarray(mode, np.float64)
     if not any(np.isfinite(scaled_ends(parameter)).any() for parameter in space):
         return [(centre, covariance)]

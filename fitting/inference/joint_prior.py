@@ -237,7 +237,7 @@ def as_prior(draws: Mapping[str, Any], names: Selection) -> JointPrior:
         names: a name, a pattern such as "sensor.*", several of them, or new names by old ones.
 
     Returns:
-        What `Problem(..., prior=...)` takes.
+        The prior, for `Problem(..., prior=...)`.
 
     Raises:
         InputError: for a name that matches no varying number, for at least as many numbers as
@@ -323,7 +323,7 @@ def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) 
     low, high = found[:, worst]
     raise InputError(
         f"as_prior: the posterior of {name} is not Gaussian: 95 % of its draws lie from "
-        f"{low:.2f} to {high:.2f} standard deviations about their mean, those of a Gaussian from "
+        f"{low:.2f} to {high:.2f} standard deviations about their mean, a Gaussian's from "
         f"{-FAR} to {FAR}; fit the data of both in one problem, or take more data."
     )
 

@@ -288,9 +288,9 @@ def _deviate_below(end: Numbers, chance: Numbers) -> Numbers:
 class Clustered(eqx.Module):
     """Groups of data that share an error unknown to the likelihood.
 
-    The best fit is that of `likelihood`. Its errors are widened by the correlation of the residuals
-    within groups (a sandwich covariance, `clustering`). `draw` does not simulate the shared error,
-    whose form is unknown.
+    The best fit is the same as with `likelihood` alone. Its errors are widened for the correlation
+    of the residuals within groups (a sandwich covariance, `clustering`). `draw` does not simulate
+    the shared error, whose form is unknown.
 
     Attributes:
         likelihood: of each datum, without groups.
@@ -348,11 +348,11 @@ class Clustered(eqx.Module):
         return self.likelihood.surrogate
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """Log density of each datum by itself."""
+        """Return the log density of each datum, as if data were independent."""
         return self.likelihood.log_density(prediction, data)
 
     def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Numbers:
-        """Residual of each datum by itself."""
+        """Return the residual of each datum, as if data were independent."""
         return self.likelihood.residuals(prediction, data, chance)
 
     def draw(self, key: Array, prediction: Array) -> Array:

@@ -69,7 +69,7 @@ class Parameter(eqx.Module):
         upper: upper bound, in the same form as `lower`.
         prior: density of each value in its own unit (`Normal`, `LogNormal`, ...); for an array one
             for all, or a tuple with one each; None for flat.
-        shape: of the value; None takes that of `start`, or () without one.
+        shape: of the value; None takes the shape of `start`, or () without a start.
         start: value where a search begins, in its unit; None derives it from the bounds or the
             prior.
         linear: whether the prediction is linear in the parameter, as in an amplitude or a

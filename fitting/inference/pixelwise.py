@@ -1,8 +1,8 @@
 """Many small problems of one form with separate data, fitted in one program.
 
 Every search is a damped Newton method from each of the starts, and the end with the lowest cost is
-kept. The curvature is that of `fit`: J^T J of a sum of squares, or else the Hessian. A problem with
-missing or non-finite data fails alone.
+kept. The curvature is the one that `fit` uses: J^T J for a sum of squares, the Hessian otherwise. A
+problem with missing or non-finite data fails without affecting the others.
 """
 
 from functools import partial

@@ -323,7 +323,7 @@ def values_at(problem: Problem, vector: Vector) -> Values:
 
 
 def values_from(problem: Problem, natural: Vector) -> Values:
-    """As `values_at`, from natural numbers (P,)."""
+    """Like `values_at`, from natural numbers (P,)."""
     values, begin = {}, 0
     for parameter in problem.free:
         size = int(np.prod(_shape(parameter)))
@@ -447,7 +447,7 @@ def least_squares_residuals(vector: Vector, problem: Problem) -> Float[Array, " 
 
 
 def residuals_from(natural: Vector, problem: Problem) -> Float[Array, " data"]:
-    """As `least_squares_residuals`, from natural numbers (P,)."""
+    """Like `least_squares_residuals`, from natural numbers (P,)."""
     values = values_from(problem, natural)
     likelihood = likelihood_at(problem, values)
     found = likelihood.residuals(prediction(problem, values), problem.data, np.zeros(()))

@@ -118,7 +118,8 @@ def _descended(gram: Array, moment: Array, signed: np.ndarray) -> Array:
 
 
 def _support_optimum(support: Array, gram: Array, moment: Array) -> tuple[Array, Array]:
-    """The unconstrained optimum of some columns, 0 for the others, and whether it exists."""
+    """Return the unconstrained optimum for the columns of a support, 0 for all other columns, and
+    whether it exists."""
     both = support[:, None] & support[None]
     own = jnp.where(both, gram, jnp.eye(len(moment), dtype=gram.dtype))
     return _solve_scaled(own, jnp.where(support, moment, 0))

@@ -92,7 +92,8 @@ class ResponseCurve:
         covariance: (bins, bins) of g.
         freedom: (bins,) degrees of freedom of its variances; a million where the noise of pixels
             determines them.
-        seen: (bins,) true for bins with usable observations; the prior extrapolates to the others.
+        seen: (bins,) true for bins with usable observations; the prior extrapolates to all other
+            bins.
         bin_means: (bins,) mean of g over each bin.
         exposures: used exposures, s.
         shutter_offsets: (exposures,) delta_j, without the part that a change of the curve could

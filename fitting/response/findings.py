@@ -335,7 +335,7 @@ def _one_hue_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _colours_apart_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """A finding if the curves of red and blue are powers of that of green."""
+    """Return a finding if the curves of red and blue are powers of the green curve."""
     told = []
     for green in (c for c in channels if c.plane.channel == "green"):
         for other in channels:

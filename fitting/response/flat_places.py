@@ -1,4 +1,4 @@
-"""The curve corrected to that of flat parts of the picture.
+"""The response curve, corrected to the curve of flat parts of the picture.
 
 A camera that sharpens adds to a code a share of its difference from the surrounding codes. Pixels
 with equal light then have different codes where the picture is busy. This is not noise. Unless the

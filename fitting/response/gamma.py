@@ -169,7 +169,7 @@ class GammaFit:
         departure: (bins,) ln X of the measured curve minus ln X of the best gamma; NaN for codes
             without observations.
         srgb_departure: (bins,) the same difference from the sRGB curve.
-        dispersion: misfit of the best gamma over that of the free curve.
+        dispersion: misfit of the best gamma divided by the misfit of the free curve.
         findings: sentences on what the data cannot distinguish.
         left_out: errors that the rig states and that are negligible.
     """
@@ -275,7 +275,8 @@ def _undetectable(
 
 
 def log_code_means(curve: ResponseCurve, *, shift: float = 0.0) -> Float[np.ndarray, " bins"]:
-    """Mean of ln(code - black) over each bin of codes, minus that of the middle bin."""
+    """Return the mean of ln(code - black) over each bin of codes, minus the mean over the middle
+    bin."""
     ends = np.log(np.maximum(curve.bins.edges - curve.bins.black - shift, 1e-3))
     means = (ends[1:] + ends[:-1]) / 2
     return means - means[len(means) // 2]
