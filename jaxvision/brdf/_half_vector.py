@@ -54,7 +54,7 @@ def square_to_half(position: Square, phi: Scalar) -> Vec:
 
 
 def half_to_square(h: Vec, phi: Scalar) -> Square:
-    """The inverse of `square_to_half`."""
+    """Invert `square_to_half`: return the position of a half vector in the square."""
     return elevation_to_unit(elevation(h)), azimuth_to_unit(azimuth(h) - phi)
 
 

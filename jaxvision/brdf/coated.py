@@ -186,7 +186,7 @@ def _from_body(material: Coated, wi: Direction, wo: Direction) -> Colour:
 
 
 def evaluate(material: Coated, wi: Direction, wo: Direction) -> Colour:
-    """f_r, (bands,) in sr^-1."""
+    """Return f_r, (bands,) in sr^-1."""
     lobe = torrance_sparrow.microfacet_lobe(_facets(material), wi, wo)
     return lobe + _from_body(material, wi, wo)
 
@@ -211,7 +211,7 @@ def sample(material: Coated, wo: Direction, u: Float[Array, "3"]) -> Vec:
 
 
 def pdf(material: Coated, wi: Direction, wo: Direction) -> Scalar:
-    """Density of `sample` in sr^-1."""
+    """Return the density of `sample` in sr^-1."""
     return mixed_pdf(_body_part(material, wo), wi, facet_pdf(wi, wo, _alpha(material)))
 
 

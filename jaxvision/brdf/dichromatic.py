@@ -67,7 +67,7 @@ class Dichromatic(Material):
 
 
 def evaluate(material: Dichromatic, wi: Direction, wo: Direction) -> Colour:
-    """f_r, (bands,) in sr^-1."""
+    """Return f_r, (bands,) in sr^-1."""
     return _two_terms(material, lambda part: family(part).evaluate(part, wi, wo))
 
 
@@ -108,7 +108,7 @@ def sample(material: Dichromatic, wo: Direction, u: Float[Array, "3"]) -> Vec:
 
 
 def pdf(material: Dichromatic, wi: Direction, wo: Direction) -> Scalar:
-    """Density of `sample` in sr^-1."""
+    """Return the density of `sample` in sr^-1."""
     part = _body_part(material)
     body = family(material.body).pdf(material.body, wi, wo)
     return part * body + (1 - part) * family(material.interface).pdf(material.interface, wi, wo)

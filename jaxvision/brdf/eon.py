@@ -88,7 +88,7 @@ def _between(material: EON) -> Colour:
 
 
 def evaluate(material: EON, wi: Direction, wo: Direction) -> Colour:
-    """f_r, (bands,) in sr^-1."""
+    """Return f_r, (bands,) in sr^-1."""
     i, o, r = as_vec(wi), as_vec(wo), material.roughness
     s = i.x * o.x + i.y * o.y
     single = 1 + r * jnp.where(s > 0, s / divisor(jnp.maximum(i.z, o.z)), s)

@@ -170,7 +170,7 @@ def reflect(
     *,
     tangent: Vector | None = None,
 ) -> Colour:
-    """`shading` in world coordinates.
+    """Compute `shading` in world coordinates.
 
     Args:
         material: any material.

@@ -150,7 +150,8 @@ def gaussian_lobe_shading(
     specular: Colour,
     concentration: Scalar,
 ) -> Colour:
-    """Shading k_d [n.l]+ + k_s exp(-(c_s theta_s)^2).
+    """Return the shading k_d [n.l]+ + k_s exp(-(c_s theta_s)^2), where [x]+ = max(x, 0), l points
+    to the light, and theta_s is the angle between the viewer and the mirror direction.
 
     Args:
         normal: (3,) unit.

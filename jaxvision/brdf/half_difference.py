@@ -127,8 +127,8 @@ def bin_angles(
 
 
 def evaluate(material: HalfDifferenceTable, wi: Direction, wo: Direction) -> Colour:
-    """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface. `wi`, `wo`: unit,
-    local frame."""
+    """Return f_r, (bands,) in sr^-1; 0 if either direction lies below the surface. `wi`, `wo`:
+    unit, local frame."""
     wi, wo = as_vec(wi), as_vec(wo)
     angles = half_difference(wi, wo)
     n_h, n_d, n_p, _ = material.values.shape

@@ -38,7 +38,8 @@ class Lambert(Material):
 
 @takes_numbers
 def lambert_shading(normal: Direction, wi: Direction, diffuse: Colour) -> Colour:
-    """Lambert's shading k_d [n.l]+: radiance per unit of irradiance on a surface facing the light.
+    """Return Lambert's shading k_d max(n.l, 0), with l toward the light: the radiance per unit of
+    irradiance on a surface that faces the light.
 
     Args:
         normal: (3,) unit.
@@ -60,12 +61,12 @@ def lambert_shading(normal: Direction, wi: Direction, diffuse: Colour) -> Colour
 
 
 def evaluate(material: Lambert, wi: Direction, wo: Direction) -> Colour:
-    """f_r = k_d, (bands,) in sr^-1."""
+    """Return f_r = k_d, (bands,) in sr^-1."""
     return where_seen(wi, wo, material.diffuse)
 
 
 def albedo(material: Lambert, wo: Direction) -> Colour:
-    """pi k_d, (bands,), no unit, from every direction."""
+    """Return the albedo pi k_d, (bands,), no unit, the same for every direction."""
     del wo
     return jnp.pi * material.diffuse
 

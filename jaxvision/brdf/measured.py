@@ -189,8 +189,8 @@ def _looked_up(table: AngleTable, wi: Vec, wo: Vec) -> Colour:
 
 
 def evaluate(material: AngleTable, wi: Direction, wo: Direction) -> Colour:
-    """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface. `wi`, `wo`: unit,
-    local frame."""
+    """Return f_r, (bands,) in sr^-1; 0 if either direction lies below the surface. `wi`, `wo`:
+    unit, local frame."""
     wi, wo = as_vec(wi), as_vec(wo)
     value = _looked_up(material, wi, wo)
     if material.reciprocal:

@@ -67,7 +67,7 @@ class OrenNayar(Material):
 
 
 def evaluate(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
-    """f_r, (bands,) in sr^-1."""
+    """Return f_r, (bands,) in sr^-1."""
     form = _qualitative if material.form == "qualitative" else _full
     return where_seen(wi, wo, form(material, wi, wo))
 

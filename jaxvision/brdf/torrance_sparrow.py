@@ -184,7 +184,7 @@ def microfacet_lobe(material: TorranceSparrow, wi: Direction, wo: Direction) -> 
 
 
 def evaluate(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
-    """f_r, (bands,) in sr^-1."""
+    """Return f_r, (bands,) in sr^-1."""
     body = where_seen(wi, wo, material.diffuse)
     lobe = microfacet_lobe(material, wi, wo)
     if material.multiple_scattering is not None:
@@ -266,7 +266,7 @@ def sample(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Ve
 
 
 def pdf(material: TorranceSparrow, wi: Direction, wo: Direction) -> Scalar:
-    """Density of `sample` in sr^-1."""
+    """Return the density of `sample` in sr^-1."""
     match material.shadowing:
         case "smith":
             lobe = facet_pdf(wi, wo, _alpha(material))

@@ -10,7 +10,7 @@ KRONECKER_STEPS = (0.7548776662466927, 0.5698402909980532)
 
 
 def gauss_legendre(order: int) -> tuple[Float[np.ndarray, " order"], Float[np.ndarray, " order"]]:
-    """Gauss-Legendre quadrature on [0, 1], exact for polynomials to degree 2 order - 1.
+    """Return Gauss-Legendre nodes and weights on [0, 1], exact up to degree 2 order - 1.
 
     Args:
         order: number of nodes, at least 1.

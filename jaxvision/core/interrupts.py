@@ -65,7 +65,7 @@ def leaves_work_behind() -> None:
 
 @contextmanager
 def raised_interrupts() -> Iterator[None]:
-    """Context in which an interrupt raises `KeyboardInterrupt`; contexts may be nested."""
+    """Let an interrupt raise `KeyboardInterrupt` in this context; contexts may be nested."""
     outermost = not _ending.raised.is_set()
     _ending.raised.set()
     try:
@@ -77,8 +77,7 @@ def raised_interrupts() -> Iterator[None]:
 
 @contextmanager
 def removed_if_interrupted(file: Path) -> Iterator[None]:
-    """Context manager for a file that is complete at the end. An interrupt or an error removes
-    it."""
+    """Remove a file that is not complete if an interrupt ends the process in this context."""
     _ending.unfinished.add(file)
     try:
         yield

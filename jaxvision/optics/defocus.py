@@ -207,7 +207,7 @@ def chromatic_defocus(
     *,
     radius: int,
 ) -> Picture:
-    """Longitudinal chromatic aberration: `gather_defocus` with a focal length for each band.
+    """Apply longitudinal chromatic aberration: `gather_defocus` with a focal length for each band.
 
     The sensor stays at the view's image distance.
 

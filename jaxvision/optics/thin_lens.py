@@ -156,7 +156,7 @@ def lens_power(
     *,
     thickness: Scalars | None = None,
 ) -> Scalars:
-    """The lensmaker's equation: 1 / f = (n - 1) (c_1 - c_2 + (n - 1) t c_1 c_2 / n).
+    """Return 1 / f = (n - 1) (c_1 - c_2 + (n - 1) t c_1 c_2 / n), the lensmaker's equation.
 
     Distances of a thick lens count from its principal planes.
 

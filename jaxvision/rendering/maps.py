@@ -296,12 +296,13 @@ def _step(ray: Ray, change: Ray, hit: Hit) -> Vec:
 
 
 def shading_normal(tilted: Vec, flat: Vec, viewer: Vec) -> Vec:
-    """The normal of a map, unit and on the viewer's side like `flat`, the shape's, bent toward that
-    so that the viewer's mirror image lies above the surface. A matt surface would else be black
-    where the viewer is below the tilted surface.
+    """Return a map's normal `tilted`, bent toward the shape's normal `flat` so that the viewer's
+    mirror direction lies above the surface. Both normals are unit and on the viewer's side. Without
+    bending, a matt surface would be black where the viewer is below the tilted surface.
 
-    In the plane of both normals, the viewer's angle to `flat` is b and that of the shading normal
-    a >= 0. The mirror image has the angle 2 a - b, which is at most pi / 2 for a <= pi / 4 + b / 2.
+    In the plane of both normals, the viewer's angle to `flat` is b, and that of the shading normal
+    is a >= 0. The mirror direction has the angle 2 a - b, which is at most pi / 2 for a <= pi / 4 +
+    b / 2.
     """
     height = dot(tilted, flat)
     aside = tilted - height * flat

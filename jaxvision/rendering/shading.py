@@ -165,7 +165,7 @@ def reflected_bands(
     *,
     tangent: Vector | None = None,
 ) -> Bands:
-    """`reflected_radiance` band by band, W m^-2 sr^-1.
+    """Return `reflected_radiance` as one number per band, W m^-2 sr^-1.
 
     The samples of one light are summed by a loop, and so are more than eight lights without size.
     Up to eight lights without size are summed in one pass over the rays.

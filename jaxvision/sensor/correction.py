@@ -156,7 +156,7 @@ class Calibrated(Shown):
 
     @property
     def total_variance(self) -> Counts:
-        """Variance of the total error of a pixel, (..., h, w, bands), the sum of all parts."""
+        """The variance of the total error of a pixel, (..., h, w, bands), the sum of all parts."""
         return self._sum(lambda part: True)
 
     @property

@@ -87,7 +87,7 @@ class Emitters(eqx.Module):
 
 
 def emitters_of(scene: Scene) -> Emitters:
-    """The emitters of a scene: lights first, then emissive surfaces of finite area; no unit."""
+    """Return the emitters of a scene: lights, then emissive surfaces of finite area; no unit."""
     surfaces = scene.surfaces
     two_sided = jnp.asarray([surface.two_sided for surface in surfaces])
     shining = {i: s.emission for i, s in enumerate(surfaces) if s.emission is not None}
@@ -160,8 +160,8 @@ def _toward(arriving: Incident, density: Scalar) -> Toward:
 
 
 def _toward_surface(emitter: Emissive, point: Vec, u: Float[Array, "2"]) -> Toward:
-    """A direction toward a point of an emissive surface. Its density is one over the shape's area,
-    converted to solid angle by d^2 / cos."""
+    """Return a direction toward a point of an emissive surface. The point has density 1 / area of
+    the shape, which d^2 / cos converts to a density per solid angle."""
     place, whole = point_on(emitter.shape, u), surface_area(emitter.shape)
     toward = place.point - point
     distance = safe_sqrt(dot(toward, toward))

@@ -98,7 +98,7 @@ class Vertex(eqx.Module):
 
 
 def surfaces_of(scene: Scene) -> Surfaces:
-    """The surfaces of a scene; lengths in m."""
+    """Sort the surfaces of a scene once for all rays; lengths in m."""
     materials = [surface.material for surface in scene.surfaces]
     filled = [is_body(material) for material in materials]
     absorptions = [brdf.absorption(material) for material in materials]
@@ -131,7 +131,7 @@ def _splits(material: Material) -> bool:
 
 
 def meet(surfaces: Surfaces, ray: Ray) -> Met:
-    """The first surface that a ray meets, in m; gradients reach the shape that is met."""
+    """Return the first surface that a ray meets, in m; gradients reach only this shape."""
     encounter = checkpoint_name(searched(nearest_shape, ray, surfaces.shapes), SEARCHED)
     hit, patch = fuse(hit_shape(ray, surfaces.shapes, encounter)), None
     if surfaces.varied is not None:
@@ -193,8 +193,8 @@ def vertex(
 
 
 def shaded_toward(surfaces: Surfaces, met: Met, back: Vec, asked: Vec, *, bands: int) -> Colour:
-    """S(wi = asked, wo = back) at the surface that was met, (bands,) sr^-1. `back`, `asked`: unit,
-    world. It is 0 for mirrors, for glass, and for a surface seen from behind."""
+    """Return the shading S(wi = asked, wo = back) at the surface that was met, (bands,) sr^-1; 0
+    for mirrors, for glass, and for a surface seen from behind. `back`, `asked`: unit, world."""
     _, viewer, light, flat = _seen_from(surfaces, met, back, asked)
     seen = (viewer.z > 0) & (_height(viewer, flat) > 0) & (_height(light, flat) > 0)
     shaded = jnp.zeros(bands, back.x.dtype)
@@ -254,7 +254,7 @@ def _seen_from(
 
 
 def _height(w: Vec, flat: Vec | None) -> Scalar:
-    """The cosine between a direction and the geometric normal, both local."""
+    """Return the cosine between a direction and the geometric normal, both local."""
     return w.z if flat is None else dot(w, flat)
 
 
@@ -379,7 +379,7 @@ class World(eqx.Module):
 
 
 def world_of(scene: Scene) -> World:
-    """The scene in the form for tracing; lengths in m."""
+    """Prepare a scene for tracing; lengths in m."""
     surfaces, emitters = surfaces_of(scene), emitters_of(scene)
     emissions = [surface.emission for surface in scene.surfaces if surface.emission is not None]
     materials = [surface.material for surface in scene.surfaces]

@@ -117,7 +117,7 @@ def light_traced(
 def _with_sources(
     key: Key, scene: Scene, view: View, seen: Traced, paths: int, depth: int
 ) -> Traced:
-    """`seen`, the picture of visible emitters, with the light of the paths added."""
+    """Add the light of the paths to `seen`, the picture of visible emitters."""
     world = world_of(scene)
     ball = ball_around([surface.shape for surface in scene.surfaces])
     seed = seed_of(jax.random.fold_in(key, 1))

@@ -550,7 +550,7 @@ def _cut_short(
 
 
 def _grid(view: View) -> tuple[Array, Array]:
-    """Rows and columns of the pixels of a coarse grid."""
+    """Return the rows and columns of the pixels of a coarse grid."""
     axes = (
         (np.arange(min(size, _SIDE)) + 0.5) * size / min(size, _SIDE) - 0.5
         for size in view.resolution

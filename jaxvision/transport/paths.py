@@ -123,7 +123,7 @@ class _Path(eqx.Module):
 
 
 def path_sample(scene: Scene, ray: Ray, stream: Stream, *, method: Paths) -> Colour:
-    """The radiance of ONE random path.
+    """Compute the radiance of ONE random path.
 
     Args:
         scene: any scene; `Scene.ambient` is not added.
@@ -239,7 +239,7 @@ def _look(world: World, path: _Path, method: Paths) -> tuple[_Path, Met]:
 
 
 def _bounce(world: World, path: _Path, stream: Stream, k: Array, method: Paths) -> _Path:
-    """One segment of a path and the surface at its end."""
+    """Follow one segment of a path, and shade the surface at its end."""
     came = path.ray
     path, met = _look(world, path, method)
     dtype = met.hit.distance.dtype
@@ -288,7 +288,7 @@ def _where(counts: Bool[Array, ""], bands: Bands) -> Bands:
 
 @takes_numbers
 def path_radiance(key: Key, scene: Scene, ray: Ray, *, method: Paths) -> Traced:
-    """Radiance that arrives along one ray, against its direction.
+    """Compute the radiance that arrives along one ray, against its direction.
 
     Args:
         key: random key.

@@ -62,7 +62,7 @@ class _Tree(eqx.Module):
 def ray_tree_radiance(
     scene: Scene, ray: Ray, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
 ) -> Colour:
-    """Radiance that arrives along one ray, against its direction.
+    """Compute the radiance that arrives along one ray, against its direction.
 
     Args:
         scene: any scene; `Scene.ambient` is not added.
@@ -141,7 +141,7 @@ def _ray_trees(scene: Scene, along: Ray, rays: int, rule: Quadrature) -> Float[A
 
 
 def _block(rays: int) -> int:
-    """Rays that are traced, or skipped, together."""
+    """Return the number of rays that are traced, or skipped, together."""
     return min(at_a_time(_BLOCK), -(-rays // _BLOCK) * _BLOCK)
 
 
@@ -173,7 +173,7 @@ def _followed(world: World, rays: int) -> int:
 
 
 def _rules(scene: Scene, world: World, rule: Quadrature) -> Rules:
-    """One sampling rule for each emitter."""
+    """Return one sampling rule for each emitter."""
     rules: list[Quadrature] = []
     for i, own in enumerate(rules_of(scene, rule, count=world.emitters.count)):
         if not isinstance(own, Quadrature):
@@ -247,7 +247,7 @@ def _put(tree: _Tree, slot: Array, ray: Ray, weight: Colour, absorption: Colour 
 
 
 def _direct(world: World, met: Met, back: Vec, absorption: Colour | None, rules: Rules) -> Colour:
-    """Direct light from all emitters, with shadows."""
+    """Return the direct light from all emitters, with shadows."""
 
     def shine(toward: Toward) -> Colour:
         shaded = shaded_toward(world.surfaces, met, back, toward.direction, bands=world.bands)

@@ -29,7 +29,7 @@ R = TypeVar("R")
 
 
 def _found() -> Any:
-    """The module `primitives`, or None."""
+    """Return the module `primitives`, or None if it does not work or is switched off."""
     if os.environ.get("JAXVISION_PLAIN_JAX", "0") not in ("", "0"):
         return None
     try:

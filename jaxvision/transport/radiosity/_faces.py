@@ -76,7 +76,7 @@ def side(shape: Quad | Box, part: int) -> tuple[Array, Array, Array]:
 
 
 def _half_sides(box: Box) -> list[Vec]:
-    """Half the sides of a box as vectors, m."""
+    """Return half of each side of a box as a vector, m."""
     axes = jnp.eye(3, dtype=box.centre.dtype) if box.rotation is None else box.rotation
     return [as_vec(axes[k] * box.half_extents[k]) for k in range(3)]
 
@@ -124,13 +124,13 @@ def _at(index: Int[Array, ""], values: Sequence[Scalar]) -> Scalar:
 
 
 def _turn(x: Scalar, y: Scalar) -> Scalar:
-    """The angle of (x, y) as a fraction of a full turn, in [0, 1)."""
+    """Return the angle of (x, y) as a fraction of a full turn, in [0, 1)."""
     half = arctan2(jnp.abs(y), x) / (2 * jnp.pi)
     return jnp.where(y < 0, 1 - half, half)
 
 
 def _edge_coordinates(inside: Vec, u: Vec3, v: Vec3) -> tuple[Scalar, Scalar]:
-    """The coordinates, in [0, 1], along two edges."""
+    """Return the coordinates of a point, in [0, 1], along two edges."""
     area = cross(u, v)
     square = dot(area, area)
     inverse = reciprocal(square)

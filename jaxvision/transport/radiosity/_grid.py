@@ -129,7 +129,7 @@ def around_place(
     def neighbour(
         share: Scalar, barred: Callable[[Int[Array, ""]], Bool[Array, ""]]
     ) -> tuple[Int[Array, ""], Scalar]:
-        """The step to the neighbouring cell, and the weight of that cell."""
+        """Return the step to the neighbouring cell, and the weight of that cell."""
         step = jnp.where(share < 0, -1, 1)
         ahead, behind = barred(step), barred(-step)
         away = jnp.where(behind, 0, -jnp.abs(share))

@@ -44,12 +44,12 @@ def _stacked(values: Sequence[Array], like: Array) -> Table:
 
 
 def shapes_of(scene: Scene) -> Sorted:
-    """All shapes, m, prepared for many rays."""
+    """Prepare all shapes, m, for many rays."""
     return materialise(sorted_shapes, [surface.shape for surface in scene.surfaces])
 
 
 def largest_of(shapes: Sorted) -> Scalar:
-    """The largest coordinate of all shapes, m; `ValueError` if there are none."""
+    """Return the largest coordinate of all shapes, m; raise `ValueError` if there are none."""
     if shapes.size is None:
         raise ValueError("radiosity needs at least one surface, got none.")
     return shapes.size

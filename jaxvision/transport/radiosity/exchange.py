@@ -45,7 +45,7 @@ Numbered = tuple[Patches, Int[Array, "..."]]
 def form_factor_table(
     scene: Scene, plan: Plan, *, rays: int = 1, elements: Int[Array, " rows"] | None = None
 ) -> Float[Array, "rows patches"]:
-    """The form factor from each element to each patch of a plan.
+    """Compute the form factor from each element to each patch of a plan.
 
     Elements receive at their centres, or at an uncovered point if they are partly covered.
     Reciprocity is accurate to 2 % of the largest exchange in a cube of 3 x 3 patches per wall,

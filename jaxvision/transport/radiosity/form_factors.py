@@ -168,7 +168,7 @@ _TERMS = 7, 16  # terms of the series in float32 and in float64
 
 
 def _gain(x: Scalars, y: Scalars) -> Scalars:
-    """s arctan(x / s) - arctan(x) with s = sqrt(1 + y^2), for x >= 0. The difference of the two
+    """Return s arctan(x / s) - arctan(x) with s = sqrt(1 + y^2), for x >= 0. The difference of both
     angles is computed as one angle, and s - 1 as a quotient. For a small x the result is the sum
     over j >= 0 of
 
@@ -208,7 +208,7 @@ def _hinged(w: Scalars, h: Scalars) -> Scalars:
 
 
 def _log_of_side(w: Scalars, h: Scalars) -> Scalars:
-    """ln(1 - b) of `_hinged`, with b = h^2 / (S^2 (1 + w^2))."""
+    """Return ln(1 - b) of `_hinged`, with b = h^2 / (S^2 (1 + w^2))."""
     w2, h2 = w * w, h * h
     square = or_one(w2 + h2, w2 + h2 > 0)
     return _log_remaining(h2 / square / (1 + w2), (w2 / (1 + w2)) * ((1 + w2 + h2) / square))
@@ -304,7 +304,7 @@ def _area(sides: Float[Array, "2 2"]) -> Scalar:
 
 
 def _corners(sides: Float[Array, "2 2"], z: Scalar, *, upward: bool) -> Polygon:
-    """The corners of a rectangle, counterclockwise as seen from its front."""
+    """Return the corners of a rectangle, counterclockwise as seen from its front."""
     (x, right), (y, top) = sides
     a, b, c, d = Vec(x, y, z), Vec(right, y, z), Vec(right, top, z), Vec(x, top, z)
     return (a, b, c, d) if upward else (d, c, b, a)
@@ -336,7 +336,7 @@ def _surest(terms: Array, first: Array, second: Array, corners: tuple[Polygon, P
 
 
 def _longest(corners: Polygon) -> Scalar:
-    """The longer side of a rectangle, m."""
+    """Return the longer side of a rectangle, m."""
     a, b, _, d = corners
     return jnp.maximum(norm(b - a), norm(d - a))
 

@@ -67,7 +67,7 @@ def radiosity_along(
     rule: Rule = DEFAULT_RULE,
     gather: MonteCarlo | None = None,
 ) -> Colour:
-    """Radiance that arrives along one ray, against its direction.
+    """Compute the radiance that arrives along one ray, against its direction.
 
     Args:
         scene, plan, solution: a scene with its own plan and solution.
@@ -276,7 +276,7 @@ def _around(
     encounter: Encounter,
     behind: Bool[Array, ""],
 ) -> tuple[Int[Array, " 4"], Float[Array, " 4"]]:
-    """The elements around a hit and their weights."""
+    """Return the elements around a hit and their weights."""
     zero = jnp.zeros((), jnp.int32)
     place = zero, jnp.zeros_like(hit.distance), jnp.zeros_like(hit.distance)
     for members, group in enclosure.groups:
