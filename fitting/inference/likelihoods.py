@@ -184,7 +184,7 @@ class StudentT(eqx.Module):
         def deviate(z: Numbers, chance: Numbers | float = 1.0) -> Numbers:
             """The normal deviate of `chance` times the probability below, from its logarithm if
             that underflows."""
-            half = special.betainc(dof / 2, 0.5, dof / (dof + z**2)) / 2  # of -|z|
+            half = special.betainc(dof / 2, 0.5, dof / (dof + z**2)) / 2  # F(-|z|)
             share = chance * xp.where(z > 0, 1 - half, half)
             rare = share <= xp.finfo(share.dtype).tiny
             plain = special.ndtri(xp.where(rare, 0.5, share))

@@ -7,18 +7,18 @@ import numpy as np
 from jax.scipy import special
 from jaxtyping import Array, Float
 
-_FAR = 5.0  # deviations from which the continued fraction has all digits
+_FAR = 5.0  # deviations from which the continued fraction is accurate to rounding
 _TERMS = 24
-_NEARBY = 0.25  # of dof / (dof + z^2), below which the series of `_SUMMED` terms has all digits
+_NEARBY = 0.25  # dof / (dof + z^2) below which `_SUMMED` terms of the series suffice
 _SUMMED = 26
-_MANY = 20.0  # degrees of freedom from which quadrature has all digits, as betainc then has not
-_STEEP = 2.0  # scales from which that of the tail has
+_MANY = 20.0  # degrees of freedom from which quadrature is accurate and betainc is not
+_STEEP = 2.0  # scales from which the tail's quadrature is accurate
 _BETWEEN = np.polynomial.legendre.leggauss(16)  # nodes in (-1, 1), and weights
 _BEYOND = np.polynomial.laguerre.laggauss(32)
 _HALF_STEP = (-1 / 8, 1 / 192, -1 / 640, 17 / 14336, -31 / 18432, 691 / 180224)
 _STEPS = 8
 _RARE = -20.0  # ln of a probability below which `ndtri_exp` begins with the tail's asymptote
-_REFINED = 4  # steps of Newton from there
+_REFINED = 4  # Newton steps from that start
 HALF_LOG_PI = float(np.log(np.pi)) / 2
 
 
@@ -109,7 +109,7 @@ def _log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Arra
     far = series + _half_step(a) - HALF_LOG_PI
     many = dof >= _MANY
     near = jnp.log(special.betainc(jnp.where(many, 1, a), 0.5, jnp.maximum(x, _NEARBY)))
-    far, near = (value - float(np.log(2)) for value in (far, near))  # of -|z|
+    far, near = (value - float(np.log(2)) for value in (far, near))  # logarithms of F(-|z|)
     below = jnp.where(x < _NEARBY, far, jnp.where(many, _near_normal(jnp.abs(z), dof), near))
     return jnp.where(z > 0, log1mexp(below), below)
 
