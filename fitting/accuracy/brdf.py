@@ -101,5 +101,5 @@ def _part(samples: Samples, chosen: np.ndarray) -> Samples:
             name: jax.tree.map(of, getattr(samples, name))
             for name in ("geometry", "dn", "deviation", "saturated")
         },
-        offset=jax.tree.map(of, samples.offset),
+        offset=None if samples.offset is None else samples.offset[:, chosen],
     )

@@ -12,6 +12,7 @@ from ..inference.given import require_kind
 from ..inference.posterior import Posterior
 from ..inference.precision import double_precision
 from ..reflectance.from_images.fit import Adjusted, adjusted_posterior, robust
+from ..reflectance.from_images.pixel_area import with_fitted_pixels
 from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.shading_check import without_strangers
 from ..reflectance.from_images.signal import Form
@@ -90,8 +91,8 @@ def calibrate(
     kind, source = Photographs, "from_photographs"
     require_kind("joint.calibrate: measurement", measurement, kind, source=source)
     check_index(index)
-    observation = without_strangers(measurement)
     form = Form(model, free_gamma=fit_gamma, index=index)
+    observation = with_fitted_pixels(without_strangers(measurement), form)
     channels = len(observation.channels)
     fits, posteriors, robusts, halves = [], {}, {}, {}
 

@@ -85,16 +85,21 @@ def test_normals_within_pixels_of_a_map_follow_from_neighbours():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("parts", [1, 8])
 @pytest.mark.parametrize("top", [4095, 2400])
-def test_highlights_of_a_few_pixels_have_their_width(top):
-    """Taken as points, specular and exponent were 6 standard errors off, and with clipped
-    highlights 20 %."""
-    images = np.minimum(exposed(np.random.default_rng(0), signal(LIGHTS, 8)), top)
+def test_highlights_of_a_few_pixels_have_their_width(top, parts):
+    """In pictures of a camera, and in pictures rendered at the middle of each pixel. As points,
+    specular and exponent of the camera's were 6 standard errors off, and with clipped highlights
+    20 %."""
+    images = np.minimum(exposed(np.random.default_rng(0), signal(LIGHTS, parts)), top)
     camera = Camera(bits=12, black_level=BLACK, gain=GAIN, read_noise=READ, saturation=top)
     seen = observed(images, camera=camera)
-    by_brdf = reflectance.calibrate(seen, model="phong").posteriors["grey"]
-    for posterior in (by_brdf, joint.calibrate(seen, model="phong").posteriors["grey"]):
-        found = {one.name: one for one in estimates(posterior)}
+    for calibrate in (reflectance.calibrate, joint.calibrate):
+        calibration = calibrate(seen, model="phong")
+        assert (calibration.observation.within is None) == (parts == 1)
+        said = " ".join(calibration.observation.findings)
+        assert ("pixels were taken as points" in said) == (parts == 1)
+        found = {one.name: one for one in estimates(calibration.posteriors["grey"])}
         for name, true in TRUTH.items():
             value, error = found[name].value, found[name].standard_error
             assert value is not None

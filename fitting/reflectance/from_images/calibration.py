@@ -21,8 +21,9 @@ from ..models import check_index, shape_of
 from ..names import INDEX, MODELS, Model
 from .comparison import ModelScore, compare
 from .fit import ChannelFit, channel_posterior, fit_channel, lights_as_fitted, predicted_image
+from .pixel_area import with_seen_pixels
 from .read import Photographs
-from .samples import Selection, View, cells_of, select
+from .samples import Selection, View, cells_of, predict, select
 from .shading_check import without_strangers
 from .signal import Form, parameter_space
 
@@ -150,6 +151,24 @@ def calibrate(
     if progress is not None:
         progress(0, len(pieces))  # the first model may take seconds to compile
     fits = dict(zip(forms, side_by_side(pieces, progress=progress), strict=True))
+    if observation.within is not None:
+        likeliest = max(fits, key=lambda name: sum(fit.log_likelihood for fit in fits[name]))
+        fit = max(fits[likeliest], key=lambda fit: fit.samples.dn.mean())
+        exact = predict(fit.vector, fit.samples)
+        seen = with_seen_pixels(observation, fit.samples, exact, fitted.light)
+        if seen.within is None:
+            return calibrate(
+                seen,
+                model=model,
+                compare_all=compare_all,
+                index=index,
+                sampling=sampling,
+                seed=seed,
+                ambient=ambient,
+                fit_gamma=fit_gamma,
+                minimum_cosine=minimum_cosine,
+                progress=progress,
+            )
     reasons = {
         fit.channel: open_parameters(fit, matt)
         for fit, matt in zip(fits[model], fits["lambert"], strict=True)
