@@ -103,7 +103,7 @@ def test_a_prediction_of_something_else_is_refused():
 
 
 def test_a_scene_and_a_camera_are_needed():
-    with pytest.raises(InputError, match="2 of Scene"):
+    with pytest.raises(InputError, match="2 Scene records"):
         called_for(stated(other=RECORDS["scene"]))
 
 

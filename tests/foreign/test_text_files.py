@@ -201,8 +201,8 @@ def test_options_of_another_integrator_are_named(tmp_path):
     ("words", "reason"),
     [
         (["levels.csv", "--channel", "red"], "table of one channel; leave out the channel 'red'"),
-        ([".", "--bits", "8"], "camera.bits of the rig counts; leave out the bits, 8"),
-        (["rig.toml", "--bits", "12"], "camera.bits of the rig counts; leave out the bits, 12"),
+        ([".", "--bits", "8"], "the rig's camera.bits is used; leave out the bits, 8"),
+        (["rig.toml", "--bits", "12"], "the rig's camera.bits is used; leave out the bits, 12"),
     ],
 )
 def test_options_of_another_kind_of_measurement_are_refused(tmp_path, words, reason):
