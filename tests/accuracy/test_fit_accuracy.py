@@ -200,7 +200,7 @@ def test_the_knobs_of_a_fit_reach_their_references(lab, fit):
         few = replace(knob, settings=(knob.settings[0], knob.settings[-1]))
         whole = problem.prepare({"pixels": 1.0})(0) if name == "pixels" else None
         found = curve(problem, few, reference=whole, seconds=1e5, seeds=3)
-        assert not found.not_run
+        assert knob.settings[-1] not in found.not_run  # a coarse one may be refused
         assert found.trials[-1].error < (3.0 if name == "pixels" else 0.9), name
         if name == "likelihood":
             assert found.trials[-1].error == 0
