@@ -86,7 +86,7 @@ def names_where(thing):
 
 
 def skip_member(app, what, name, thing, skip, options):
-    """Fields of a named tuple, which its docstring explains."""
+    """The fields of a named tuple. The tuple's docstring explains them."""
     return True if (inspect.getdoc(thing) or "").startswith("Alias for field") else None
 
 

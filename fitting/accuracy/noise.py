@@ -112,8 +112,8 @@ def _window(size: tuple[int, ...], share: float, rng: np.random.Generator) -> tu
 
 
 def _tolerance(calibration: NoiseCalibration) -> Turn:
-    """Vary the tolerance of the search for the chosen model, started at the estimates of the EMVA
-    standard."""
+    """Vary the tolerance of the search that fits the chosen model. It starts at the
+    estimates of the EMVA standard."""
     fit = calibration.chosen
     problem = restated(fit.problem, fit.space)
     start = start_vector(problem, calibration.standard.values)

@@ -6,8 +6,8 @@ h h' with it. The 2-Wasserstein distance of the two distributions is
     sqrt(1 + |h|^2) - 1,     |h|^2 = sum of h^2 / Var,
 
 The squared distances of independent parts of the data add. A fixed shift h of all data has the
-distance |h|. If the distance is a tenth of the noise or less, no estimate can change by more than a
-tenth of its standard deviation, and the likelihood omits the error.
+distance |h|. If the distance is at most .1, an error h moves no estimate by more than a tenth of
+its standard deviation. The likelihood then omits the error.
 
 Source:
     Dowson and Landau, "The Frechet distance between multivariate normal distributions", J.

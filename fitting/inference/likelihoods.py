@@ -344,7 +344,7 @@ class Clustered(eqx.Module):
 
     @property
     def surrogate(self) -> Likelihood | None:
-        """The surrogate of the inner likelihood."""
+        """The `surrogate` of the likelihood that this one contains."""
         return self.likelihood.surrogate
 
     def log_density(self, prediction: Array, data: Array) -> Array:

@@ -442,7 +442,8 @@ def log_prior_at(problem: Problem, vectors: Float[Array, "... parameters"]) -> F
 
 
 def least_squares_residuals(vector: Vector, problem: Problem) -> Float[Array, " data"]:
-    """Standardised residuals, 0 where a datum is missing. A clipped datum counts at its end."""
+    """Standardised residuals, 0 where a datum is missing. A clipped datum has the
+    value of the limit at which it was clipped."""
     return residuals_from(to_natural(problem.space, vector), problem)
 
 

@@ -206,7 +206,7 @@ def _compression(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """An offset of the light that is large enough to be reported, in time or in photons."""
+    """The light at an exposure of zero, as a time or as photons, where it is significant."""
     if not _has("light_offset", calibration) or calibration.chosen.data.photons_known == in_time:
         return None
     offset, error = _shown(calibration, "light_offset")

@@ -55,8 +55,8 @@ def show(
     command: str,
     as_json: bool = False,
 ) -> dict[str, Any]:
-    """Print the table or JSON, and return all measurements for JSON. Raises `InputError` if there
-    was too little time for any setting."""
+    """Print the measurements as a table or as JSON, and return them as JSON holds them. Raises
+    `InputError` if there was too little time for any setting."""
     if not any(curve.trials for curve in curves):
         raise InputError(
             f"{problem.name}: {curves[0].stopped} before anything was measured; allow more "

@@ -183,7 +183,7 @@ class Session:
         return compiling + calls * running
 
     def is_compiled(self, setting: Any) -> bool:
-        """Whether the problem states that a setting needs no new program."""
+        """Whether the problem states that this setting runs without compiling again."""
         settings = {**self.problem.settings, self.knob.name: setting}
         return self.problem.compiled is not None and self.problem.compiled(settings)
 

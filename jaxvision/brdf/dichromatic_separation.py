@@ -192,8 +192,8 @@ def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, C
 @takes_numbers
 def illuminant_from_planes(normals: Float[Array, "planes 3"]) -> tuple[Colour, Scalar]:
     """Return the colour common to the planes with unit `normals`, (planes, 3), by least squares
-    (Lee 1986). The colour is (3,), of length 1 and positive sum. Also return a measure () in [0, 1]
-    of how well the planes determine it."""
+    (Lee 1986). The colour, (3,), has a norm of 1 and a positive sum. Also return a measure () in
+    [0, 1] of how well the planes determine it."""
     moments = normals.T @ normals
     sizes, axes = _eigh(moments)
     colour = axes[:, 0]

@@ -207,7 +207,8 @@ def map_beside(values: Any, picture: Array) -> Any:
 
 def refuse_codes(values: Any) -> None:
     """Raise `ValueError` for a picture whose known floating values are codes such as 0 to 255: at
-    least 16 values, all whole, the largest above 100. Measured light is not whole everywhere."""
+    least 16 values, all whole, the largest above 100. Measured light is not a whole number
+    in every pixel."""
     if not is_known(values) or np.size(values) < 16:
         return
     known = np.asarray(values)

@@ -1,8 +1,9 @@
 """Integral images (Crow 1984; Viola & Jones 2001): the sum over any box from four entries.
 
 They are exclusive, as in OpenCV's `integral`: entry (i, j) is the sum over rows < i and columns <
-j. There is one more row and column than pixels, and the first of each is 0. The inclusive
-convention (scikit-image's `integral_image`) omits these: its entry (i, j) is our (i + 1, j + 1).
+j. There is one more row and column than pixels, and the first of each is 0. scikit-image's
+`integral_image` is inclusive: it has no such row and column, and its entry (i, j) is our (i + 1,
+j + 1).
 
 Sums are in the unit of the image (relative values or DN). Each is an unevaluated pair high + low
 (Dekker 1971), so that a small box in a large float32 image is accurate. Besides the rounding of the

@@ -242,8 +242,8 @@ def gaussian_varying(
 ) -> Filtered:
     """A Gaussian with a `sigma` for each pixel, interpolated in a bank of Gaussians.
 
-    Between two kernels of the bank the blend keeps the variance exactly. Only the fourth moment has
-    an error, which decreases with the square of the distance between the two sigmas.
+    The blend of two kernels of the bank has exactly the spatial variance `sigma`^2. Its fourth
+    moment has an error, which decreases with the square of the distance between the two sigmas.
     `kernels.blur_sigmas` chooses the bank. `radial_blur` is exact.
 
     Args:

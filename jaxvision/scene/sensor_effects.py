@@ -1,7 +1,7 @@
 """Effects on the charge of pixels, before the read-out.
 
 Ranges are checked when a record is made, for numbers that are known then: `ValueError` names the
-field, the value and the allowed range. Traced values pass unchecked and have a defined result.
+field, the value and the allowed range. Values traced by `jit` are not checked.
 """
 
 import equinox as eqx
