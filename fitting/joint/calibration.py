@@ -12,7 +12,7 @@ from ..inference.given import require_kind
 from ..inference.posterior import Posterior
 from ..inference.precision import double_precision
 from ..reflectance.from_images.fit import Adjusted, adjusted_posterior, robust
-from ..reflectance.from_images.pixel_area import with_fitted_pixels
+from ..reflectance.from_images.pixel_area import fit_and_recognise_points
 from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.shading_check import without_strangers
 from ..reflectance.from_images.signal import Form
@@ -92,7 +92,7 @@ def calibrate(
     require_kind("joint.calibrate: measurement", measurement, kind, source=source)
     check_index(index)
     form = Form(model, free_gamma=fit_gamma, index=index)
-    observation = with_fitted_pixels(without_strangers(measurement), form)
+    observation = fit_and_recognise_points(without_strangers(measurement), form)
     channels = len(observation.channels)
     fits, posteriors, robusts, halves = [], {}, {}, {}
 

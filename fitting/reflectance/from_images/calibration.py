@@ -21,7 +21,7 @@ from ..models import check_index, shape_of
 from ..names import INDEX, MODELS, Model
 from .comparison import ModelScore, compare
 from .fit import ChannelFit, channel_posterior, fit_channel, lights_as_fitted, predicted_image
-from .pixel_area import with_seen_pixels
+from .pixel_area import recognise_points
 from .read import Photographs
 from .samples import Selection, View, cells_of, predict, select
 from .shading_check import without_strangers
@@ -141,34 +141,27 @@ def calibrate(
             "lights; lower minimum_cosine, enlarge the mask or add lights."
         )
     cells = cells_of(observation, fitted)
-    views = [View(observation, channel, fitted) for channel in range(len(observation.channels))]
 
-    def fitted_channels(form: Form) -> tuple[ChannelFit, ...]:
-        return tuple(fit_channel(view, form, cells) for view in views)
+    def fit_models(observation: Photographs) -> dict[Model, tuple[ChannelFit, ...]]:
+        views = [View(observation, channel, fitted) for channel in range(len(observation.channels))]
 
-    # all channels of one model in succession: its lobe is compiled once
-    pieces = [partial(fitted_channels, form) for form in forms.values()]
-    if progress is not None:
-        progress(0, len(pieces))  # the first model may take seconds to compile
-    fits = dict(zip(forms, side_by_side(pieces, progress=progress), strict=True))
+        def fitted_channels(form: Form) -> tuple[ChannelFit, ...]:
+            return tuple(fit_channel(view, form, cells) for view in views)
+
+        # all channels of one model in succession: its lobe is compiled once
+        pieces = [partial(fitted_channels, form) for form in forms.values()]
+        if progress is not None:
+            progress(0, len(pieces))  # the first model may take seconds to compile
+        return dict(zip(forms, side_by_side(pieces, progress=progress), strict=True))
+
+    fits = fit_models(observation)
     if observation.within is not None:
         likeliest = max(fits, key=lambda name: sum(fit.log_likelihood for fit in fits[name]))
         fit = max(fits[likeliest], key=lambda fit: fit.samples.dn.mean())
         exact = predict(fit.vector, fit.samples)
-        seen = with_seen_pixels(observation, fit.samples, exact, fitted.light)
-        if seen.within is None:
-            return calibrate(
-                seen,
-                model=model,
-                compare_all=compare_all,
-                index=index,
-                sampling=sampling,
-                seed=seed,
-                ambient=ambient,
-                fit_gamma=fit_gamma,
-                minimum_cosine=minimum_cosine,
-                progress=progress,
-            )
+        observation = recognise_points(observation, fit.samples, exact, fitted.light)
+        if observation.within is None:
+            fits = fit_models(observation)
     reasons = {
         fit.channel: open_parameters(fit, matt)
         for fit, matt in zip(fits[model], fits["lambert"], strict=True)

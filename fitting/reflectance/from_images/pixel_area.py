@@ -20,7 +20,7 @@ from .signal import Form
 NEAR, FAR = 3.0, 5.0  # standard errors of a from 0 and from 1 for pixels that are points
 
 
-def with_seen_pixels(
+def recognise_points(
     observation: Photographs,
     samples: Samples,
     exact: Prediction,
@@ -38,7 +38,7 @@ def with_seen_pixels(
     return observation
 
 
-def with_fitted_pixels(observation: Photographs, form: Form) -> Photographs:
+def fit_and_recognise_points(observation: Photographs, form: Form) -> Photographs:
     """Return the photographs, with pixels as points if a first fit of the brightest channel by a
     model with a highlight shows that they are."""
     if observation.within is None or not has_lobe(form.model):
@@ -48,7 +48,7 @@ def with_fitted_pixels(observation: Photographs, form: Form) -> Photographs:
         form
     )
     found = best(samples, cells_of(observation, chosen), None)
-    return with_seen_pixels(observation, found.samples, found.prediction, chosen.light)
+    return recognise_points(observation, found.samples, found.prediction, chosen.light)
 
 
 def _area_share(
