@@ -18,6 +18,7 @@ from .samples import Prediction, Samples, View, cells_of, predict, select
 from .signal import Form
 
 NEAR, FAR = 3.0, 5.0  # standard errors of a from 0 and from 1 for pixels that are points
+MOST = 0.5  # a of points; a surface that no model describes gives any number
 
 
 def recognise_points(
@@ -28,7 +29,7 @@ def recognise_points(
 ) -> Photographs:
     """Return the photographs, with pixels as points if a fit of one channel shows that they are."""
     share, error = _area_share(samples, exact, light)
-    if abs(share) < NEAR * error and 1 - share > FAR * error:
+    if abs(share) < min(NEAR * error, MOST) and 1 - share > FAR * error:
         sentence = (
             "The highlights show the surface at the middle of each pixel, as in many rendered "
             f"pictures, not its mean over the pixel's area (of which they hold a share of "
