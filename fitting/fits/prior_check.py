@@ -76,7 +76,7 @@ def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[str, 
         turned = slope * slopes[i]
         z = (place + turned * step) / np.sqrt(1 + turned**2 * spread)
         if abs(z) > limit:
-            alone = _alone(space[i], values[i], slopes[i], step, np.sqrt(spread))
+            alone = _estimate_without_prior(space[i], values[i], slopes[i], step, np.sqrt(spread))
             found.append((abs(z), _conflict_in_words(space[i], abs(z), alone)))
     if joint is not None and (one := _joint_conflict(problem, joint, vector, wide, chance)):
         found.append(one)
@@ -132,7 +132,7 @@ def blame_priors(
         place, slope = _standard_scale(space[i].prior, values[i])
         z = abs(place) / float(np.hypot(1, slope * slopes[i] * errors[i]))
         if z > limit:
-            own = _alone(space[i], values[i], slopes[i], 0.0, errors[i])
+            own = _estimate_without_prior(space[i], values[i], slopes[i], 0.0, errors[i])
             found.append((z, _conflict_in_words(space[i], z, own, earlier=i in together)))
     told = [words for _, words in sorted(found, key=lambda pair: -pair[0])]
     if joint is not None:
@@ -211,7 +211,7 @@ def _falls(prior: Prior) -> bool:
     return bool(np.isfinite(first) and first > middle)
 
 
-def _alone(p: Parameter, x: float, slope: float, step: float, error: float) -> str:
+def _estimate_without_prior(p: Parameter, x: float, slope: float, step: float, error: float) -> str:
     """The estimate of a parameter without its prior, on the logarithmic scale for a logarithmic
     parameter."""
     if p.transform == "log":

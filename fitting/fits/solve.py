@@ -251,7 +251,7 @@ def _optimum(
     """The best of the searches; `near` is the only start if given, as with a user's `start`."""
     begin = how.start if near is None else near
     if begin:
-        found = search(problem, _given(problem, begin)[None], solver=how.solver)
+        found = search(problem, _start_from(problem, begin)[None], solver=how.solver)
         optimum = correct_by_differences(problem, found)
     else:
         optimum = _searched(problem, how.starts, how.seed, how.solver, advance)
@@ -440,7 +440,7 @@ def method_of(posterior: Method | str | None, *, sampling: Emcee | Nuts | None =
     return method
 
 
-def _given(problem: Problem, start: dict[str, Any]) -> np.ndarray:
+def _start_from(problem: Problem, start: dict[str, Any]) -> np.ndarray:
     """One start from natural values by name."""
     wanted = {parameter.name: parameter for parameter in problem.free}
     for name in (*start, *wanted):

@@ -107,7 +107,7 @@ class _Channels:
     """`predict` for every channel, with the arguments of `predict` for one."""
 
     def __init__(self, predict: Any, asks: Any, several: Any, axes: Any) -> None:
-        self.key = predict, asks, several, tuple(jax.tree.leaves(axes, is_leaf=_none))
+        self.key = predict, asks, several, tuple(jax.tree.leaves(axes, is_leaf=_is_none))
         self.axes = axes
         kind = Argument.POSITIONAL_OR_KEYWORD
         self.__signature__ = Signature([Argument(name, kind) for name in asks])
@@ -135,7 +135,7 @@ class _Channels:
         return jax.vmap(one, in_axes=(axes,), out_axes=-1)([*given])
 
 
-def _none(x: Any) -> bool:
+def _is_none(x: Any) -> bool:
     return x is None
 
 
@@ -181,7 +181,7 @@ def _start(problem: Problem, several: tuple[str, ...], axes: Any) -> Any:
                 lambda p: (p.data, p.present, p.inputs),
                 problem,
                 (jnp.where(present, data, 0), present, inputs),
-                is_leaf=_none,
+                is_leaf=_is_none,
             )
             return start_of_data(here)
 

@@ -27,14 +27,14 @@ def regions(
     sums = np.stack([np.bincount(cluster, row, count) for row in scores], axis=1)
     present = np.flatnonzero(np.bincount(cluster, minlength=count))
     alone = np.arange(count)
-    if len(present) < FEWEST or not _alike(sums[present], places[present]):
+    if len(present) < FEWEST or not _correlated(sums[present], places[present]):
         return alone
     labels = np.zeros(count, int)
     labels[present] = _halved(places[present], REGIONS)
     return labels
 
 
-def _alike(sums: np.ndarray, places: np.ndarray) -> bool:
+def _correlated(sums: np.ndarray, places: np.ndarray) -> bool:
     """Return whether scores of neighbours are more similar than those of permuted positions."""
     centred = sums - sums.mean(axis=0)
     left, size, _ = np.linalg.svd(centred, full_matrices=False)

@@ -198,7 +198,7 @@ class Problem(eqx.Module):
         Returns:
             The problem.
         """
-        return self._again(data=data, **({} if inputs is None else {"inputs": inputs}))
+        return self._replaced(data=data, **({} if inputs is None else {"inputs": inputs}))
 
     def with_records(self, records: Mapping[str, Any], *, left_out: Any = None) -> "Problem":
         """The same problem with other records for its paths.
@@ -210,7 +210,7 @@ class Problem(eqx.Module):
         Returns:
             The problem.
         """
-        return self._again(records=records, left_out=left_out)
+        return self._replaced(records=records, left_out=left_out)
 
     def without(self, name: str) -> "Problem":
         """Return the same problem without a candidate, whose parameter is fixed at its `absent`
@@ -234,7 +234,7 @@ class Problem(eqx.Module):
                     f"without: {other.name} requires {name}; leave {other.name} out first."
                 )
         one = known[name]
-        return self._again({name: np.full(_shape(one.parameter), one.absent)})
+        return self._replaced({name: np.full(_shape(one.parameter), one.absent)})
 
     def with_priors(self, change: Callable[[Any], Any]) -> "Problem":
         """The same problem with other priors.
@@ -256,9 +256,9 @@ class Problem(eqx.Module):
         joint = self.prior
         if joint is not None:
             joint = replace(joint, marginals=changed(joint.marginals))
-        return self._again(every, prior=joint)
+        return self._replaced(every, prior=joint)
 
-    def _again(self, parameters: Mapping[str, Any] | None = None, **changes: Any) -> "Problem":
+    def _replaced(self, parameters: Mapping[str, Any] | None = None, **changes: Any) -> "Problem":
         present = True if self.present is None else on_host(self.present)
         given = {
             "data": np.where(present, on_host(self.data), np.nan),
@@ -507,7 +507,7 @@ def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Param
     if known is not None:
         start = parameter.start
         if start is None and np.isfinite(known).all():
-            start = _within(parameter, known)
+            start = _start_inside(parameter, known)
         return replace(parameter, shape=known.shape, start=start)
     start = parameter.start
     shape = parameter.shape
@@ -516,7 +516,7 @@ def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Param
     return replace(parameter, shape=tuple(shape))
 
 
-def _within(parameter: Parameter, known: np.ndarray) -> np.ndarray | None:
+def _start_inside(parameter: Parameter, known: np.ndarray) -> np.ndarray | None:
     """A record's own value as a start, moved inside the bounds; None if it cannot be one."""
     if parameter.transform == "log" and not (known > 0).all():
         return None

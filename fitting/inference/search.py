@@ -607,7 +607,7 @@ def _negative_log_likelihood(vector: Vector, problem: Problem) -> Float[Array, "
     return -log_likelihood(vector, problem)
 
 
-def _each(
+def _derivatives_at(
     local: Callable[[Vector, Problem], Derivatives], vectors: Array, wanted: Array, problem: Problem
 ) -> Derivatives:
     """Return the derivatives at each vector that is wanted: one after another on a CPU, all at once
@@ -625,12 +625,14 @@ def _each(
 
 @partial(compiled_briefly, always=False)
 def _squares_at(vectors: Array, wanted: Array, problem: Problem) -> Derivatives:
-    return _each(squares, vectors, wanted, problem)
+    return _derivatives_at(squares, vectors, wanted, problem)
 
 
 @partial(compiled_briefly, always=False)
 def _twice_at(vectors: Array, wanted: Array, problem: Problem) -> Derivatives:
-    return _each(partial(second_derivatives, _negative_log_likelihood), vectors, wanted, problem)
+    return _derivatives_at(
+        partial(second_derivatives, _negative_log_likelihood), vectors, wanted, problem
+    )
 
 
 @compiled_briefly

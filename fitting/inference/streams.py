@@ -101,7 +101,7 @@ def open_stream(
         pieces: Iterator[Any] = iter(cast(Iterable[Any], data()))
         first = next(pieces, None)
         source = iter(()) if first is None else chain([first], pieces)
-    beside, by_row = _beside(first, inputs, likelihood, yielded=source is not None)
+    beside, by_row = _row_leaves(first, inputs, likelihood, yielded=source is not None)
     stream = Stream(data, inputs, likelihood, beside, by_row, size)
     rng = np.random.default_rng(SEED)
     count, mark, kept, keys = 0, None if source is None else 0, None, np.empty(0)
@@ -161,7 +161,7 @@ def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
         )
 
 
-def _beside(
+def _row_leaves(
     first: Any, inputs: Any, likelihood: Any, *, yielded: bool
 ) -> tuple[tuple[Any, Any], tuple[bool, ...]]:
     """Inputs and likelihood, and which of their leaves belong to the rows: for all data, or for the

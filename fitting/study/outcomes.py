@@ -240,13 +240,13 @@ def _remember(settings: Settings, folder: Folder, found: Outcome) -> None:
     content = {"key": key_of(settings, folder), "outcome": asdict(found)}
     try:
         with replaced_on_success(folder.out / REMEMBERED) as whole:
-            whole.write_text(json.dumps(content, indent=1, default=_plain))
+            whole.write_text(json.dumps(content, indent=1, default=_python_numbers))
     except InputError:
         if not found.failed:  # an unwritable folder may have caused the failure
             raise
 
 
-def _plain(value: Any) -> Any:
+def _python_numbers(value: Any) -> Any:
     """NumPy numbers as Python numbers."""
     return np.asarray(value).tolist()
 

@@ -120,20 +120,20 @@ def _facets(material: Coated) -> TorranceSparrow:
     )
 
 
-def _within(material: Coated, w: Vec) -> Vec:
+def _refracted_inside(material: Coated, w: Vec) -> Vec:
     """Return the refracted direction inside the coat for a direction above it; both point up."""
     eta = material.interface.eta[0]
     down = safe_sqrt((eta - 1) * (eta + 1) + w.z * w.z) / eta
     return Vec(w.x / eta, w.y / eta, down)
 
 
-def _through(material: Coated, w: Vec) -> Colour:
+def _transmitted_by_coat(material: Coated, w: Vec) -> Colour:
     """Return T exp(-tau / cos') of the module's text, (bands,) or (1,), no unit."""
     eta = material.interface.eta
     passed = 1 - reflected(w.z, material.roughness, eta, material.distribution)
     if material.optical_depth is None:
         return passed
-    return passed * jnp.exp(-material.optical_depth / _within(material, w).z)
+    return passed * jnp.exp(-material.optical_depth / _refracted_inside(material, w).z)
 
 
 def _internal_reflectance(material: Coated) -> Colour:
@@ -176,12 +176,16 @@ def _albedo_of_body(material: Coated, w: Vec) -> Colour:
 def _from_body(material: Coated, wi: Direction, wo: Direction) -> Colour:
     """Return the second term of f_r, the light from the body, (bands,) in sr^-1."""
     light, viewer = as_vec(wi), as_vec(wo)
-    i, o = _within(material, light), _within(material, viewer)
+    i, o = _refracted_inside(material, light), _refracted_inside(material, viewer)
     again = _internal_reflectance(material)
     first = family(material.body).evaluate(material.body, i, o)
     further = _albedo_of_body(material, i) * _albedo_of_body(material, o) * again
     further = further / (jnp.pi * (1 - _mean_albedo(material) * again))
-    way = _through(material, light) * _through(material, viewer) / material.interface.eta**2
+    way = (
+        _transmitted_by_coat(material, light)
+        * _transmitted_by_coat(material, viewer)
+        / material.interface.eta**2
+    )
     return where_seen(wi, wo, way * (first + further))
 
 

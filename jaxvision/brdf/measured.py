@@ -156,7 +156,7 @@ class AnisotropicTable(Material):
 AngleTable = IsotropicTable | AnisotropicTable
 
 
-def _within(nodes: Float[Array, " n"], x: Float[Array, ""]) -> Array:
+def _in_range(nodes: Float[Array, " n"], x: Float[Array, ""]) -> Array:
     return (x >= nodes[0]) & (x <= nodes[-1])
 
 
@@ -184,7 +184,7 @@ def _looked_up(table: AngleTable, wi: Vec, wo: Vec) -> Colour:
         return value
     if table.outside == "extrapolate":
         return jnp.maximum(value, 0)
-    covered = _within(table.theta_i, elevation(wi)) & _within(table.theta_o, elevation(wo))
+    covered = _in_range(table.theta_i, elevation(wi)) & _in_range(table.theta_o, elevation(wo))
     return jnp.where(covered, value, 0)
 
 

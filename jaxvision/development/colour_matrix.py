@@ -87,7 +87,7 @@ def fit_colour_matrix(
     seen, sought = white
     # every M with M seen = sought is this one plus Z times the two directions across `seen`
     through = jnp.outer(sought, seen) / jnp.vdot(seen, seen)
-    across = _across(seen)
+    across = _perpendicular_pair(seen)
     rest = _least_squares(camera @ across, wanted - camera @ through.T)
     return through + rest.T @ across.T
 
@@ -157,7 +157,7 @@ def _least_squares(
     )(b)
 
 
-def _across(v: Float[Array, "3"]) -> Float[Array, "3 2"]:
+def _perpendicular_pair(v: Float[Array, "3"]) -> Float[Array, "3 2"]:
     """Two orthonormal directions perpendicular to v, from the reflection that maps v to an axis."""
     length = jnp.sqrt(jnp.vdot(v, v))
     axis = jnp.zeros_like(v).at[0].set(jnp.where(v[0] < 0, -length, length))

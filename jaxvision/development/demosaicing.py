@@ -413,7 +413,7 @@ def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Plane]:
         difference = jnp.where(is_green, 0, raw - green)
         change = jnp.abs(difference - _neighbours(difference, axis, 2)[1])
         greens.append(green)
-        roughness.append(_near(change, axis))
+        roughness.append(_sum_changes(change, axis))
     lead = jax.lax.stop_gradient(roughness[1] - roughness[0])
     return jnp.where(is_green, raw, _choose_direction(lead, *greens)), lead
 
@@ -423,7 +423,7 @@ def _choose_direction(lead: Plane, by_rows: Plane, by_columns: Plane) -> Plane:
     return jnp.where(lead >= 0, by_rows, jnp.where(lead < 0, by_columns, lead))
 
 
-def _near(change: Plane, axis: int) -> Plane:
+def _sum_changes(change: Plane, axis: int) -> Plane:
     """Changes between pixels two apart, summed around each pixel, with weight 3 for its own."""
     at = _Shifted(jnp.pad(change if axis == 1 else change.T, 2), 2)
     own = at(0, -2) + at(0, 0)

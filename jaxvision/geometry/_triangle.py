@@ -36,18 +36,18 @@ def _edge(p: Vec, q: Vec) -> tuple[Scalar, Scalar]:
     """Return p x q in the plane perpendicular to the ray, and a bound on its rounding error."""
     one, other = p.x * q.y, p.y * q.x
     of_products = jnp.abs(one) + jnp.abs(other)
-    of_vertices = _across(p) * _reach(q) + _across(q) * _reach(p)
+    of_vertices = _perpendicular_size(p) * _reach(q) + _perpendicular_size(q) * _reach(p)
     return one - other, 2 * jnp.finfo(one.dtype).eps * (of_products + of_vertices)
 
 
-def _across(v: Vec) -> Scalar:
+def _perpendicular_size(v: Vec) -> Scalar:
     return jnp.abs(v.x) + jnp.abs(v.y)
 
 
 def _reach(v: Vec) -> Scalar:
     """Return an upper bound on the length of a vector in the frame of the ray; the rounding error
     of each component is proportional to it."""
-    return _across(v) + jnp.abs(v.z)
+    return _perpendicular_size(v) + jnp.abs(v.z)
 
 
 def triangle_distance(ray: Ray, frame: Frame, a: Vec, b: Vec, c: Vec) -> Scalar:

@@ -121,15 +121,17 @@ def _no_direction(name: str, value: object) -> list[str]:
 
 def _mesh_problems(mesh: TriangleMesh) -> list[str]:
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    found = _some(
+    found = _list_faces(
         "vertices that are not finite", np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     )
     outside = ((faces < 0) | (faces >= len(vertices))).any(axis=1)
-    found += _some(f"faces with vertices outside 0 to {len(vertices) - 1}", np.flatnonzero(outside))
+    found += _list_faces(
+        f"faces with vertices outside 0 to {len(vertices) - 1}", np.flatnonzero(outside)
+    )
     flat = faces_without_area(vertices, np.clip(faces, 0, len(vertices) - 1))
-    found += _some("faces without area, which are never met", np.flatnonzero(flat & ~outside))
+    found += _list_faces("faces without area, which are never met", np.flatnonzero(flat & ~outside))
     if mesh.normals is not None and not outside.any():
-        found += _some("normals that all point behind their face", _behind(mesh))
+        found += _list_faces("normals that all point behind their face", _behind(mesh))
     for name in ("normals", "uv"):
         value = getattr(mesh, name)
         if value is not None and not np.isfinite(np.asarray(value)).all():
@@ -157,7 +159,7 @@ def faces_without_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         return area <= np.finfo(vertices.dtype).eps * square
 
 
-def _some(what: str, numbers: np.ndarray) -> list[str]:
+def _list_faces(what: str, numbers: np.ndarray) -> list[str]:
     if not len(numbers):
         return []
     named = ", ".join(str(n) for n in numbers[:_NAMED])

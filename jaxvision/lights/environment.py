@@ -110,7 +110,7 @@ def environment_node(environment: EnvironmentMap, point: Vector, u: Float[Array,
     return Incident(_to_world(environment, direction, point), radiance * (4 * jnp.pi))
 
 
-def _seen(environment: EnvironmentMap, ray: Ray) -> Seen:
+def _radiance_along(environment: EnvironmentMap, ray: Ray) -> Seen:
     """Return the radiance along a ray's direction, W m^-2 sr^-1, at an infinite distance."""
     radiance = environment_radiance(environment, ray.direction)
     return Seen(jnp.full_like(ray.origin.x, jnp.inf), radiance)
@@ -242,7 +242,7 @@ def _from_file(
 
 register_extended(
     EnvironmentMap,
-    seen=_seen,
+    seen=_radiance_along,
     sample=environment_sample,
     pdf=environment_pdf,
     node=environment_node,

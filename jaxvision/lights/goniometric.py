@@ -267,7 +267,7 @@ def _window(light: GoniometricAreaLight) -> Window:
     return Window(light.corner, light.edge_u, light.edge_v)
 
 
-def _spread(light: GoniometricAreaLight, away: Vec) -> tuple[Scalar, Scalar]:
+def _relative_intensity(light: GoniometricAreaLight, away: Vec) -> tuple[Scalar, Scalar]:
     """Return the lamp's relative intensity toward a direction, and the cosine between the direction
     and the front's normal, no unit."""
     across = cross(light.edge_u, light.edge_v)
@@ -281,17 +281,17 @@ def _area(light: GoniometricAreaLight) -> Scalar:
     return norm(cross(light.edge_u, light.edge_v))
 
 
-def _seen(light: GoniometricAreaLight, ray: Ray) -> Seen:
+def _radiance_along(light: GoniometricAreaLight, ray: Ray) -> Seen:
     """Return the radiance I / (A cos) of the front, W m^-2 sr^-1, and the distance, m."""
     at, hit = hit_window(ray, _window(light))
-    share, cosine = _spread(light, -as_vec(ray.direction))
+    share, cosine = _relative_intensity(light, -as_vec(ray.direction))
     radiance = divide(share, _area(light) * cosine, where=hit & (cosine > 0))
     return Seen(jnp.where(hit, at.distance, jnp.inf), light.intensity * radiance)
 
 
 def _sample(light: GoniometricAreaLight, point: Vector, u: Float[Array, "2"]) -> Incident:
     direction, distance, solid_angle, _ = window_sample(_window(light), point, u)
-    share, cosine = _spread(light, -direction)
+    share, cosine = _relative_intensity(light, -direction)
     per_area = divide(solid_angle * share, _area(light) * cosine, where=solid_angle > 0)
     wi = direction if not isinstance(point, Array) else as_array(direction)
     return Incident(wi, light.intensity * per_area, distance)
@@ -307,7 +307,7 @@ def _emitted(light: GoniometricAreaLight, u: Float[Array, "4"]) -> Emitted:
     normal = normalize(cross(light.edge_u, light.edge_v))
     origin = as_vec(light.corner + u[0] * light.edge_u + u[1] * light.edge_v)
     direction = as_vec(to_world(local_frame(normal), uniform_direction(u[2:])))
-    share, _ = _spread(light, direction)
+    share, _ = _relative_intensity(light, direction)
     ray = emitted_from_point(origin, direction, _TURN * share * light.intensity)
     return Emitted(ray.ray, ray.flux, as_vec(normal))
 
@@ -464,7 +464,7 @@ register(
 )
 register_extended(
     GoniometricAreaLight,
-    seen=_seen,
+    seen=_radiance_along,
     sample=_sample,
     pdf=_pdf,
     emitted=_emitted,

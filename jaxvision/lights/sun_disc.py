@@ -72,7 +72,7 @@ def _inside(light: SunDisc, direction: Direction) -> Array:
     return apart.x * apart.x + apart.y * apart.y + apart.z * apart.z <= 2 * _height(light)
 
 
-def _seen(light: SunDisc, ray: Ray) -> Seen:
+def _radiance_along(light: SunDisc, ray: Ray) -> Seen:
     """Return the radiance along a ray's direction, (bands,) W m^-2 sr^-1, at an infinite
     distance."""
     radiance = jnp.where(_inside(light, ray.direction), _radiance(light), 0)
@@ -117,7 +117,7 @@ def _from_file(
 
 register_extended(
     SunDisc,
-    seen=_seen,
+    seen=_radiance_along,
     sample=sun_sample,
     pdf=sun_pdf,
     bound=_bound,

@@ -87,7 +87,7 @@ class Spread(eqx.Module):
     span: Scalar
 
 
-def _spread(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
+def _map_interval(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
     """Return the map of an interval. Its span is asinh(b) - asinh(a) = asinh(b sqrt(1 + a^2) - a
     sqrt(1 + b^2)). If a and b have the same sign, the difference is written as a quotient of sums,
     so that nothing cancels for a distant interval."""
@@ -134,7 +134,7 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
         jnp.maximum(norm(Vec(height, gap, 0 * gap)), length / 64)
         for gap, length in zip(gaps[::-1], lengths, strict=True)
     ]
-    u, v = (_spread(*of) for of in zip(starts, lengths, scales, strict=True))
+    u, v = (_map_interval(*of) for of in zip(starts, lengths, scales, strict=True))
     return u, v
 
 

@@ -79,7 +79,7 @@ def spectrum(
 
 
 @jax.jit
-def _seen(
+def _brdf_toward(
     material: Material, light: Float[Array, "3"], viewers: Float[Array, "n 3"]
 ) -> Float[Array, "n bands"]:
     """f_r toward each viewer, sr^-1."""
@@ -142,7 +142,7 @@ def lobe(
 
         def reflected(angle: np.ndarray, material: Material = material) -> np.ndarray:
             viewers = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], -1)
-            seen = _seen(material, light, jnp.asarray(viewers, dtype))
+            seen = _brdf_toward(material, light, jnp.asarray(viewers, dtype))
             return np.asarray(seen)[:, band if seen.shape[1] > 1 else 0]
 
         # a peak is near the mirror direction or the light's direction, or at a node of a table

@@ -157,17 +157,17 @@ def _along(
         rule=rules,
         occluders=shapes.occluders,
     )
-    return _seen(scene, shapes, met, light)
+    return _radiance_along(scene, shapes, met, light)
 
 
-def _seen(scene: Scene, shapes: SortedScene, met: Met, light: Lighting) -> Colour:
+def _radiance_along(scene: Scene, shapes: SortedScene, met: Met, light: Lighting) -> Colour:
     """Return the radiance along a ray, W m^-2 sr^-1, given the light on the surface that it
     meets."""
     ray, encounter = met.ray, met.encounter
     radiance = _reflected(scene, light, ray, encounter, met.normal, met.patch, shapes.materials)
     emissions = [surface.emission for surface in scene.surfaces]
     if any(emission is not None for emission in emissions):
-        emitted = _of_surface(emissions, encounter.shape)
+        emitted = _emission_of(emissions, encounter.shape)
         radiance = radiance + jnp.where(dot(met.leaving.normal, ray.direction) < 0, emitted, 0)
     if not any(can_be_seen(light) for light in scene.lights):
         return radiance
@@ -225,7 +225,7 @@ def _facing(
     return smooth, Leaving(normal, hit.size)
 
 
-def _of_surface(emissions: list[Colour | None], index: Int[Array, ""]) -> Colour:
+def _emission_of(emissions: list[Colour | None], index: Int[Array, ""]) -> Colour:
     """Return the emission of the surface with this index, W m^-2 sr^-1; 0 if it has none."""
     known = next(emission for emission in emissions if emission is not None)
     table = jnp.stack([jnp.zeros_like(known) if e is None else e for e in emissions])
@@ -254,10 +254,12 @@ def direct_along(
 
     if threshold is None or shapes.occluders is None:
         return each(along)
-    return _in_order(scene, shapes, rule, threshold)
+    return _direct_by_order(scene, shapes, rule, threshold)
 
 
-def _in_order(scene: Scene, shapes: SortedScene, rule: Rule, threshold: Scalar | float) -> Along:
+def _direct_by_order(
+    scene: Scene, shapes: SortedScene, rule: Rule, threshold: Scalar | float
+) -> Along:
     """Return `direct_along` with a threshold, for blocks of `TOGETHER` rays."""
     groups = [
         (members, group)
@@ -302,7 +304,7 @@ def _in_order(scene: Scene, shapes: SortedScene, rule: Rule, threshold: Scalar |
             def seen(met: Met, pixel: Word, visible: Visible) -> Colour:
                 own = scene.lights, rules_at(pixel), met.hit.point, scene.ambient
                 light = Lighting(*own, _place(shapes, met), visible, tuple(traced))
-                return _seen(scene, shapes, met, light)
+                return _radiance_along(scene, shapes, met, light)
 
             return jax.vmap(seen)(met, pixels, tuple(visible))
 

@@ -212,7 +212,7 @@ def _curve_point(curve: Curves, t: Scalar, eye: Eye) -> Float[Array, "3"]:
     return start + jnp.where(straight, t, cosine) * first + jnp.where(straight, 0, sine) * second
 
 
-def _beside(
+def _point_outside(
     curve: Curves, t: Scalar, eye: Eye, side: float = 1.0, lifted: Any = 1.0
 ) -> tuple[Array, Array]:
     """Return a point a little outside an outline, and that point moved a little toward the eye,
@@ -276,7 +276,9 @@ def _lengths(view: View, ends: Array, ahead: Array, shown: Array) -> Float[Array
     return jnp.where(shown[:-1] | shown[1:], lengths, lengths / 20)
 
 
-def _spread(lengths: Float[Array, "curves cells"], count: int) -> tuple[Array, Array, Array, Array]:
+def _place_nodes(
+    lengths: Float[Array, "curves cells"], count: int
+) -> tuple[Array, Array, Array, Array]:
     """Place nodes at equal distances along curves whose cells have these lengths. Return for each
     node the curve, the cell, the position in the cell from 0 to 1, and the share of the cell that
     the node represents, (count,) each. No node represents parts of two curves, because that would
@@ -300,7 +302,7 @@ def _row(tree: Any, index: Array) -> Any:
     return jax.tree.map(lambda leaf: leaf[index], tree)
 
 
-def _across(tangent: Float[Array, "2"]) -> Float[Array, "2"]:
+def _curve_normal(tangent: Float[Array, "2"]) -> Float[Array, "2"]:
     """Return the unit normal of a curve with this tangent."""
     normal = jnp.stack([-tangent[1], tangent[0]])
     return divide(normal, safe_sqrt((normal * normal).sum()))
@@ -422,14 +424,16 @@ def _outline_integral(
         eye = _eye(view, None)
 
         def end(t: Array) -> tuple[Array, Array, Array]:
-            shown = _reaches(_beside(curve, t, eye)[1], eye, shapes) | (curve.kind == _HORIZON)
+            shown = _reaches(_point_outside(curve, t, eye)[1], eye, shapes) | (
+                curve.kind == _HORIZON
+            )
             return *_imaged(view, _curve_point(curve, t, eye), None), shown
 
         return _lengths(view, *jax.vmap(end)(jnp.linspace(0, 1, _CELLS + 1, dtype=dtype)))
 
     curves = _curves(_seen_outlines(scene))
     lengths = jax.vmap(cells)(curves)
-    chosen, cell, within, share = jax.lax.stop_gradient(_spread(lengths, count))
+    chosen, cell, within, share = jax.lax.stop_gradient(_place_nodes(lengths, count))
     t, step = (cell.astype(dtype) + within) / _CELLS, share / _CELLS
 
     def places(moving: Any, t: Array) -> tuple[Array, Array]:
@@ -448,7 +452,7 @@ def _outline_integral(
     def jump(
         curve: Curves, t: Array, at: Array, tangent: Array, u: Array | None, number: Array
     ) -> Colour:
-        across = _aside(view) * _across(tangent)
+        across = _offset_of_rays(view) * _curve_normal(tangent)
         point = _curve_point(curve, t, _eye(view, u))
         near = jnp.array(_NEAR, dtype)[curve.kind] * norm(point - curve.centre)
 
@@ -506,7 +510,7 @@ def _shadow_integral(
         return Eye(point + arriving.distance * toward, False)
 
     def receiver(curve: Curves, t: Array, eye: Eye) -> Encounter:
-        point, start = _beside(curve, t, eye)
+        point, start = _point_outside(curve, t, eye)
         return nearest_shape(Ray(start, -eye.direction(point)), shapes)
 
     def cast(
@@ -524,7 +528,7 @@ def _shadow_integral(
         eye = eye_of(lamp, curve.centre, u)
 
         def end(t: Array) -> tuple[Array, Array, Array]:
-            shown = _reaches(_beside(curve, t, eye)[1], eye, blocking)
+            shown = _reaches(_point_outside(curve, t, eye)[1], eye, blocking)
             met = receiver(curve, t, eye)
             return *cast(_curve_point(curve, t, eye), eye, met, None, (shapes, view))[:2], shown
 
@@ -535,7 +539,7 @@ def _shadow_integral(
     lengths = each(lamps, curves, some).mean(2).reshape(-1, _CELLS)
     if extended:  # a curve that casts no shadow from these points of the lamp may do so from others
         lengths = lengths + 0.2 * lengths.mean()
-    number, cell, within, share = jax.lax.stop_gradient(_spread(lengths, count))
+    number, cell, within, share = jax.lax.stop_gradient(_place_nodes(lengths, count))
     t, step = (cell.astype(dtype) + within) / _CELLS, share / _CELLS
     chosen, lamp_number = number % len(curves.kind), number // len(curves.kind)
 
@@ -552,7 +556,7 @@ def _shadow_integral(
 
         slope, (at, ahead, shadow) = jax.jacfwd(place, has_aux=True)(jnp.stack([t, 0 * t]))
         tangent, outward = slope.T
-        ray, across = view_ray(view, at[0], at[1], u=u), _across(tangent)
+        ray, across = view_ray(view, at[0], at[1], u=u), _curve_normal(tangent)
         hit = hit_shape(ray, shapes, met)
         seen = as_array(hit.point)
         # the camera must see the receiving surface on both sides of the shadow's edge
@@ -566,8 +570,8 @@ def _shadow_integral(
         use = use & jnp.all(there == met.shape)
         # The lamp must shine past the outline, on both sides of it. The ray from `inside` is free
         # if the box's surface is lit there, and blocked if it lies in the box's own shadow.
-        outside = _beside(curve, t, eye)[1]
-        inside = _beside(curve, t, eye, -0.1, jnp.where(curve.flat, 1.0, 10.0))[1]
+        outside = _point_outside(curve, t, eye)[1]
+        inside = _point_outside(curve, t, eye, -0.1, jnp.where(curve.flat, 1.0, 10.0))[1]
         starts = jnp.stack([outside, jnp.where(curve.kind == _LIMB, outside, inside)])
         use = use & jnp.all(jax.vmap(lambda start: _reaches(start, eye, blocking))(starts))
         # the light from that point of the lamp, per unit of the uniform numbers `of_lamp`
@@ -646,7 +650,7 @@ def _lattice(count: int, dtype: Any) -> Float[Array, "count 4"]:
     return jnp.asarray((np.arange(count)[:, None] + 0.5) * _STEPS % 1, dtype)
 
 
-def _aside(view: View) -> float:
+def _offset_of_rays(view: View) -> float:
     """Return the distance, in pixels, from an edge to the rays that measure the jump across it. It
     exceeds rounding errors, and is small enough for the limb of a sphere, where the radiance
     changes like a square root."""

@@ -100,14 +100,14 @@ def register_curve(
 
     _STAGES[effect] = Stage(
         lambda key, own, electrons: curve(own, electrons),
-        lambda own, moments: _through(lambda x: curve(own, x), moments),
+        lambda own, moments: _moments_after_curve(lambda x: curve(own, x), moments),
         None if slopes is None else bound,
         curve,
         inverse,
     )
 
 
-def _through(curve: Callable[[Scalars], Scalars], moments: Any) -> Any:
+def _moments_after_curve(curve: Callable[[Scalars], Scalars], moments: Any) -> Any:
     """Return the mean g + g'' v / 2 and the variance g'^2 v after a curve g, for the variance v."""
     mean, one = moments.mean, jnp.ones_like(moments.mean)
 

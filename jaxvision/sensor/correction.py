@@ -441,7 +441,7 @@ def _multiply(one: Scalars | None, other: Scalars | None) -> Scalars | None:
 
 def _image(sensor: Sensor, raw: Counts, masters: Masters, flat: Counts | None) -> Counts:
     """Return the photoelectrons in a pixel of mean sensitivity."""
-    light = _without_dark(sensor, _charge(sensor, raw, masters.dark))
+    light = _subtract_dark(sensor, _charge(sensor, raw, masters.dark))
     light = light if flat is None else light / _response(flat)
     if sensor.crosstalk is not None:
         light = convolve(light, _inverse(_cross(sensor.crosstalk)))
@@ -453,7 +453,7 @@ def _image(sensor: Sensor, raw: Counts, masters: Masters, flat: Counts | None) -
     return _times(light if beside is None else light - beside, _shutter(sensor))
 
 
-def _without_dark(sensor: Sensor, charge: Counts) -> Counts:
+def _subtract_dark(sensor: Sensor, charge: Counts) -> Counts:
     return charge if sensor.dark_current is None else charge - mean_dark(sensor, charge)
 
 
@@ -518,7 +518,7 @@ def _flat(sensor: Sensor, masters: Masters, raw: Counts) -> Counts | None:
     if masters.flat is None:
         return None
     flat = _broadcast(masters.flat.mean.astype(raw.dtype), raw)
-    return _without_dark(sensor, _charge(sensor, flat, masters.dark))
+    return _subtract_dark(sensor, _charge(sensor, flat, masters.dark))
 
 
 def _fill_masters(masters: Masters, defects: Bool[Array, "h w"]) -> Masters:
@@ -557,7 +557,7 @@ def _parts(sensor: Sensor, raw: Counts, masters: Masters, expected: Counts | Non
         light = light if sensor.crosstalk is None else drifted(light, sensor.crosstalk)
         charge = _times(light, response)
         charge = charge if sensor.dark_current is None else charge + mean_dark(sensor, raw)
-    light = _without_dark(sensor, charge)  # photoelectrons of this pixel, not of the mean pixel
+    light = _subtract_dark(sensor, charge)  # photoelectrons of this pixel, not of the mean pixel
     apart = None if sensor.crosstalk is None else _inverse(_cross(sensor.crosstalk))
     unmixed = None if sensor.mixing is None else _inverse(sensor.mixing.kernel.astype(raw.dtype))
     behind = _combine_kernels(unmixed, apart)  # for noise that is added after the mixing

@@ -92,7 +92,7 @@ def _expand(effect: Compression, signal: Scalars) -> Scalars:
     end = jnp.broadcast_to(effect.electrons, signal.shape).astype(signal.dtype)
     top = _compress(effect, end)
     if effect.second is not None:
-        return _found(_compress, effect, signal, 0 * end, end)
+        return _invert(_compress, effect, signal, 0 * end, end)
     within = jnp.clip(signal, 0, top)
     root = jnp.sqrt(1 - 4 * effect.first * within / effect.electrons)
     last = 1 - 2 * effect.first
@@ -161,7 +161,7 @@ def _smooth_inverse(curve: ResponseSpline, signal: Scalars) -> Scalars:
     last = curve.signal.shape[0] - 2
     k = jnp.clip(jnp.searchsorted(curve.signal, signal, side="right") - 1, 0, last)
     low, high = curve.electrons[k], curve.electrons[k + 1]
-    return _found(_smooth, curve, signal, low, high)
+    return _invert(_smooth, curve, signal, low, high)
 
 
 def _slopes_of_spline(ends: Ends[ResponseSpline]) -> tuple[float, float]:
@@ -187,7 +187,7 @@ register_curve(ResponseSpline, curve=_smooth, slopes=_slopes_of_spline, inverse=
 
 
 @one_program
-def _found(
+def _invert(
     curve: Callable[[Any, Scalars], Scalars],
     effect: Nonlinearity,
     signal: Scalars,

@@ -102,7 +102,7 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
     else:
         drawn = _exact_poisson(subkey(key, Frame.SHOT), bits, expected)
     # also where the mean is NaN, for which no comparison holds
-    counted = _along_draw(jnp.where(expected <= MOST_ELECTRONS, drawn, jnp.nan), mean)
+    counted = _differentiable_count(jnp.where(expected <= MOST_ELECTRONS, drawn, jnp.nan), mean)
     return counted.astype(given)
 
 
@@ -220,7 +220,7 @@ def _inverse_poisson(bits: Words, mean: Scalars) -> Scalars:
     return jnp.where(few, summed, counted)
 
 
-def _along_draw(drawn: Scalars, mean: Scalars) -> Scalars:
+def _differentiable_count(drawn: Scalars, mean: Scalars) -> Scalars:
     """Return a count N with the slope 1/2 + N / (2 mean), or 1 without light."""
     slope = divide(drawn + mean, 2 * mean, ~(mean <= smallest_divisor(mean.dtype)), otherwise=1)
     return replace_gradient(jax.lax.stop_gradient(drawn), jax.lax.stop_gradient(slope) * mean)

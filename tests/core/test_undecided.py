@@ -17,7 +17,7 @@ from jaxvision.core._monotone import monotone_slopes as _monotone_slopes
 from jaxvision.geometry._triangle import triangle_distance
 from jaxvision.geometry.hemisphere import local_frame
 from jaxvision.lights.polygon import _slopes
-from jaxvision.lights.window import _spread
+from jaxvision.lights.window import _map_interval
 from jaxvision.optics import aperture, overlap
 from jaxvision.sensor.moments import Moments, censored
 from jaxvision.sensor.sampling import _sinc
@@ -77,7 +77,7 @@ CASES = {
     ),
     "triangle_distance": (_edge_on, None),
     "angle_over_sine": (lambda s, c: _slopes(s, c, c)[0], (0.03 * 0.36, 0.6)),
-    "spread": (lambda x: _spread(x - 0.3, x / x, x / x).span, (0.3,)),
+    "spread": (lambda x: _map_interval(x - 0.3, x / x, x / x).span, (0.3,)),
     "segment": (overlap._segment, (1.0,)),
     "overlap_of_discs": (lambda d, r: overlap.overlap_of_discs(d, r, r / 2), (0.3, 0.6)),
     "mean_within": (lambda a, b: aperture._mean_within(a, b, jnp.zeros_like(a)), (1.0, 0.5)),
