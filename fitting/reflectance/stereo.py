@@ -27,6 +27,7 @@ from ..inference.formatting import format_percent, format_spread, format_with_er
 from ..inference.given import plain_numbers
 from .models import has_lobe, shape_of
 from .names import MODELS, Model
+from .stereo_axes import axes_findings
 from .stereo_lights import (
     EXPLAINED,
     FLAT,
@@ -83,7 +84,8 @@ class Stereo:
             share, relative to the albedo; 0 where none is found. The standard deviations of normal
             and albedo include it.
         findings: sentences on images that do not match the others, on a surface that is not
-            Lambertian, and on images without light.
+            Lambertian, on images without light, and on normals that belong to no surface in the
+            axes of the image.
         materials: by label, the numbers that its pixels share and their standard deviations: of a
             lobe the amplitude, in the unit of the albedo (times that of the model's k_s), and the
             shape; of a rough body the roughness. Empty for Lambert's law.
@@ -154,7 +156,8 @@ def photometric_stereo(
     Args:
         images: (lights, h, w) linear readings without black level, in any unit; NaN marks a missing
             reading; the remaining readings are used.
-        lights: (lights, 3) unit vectors toward the lights, in any axes.
+        lights: (lights, 3) unit vectors toward the lights, in any axes. A finding says if normals
+            belong to no surface with x right and y up in the image.
         intensities: (lights,) irradiance on a surface that faces the light, W m^-2 or relative;
             None for 1.
         covariance: (lights, 4, lights, 4) of directions and logarithms of intensities, as
@@ -179,8 +182,8 @@ def photometric_stereo(
             the shape of the lobe, or the roughness of the body. Facets have an index of 1.5.
         materials: (h, w) whole numbers, one label per material; pixels with negative labels are
             Lambertian. None for one material.
-        viewer: (3,) unit vector toward the camera, in the axes of the lights. Only a `model` other
-            than Lambert's, and the comparison with a rough surface, use it.
+        viewer: (3,) unit vector toward the camera, in the axes of the lights. A `model` other than
+            Lambert's, the comparison with a rough surface, and the check of the axes use it.
 
     Returns:
         Normals, albedo and their standard deviations. These follow from the residuals of each
@@ -213,6 +216,9 @@ def photometric_stereo(
         [0. 0. 1.] 100.0
     """
     stack, directions, irradiance = _checked(images, lights, intensities)
+    infinite = np.isinf(stack)
+    missing = _infinite_finding(int(infinite.sum())) if infinite.any() else ()
+    stack = np.where(infinite, np.nan, stack)
     labels, toward = _checked_materials(stack, model, materials, viewer)
     rows = directions * irradiance[:, None]
     together = None if covariance is None else _common_errors(covariance, len(stack))
@@ -288,14 +294,18 @@ def photometric_stereo(
         )
     if not findings:
         findings = unlit or _contradiction_finding(rows, readings.reshape(shape), between, limits)
+    exact = np.isfinite(albedo) & np.isnan(normal_sd)
+    if exact.sum() > np.isfinite(albedo).sum() / 2:
+        findings += (_exact_finding(exact.sum() / np.isfinite(albedo).sum()),)
+    normals = normals.reshape(*shape[1:], 3)
     return Stereo(
-        normals.reshape(*shape[1:], 3),
+        normals,
         albedo.reshape(shape[1:]),
         normal_sd.reshape(shape[1:]),
         albedo_sd.reshape(shape[1:]),
         counts.sum(axis=0).reshape(shape[1:]),
         misfit.reshape(shape[1:]),
-        (*clipped, *_copies(stack), *told, *findings),
+        (*missing, *clipped, *_copies(stack), *told, *findings, *axes_findings(normals, toward)),
         {} if surface is None else surface.numbers,
     )
 
@@ -367,6 +377,21 @@ def _rough_body(
         sd,
         explained,
         float(np.median(turned)),
+    )
+
+
+def _exact_finding(share: float) -> str:
+    return (
+        f"At {format_percent(share)} of the pixels only three lights are used. They leave no "
+        "residuals, so normal and albedo have no standard deviation there, and errors of the "
+        "lights or of the model do not show. Use four lights or more."
+    )
+
+
+def _infinite_finding(count: int) -> tuple[str, ...]:
+    return (
+        f"{count} readings are infinite, as where a number is too large for its type (float16 ends "
+        "at 65504), and were left out.",
     )
 
 

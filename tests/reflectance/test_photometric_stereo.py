@@ -515,3 +515,44 @@ def test_a_ball_of_8_bits_that_is_clipped_leaves_out_its_largest_code():
         assert any("equal to the largest, 255, as in" in text for text in found.findings) == told
     scaled = photometric_stereo(np.round(3000 * shades + 5 * noise) / 4095, lights)
     assert not any("equal to the largest" in text for text in scaled.findings)
+
+
+TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # by 90 degrees about z
+
+
+@pytest.mark.parametrize(
+    ("axes", "viewer", "said"),
+    [
+        (np.eye(3), 1.0, ""),
+        (np.diag([1.0, -1.0, -1.0]), -1.0, ""),  # right-handed axes of a view along z
+        (np.diag([1.0, -1.0, 1.0]), 1.0, "with x right and y down (or x left, y up)"),
+        (np.diag([1.0, 1.0, -1.0]), -1.0, "with x right and y up (or x left, y down)"),
+        (np.eye(3)[[1, 0, 2]], 1.0, "in mirrored axes, such as with x and y exchanged"),
+        (TURN, 1.0, "in axes that are rotated by 90 or 270 degrees about z"),
+        (np.diag([1.0, 1.0, -1.0]), 1.0, "100 % of the normals point away from the camera"),
+    ],
+)
+def test_normals_that_belong_to_no_surface_in_the_stated_axes_are_named(axes, viewer, said):
+    noisy = READ + np.random.default_rng(3).normal(0, 0.3, READ.shape)
+    found = photometric_stereo(noisy, LIGHTS @ axes.T, intensities=E, viewer=(0, 0, viewer))
+    told = " ".join(found.findings)
+    assert (said in told) if said else ("surface" not in told and "away" not in told)
+
+
+def test_a_plane_in_noise_is_a_surface_in_any_axes():
+    plane = np.broadcast_to(READ[:, 8:9, 8:9], (12, 40, 40))
+    noisy = plane + np.random.default_rng(4).normal(0, 3.0, plane.shape)
+    assert "surface" not in " ".join(photometric_stereo(noisy, LIGHTS, intensities=E).findings)
+
+
+def test_infinite_readings_are_left_out_and_named():
+    holes = np.where(RNG.random(READ.shape) < 0.2, np.inf, READ)
+    found = photometric_stereo(holes, LIGHTS, intensities=E)
+    known = found.used >= 3
+    np.testing.assert_allclose(found.albedo[known], RHO[known], rtol=1e-9)
+    assert f"{np.isinf(holes).sum()} readings are infinite" in found.findings[0]
+
+
+def test_three_lights_say_that_they_leave_no_errors():
+    found = photometric_stereo(READ[:3], LIGHTS[[0, 4, 8]], intensities=E[:3])
+    assert "only three lights are used" in found.findings[-1]

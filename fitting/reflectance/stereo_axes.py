@@ -1,0 +1,83 @@
+"""Whether normals belong to a surface in the axes of the image: x right, y up, z to the camera.
+
+The slopes p = -nx / nz and q = -ny / nz of a surface have no curl (Horn and Brooks, Computer
+Vision, Graphics, and Image Processing 33, 1986). With g = p + i q, (d/dx - i d/dy) g is therefore
+real at every pixel. If the axes of the lights are rotated about the viewing axis, all these numbers
+have the phase of the rotation. If the axes are mirrored, this is true of the conjugate of g.
+"""
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ..inference.formatting import format_percent
+
+STEEPEST = 0.3  # least nz: slopes at the rim of a body change too fast for differences
+FEWEST = 50  # fewest cells of 2 x 2 blocks
+BLOCKS = 24  # along the shorter side of the image
+TURNING, LEFT = 0.2, 0.05  # share of the curl: reported in stated axes, at most in others
+AWAY = 0.5  # share of normals that point away from the camera
+
+
+def axes_findings(
+    normals: Float[np.ndarray, "h w 3"], viewer: Float[np.ndarray, "3"]
+) -> tuple[str, ...]:
+    """Return sentences on normals that point away from the camera, and on slopes with a curl."""
+    facing = normals @ viewer
+    known = np.isfinite(facing)
+    away = np.mean(facing[known] < 0) if known.any() else 0.0
+    if away > AWAY:
+        return (
+            f"{format_percent(away)} of the normals point away from the camera, which lies at "
+            f"viewer = {tuple(float(v) for v in viewer)}. Light directions point from the surface "
+            "toward the light; if these point the other way, change the signs of all three "
+            "numbers. If the axes are other ones, give viewer in them.",
+        )
+    if np.abs(viewer[:2]).max() > 1e-3:
+        return ()
+    across, along = _derivatives(normals, float(np.sign(viewer[2])))
+    if len(across) < FEWEST:
+        return ()
+    curl = float((across.imag**2).sum() / (np.abs(across) ** 2).sum())
+    if curl < TURNING:
+        return ()
+    up = "up" if viewer[2] > 0 else "down"
+    found = []
+    for mirrored, field in ((False, across), (True, along)):
+        phasor = (field**2).sum() / (np.abs(field) ** 2).sum()
+        found.append(((1 - abs(phasor)) / 2, mirrored, np.degrees(np.angle(phasor)) / 2))
+    left, mirrored, angle = min(found)
+    if left > LEFT:
+        return ()
+    other = f"in axes that are rotated by {angle:.0f} or {angle + 180:.0f} degrees about z"
+    if mirrored and abs(angle) < 20:
+        other = f"in axes with x right and y {'down' if up == 'up' else 'up'} (or x left, y {up})"
+    elif mirrored:
+        other = "in mirrored axes, such as with x and y exchanged"
+    return (
+        f"In axes with x right and y {up} in the image, the normals belong to no surface: "
+        f"{format_percent(curl)} of the squares of their derivatives are a curl. They belong to "
+        f"one {other}. Check the axes of the lights and the order of the images.",
+    )
+
+
+def _derivatives(
+    normals: Float[np.ndarray, "h w 3"], side: float
+) -> tuple[Complex[np.ndarray, " cells"], Complex[np.ndarray, " cells"]]:
+    """(d/dx - i d/dy) of g and of its conjugate, between means over blocks. Larger values than
+    nine of ten cells have, as at edges of the surface, are reduced to the size of the tenth."""
+    nz = side * normals[..., 2]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        g = np.where(nz > STEEPEST, -(normals[..., 0] + 1j * side * normals[..., 1]) / nz, np.nan)
+    block = max(1, min(g.shape) // BLOCKS)
+    rows, columns = (length // block for length in g.shape)
+    g = g[: rows * block, : columns * block].reshape(rows, block, columns, block).mean((1, 3))
+    right = (g[1:, 1:] + g[:-1, 1:] - g[1:, :-1] - g[:-1, :-1]) / 2
+    up = (g[:-1, 1:] + g[:-1, :-1] - g[1:, 1:] - g[1:, :-1]) / 2
+    known = np.isfinite(right)
+    right, up = right[known], up[known]
+    fields = right - 1j * up, np.conj(right) - 1j * np.conj(up)
+    if not known.any():
+        return fields
+    sizes = [np.abs(field) for field in fields]
+    limits = [np.quantile(size, 0.9) / np.maximum(size, 1e-300) for size in sizes]
+    return fields[0] * np.minimum(1, limits[0]), fields[1] * np.minimum(1, limits[1])
