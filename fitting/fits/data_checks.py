@@ -26,6 +26,8 @@ FEWEST = 10  # data
 PIXELS = 1000  # pixels of a map whose data are checked
 PILED, STEEP = 5, 3.0  # fewest data at an end, and ratio to those at each neighbouring value
 BESIDE = 8  # values next to an end
+COPIED = 0.1  # share of the values that occur more than once: reported
+SINGLE = 100_000  # data of which float32 makes many equal
 BEYOND = 3  # fewest data that the fit must predict beyond an end to call the others clipped
 COARSE = 1.0  # step of the data, in standard deviations of the noise, that is not negligible
 CROSSED = 0.1  # share of neighbours, ordered by prediction, whose standard deviations decrease
@@ -116,7 +118,7 @@ def _repeated(
     values, counts = np.unique(known, return_counts=True)
     if len(values) == len(known):
         return ()
-    found = _clipped(seen, values, counts, seed, overrated=overrated)
+    found = _copied(known, counts) + _clipped(seen, values, counts, seed, overrated=overrated)
     if faulty:
         found += _rounded(seen, known, seed)
     return tuple(found)
@@ -190,6 +192,19 @@ def _errors_of_data(seen: _FitOfPresent, data: np.ndarray) -> DataCheck | None:
     if abs(missed) > WRONG * error:
         return DataCheck(failures=(words,), overrated=True)
     return DataCheck(findings=(words,), overrated=True)
+
+
+def _copied(known: np.ndarray, counts: np.ndarray) -> list[str]:
+    """Data on no grid that occur more than once, by more than rounding to float32 explains."""
+    rounded = known.size > SINGLE and (known == known.astype(np.float32)).all()
+    if np.mean(counts > 1) < COPIED or rounded or converter_of([known]).step:
+        return []
+    return [
+        f"Only {len(counts)} of {known.size} data are different numbers, although they are not "
+        "rounded: the others are copies, as of resized pictures or repeated rows. They count as "
+        "independent data, so intervals are too narrow, by a factor of "
+        f"{np.sqrt(known.size / len(counts)):.2g}. Leave the copies out."
+    ]
 
 
 def _clipped(

@@ -137,8 +137,8 @@ def blame_priors(
     told = [words for _, words in sorted(found, key=lambda pair: -pair[0])]
     if joint is not None:
         told = [*_joint_difference(problem, joint, at, wide), *told]
-    if not told or not before.faults:
-        return tuple(told)
+    if not told or not before.faults or before.p > CHANCE:
+        return tuple(told)  # a width that is a parameter grows until it explains the difference
     return (
         f"{told[0]} The model does not describe the data because of it: chi-square per degree of "
         f"freedom is {before.chi_square / max(before.dof, 1):.4g}, and would be about "

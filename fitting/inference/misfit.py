@@ -95,7 +95,7 @@ def judge_sums(totals: Float[np.ndarray, " sums"], parameters: float) -> Misfit:
                 f"{chi_square / dof:.4g}; the intervals are too wide if the noise is overrated."
             )
     else:
-        remarks.append("There are as many parameters as data, so the fit cannot test the model.")
+        remarks.append("There are no more data than parameters, so the fit cannot test the model.")
     pairs = [_correlation(*four) for four in totals[2:].reshape(-1, 4)]
     limit = float(-ndtri(CHANCE / max(len(pairs), 1)))
     for axis, (correlation, significance) in enumerate(pairs):

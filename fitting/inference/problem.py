@@ -295,10 +295,20 @@ def _check_shapes(problem: Problem) -> None:
                 f"predict gives an array of shape {seen.shape}, the data have "
                 f"{problem.data.shape}: they must be equal."
             )
+        if jnp.issubdtype(getattr(seen, "dtype", float), jnp.complexfloating):
+            raise InputError(
+                "predict gives complex numbers, and the data are real: give their modulus, or real "
+                "and imaginary parts along an axis of two, as in the data."
+            )
         unfit = InputError(
             "The likelihood's numbers do not fit data of shape "
             f"{problem.data.shape}: give each as one number or in the data's shape."
         )
+        if seen is None or isinstance(seen, tuple | list):
+            unfit = InputError(
+                f"predict gives a {type(seen).__name__} and no array: give one array of shape "
+                f"{problem.data.shape}, as the data have."
+            )
         try:
             found = _terms(problem, values, seen)
         except InputError:

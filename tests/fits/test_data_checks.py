@@ -47,6 +47,30 @@ def test_data_that_are_clipped_or_rounded_are_told(data, expected):
     assert allowed.findings[0].split(" data ")[0] == found.failures[0].split(" data ")[0]
 
 
+def test_copies_among_the_data_are_told():
+    """Of 200 data 50 are independent: standard errors are half of what they should be."""
+    copied = noisy()[::4].repeat(4)
+    line = {"level": Parameter(lower=-5, upper=5), "slope": Parameter(lower=-5, upper=5)}
+    found = fit(
+        Problem(
+            line,
+            lambda inputs, level, slope: level + slope * inputs,
+            Gaussian(sd=1.0),
+            copied,
+            inputs=TIME,
+        ),
+        starts=2,
+    )
+    (told,) = [one for one in (*found.failures, *found.findings) if "copies" in one]
+    assert told.startswith("Only 50 of 200 data are different numbers")
+    assert "too narrow, by a factor of 2." in told
+    own = fitted(noisy(), Gaussian(sd=SD))
+    assert not any("copies" in one for one in (*own.failures, *own.findings))
+    zero = np.where(TIME > 2, 0.0, noisy())  # equal, and no copies
+    missed = fitted(zero, Gaussian(sd=SD))
+    assert not any("copies" in one for one in (*missed.failures, *missed.findings))
+
+
 def test_data_that_are_clipped_as_stated_or_rounded_finely_are_not():
     for data, likelihood in (
         (noisy(), Gaussian(sd=SD)),

@@ -37,6 +37,26 @@ def test_a_prior_is_compared_with_what_the_data_alone_say():
     assert not any("within their noise" in one for one in far.failures)
 
 
+def test_a_width_that_grows_to_explain_a_prior_is_no_misfit_because_of_it():
+    time = np.linspace(0.0, 4.0, 40)
+    data = 2 * time + 1 + 0.1 * np.random.default_rng(0).standard_normal(40)
+    free = {
+        "slope": Parameter(prior=Normal(5.0, 0.01)),
+        "level": Parameter(lower=-10, upper=10),
+        "sd": Parameter(lower=0.001, upper=100, transform="log"),
+    }
+    line = Problem(
+        free,
+        lambda inputs, slope, level: slope * inputs + level,
+        Gaussian("sd"),
+        data,
+        inputs=time,
+    )
+    (told,) = said(fit(line, starts=4))
+    assert "one of them is wrong" in told
+    assert "because of it" not in told
+
+
 @pytest.mark.parametrize(
     ("prior", "value", "z"),
     [

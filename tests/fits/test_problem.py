@@ -464,6 +464,19 @@ def test_intervals_at_a_bound_that_binds_are_not_those_of_a_flat_direction(below
     np.testing.assert_allclose(upper, exact, rtol=0.03)
 
 
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        (lambda a: jax.lax.complex(a * jnp.ones(5), jnp.ones(5)), "predict gives complex numbers"),
+        (lambda a: (a * jnp.ones(5), a), "predict gives a tuple and no array"),
+        (lambda a: None, "predict gives a NoneType and no array"),
+    ],
+)
+def test_a_prediction_of_another_type_is_refused(model, said):
+    with pytest.raises(InputError, match=said):
+        Problem({"a": Parameter(start=0.0)}, model, Gaussian(sd=1.0), np.zeros(5))
+
+
 def test_a_likelihood_of_another_shape_and_paths_within_paths_are_refused():
     data, model = np.zeros(5), lambda a: a * jnp.ones(5)
     with pytest.raises(InputError, match="do not fit data of shape"):
