@@ -289,3 +289,18 @@ def test_a_model_pays_for_turns_what_an_integral_over_them_takes(fitted):
         found = of_turns.log_evidence(effect) - fit.log_evidence(effect)
         assert found == pytest.approx(exact)
         assert fit.log_evidence(effect) == fit.log_likelihood / effect
+
+
+def test_light_in_shadows_widens_by_the_effect_of_as_much_on_all_pixels(fitted):
+    """A black level of 20 DN that nobody stated: the amplitude is beyond its errors without the
+    widening, and within them with it. Shadows that are black change nothing."""
+    observation, fit = fitted
+    plain = fit()
+    wrong = fit(black=observation.black - 20.0)
+    moved = wrong.vector - plain.vector
+    narrow = np.sqrt(np.diagonal(np.linalg.inv(wrong.information)))
+    wide = np.sqrt(np.diagonal(wrong.robustness.covariance))
+    assert abs(moved[0]) > 3 * narrow[0]
+    assert abs(moved[0]) < 1.96 * wide[0]
+    assert not len(plain.stated.common)
+    assert not any(error.name == "black_sd" for error in plain.stated.left_out)

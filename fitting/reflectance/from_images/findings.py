@@ -20,14 +20,14 @@ from ..names import CLEAR, MODELS
 from .calibration import ReflectanceCalibration, mean_residual, open_parameters, residual_of_images
 from .comparison import equally_good, surpassed_by
 from .fit import ChannelFit
+from .lights import SHADOWED, light_in_shadows
 from .shading_check import contradictions
 
 NOTABLE_RESIDUAL = 0.02  # reported residual of a part of the object, of the mean signal
 SIDES = {"upper": (0, 1), "lower": (0, -1), "left": (-1, 0), "right": (1, 0)}
 SIDE_STARTS = 0.5  # component of the normal from which a pixel belongs to a side
 OUTLINE = 0.4  # component of the normal toward the camera below which it belongs to the outline
-SHADOWED, GLOW = -0.05, 0.002  # n.l of a safe shadow; its light relative to k_d that is reported
-FEWEST_SHADOWED = 100
+GLOW = 0.002  # light in attached shadows, relative to k_d, that is reported
 FEW_FREEDOM = 5.0  # with fewer, Student's 95 % intervals are over a third wider than Gaussian ones
 CALM = 0.5  # chi-square per degree of freedom below which the stated noise is too large
 HOPELESS = 2.0  # relative misfit from which a fit does not describe the images
@@ -313,15 +313,13 @@ def _shadows(calibration: ReflectanceCalibration) -> Numbers | None:
     """Light in attached shadows, which no source of the rig reaches."""
     observation = calibration.observation
     light, pixel = np.nonzero(observation.cosine < SHADOWED)
-    shown = calibration.reported[0].form.ambient or observation.gamma is not None
-    if shown or len(light) < FEWEST_SHADOWED:
-        return None
-    glow = [
-        np.mean(observation.dn[i, light, pixel] - observation.black)
-        / np.mean(observation.intensity[i, light] * observation.falloff[light, pixel])
-        / fit.natural[0]
-        for i, fit in enumerate(calibration.reported)
-    ]
+    glow = []
+    for i, fit in enumerate(calibration.reported):
+        dark = light_in_shadows(observation, i)
+        if dark is None or fit.form.ambient:
+            return None
+        irradiance = observation.intensity[i, light] * observation.falloff[light, pixel]
+        glow.append(dark / np.mean(irradiance) / fit.natural[0])
     if max(glow) < GLOW:
         return None
     return {"shares": " / ".join(f"{100 * part:.2g}" for part in glow)}
@@ -497,7 +495,8 @@ OF_ALL = (
         _shadows,
         "Attached shadows are not black: on average they have {shares} % of the diffuse term in"
         " full light. Causes are interreflection, stray light, or a black level that is set too"
-        " low. The fit leaves shadows out.",
+        " low. The fit leaves shadows out, and intervals include the effect of as much light on"
+        " all pixels.",
     ),
 )
 

@@ -57,6 +57,9 @@ from .samples import (
 )
 from .signal import Form, Matrix, Vector
 
+SHADOWED = -0.05  # n.l of a safe shadow
+FEWEST_SHADOWED = 100  # pixels
+SIGNIFICANT = 4.0  # standard errors from 0 of light in shadows that counts
 STEP = 0.5  # step of a slope to either side, standard deviations
 LEAST_INFORMATION = 1e-12  # least information of an image on a rotation, in units of the prior's
 MOST_TURNS = 10  # of the lights
@@ -286,8 +289,11 @@ def stated_errors(
         about = np.zeros((lights, 2)) if turns is None else turns
         own["direction_sd"] = shifts_of_turns(view, about, prediction.vector, samples)
     shared = {}
-    if observation.black_sd:
-        shared["black_sd"] = np.full((1, len(samples.dn)), observation.black_sd)
+    glow = light_in_shadows(observation, view.channel)
+    glow = 0.0 if glow is None or samples.form.ambient else glow
+    if observation.black_sd or glow:
+        black = np.hypot(observation.black_sd, glow)
+        shared["black_sd"] = np.full((1, len(samples.dn)), black)
     if observation.gamma_sd and samples.gamma is not None:
         up, down = (
             predict(prediction.vector, replace(samples, gamma=samples.gamma + step)).dn
@@ -322,8 +328,23 @@ def stated_errors(
         np.concatenate(of_lights) if of_lights else np.empty((0, count)),
         np.array(common).reshape(-1, count),
         None if turnable is None else slopes,
-        gone,
+        tuple(error for error in gone if error.size != 0),  # 0: light in shadows, not stated
     )
+
+
+def light_in_shadows(observation: Photographs, channel: int) -> float | None:
+    """Mean of the attached shadows above black, DN, which no light of the rig reaches; None for
+    encoded files and where too few pixels are in shadow.
+
+    A wrong black level, stray light or interreflection may add as much to lit pixels. This looks
+    like another surface, so intervals include its effect, as that of `black_sd`.
+    """
+    light, pixel = np.nonzero(observation.cosine < SHADOWED)
+    if observation.gamma is not None or len(light) < FEWEST_SHADOWED:
+        return None
+    dark = observation.dn[channel, light, pixel] - observation.black
+    mean = float(dark.mean())
+    return mean if abs(mean) > SIGNIFICANT * dark.std() / np.sqrt(dark.size) else 0.0
 
 
 def no_more_than(robust: Robustness, model: Matrix) -> bool:
