@@ -74,6 +74,8 @@ def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
     response = fitted_pattern(measurement, usable).response
     uneven = float(np.sqrt(response.variance)) if response.significant else 0.0
     most = min(MOST, UNEVEN * read / uneven) if uneven else MOST
+    if most < FEWEST:  # uneven light, or gain and read noise are of frames that flicker
+        return none
     electrons = signal / gain
     dim = usable[(electrons >= FEWEST) & (electrons <= most)]
     if not len(dim):

@@ -33,6 +33,7 @@ FEWEST_FOR_OFFSET = 5  # levels besides the dimmest, for a line and an offset
 SURE = 6.0  # standard errors of a smooth unevenness of darks
 GROWS = 3.0  # ratio of the rms unevenness to that at the shortest exposure
 MATTERS = 0.1  # least unevenness, relative to the noise of a pixel
+CONTRADICTED = 4.0  # standard errors between a number of the rig and its estimate
 SAID = 2.0  # standard errors below which an offset of the light is not reported
 
 
@@ -111,6 +112,23 @@ def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
 def _size(calibration: NoiseCalibration, name: str, scale: float = 100) -> str:
     """A parameter with its error, by default in per cent."""
     return format_with_error(*(scale * x for x in _shown(calibration, name)))
+
+
+def _contradicted(calibration: NoiseCalibration) -> tuple[str, ...]:
+    """Numbers of the rig that differ from the estimates by more than both errors explain."""
+    told = []
+    for key, name, stated, sd in calibration.measurement.stated:
+        estimate = calibration.shown.get(name)
+        if estimate is None or estimate.value is None or not estimate.standard_error:
+            continue
+        found, error = float(estimate.value), float(np.hypot(estimate.standard_error, sd))
+        if abs(found - stated) > CONTRADICTED * error:
+            told.append(
+                f"camera.{key} states {stated:g} {estimate.unit}, but the frames have "
+                f"{format_with_error(found, estimate.standard_error)} {estimate.unit}, which is "
+                "reported here. Other calibrations of this rig use the stated one: correct it."
+            )
+    return tuple(told)
 
 
 def _has(name: str, calibration: NoiseCalibration) -> bool:
@@ -220,12 +238,27 @@ def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | Non
         if np.ptp(np.asarray(data.exposure)[np.asarray(data.lit) > 0]) != 0:
             off = offset / np.median(light / exposure)
             late = f", as if the shutter were off by {off:.2g} s"
+        late += " or light leaked" * (offset > 0)
     return {
         "size": format_with_error(abs(offset) * scale, error * scale),
         "way": "more" if offset > 0 else "less",
         "ratio": abs(offset) / error,
         "late": late,
     }
+
+
+def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
+    """Darks whose black level is not that of the flats look like an offset of the light: their
+    difference in DN is the offset times the responsivity."""
+    told = _light_offset(True, calibration) or _light_offset(False, calibration)
+    if not told or not _linear(False, calibration):
+        return None
+    offset, _ = _shown(calibration, "light_offset")
+    measurement, usable = calibration.measurement, calibration.usable
+    bright = measurement.bright
+    light = np.asarray(bright.light if measurement.photons_known else bright.exposure)[usable]
+    moved = offset * np.median(signal_of(measurement)[usable] / (light + offset))
+    return {"moved": abs(moved), "side": "below" if moved > 0 else "above"}
 
 
 def _of_the_dimmest(calibration: NoiseCalibration) -> bool:
@@ -622,7 +655,13 @@ FINDINGS = (
         "offset of the light",
         lambda c: _linear(False, c) and _light_offset(False, c),
         "Every exposure gets {size} photons {way} than recorded ({ratio:.0f} standard "
-        "errors){late} or light leaked.",
+        "errors){late}.",
+    ),
+    Finding(
+        "black level of the darks",
+        _black_of_darks,
+        "Darks {moved:.3g} DN {side} the flats' black level, as of another camera, setting or "
+        "temperature, would look the same. Dark noise and dark current are those of the darks.",
     ),
     Finding(
         "dimmest level",
@@ -831,4 +870,5 @@ FINDINGS = (
     ),
     _as_they_are("solver", _solver),
     _as_they_are("remarks", lambda c: c.measurement.remarks),
+    _as_they_are("contradicted", _contradicted),
 )

@@ -192,6 +192,8 @@ class PhotonTransfer(eqx.Module):
         pattern: phase of that mosaic; None without one.
         tables: histograms of codes at levels of few electrons; None where moments hold as much
             information, and where only sums are known.
+        stated: numbers of the rig that the frames determine too, as (key of the rig, name of the
+            estimate, value, standard deviation).
     """
 
     bright: Levels
@@ -206,6 +208,7 @@ class PhotonTransfer(eqx.Module):
     site: str | None = eqx.field(static=True, default=None)
     pattern: str | None = eqx.field(static=True, default=None)
     tables: CodeTables | None = None
+    stated: tuple[tuple[str, str, float, float], ...] = eqx.field(static=True, default=())
 
     @property
     def converter(self) -> Converter:

@@ -144,7 +144,12 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
             f"camera.black_level states {black:g} DN, but the darks have {seen:.4g} DN, which was "
             "used here. Other calibrations of this rig subtract the stated one: correct it."
         )
-    stated = rig.camera.at(channel).clip_level
+    site = rig.camera.at(channel)
+    known_too = (
+        ("gain", "system_gain", site.gain, site.gain_sd),
+        ("read_noise", "read_noise", site.read_noise, site.read_noise_sd),
+    )
+    stated = site.clip_level
     if converter.clips_at is not None and converter.clips_at < stated - max(converter.step, 1.0):
         remarks.append(
             f"No value is above {converter.clips_at:g}, and many pixels have exactly this value: "
@@ -168,6 +173,7 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
         lossy=tuple(name for one in (*flats, *darks) for name in one.files if _is_jpeg(name)),
         site=channel if len(rig.camera.sites) > 1 else None,
         pattern=rig.camera.pattern,
+        stated=tuple((key, of, x, sd or 0.0) for key, of, x, sd in known_too if x is not None),
     )
     found = replace(found, doubts=doubts(found, of_flats, of_darks))
     flats_used, darks_used = (

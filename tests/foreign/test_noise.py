@@ -385,6 +385,42 @@ def test_an_offset_of_the_light_within_twice_its_error_is_not_said(offset, said)
     assert bool(_light_offset(True, found)) == said
 
 
+def test_a_stated_gain_that_the_frames_contradict_is_named():
+    rng = np.random.default_rng(6)
+
+    def frame(photons):
+        electrons = rng.poisson(QE * photons, SHAPE) + 4.0 * rng.standard_normal(SHAPE)
+        return np.round(K * electrons + 64.0)
+
+    flats = [[frame(p), frame(p)] for p in PHOTONS]
+    darks = [[frame(0.0), frame(0.0)] for _ in PHOTONS]
+    stated = noise.Camera(bits=12, gain=0.5, read_noise=4.0)
+    times, photons = [0.01] * len(PHOTONS), list(PHOTONS)
+    found = noise.calibrate(noise.from_frames(flats, darks, times, photons, camera=stated))
+    told = [one for one in section(found).findings if "Other calibrations of this rig use" in one]
+    assert len(told) == 1
+    assert told[0].startswith("camera.gain states 0.5 DN/e⁻, but the frames have 0.2")
+
+
+def test_darks_of_another_camera_are_a_cause_of_an_offset_of_the_light():
+    """Darks 6 DN above the flats' black level look as if 48 photons of each flat were missing."""
+    rng = np.random.default_rng(5)
+
+    def frame(photons, offset):
+        electrons = rng.poisson(QE * photons, SHAPE) + 4.0 * rng.standard_normal(SHAPE)
+        return np.round(K * electrons + offset)
+
+    flats = [[frame(p, 64.0), frame(p, 64.0)] for p in PHOTONS]
+    darks = [[frame(0.0, 70.0), frame(0.0, 70.0)] for _ in PHOTONS]
+    times, photons = [0.01] * len(PHOTONS), list(PHOTONS)
+    measured = noise.from_frames(flats, darks, times, photons, camera=noise.Camera(bits=12))
+    told = " ".join(section(noise.calibrate(measured)).findings)
+    assert "photons less than recorded" in told
+    assert "leaked" not in told
+    moved = float(told.split("Darks ")[1].split(" DN above the flats' black level")[0])
+    assert abs(moved - 6.0) < 0.1
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("bits", [12, 16])
 @pytest.mark.sweep
