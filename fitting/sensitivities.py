@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
-from scipy.optimize import minimize, nnls
+from scipy.optimize import OptimizeResult, minimize, nnls
 
 from jaxvision import ArrayLike, colour_spaces
 from jaxvision.errors import InputError
@@ -38,6 +38,9 @@ _FEWEST = 4  # fewest readings of a channel
 _LENGTHS = 5e-9, 400e-9  # m, range of correlation lengths in the prior
 _STARTS = 25e-9, 60e-9, 120e-9  # m
 _OF_MODEL = 1e-4  # share of the largest reading: least error of any model of light and camera
+_REFUTED = (
+    5.0  # logarithm of a ratio of evidences from which a larger noise replaces the stated one
+)
 _LOUDER = 1.3  # ratio of residuals to the stated noise from which a misfit is reported
 
 
@@ -304,7 +307,9 @@ class _Channel:
         self.bounds = [
             (np.log(0.05), np.log(100.0)),
             tuple(np.log(_LENGTHS)),
-            (np.log(_OF_MODEL), 0.0) if sd is None else (0.0, np.log(100.0)),
+            (np.log(_OF_MODEL), 0.0)
+            if sd is None
+            else (0.0, np.log(max(100.0, 1 / self.sd.min()))),
         ]
         self.apart = np.abs(at[:, None] - at)
 
@@ -318,8 +323,8 @@ class _Channel:
         return np.hypot(np.exp(at[2]) * self.sd, _OF_MODEL)
 
     def cost(self, at: np.ndarray) -> float:
-        """Return minus the logarithm of the evidence, with broad priors about a size of 1, a length
-        of 60 nm and, if the noise is stated, a noise factor of 1."""
+        """Return minus the logarithm of the evidence, with broad priors about a size of 1 and a
+        length of 60 nm."""
         covariance = self.light @ self.prior(at) @ self.light.T + np.diag(self.noise(at) ** 2)
         root = np.linalg.cholesky(covariance)
         left = solve_triangular(root, self.y, lower=True)
@@ -328,14 +333,13 @@ class _Channel:
 
     def best(self) -> tuple[np.ndarray, np.ndarray]:
         """The optimum of the evidence and its covariance."""
-        starts = [
-            np.array([0.0, np.log(length), np.log(0.02) if self.bounds[2][1] == 0 else 0.0])
-            for length in _STARTS
-        ]
-        tries = [
-            minimize(self.cost, start, bounds=self.bounds, method="L-BFGS-B") for start in starts
-        ]
-        best = min(tries, key=lambda one: one.fun).x
+        low, high = self.bounds[2]
+        loud = float(np.clip(np.log(0.02 / np.median(self.sd)), low, high))
+        best = self._best_from(loud)
+        if low == 0 and loud > 0:  # the stated noise, unless the readings refute it
+            stated = self._best_from(0.0)
+            best = best if best.fun < stated.fun - _REFUTED else stated
+        best = best.x
         step = 0.05 * np.eye(3)
         hessian = np.array(
             [
@@ -349,6 +353,14 @@ class _Channel:
         )
         sizes, ways = np.linalg.eigh((hessian + hessian.T) / 2)
         return best, ways @ np.diag(1 / np.maximum(sizes, 1.0)) @ ways.T  # at most a factor of e
+
+    def _best_from(self, noise: float) -> OptimizeResult:
+        """The best optimum of searches that start with a logarithm of the noise."""
+        starts = [np.array([0.0, np.log(length), noise]) for length in _STARTS]
+        tries = [
+            minimize(self.cost, start, bounds=self.bounds, method="L-BFGS-B") for start in starts
+        ]
+        return min(tries, key=lambda one: one.fun)
 
     def draws(
         self, best: np.ndarray, spread: np.ndarray, count: int, rng: np.random.Generator

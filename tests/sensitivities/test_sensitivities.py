@@ -68,6 +68,20 @@ def test_narrow_bands_tell_the_curve_where_they_are():
     np.testing.assert_allclose(found.curves.mean, true, atol=0.07)
 
 
+def test_noise_a_thousand_times_the_stated_one_widens_as_much():
+    """Also where the standard deviations are in another unit than the readings."""
+    true, covered = camera(NAMES[0]), []
+    for seed in range(3):
+        readings, sd = chart(true, seed)
+        right, tiny = (
+            sensitivities.from_patches(readings, CHART * DAY, 1e-9 * NM, sd=s, draws=60)
+            for s in (sd, sd / 1000)
+        )
+        np.testing.assert_allclose(tiny.noise, 1000 * right.noise, rtol=0.6)
+        covered.append(np.mean(holds(tiny.curves, true)))
+    assert np.mean(covered) > 0.8
+
+
 def test_louder_noise_is_found_and_said():
     true = camera(NAMES[1])
     readings, sd = chart(true, 3)
