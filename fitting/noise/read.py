@@ -11,6 +11,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
 from jaxvision.files.images import read_image
@@ -92,6 +93,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
     return reduced_rig(rig, channel=channel, load=load).measurement
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # threads wait longer than they compute
 def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Reduced:
     """Like `reduce_rig`, with the names of the used frames."""
     require(rig, "photon transfer")
@@ -189,6 +191,7 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
     return Reduced(found, flats_used, darks_used, source.plane)
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # threads wait longer than they compute
 def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Levels:
     """Reduce only the darks of a rig."""
     rig, odd, _ = _without_odd_heads(rig)
