@@ -2,14 +2,16 @@
 
 from collections.abc import Iterable, Sequence
 from functools import partial
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from ..inference.formatting import format_interval, format_name, format_unit, format_value
 from ..report.colours import OF_CHANNEL
 from ..report.section import Picture, Section, Table
 from .compare import Comparison, compare
 from .lab import Truth
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LIMIT = 4.5  # standard errors shown to either side
 
@@ -70,8 +72,10 @@ def against_truth(sections: Iterable[Section], truth: Truth) -> Section:
     )
 
 
-def forest_figure(comparisons: Sequence[Comparison]) -> Figure:
+def forest_figure(comparisons: Sequence[Comparison]) -> "Figure":
     """One row for each estimate: 68 and 95 % intervals about the truth, in standard errors."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(5.4, 1.2 + 0.27 * len(comparisons)), layout="constrained")
     axis = figure.subplots()
     axis.axvspan(-1.96, 1.96, color="0.93", zorder=0)

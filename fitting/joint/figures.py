@@ -1,8 +1,9 @@
 """Pictures of a joint calibration."""
 
+from typing import TYPE_CHECKING
+
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.figure import Figure
 
 from ..reflectance.from_images.figures import draw_lights, shown_lights
 from ..report.colours import OF_CHANNEL
@@ -11,11 +12,14 @@ from .fit import image_errors
 from .model import predicted_parts
 from .prediction import predict
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 BINS = 16
 LARGEST = 4.0  # largest difference on the colour scale, standard deviations
 
 
-def images_figure(calibration: JointCalibration) -> Figure:
+def images_figure(calibration: JointCalibration) -> "Figure":
     """Rows: measured, predicted, difference in standard deviations; columns: lights."""
     observation, columns = calibration.observation, {}
     fit = calibration.fits[len(calibration.fits) // 2]
@@ -29,9 +33,11 @@ def images_figure(calibration: JointCalibration) -> Figure:
     return draw_lights(observation, columns, LARGEST, "standard deviations")
 
 
-def noise_figure(calibration: JointCalibration) -> Figure:
+def noise_figure(calibration: JointCalibration) -> "Figure":
     """Draw the mean squared residual of a pixel (without the fitted errors of its image) and the
     model's variance as functions of the mean."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(6.8, 4.2), layout="constrained")
     axis = figure.subplots()
     for fit in calibration.fits:
@@ -61,8 +67,10 @@ def noise_figure(calibration: JointCalibration) -> Figure:
     return figure
 
 
-def lights_figure(calibration: JointCalibration) -> Figure:
+def lights_figure(calibration: JointCalibration) -> "Figure":
     """The fitted strength of each light."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(6.8, 3.6), layout="constrained")
     axis = figure.subplots()
     width = 0.8 / len(calibration.fits)

@@ -2,15 +2,17 @@
 
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
 
 from ..inference.estimates import gaussian_estimate
 from ..inference.parameters import Parameter
 from ..report.section import Picture, Section, Table
 from .file import HEADS, Lights, write_lights
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FILE = "lights.npz"
 ENLARGED = 5.0  # half axis of the ellipses in the picture, in standard deviations
@@ -62,8 +64,11 @@ def section(lights: Lights, *, root: str = ".", camera: str = "bits = 8") -> Sec
     )
 
 
-def lights_figure(lights: Lights) -> Figure:
+def lights_figure(lights: Lights) -> "Figure":
     """Directions on the hemisphere toward the camera, with enlarged ellipses."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Ellipse
+
     figure = Figure(figsize=(5.2, 5.2), layout="constrained")
     axes = figure.subplots()
     axes.add_patch(Ellipse((0, 0), 2, 2, fill=False, color="0.7"))

@@ -1,12 +1,11 @@
 """Pictures of a noise calibration: photon transfer, responsivity, signal to noise, dark signal."""
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from ..inference.formatting import decimals_for, format_number
 from ..report.colours import BLUE
@@ -18,6 +17,10 @@ from .model import NoiseData, predicted_moments
 from .neighbours import NeighbourData
 from .quantised import Moments
 from .regressions import line
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SIZE = (5.4, 4.6)
 ORANGE, GREY = "tab:orange", "0.45"
@@ -62,7 +65,7 @@ def noise_pictures(calibration: NoiseCalibration) -> tuple[Picture, ...]:
     )
 
 
-def photon_transfer_figure(calibration: NoiseCalibration) -> Figure:
+def photon_transfer_figure(calibration: NoiseCalibration) -> "Figure":
     """Log-log variance against mean, with residuals."""
     measurement = calibration.measurement
     signal, shot = signal_of(measurement), shot_of(measurement)
@@ -129,7 +132,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> Figure:
     return figure
 
 
-def responsivity_figure(calibration: NoiseCalibration) -> Figure:
+def responsivity_figure(calibration: NoiseCalibration) -> "Figure":
     """Signal against light, with the linearity deviations."""
     measurement = calibration.measurement
     light = np.asarray(measurement.bright.light)
@@ -155,8 +158,10 @@ def responsivity_figure(calibration: NoiseCalibration) -> Figure:
     return figure
 
 
-def signal_to_noise_figure(calibration: NoiseCalibration) -> Figure:
+def signal_to_noise_figure(calibration: NoiseCalibration) -> "Figure":
     """SNR against light, log-log."""
+    from matplotlib.figure import Figure
+
     measurement = calibration.measurement
     light = np.asarray(measurement.bright.light)
     signal = signal_of(measurement)
@@ -196,8 +201,10 @@ def signal_to_noise_figure(calibration: NoiseCalibration) -> Figure:
     return figure
 
 
-def dark_signal_figure(calibration: NoiseCalibration) -> Figure:
+def dark_signal_figure(calibration: NoiseCalibration) -> "Figure":
     """Dark mean and variance against exposure."""
+    from matplotlib.figure import Figure
+
     dark = calibration.measurement.dark
     exposure = 1e3 * np.asarray(dark.exposure)
     count = np.asarray(dark.pixels * dark.frames)
@@ -227,8 +234,10 @@ def dark_signal_figure(calibration: NoiseCalibration) -> Figure:
     return figure
 
 
-def two_panels(*, height: float = 1.4) -> tuple[Figure, Axes, Axes]:
+def two_panels(*, height: float = 1.4) -> "tuple[Figure, Axes, Axes]":
     """Return a figure of two panels with a common abscissa, with heights 3 and `height`."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=SIZE, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, height))
     return figure, upper, lower
@@ -278,7 +287,9 @@ def _model_curve(
     return light, lit, unlit
 
 
-def _mark_saturation(calibration: NoiseCalibration, axes: tuple[Axes, ...], x: np.ndarray) -> None:
+def _mark_saturation(
+    calibration: NoiseCalibration, axes: "tuple[Axes, ...]", x: np.ndarray
+) -> None:
     saturation = calibration.within.saturation
     if saturation is None:
         return

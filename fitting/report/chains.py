@@ -4,10 +4,9 @@ import warnings
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import ScalarFormatter
 
 from jaxvision.files.images import replaced_on_success
 from jaxvision.plots import trace
@@ -18,14 +17,20 @@ from ..inference.posterior import Posterior
 from .colours import BLUE, OF_CHANNEL, RED
 from .section import Columns, Picture, Section
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 MARGIN = 1.15  # inches left of and below a corner plot, for rotated numbers and names
 LONGEST_TAIL = 0.75  # longest drawn tail beyond the 95 % interval, in widths of that interval
 
 
 def corner_figure(
     posteriors: Mapping[str, Posterior], truth: Mapping[tuple[str, str], float]
-) -> Figure:
+) -> "Figure":
     """Draw every pair of parameters with 68 and 95 % regions."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import ScalarFormatter
+
     with warnings.catch_warnings():  # importing ArviZ, if installed, warns of its changes
         warnings.simplefilter("ignore", FutureWarning)
         import corner
@@ -106,7 +111,7 @@ def _around(low: float, high: float) -> tuple[float, float]:
     return (low, high) if high > low else (low - abs(low) - 1e-9, high + abs(high) + 1e-9)
 
 
-def trace_figure(posterior: Posterior) -> Figure:
+def trace_figure(posterior: Posterior) -> "Figure":
     """Paths of some chains after burn-in; a converged chain looks like stationary noise."""
     figure = trace(posterior.by_name)
     for axes, parameter in zip(figure.axes, posterior.space, strict=True):

@@ -2,12 +2,11 @@
 map and its coverage."""
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from jaxvision.point_ops import srgb_encode
 
@@ -17,6 +16,10 @@ from .calibration import ChannelResponse, ResponseCalibration, crop_alike, radia
 from .findings import DRAWN
 from .shape import shapes
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 MOST_GROUPS = 9
 MOST_MAPS = 4  # groups whose maps are drawn
 MIDDLE_GREY = 0.18  # of white
@@ -24,7 +27,7 @@ DOTS = 1500  # pixels drawn per channel
 LEGEND = 0.2  # share of the height of an axis for its legend
 
 
-def curve_figure(calibration: ResponseCalibration) -> Figure:
+def curve_figure(calibration: ResponseCalibration) -> "Figure":
     """Log exposure against code, one panel per group, with data, band and gamma."""
     figure, panels = _panels(calibration, height=3.4)
     for axis, channels in panels:
@@ -39,7 +42,7 @@ def curve_figure(calibration: ResponseCalibration) -> Figure:
     return figure
 
 
-def _draw_curve(axis: Axes, channel: ChannelResponse, *, width: float) -> None:
+def _draw_curve(axis: "Axes", channel: ChannelResponse, *, width: float) -> None:
     curve, colour = channel.curve, colour_of(channel.plane.channel)
     z = curve.codes - curve.bins.black
     g, seen = curve.log_exposure, curve.seen
@@ -73,8 +76,10 @@ def _draw_curve(axis: Axes, channel: ChannelResponse, *, width: float) -> None:
     axis.plot(z, np.exp(pure), color=colour, lw=0.8, ls="--")
 
 
-def departure_figure(calibration: ResponseCalibration) -> Figure:
+def departure_figure(calibration: ResponseCalibration) -> "Figure":
     """Deviation of the measured curve from the best gamma (left) and from sRGB (right)."""
+    from matplotlib.figure import Figure
+
     shown = calibration.channels[: 4 * MOST_GROUPS]
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -98,7 +103,7 @@ def departure_figure(calibration: ResponseCalibration) -> Figure:
     return figure
 
 
-def offsets_figure(calibration: ResponseCalibration) -> Figure:
+def offsets_figure(calibration: ResponseCalibration) -> "Figure":
     """Offset of every image's exposure from its nominal time, one panel per group."""
     figure, panels = _panels(calibration, height=2.8)
     for axis, channels in panels:
@@ -127,9 +132,11 @@ def offsets_figure(calibration: ResponseCalibration) -> Figure:
 
 def radiance_figure(
     calibration: ResponseCalibration, images: dict[str, Float[np.ndarray, "h w *rgb"]]
-) -> Figure:
+) -> "Figure":
     """The map of each group next to its middle exposure alone, first at the map's white and then
     brightened to show its shadows. Both are radiance with the same tone curve."""
+    from matplotlib.figure import Figure
+
     shown = list(images.items())[:MOST_MAPS]
     tall = shown[0][1].shape[0] / shown[0][1].shape[1]
     figure = Figure(figsize=(5.2, 2 * len(shown) * (2.6 * tall + 0.3)), layout="constrained")
@@ -150,7 +157,7 @@ def radiance_figure(
     return figure
 
 
-def coverage_figure(calibration: ResponseCalibration) -> Figure:
+def coverage_figure(calibration: ResponseCalibration) -> "Figure":
     """The number of exposures for each pixel, in the worst channel of its group."""
     figure, panels = _panels(calibration, height=4.0)
     drawn = None
@@ -188,8 +195,10 @@ def _middle_exposure(
 
 def _panels(
     calibration: ResponseCalibration, *, height: float
-) -> tuple[Figure, list[tuple[Axes, list[ChannelResponse]]]]:
+) -> "tuple[Figure, list[tuple[Axes, list[ChannelResponse]]]]":
     """A figure with an axis for each group, and the group's channels."""
+    from matplotlib.figure import Figure
+
     of_group: dict[str, list[ChannelResponse]] = {}
     for channel in calibration.channels:
         of_group.setdefault(channel.plane.group, []).append(channel)

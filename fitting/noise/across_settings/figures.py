@@ -1,19 +1,21 @@
 """Pictures of a camera over its settings: gain, read noise, dark current."""
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from ...report.colours import BLUE
 from ...report.section import Picture
 from ..figures import GREY, ORANGE, two_panels
 from .calibration import CameraCalibration
 from .statement import BOLTZMANN_EV, proportional_gain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
 
 POINTS = 200  # of a drawn curve
 HALF_BAND = (0.025, 0.975)  # quantiles of what is shaded
@@ -61,7 +63,7 @@ def camera_pictures(calibration: CameraCalibration) -> tuple[Picture, ...]:
     return tuple(found)
 
 
-def gain_figure(calibration: CameraCalibration) -> Figure:
+def gain_figure(calibration: CameraCalibration) -> "Figure":
     """K against the stated gain, and its deviations from proportionality."""
     fit = calibration.fit
     factor = np.array([setting.gain_factor for setting in calibration.settings])
@@ -94,7 +96,7 @@ def gain_figure(calibration: CameraCalibration) -> Figure:
     return figure
 
 
-def read_noise_figure(calibration: CameraCalibration) -> Figure:
+def read_noise_figure(calibration: CameraCalibration) -> "Figure":
     """Read noise against the conversion gain, with its law."""
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
@@ -135,7 +137,7 @@ def read_noise_figure(calibration: CameraCalibration) -> Figure:
     return figure
 
 
-def dark_current_figure(calibration: CameraCalibration) -> Figure:
+def dark_current_figure(calibration: CameraCalibration) -> "Figure":
     """Dark current against the inverse of temperature."""
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
@@ -190,8 +192,8 @@ def dark_current_figure(calibration: CameraCalibration) -> Figure:
 
 
 def _shade(
-    upper: Axes,
-    lower: Axes,
+    upper: "Axes",
+    lower: "Axes",
     x: np.ndarray,
     curve: np.ndarray,
     low: np.ndarray,
@@ -222,8 +224,10 @@ def _aside(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
     return 1 + 0.02 * order
 
 
-def _plain_ticks(axis: Axis) -> None:
+def _plain_ticks(axis: "Axis") -> None:
     """Label an axis that spans few decades with plain numbers instead of powers."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
     axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())

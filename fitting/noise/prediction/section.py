@@ -1,9 +1,9 @@
 """The report of a prediction: chi-squares, missing effects, and residuals."""
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ...inference.formatting import format_number, format_p
 from ...report.colours import BLUE
@@ -11,6 +11,9 @@ from ...report.section import Picture, Section, Table
 from .comparison import PARTS, Agreement
 from .missing import SCATTERS
 from .predict import Prediction
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 KIND, TITLE = "prediction", "What the camera predicts of its frames"
 NOTHING_KNOWN = "No effect that is known here explains it."
@@ -201,8 +204,10 @@ def picture(prediction: Prediction) -> Picture:
     )
 
 
-def residual_figure(prediction: Prediction) -> Figure:
+def residual_figure(prediction: Prediction) -> "Figure":
     """Residuals over signal, a panel for each quantity."""
+    from matplotlib.figure import Figure
+
     judged = prediction.judged
     figure = Figure(figsize=(5.4, 1.5 + 1.3 * len(judged.agreement)), layout="constrained")
     panels = np.atleast_1d(figure.subplots(len(judged.agreement), 1, sharex=True))

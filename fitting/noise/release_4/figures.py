@@ -2,10 +2,9 @@
 profiles."""
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from ...report.colours import BLUE, GREEN, RED
 from ...report.section import Picture
@@ -14,6 +13,10 @@ from .lines import profile, spectrogram
 from .nonuniformity import Split, can_filter, high_pass
 from .sheet import PARTS, Release4
 from .stacks import Averages
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SIZE = (5.4, 4.6)
 ORANGE, GREY, PURPLE = "tab:orange", "0.45", "tab:purple"
@@ -81,8 +84,10 @@ def pictures_of_images(sheet: Release4) -> tuple[Picture, ...]:
     )
 
 
-def spatial_variances_figure(sheet: Release4) -> Figure:
+def spatial_variances_figure(sheet: Release4) -> "Figure":
     """Deviations over the signal, log-log."""
+    from matplotlib.figure import Figure
+
     stacks = sheet.stacks
     bright, dark = stacks.measurement.bright, stacks.measurement.dark
     matched = np.asarray(stacks.measurement.dark_of)
@@ -125,8 +130,10 @@ def _deviations(splits: tuple[Split, ...], part: str) -> np.ndarray:
     return np.sqrt(np.where(variances > 0, variances, np.nan))
 
 
-def signal_to_noise_figure(sheet: Release4) -> Figure:
+def signal_to_noise_figure(sheet: Release4) -> "Figure":
     """SNR over light, log-log."""
+    from matplotlib.figure import Figure
+
     general, measurement = sheet.general, sheet.stacks.measurement
     figure = Figure(figsize=(SIZE[0], 3.8), layout="constrained")
     axis = figure.subplots()
@@ -165,8 +172,10 @@ def defect_images(averages: Averages) -> tuple[tuple[str, str, np.ndarray, float
     )
 
 
-def histograms_figure(averages: Averages) -> Figure:
+def histograms_figure(averages: Averages) -> "Figure":
     """Counts for both, logarithmic."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=SIZE, layout="constrained")
     for axis, (name, unit, image, steps) in zip(
         figure.subplots(2, 1), defect_images(averages), strict=True
@@ -182,8 +191,10 @@ def histograms_figure(averages: Averages) -> Figure:
     return figure
 
 
-def accumulated_figure(averages: Averages) -> Figure:
+def accumulated_figure(averages: Averages) -> "Figure":
     """Share of the pixels beyond a deviation for both, logarithmic."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=SIZE, layout="constrained")
     for axis, (name, unit, image, steps) in zip(
         figure.subplots(2, 1), defect_images(averages), strict=True
@@ -197,8 +208,10 @@ def accumulated_figure(averages: Averages) -> Figure:
     return figure
 
 
-def spectrograms_figure(averages: Averages) -> Figure:
+def spectrograms_figure(averages: Averages) -> "Figure":
     """Amplitudes over frequency: rows of axes for DSNU and PRNU, columns for directions."""
+    from matplotlib.figure import Figure
+
     lit, unlit = averages.lit, averages.unlit
     response = lit.image - unlit.image
     figure = Figure(figsize=(7.2, SIZE[1]), layout="constrained")
@@ -220,8 +233,10 @@ def spectrograms_figure(averages: Averages) -> Figure:
     return figure
 
 
-def profiles_figure(averages: Averages) -> Figure:
+def profiles_figure(averages: Averages) -> "Figure":
     """Horizontal profiles on the left, vertical ones on the right."""
+    from matplotlib.figure import Figure
+
     lit, unlit = averages.lit, averages.unlit
     figure = Figure(figsize=(7.2, SIZE[1]), layout="constrained")
     axes = figure.subplots(2, 2, sharex="col", sharey="row")
@@ -239,7 +254,7 @@ def profiles_figure(averages: Averages) -> Figure:
     return figure
 
 
-def _draw_profile(axis: Axes, image: np.ndarray, along: int) -> None:
+def _draw_profile(axis: "Axes", image: np.ndarray, along: int) -> None:
     found = profile(image, along)
     for label, y, colour in (
         ("least", found.least, GREY),

@@ -1,13 +1,11 @@
 """Pictures of lobes fitted to measured reflectance."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from jaxvision import Vec
 
@@ -19,6 +17,10 @@ from .errors import best, best_about_axis, metric
 from .findings import AXES
 from .fit import LobeFit, brdf
 from .read import MeasuredBRDF
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 AXIS_COLOURS: dict[Axis, str] = {"mirror": "tab:orange", "half": "tab:blue", "none": "0.55"}
 AXIS_LABELS: dict[Axis, str] = {
@@ -32,8 +34,10 @@ SHOWN_INCIDENCES = 4
 LIMIT = 200.0  # per cent: larger errors share a colour
 
 
-def slices_figure(calibration: BRDFCalibration) -> Figure:
+def slices_figure(calibration: BRDFCalibration) -> "Figure":
     """Panels of some incidences: reflected light against the viewer's angle from the normal."""
+    from matplotlib.figure import Figure
+
     measured = calibration.measured
     shown = np.unique(
         np.linspace(0, len(measured.incidences) - 1, SHOWN_INCIDENCES).round().astype(int)
@@ -49,7 +53,7 @@ def slices_figure(calibration: BRDFCalibration) -> Figure:
     return figure
 
 
-def _draw_slice(axis: Axes, calibration: BRDFCalibration, incidence: int) -> None:
+def _draw_slice(axis: "Axes", calibration: BRDFCalibration, incidence: int) -> None:
     measured = calibration.measured
     x, off_plane = (np.degrees(angle) for angle in in_plane_angles(measured))
     chosen = (measured.incidence == incidence) & (np.abs(off_plane) < IN_PLANE)
@@ -122,8 +126,11 @@ def predicted(
     return np.broadcast_to(found[:, 0], len(theta_o))
 
 
-def errors_figure(calibration: BRDFCalibration) -> Figure:
+def errors_figure(calibration: BRDFCalibration) -> "Figure":
     """Bars of both metrics, models in order of the objective's."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
     order: list[Model] = sorted(
         MODELS, key=lambda m: -metric(calibration.held_out[m], calibration.objective)
     )
@@ -162,7 +169,7 @@ def errors_figure(calibration: BRDFCalibration) -> Figure:
     return figure
 
 
-def incidences_figure(calibration: BRDFCalibration) -> Figure:
+def incidences_figure(calibration: BRDFCalibration) -> "Figure":
     """Models down, incidences across."""
     order: list[Model] = sorted(
         MODELS, key=lambda m: metric(calibration.held_out[m], calibration.objective)
@@ -174,8 +181,10 @@ def incidences_figure(calibration: BRDFCalibration) -> Figure:
     return figure
 
 
-def materials_figure(calibrations: Sequence[BRDFCalibration]) -> Figure:
+def materials_figure(calibrations: Sequence[BRDFCalibration]) -> "Figure":
     """Models down, materials across, the best of each framed."""
+    from matplotlib.patches import Rectangle
+
     objective = calibrations[0].objective
     factor = 100 if objective == "cosine" else 1
     label = "held-out RMS [% of signal]" if objective == "cosine" else "held-out RMS of cube root"
@@ -200,9 +209,10 @@ def _heat_table(
     label: str,
     *,
     style: str = ".0f",
-) -> Figure:
+) -> "Figure":
     """A table of numbers with cells shaded by the logarithm of their number."""
     from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
 
     figure = Figure(
         figsize=(3.4 + 0.95 * len(columns), 1.2 + 0.42 * len(rows)), layout="constrained"
@@ -232,8 +242,10 @@ def _heat_table(
     return figure
 
 
-def amplitudes_figure(calibration: BRDFCalibration) -> Figure:
+def amplitudes_figure(calibration: BRDFCalibration) -> "Figure":
     """Spectra of both amplitudes, or points if there are few bands."""
+    from matplotlib.figure import Figure
+
     measured, found, model = calibration.measured, calibration.amplitudes, calibration.model
     row = REFLECTANCES[model]
     terms = [("k_d", found.diffuse, found.diffuse_error, "sr$^{-1}$")]
@@ -250,7 +262,9 @@ def amplitudes_figure(calibration: BRDFCalibration) -> Figure:
     return figure
 
 
-def _draw_bands(axis: Axes, measured: MeasuredBRDF, values: np.ndarray, error: np.ndarray) -> None:
+def _draw_bands(
+    axis: "Axes", measured: MeasuredBRDF, values: np.ndarray, error: np.ndarray
+) -> None:
     if measured.wavelengths is not None:
         axis.errorbar(measured.wavelengths, values, error, fmt="o-", ms=3, lw=1, capsize=2)
         axis.set_xlabel("wavelength [nm]")

@@ -1,12 +1,9 @@
 """Pictures of a reflectance calibration."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import TwoSlopeNorm
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from ...report.colours import OF_CHANNEL
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
@@ -16,6 +13,10 @@ from .read import Photographs
 from .samples import Selection, View
 from .signal import decoded, lobe_with_slopes
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 MARKERS = {"red": "o", "green": "s", "blue": "^", "grey": "o"}
 DISPLAY_GAMMA = 2.2
 SHOWN_LIGHTS = 2  # fitted, and held-out
@@ -23,7 +24,7 @@ OFF_HIGHLIGHT = 0.02  # share of the lobe's peak below which a pixel is away fro
 MOST_POINTS = 200_000
 
 
-def images_figure(calibration: ReflectanceCalibration) -> Figure:
+def images_figure(calibration: ReflectanceCalibration) -> "Figure":
     """Rows: measured, predicted, difference; columns: lights."""
     observation, columns = calibration.observation, {}
     as_fitted = [(lights_as_fitted(observation, fit), fit) for fit in calibration.reported]
@@ -46,9 +47,13 @@ def draw_lights(
     columns: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]],
     largest: float,
     label: str,
-) -> Figure:
+) -> "Figure":
     """Draw, for each light, the measured and the predicted image, (channels, pixels) relative to
     white, and their (pixels,) difference."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import TwoSlopeNorm
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(1.2 + 2.2 * len(columns), 6.6), layout="constrained")
     axes = figure.subplots(3, len(columns), squeeze=False)
     scale = TwoSlopeNorm(0, -largest, largest)
@@ -70,8 +75,10 @@ def draw_lights(
     return figure
 
 
-def lobes_figure(calibration: ReflectanceCalibration) -> Figure:
+def lobes_figure(calibration: ReflectanceCalibration) -> "Figure":
     """Diffuse and specular term, each after subtracting the other."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     diffuse, specular = figure.subplots(1, 2)
     for fit in calibration.reported:
@@ -92,8 +99,11 @@ def lobes_figure(calibration: ReflectanceCalibration) -> Figure:
     return figure
 
 
-def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
+def comparison_figure(calibration: ReflectanceCalibration) -> "Figure":
     """Relative RMS per model and channel, on a logarithmic axis."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     scores, channels = calibration.scores, calibration.observation.channels
     models = tuple(calibration.fits)
     figure = Figure(figsize=(5.4, 1.6 + 0.42 * len(models)), layout="constrained")
@@ -131,8 +141,11 @@ def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
     return figure
 
 
-def residual_map_figure(calibration: ReflectanceCalibration) -> Figure:
+def residual_map_figure(calibration: ReflectanceCalibration) -> "Figure":
     """Mean relative residual of every pixel."""
+    from matplotlib.colors import TwoSlopeNorm
+    from matplotlib.figure import Figure
+
     percent = 100 * mean_residual(calibration)
     largest = max(float(np.nanquantile(np.abs(percent), 0.98)), 0.1)
     figure = Figure(figsize=(5.4, 4.4), layout="constrained")
@@ -163,7 +176,7 @@ def shown_lights(observation: Photographs) -> list[int]:
 
 
 def _draw_terms(
-    calibration: ReflectanceCalibration, fit: ChannelFit, diffuse: Axes, specular: Axes
+    calibration: ReflectanceCalibration, fit: ChannelFit, diffuse: "Axes", specular: "Axes"
 ) -> None:
     values, cosine, angle, unit = _per_unit_light(calibration, fit)
     colour, marker = OF_CHANNEL[fit.channel], MARKERS[fit.channel]
@@ -226,7 +239,7 @@ def _lobe_reach(angle: np.ndarray, unit: np.ndarray) -> float:
 
 
 def _draw_medians(
-    axis: Axes,
+    axis: "Axes",
     x: np.ndarray,
     y: np.ndarray,
     edges: np.ndarray,
