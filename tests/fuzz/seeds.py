@@ -30,7 +30,7 @@ from jaxvision.files.scenes import read_scene
 
 from . import kept
 
-PACKAGE = Path(jaxvision.__file__).parent
+SHIPPED = Path(jaxvision.__file__).parent / "files" / "shipped"
 RNG = np.random.default_rng(3)
 
 
@@ -154,9 +154,9 @@ def targa() -> bytes:
 
 def kinds(folder: Path) -> dict[str, Kind]:
     """Every kind by name; `folder` for what writers need, and what files name beside them."""
-    cameras = tuple((PACKAGE / "cameras" / f"{n}.toml").read_bytes() for n in shipped_cameras())
-    scenes = tuple(file.read_bytes() for file in sorted((PACKAGE / "scenes").glob("*.toml")))
-    for table in (PACKAGE / "scenes").glob("*.csv"):  # beside the scenes that name them
+    cameras = tuple((SHIPPED / "cameras" / f"{n}.toml").read_bytes() for n in shipped_cameras())
+    scenes = tuple(file.read_bytes() for file in sorted((SHIPPED / "scenes").glob("*.toml")))
+    for table in (SHIPPED / "scenes").glob("*.csv"):  # beside the scenes that name them
         (folder / table.name).write_bytes(table.read_bytes())
     mitsuba_pictures.write_scenes(folder)
     write_image(folder / "sky.exr", mitsuba_pictures.sky())
