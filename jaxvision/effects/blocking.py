@@ -29,9 +29,11 @@ from .bodies import (
     is_closed,
     numbers,
     stacked,
+    surface_bodies,
     taken,
     unit,
 )
+from .boxes import same
 from .cells import plane_between
 from .illumination import Source
 
@@ -89,18 +91,6 @@ def slack_over(
     """Return (n,) m, the largest error of each body's height above a plane."""
     size = (np.abs(bodies.points) @ np.abs(normal) + bodies.radii).max(1)
     return relative * (size + np.abs(point) @ np.abs(normal))
-
-
-def _parts(
-    surfaces: Sequence[Ends[Surface]], reach: float
-) -> tuple[Bodies, np.ndarray, dict[int, tuple[np.ndarray, np.ndarray]]]:
-    """The bodies of all surfaces, which of them are bounded, and the planes of the flat ones."""
-    found = [body_of(surface.of("shape")) for surface in surfaces]
-    bounded = np.array([body is not None for body in found])
-    endless = np.zeros((1, 3)), np.full(1, 1e3 * reach)
-    bodies = stacked([endless if body is None else body for body in found])
-    planes = {i: plane_between(surface.of("shape")) for i, surface in enumerate(surfaces)}
-    return bodies, bounded, {i: plane for i, plane in planes.items() if plane is not None}
 
 
 def _extent(
@@ -164,7 +154,9 @@ def may_block(
         solid = kind in (Sphere, Box, TriangleMesh)
         may[:, i, i] &= solid and (two_sided or not is_convex(surface.of("shape")))
     reach = reach_of(surfaces, sources)
-    bodies, bounded, planes = _parts(surfaces, reach)
+    bodies, bounded = surface_bodies(surfaces)
+    flat = {i: plane_between(surface.of("shape")) for i, surface in enumerate(surfaces)}
+    planes = {i: plane for i, plane in flat.items() if plane is not None}
     relative = touching(surfaces)
     for i, plane in planes.items():
         low, high = _extent(bodies, bounded, planes, plane, relative)
@@ -205,9 +197,7 @@ def _within(
     """(n,) whether each body lies inside a fixed ball or box. Unless `strictly`, it may touch a box
     from inside within rounding errors, `relative` to its coordinates."""
     shape = surface.low.shape
-    ends = (jax.tree.leaves(end.shape) for end in surface)
-    fixed = all(np.array_equal(np.asarray(a), np.asarray(b)) for a, b in zip(*ends, strict=True))
-    if not fixed or not isinstance(shape, Sphere | Box):
+    if not same(*surface.of("shape")) or not isinstance(shape, Sphere | Box):
         return np.zeros(len(bodies.points), bool)
     away, slack = bodies.points - numbers(shape.centre), certain(reach)
     if isinstance(shape, Sphere):

@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..core._bounds import SIGNS, Ends, box_about, numbers, once, unit
-from ..scene import Box, Disc, Plane, Quad, Sphere, TriangleMesh
+from ..scene import Box, Disc, Plane, Quad, Sphere, Surface, TriangleMesh
 from ..scene.shapes import Shape
+from .boxes import same
 
 _SIDES = 16  # sides of the polygon around a disc, which is 2 % wider
 _AXES = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
@@ -38,12 +39,17 @@ def _quad_corners(shape: Quad) -> np.ndarray:
     return corner + np.stack([0 * u, u, v, u + v])
 
 
+def tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors across a unit normal, (3,), and across each other."""
+    first = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
+    return first, np.cross(normal, first)
+
+
 def disc_polygon(shape: Disc, *, within: bool = False) -> np.ndarray:
     """(n, 3) m, the corners of a polygon around a disc, or inside it, in order."""
-    normal = unit(numbers(shape.normal))
-    first = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
+    first, second = tangents(unit(numbers(shape.normal)))
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
-    around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), np.cross(normal, first))
+    around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), second)
     wider = 1.0 if within else 1 / np.cos(np.pi / _SIDES)
     return numbers(shape.centre) + numbers(shape.radius) * wider * around
 
@@ -82,8 +88,7 @@ def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
         return points, np.full(len(points), float(high.radius))
     if isinstance(low, Plane):
         return None
-    turned = [name for name in ("rotation", "normal") if _differ(low, high, name)]
-    if turned:
+    if not all(same(*(getattr(end, n, None) for end in shape)) for n in ("rotation", "normal")):
         return None
     if isinstance(low, Box | Disc) and isinstance(
         high, Box | Disc
@@ -129,11 +134,6 @@ def is_closed(shape: Ends[Shape]) -> bool:
     return bool((volumes[np.unique(part)] > 0).all())
 
 
-def _differ(low: Shape, high: Shape, name: str) -> bool:
-    a, b = getattr(low, name, None), getattr(high, name, None)
-    return a is not None and not np.array_equal(numbers(a), numbers(b))
-
-
 def plane_of(shape: Shape) -> tuple[np.ndarray, np.ndarray] | None:
     """A point, m, and the unit normal of a flat shape; None for all others."""
     match shape:
@@ -156,6 +156,22 @@ def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:
         points[i, : len(own)], points[i, len(own) :] = own, own[-1]
         radii[i, : len(own)], radii[i, len(own) :] = size, size[-1]
     return Bodies(points, radii)
+
+
+def surface_bodies(surfaces: Sequence[Ends[Surface]]) -> tuple[Bodies, np.ndarray]:
+    """The bodies of all surfaces, and which of them are bounded, (n,); any ball stands for an
+    endless one."""
+    found = [body_of(surface.of("shape")) for surface in surfaces]
+    ball = np.zeros((1, 3)), np.ones(1)
+    bodies = stacked([ball if body is None else body for body in found])
+    return bodies, np.array([body is not None for body in found])
+
+
+def balls_about(bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
+    """The centres, (n, 3) m, and radii, (n,) m, of balls that contain the bodies."""
+    middle = (bodies.points.min(1) + bodies.points.max(1)) / 2
+    away = np.linalg.norm(bodies.points - middle[:, None], axis=2)
+    return middle, (away + bodies.radii).max(1)
 
 
 def taken(bodies: Bodies, index: np.ndarray) -> Bodies:

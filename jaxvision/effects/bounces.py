@@ -15,18 +15,17 @@ dark surfaces. In a bright closed room it is far too large, and its paths are ke
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from ..scene import Box, Sphere, TriangleMesh
-from .bodies import Bodies, body_of, heights, numbers
-from .cells import plane_between
-from .certificate import RADIANCE, Effect
+from .bodies import Bodies, balls_about, body_of, heights, numbers, stacked
+from .boxes import setting
+from .cells import Cells, plane_between, starts
 from .illumination import times
-from .stages import Draft, Row
+from .stages import Row
 from .sums import Sums, pictured, sent
 
 EMITTED = 1  # segments of a path from an emitter: surface to eye
@@ -64,16 +63,9 @@ def shorter(depth: int) -> list[int]:
 def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = "") -> Row:
     """The row for paths of at most `pieces` of the `depth` segments. Longer paths add at most
     `amount`, (bands,) W m^-2 sr^-1, which is proved if `assumes` is ""."""
-    bound = float(np.max(amount))
-    why = f"paths of at most {pieces} segments"
-    rank = "estimate" if assumes else "exact" if bound == 0 else "bound"
-    effect = Effect("bounces", True, why, bound, unit=RADIANCE, rank=rank)
-
-    def drop(draft: Draft) -> Draft:
-        return replace(draft, depth=pieces)
-
-    saves = 1 - pieces / depth
-    return Row(effect, amount, drop, assumes=assumes, ladder="bounces", saves=saves)
+    why, estimated = f"paths of at most {pieces} segments", bool(assumes)
+    more = {"estimated": estimated, "assumes": assumes, "saves": 1 - pieces / depth}
+    return Row("bounces", amount, why, setting("depth", pieces), ladder="bounces", **more)
 
 
 class Transport(NamedTuple):
@@ -123,7 +115,7 @@ class Onward:
         toward any viewer; None: there are no further segments."""
         if self.depth is None:
             return cells
-        least = self._largest_of_surfaces(cells if around is None else around)
+        least = largest(self.sums.cells, cells if around is None else around)
         total = self.series(least, self.depth - pieces)
         return cells + total[self.sums.cells.surface]
 
@@ -133,7 +125,7 @@ class Onward:
         lamps."""
         found = np.zeros_like(self.sums.own)
         for k in range(len(self.sums.sources)):
-            found += self._largest_of_surfaces(sent(self.sums, k, around=True))
+            found += largest(self.sums.cells, sent(self.sums, k, around=True))
         return found
 
     @cached_property
@@ -184,11 +176,10 @@ class Onward:
                 return np.full_like(found, np.inf)
         return np.where(np.isfinite(sent), found, np.inf)
 
-    def _largest_of_surfaces(self, cells: np.ndarray) -> np.ndarray:
-        """The largest of (c, bands) over the cells of each surface, (n, bands)."""
-        n = len(self.sums.surfaces)
-        first = np.searchsorted(self.sums.cells.surface, np.arange(n))
-        return np.maximum.reduceat(cells, first, axis=0)
+
+def largest(cells: Cells, values: np.ndarray) -> np.ndarray:
+    """The largest of (c, bands) over the cells of each surface, (n, bands)."""
+    return np.maximum.reduceat(values, starts(cells), axis=0)
 
 
 def gathered(shares: np.ndarray, sent: np.ndarray) -> np.ndarray:
@@ -220,14 +211,11 @@ def _form_factors(sums: Sums) -> np.ndarray:
     found = [body_of(surface.of("shape")) for surface in sums.surfaces]
     planes = [plane_between(surface.of("shape")) for surface in sums.surfaces]
     cells = sums.cells
-    first = np.searchsorted(cells.surface, np.arange(n))
     for j, body in enumerate(found):
         if body is not None:
-            points, radii = body
-            middle = (points.min(0) + points.max(0)) / 2
-            size = (np.linalg.norm(points - middle, axis=1) + radii).max()
+            middle, (size,) = balls_about(stacked([body]))
             apart = np.linalg.norm(cells.centre - middle, axis=1) - cells.radius
-            d = np.minimum.reduceat(apart, first)
+            d = np.minimum.reduceat(apart, starts(cells))
             factors[:, j] = np.where(d > size, (size / np.where(d > size, d, 1)) ** 2, 1)
         for i, plane in enumerate(planes):
             if plane is not None and not sums.surfaces[i].low.two_sided:

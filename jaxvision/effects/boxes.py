@@ -16,7 +16,7 @@ import numpy as np
 from ..core._types import is_known
 from ..errors import InputError, nearest
 from ..scene import Camera, Scene
-from .stages import Draft, Ends
+from .stages import Draft, Drop, Ends
 
 Box = Mapping[str, tuple[Any, Any]]
 # a pinhole in place of a lens has the values at the working aperture
@@ -36,18 +36,11 @@ def refuse_tracers(*records: Any) -> None:
 def unbounded(scene: Scene, camera: Camera) -> str:
     """The name of a number that makes every bound infinite: one of the scene that is not finite, or
     a NaN of the camera; "" if there is none."""
-    for record, wrong in ((scene, _not_finite), (camera, _is_nan)):
-        if any(wrong(leaf) for leaf in jax.tree.leaves(record)):
-            return next(name for name in _names(record, "") if wrong(value_at(record, name)))
+    for record, wrong in ((scene, lambda x: ~np.isfinite(x)), (camera, np.isnan)):
+        if any(np.any(wrong(leaf)) for leaf in jax.tree.leaves(record)):
+            every = _names(record, "")
+            return next(name for name in every if np.any(wrong(value_at(record, name))))
     return ""
-
-
-def _not_finite(leaf: jax.Array) -> bool:
-    return not np.all(np.isfinite(leaf))
-
-
-def _is_nan(leaf: jax.Array) -> bool:
-    return bool(np.any(np.isnan(leaf)))
 
 
 def steps_of(name: str) -> list[str | int]:
@@ -78,6 +71,11 @@ def put(record: Any, steps: list[str | int], value: Any) -> Any:
     if isinstance(first, int):
         return (*record[:first], inner, *record[first + 1 :])
     return replace(record, **{first: inner})
+
+
+def setting(name: str, value: Any = None) -> Drop:
+    """A drop that sets the field of that name in a draft, such as "camera.sensor.bits"."""
+    return lambda draft: put(draft, steps_of(name), value)
 
 
 def _names(record: Any, prefix: str) -> Iterator[str]:
@@ -137,6 +135,13 @@ def keeps(draft: Draft, name: str, scene: Scene, camera: Camera) -> bool:
     before = of_scene if of_scene is not None else value_at(camera, name)
     now = value_at(draft if of_scene is not None else draft.camera, name)
     return isinstance(now, jax.Array) and now.shape == before.shape
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two trees of records have the same numbers."""
+    leaves, tree = jax.tree.flatten(a)
+    others, other = jax.tree.flatten(b)
+    return tree == other and all(np.array_equal(x, y) for x, y in zip(leaves, others, strict=True))
 
 
 def corners(ends: Ends[Any]) -> list[Any]:

@@ -28,8 +28,19 @@ from ..scene import (
     View,
 )
 from ..scene.shapes import Shape
-from .bodies import Bodies, body_of, faces_of, heights, numbers, plane_of, unit
-from .boxes import corners
+from .bodies import (
+    Bodies,
+    balls_about,
+    body_of,
+    faces_of,
+    heights,
+    numbers,
+    plane_of,
+    stacked,
+    tangents,
+    unit,
+)
+from .boxes import corners, same
 
 _BUDGET = 6000  # largest number of cells of a scene
 _FINEST, _COARSEST = 12, 2  # cells along one side of a flat surface
@@ -69,9 +80,9 @@ def eye_of(view: Ends[View]) -> Eye:
     """The position and field of view of a picture, between the two ends of a view; lengths in m."""
     low, high = view
     place, other = numbers(low.position), numbers(high.position)
-    same = all(_equal(low, high, name) for name in ("rotation", "focal_length", "pixel_pitch"))
-    same = same and _equal(low, high, "focus_distance")
-    everywhere = not same or getattr(low, "distortion", None) is not None
+    names = ("rotation", "focal_length", "pixel_pitch", "focus_distance")
+    fixed = all(same(*(getattr(end, name, None) for end in view)) for name in names)
+    everywhere = not fixed or getattr(low, "distortion", None) is not None
     moves, radius = float(np.linalg.norm(other - place)) / 2, 0.0
     if isinstance(low, ThinLens):
         radius = max(lens_radius(lens) for lens in corners(view))
@@ -108,11 +119,6 @@ def lens_radius(lens: ThinLens) -> float:
 def anywhere(eye: Eye) -> Eye:
     """The eye replaced by an arbitrary viewer, such as another surface that receives the light."""
     return eye._replace(everywhere=True)
-
-
-def _equal(low: View, high: View, name: str) -> bool:
-    a, b = getattr(low, name, None), getattr(high, name, None)
-    return (a is None) == (b is None) and (a is None or np.array_equal(numbers(a), numbers(b)))
 
 
 def in_view(eye: Eye, bodies: Bodies) -> np.ndarray:
@@ -173,10 +179,8 @@ def _anywhere(shape: Ends[Shape]) -> Parts:
     body = body_of(shape)
     if body is None:
         return [np.zeros((1, 3)), np.array([np.inf]), np.eye(3)[:1], np.array([np.pi])]
-    points, radii = body
-    middle = (points.min(0) + points.max(0)) / 2
-    radius = (np.linalg.norm(points - middle, axis=1) + radii).max()
-    return [middle[None], radius[None], np.eye(3)[:1], np.array([np.pi])]
+    middle, radius = balls_about(stacked([body]))
+    return [middle, radius, np.eye(3)[:1], np.array([np.pi])]
 
 
 def _quad_cells(corner: np.ndarray, u: np.ndarray, v: np.ndarray, side: int) -> Parts:
@@ -190,8 +194,7 @@ def _quad_cells(corner: np.ndarray, u: np.ndarray, v: np.ndarray, side: int) -> 
 
 def _disc_cells(shape: Disc, side: int) -> Parts:
     normal, r = unit(numbers(shape.normal)), float(shape.radius)
-    first = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
-    u, v = 2 * r * first, 2 * r * np.cross(normal, first)
+    u, v = (2 * r * along for along in tangents(normal))
     middle = numbers(shape.centre)
     centre, radius, axis, spread = _quad_cells(middle - (u + v) / 2, u, v, side)
     on = np.linalg.norm(centre - middle, axis=1) <= r + radius
@@ -274,6 +277,11 @@ def _mesh_cells(shape: TriangleMesh) -> Parts:
 def part_of(cells: Cells, surface: int) -> slice:
     """The cells of a surface, which are contiguous."""
     return slice(*np.searchsorted(cells.surface, [surface, surface + 1]))
+
+
+def starts(cells: Cells) -> np.ndarray:
+    """(n,) the number of the first cell of each surface."""
+    return np.flatnonzero(np.diff(cells.surface, prepend=-1))
 
 
 def bodies_of(cells: Cells) -> Bodies:

@@ -14,7 +14,7 @@ import numpy as np
 from ..core._maps import mean_of, replace_maps
 from ..rendering.shadows import UNROLLED
 from ..scene import Camera, Scene, TriangleMesh, View
-from .boxes import keeps
+from .boxes import keeps, setting
 from .certificate import IRRADIANCE, RADIANCE, Certificate, Effect, Pruned, Tolerance
 from .illumination import has_size
 from .pixel import ASSUMED
@@ -68,13 +68,13 @@ class Choice:
 
     def bound(self, row: Row) -> float:
         """The bound of a row in the unit of the tolerance."""
-        chain, gone = self.chain, frozenset(row.effect.name for row in self.gone)
+        chain, gone = self.chain, frozenset(row.name for row in self.gone)
         value = np.atleast_1d(row.amount if row.after is None else row.after(gone))
         if not value.any():
             return 0.0
         if not np.all(np.isfinite(value)):
             return np.inf
-        of_radiance, of_irradiance = (row.effect.unit == unit for unit in (RADIANCE, IRRADIANCE))
+        of_radiance, of_irradiance = (row.unit == unit for unit in (RADIANCE, IRRADIANCE))
         if self.level is not None:
             light = of_radiance or of_irradiance
             scale = self.level * (chain.opening if of_irradiance else 1)
@@ -91,7 +91,7 @@ class Choice:
         """Drop what the tolerance allows: ordinary rows by bound per saved time, then the ladders,
         groups of rows of which at most one is dropped.
         """
-        plain = [row for row in self.chain.rows if not row.ladder and row.effect.present]
+        plain = [row for row in self.chain.rows if not row.ladder and row.present]
         parties = [(row,) for row in plain if not row.together]
         joint = sorted((row for row in plain if row.together), key=lambda row: row.together)
         parties += [tuple(rows) for _, rows in groupby(joint, key=lambda row: row.together)]
@@ -118,10 +118,9 @@ class Choice:
 
         def row(threshold: float) -> Row:
             told = f"{why} rest adds at most {threshold:.3g} W m^-2 sr^-1"
-            effect = Effect("lights in order", True, told, threshold, unit=RADIANCE)
             # of the shape of the first row, which is for a light
             own = np.full_like(self.chain.rows[0].amount, threshold)
-            return Row(effect, own, lambda draft: replace(draft, threshold=threshold), saves=0.5)
+            return Row("lights in order", own, told, setting("threshold", threshold), saves=0.5)
 
         threshold, left = 1.0, self.goal.value - self.total - self.estimated
         for _ in range(_TRIES):
@@ -132,16 +131,16 @@ class Choice:
 
     def _price(self, party: tuple[Row, ...]) -> tuple[bool, float]:
         cost = sum(self.bound(row) for row in party) / max(self.goal.value, 1e-300)
-        cost += sum(row.effect.place for row in party) / max(self.goal.place, 1e-300)
+        cost += sum(row.place for row in party) / max(self.goal.place, 1e-300)
         return cost > 0, cost / sum(row.saves for row in party)
 
     def _try(self, party: tuple[Row, ...]) -> bool:
         """Drop the rows of a group if all of them fit."""
-        gone = {row.effect.name for row in self.gone}
+        gone = {row.name for row in self.gone}
         rows = [row for row in party if row.part_of not in gone]
         allowed = all(
             row.drop is not None
-            and (self.estimates or row.effect.rank != "estimate")
+            and (self.estimates or not row.estimated)
             and row.needs <= gone
             and not row.instead_of & gone
             for row in rows
@@ -150,12 +149,12 @@ class Choice:
             return False
         bounds = [self.bound(row) for row in rows]
         proved, estimated = self._sums(rows, bounds)
-        place, rare = self.place + sum(row.effect.place for row in rows), self.rare
-        few = self.level is None and all(row.effect.rare > 0 for row in rows)
+        place, rare = self.place + sum(row.place for row in rows), self.rare
+        few = self.level is None and all(row.rare > 0 for row in rows)
         few = few and bool(np.isfinite(bounds).all())
         if few and proved + estimated > self.allowed:  # a few pixels may differ by any amount
             bounds = [0.0] * len(rows)
-            rare += sum(row.effect.rare for row in rows)
+            rare += sum(row.rare for row in rows)
             proved, estimated = self._sums(rows, bounds)
         fits = proved + estimated <= self.allowed and place <= self.goal.place
         if not fits or rare > self.goal.rare:
@@ -182,7 +181,7 @@ class Choice:
         grows = float(np.prod([row.grows for row in rows]))
         both = [self.total * grows, self.estimated * grows]
         for row, bound in zip(rows, bounds, strict=True):
-            both[row.effect.rank == "estimate"] += bound
+            both[row.estimated] += bound
         return both[0], both[1]
 
     def _take_bands(self, draft: Draft) -> bool:
@@ -222,23 +221,19 @@ class Choice:
         )
 
     def _certificate(self) -> Certificate:
-        names, unit = {row.effect.name for row in self.gone}, self.goal.unit
+        names, unit = {row.name for row in self.gone}, self.goal.unit
         went = {id(row) for row in self.gone}
         dropped = [self._effect(row, self.bounds[id(row)], unit) for row in self.gone]
         kept = []
         for row in self.chain.rows:
-            if (
-                id(row) in went
-                or not row.effect.present
-                or (row.ladder and row.effect.name in names)
-            ):
+            if id(row) in went or not row.present or (row.ladder and row.name in names):
                 continue
             if row.part_of in names:
                 told = self._effect(row, 0.0, unit)
                 dropped.append(
                     replace(told, rank="exact", why=f"gone with {row.part_of}", saves=0.0)
                 )
-            elif not row.ladder or row.effect.name not in {effect.name for effect in kept}:
+            elif not row.ladder or row.name not in {effect.name for effect in kept}:
                 told = self._effect(row, self.bound(row), unit)
                 if row.ladder == "bands" and self.all_bands:
                     told = replace(told, why=f"{told.why}; {self.all_bands}")
@@ -261,8 +256,8 @@ class Choice:
         )
 
     def _effect(self, row: Row, bound: float, unit: str) -> Effect:
-        free = any(concerns(name, row.effect.name) for name in self.free) or id(row) in self.barred
-        return replace(row.effect, bound=bound, unit=unit, saves=row.saves, free=free)
+        free = any(concerns(name, row.name) for name in self.free) or id(row) in self.barred
+        return replace(row.effect, bound=bound, unit=unit, free=free)
 
 
 def _many(scene: Scene) -> bool:

@@ -9,7 +9,6 @@ finite factor, and say why.
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,10 +24,10 @@ from ..scene import (
     ToneCurve,
     WhiteBalance,
 )
-from .boxes import refuse_tracers
-from .certificate import DN, Effect
+from .boxes import refuse_tracers, setting
+from .certificate import DN
 from .pixel import INF
-from .stages import Draft, Ends, Row
+from .stages import Ends, Row
 
 FILMIC_SLOPE = 1.8012  # the largest slope of the ACES curve, at 0.12
 SRGB_SLOPE = 12.92
@@ -207,8 +206,7 @@ def lipschitz(development: Development | None) -> Factor:
 
 def development_stage(development: Ends[Development | None]) -> tuple[Row, ...]:
     """A row for each step of a development, with bounds in DN of the raw data. Only steps that are
-    the identity can be dropped. `ValueError` for traced numbers."""
-    refuse_tracers(development)
+    the identity can be dropped."""
     low, high = development
     if low is None or high is None:
         return ()
@@ -221,19 +219,12 @@ def development_stage(development: Ends[Development | None]) -> tuple[Row, ...]:
 
 def _row(name: str, low: Factor, high: Factor) -> Row:
     factor = low if low.value > high.value else high
-    identity = low.identity and high.identity
-
-    def drop(draft: Draft) -> Draft:
-        steps = draft.camera.development
-        left = None if steps is None else replace(steps, **{name: None})
-        return replace(draft, camera=replace(draft.camera, development=left))
-
+    name, nothing = f"development.{name}", np.zeros(())
+    if low.identity and high.identity:
+        return Row(name, nothing, "changes no number", setting(f"camera.{name}"), unit=DN)
     magnifies = f"magnifies changes {factor.value:.4g} times: {factor.why}"
-    why = "changes no number" if identity else factor.why if factor.value == INF else magnifies
-    bound = 0.0 if identity else INF
-    rank = "exact" if identity else "bound"
-    effect = Effect(f"development.{name}", True, why, bound, unit=DN, rank=rank)
-    return Row(effect, np.asarray(bound), drop if identity else None)
+    why = factor.why if factor.value == INF else magnifies
+    return Row(name, nothing + INF, why, None, unit=DN)
 
 
 def _known(value: Any) -> Any:

@@ -15,8 +15,7 @@ from ..scene.shapes import Shape
 from .angles import cos_seen
 from .bounces import Onward
 from .illumination import times
-from .reflection import Reflection
-from .sums import Sums, lobe_sent, pictured
+from .sums import Sums, lobe_sent, pictured, slopes
 
 
 def lens_spread_bound(sums: Sums, onward: Onward) -> np.ndarray:
@@ -30,10 +29,8 @@ def lens_spread_bound(sums: Sums, onward: Onward) -> np.ndarray:
     apart = np.linalg.norm(cells.centre - eye.place, axis=1) - cells.radius - eye.size
     near = apart <= radius / 2
     turn = np.where(near, np.pi, 2 * np.arcsin(radius / 2 / np.where(near, radius, apart)))
-    steep, grazing = (
-        np.array(own)[of_cell]
-        for own in ([_slope(x) for x in sums.reflections], [x.grazing for x in sums.reflections])
-    )
+    steep = slopes(sums)[of_cell]
+    grazing = np.array([own.grazing for own in sums.reflections])[of_cell]
     smooth = np.array([_is_smooth(surface.low.shape) for surface in sums.surfaces])
     bent = (smooth[of_cell] & (cos_seen(cells, eye)[0] <= 0))[:, None]
     plain = _plain(sums)
@@ -50,14 +47,6 @@ def lens_spread_bound(sums: Sums, onward: Onward) -> np.ndarray:
     total = np.where(sums.k_mirror.max(1)[of_cell, None] > 0, np.inf, total)
     lamps = [not source.even for source in sums.sources]
     return np.maximum(pictured(sums, total), sums.shown[lamps].max(0, initial=0))
-
-
-def _slope(own: Reflection) -> float:
-    """sr^-1 rad^-1, the slope of a lobe with respect to the view direction, which equals that with
-    respect to the light direction."""
-    if own.lobe is None:
-        return 0.0
-    return np.inf if own.lobe.slope is None else own.lobe.slope
 
 
 def _plain(sums: Sums) -> np.ndarray:

@@ -20,7 +20,7 @@ from ..core._bounds import Ends, Source
 from ..scene import Light
 from .cells import Cells
 from .illumination import source_of, times
-from .sums import Sums, geometry_of, lobe_sent, sent
+from .sums import Sums, geometry_of, lobe_sent, sent, slopes
 
 _NEAREST = 0.9  # largest ratio of half the diagonal to the distance
 
@@ -109,14 +109,8 @@ def _lobes(
     of E; `either` bounds this light under either lamp.
     """
     q, d, rms = lamp
-    slope = np.full(len(sums.reflections), np.inf)
-    for i, own in enumerate(sums.reflections):
-        if own.lobe is None:
-            slope[i] = 0.0
-        elif own.lobe.slope is not None:
-            slope[i] = own.lobe.slope
     of_cell = sums.cells.surface
-    along = times(slope[of_cell], peak * rms / (d * (1 - q)))
+    along = times(slopes(sums)[of_cell], peak * rms / (d * (1 - q)))
     moved = times(along[:, None], times(sums.k_lobe, sums.spectrum[k])[of_cell])
     return np.minimum(moved + times(either, (4 * q / (1 - q) ** 5)[:, None]), either)
 

@@ -31,13 +31,13 @@ from ..scene import (
 )
 from ..sensor import exposure_slots
 from .bodies import corners as corners_of
-from .boxes import refuse_tracers
+from .boxes import same, setting
 from .cells import lens_radius
-from .certificate import IRRADIANCE, Effect
+from .certificate import IRRADIANCE
 from .illumination import has_size, source_of
 from .optics import stretch
 from .pixel import INF, clean
-from .stages import Draft, Ends, Row
+from .stages import Draft, Drop, Ends, Row
 
 Motion = Callable[[Scene, View, jax.Array], tuple[Scene, View]]
 
@@ -51,9 +51,7 @@ def motion_stage(
     moments: int | None,
 ) -> tuple[Row, ...]:
     """Return the rows "motion" and "sensor.shutter", if any, from a scene at rest and at the given
-    number of times in the exposure, each at both ends of the free parameters. Raises `ValueError`
-    for traced numbers."""
-    refuse_tracers(scene, view, sensor)
+    number of times in the exposure, each at both ends of the free parameters."""
     shutter = sensor.high.shutter
     if motion is None:
         why = "nothing moves: all rows see the same scene"
@@ -72,7 +70,7 @@ def motion_stage(
             motion, scene.high, view.high, moments_of(once, rows, moments or 1)
         )
         still = still and still_once
-    found = [_motion_row(rolling, why, still)]
+    found = [_row("motion", rolling, why, still, _without_motion, 0.7)]
     if shutter is not None:
         found.append(_shutter_row(rolling + global_, why, still))
     return tuple(found)
@@ -191,31 +189,14 @@ def _without_places(scene: Scene, view: View) -> tuple[Any, ...]:
     return scene.lights, scene.ambient, surfaces, optics
 
 
-def same(a: Any, b: Any) -> bool:
-    """Return whether two trees of records have the same numbers."""
-    leaves, tree = jax.tree.flatten(a)
-    others, other = jax.tree.flatten(b)
-    return tree == other and all(np.array_equal(x, y) for x, y in zip(leaves, others, strict=True))
-
-
-def _motion_row(pixels: float, why: str, still: bool) -> Row:
-    def drop(draft: Draft) -> Draft:
-        return replace(draft, motion=None, moments=None)
-
-    return _row("motion", pixels, why, still, drop, 0.7)
+def _without_motion(draft: Draft) -> Draft:
+    return replace(draft, motion=None, moments=None)
 
 
 def _shutter_row(pixels: float, why: str, still: bool) -> Row:
-    def drop(draft: Draft) -> Draft:
-        sensor = replace(draft.camera.sensor, shutter=None)
-        return replace(draft, camera=replace(draft.camera, sensor=sensor))
-
-    return _row("sensor.shutter", pixels, why, still, drop, 0.02)
+    return _row("sensor.shutter", pixels, why, still, setting("camera.sensor.shutter"), 0.02)
 
 
-def _row(
-    name: str, pixels: float, why: str, still: bool, drop: Callable[[Draft], Draft], saves: float
-) -> Row:
-    rank = "exact" if still else "estimate"
-    effect = Effect(name, True, why, 0.0, pixels, IRRADIANCE, rank)
-    return Row(effect, np.zeros(1), drop if pixels < INF else None, saves=saves)
+def _row(name: str, pixels: float, why: str, still: bool, drop: Drop, saves: float) -> Row:
+    more = {"unit": IRRADIANCE, "place": pixels, "estimated": not still, "saves": saves}
+    return Row(name, np.zeros(1), why, drop if pixels < INF else None, **more)

@@ -21,9 +21,9 @@ import numpy as np
 from ..optics import aperture_area, chief_slope, sensor_irradiance, sensor_vergence
 from ..optics.diffraction import lens_kernel
 from ..scene import Orthographic, Pinhole, ThinLens, View, Wavefront
-from .boxes import corners, refuse_tracers
+from .boxes import corners, same, setting
 from .cells import lens_radius
-from .certificate import IRRADIANCE, Effect
+from .certificate import IRRADIANCE
 from .pixel import INF, clean
 from .sampling import oversampling_row, samples_row, times
 from .stages import Arriving, Draft, Ends, OnSensor, Row
@@ -47,8 +47,7 @@ def optics_stage(
     view: Ends[View], arriving: Arriving, *, samples: Any = None, oversampling: int = 1
 ) -> tuple[tuple[Row, ...], OnSensor]:
     """A row for each part of a view, and the largest irradiance and opening on the sensor. The lens
-    uses a grid finer by `oversampling`. `ValueError` for traced numbers."""
-    refuse_tracers(view)
+    uses a grid finer by `oversampling`."""
     radiance = np.asarray(arriving.radiance, float)
     grids = _Grids(view, oversampling)
     opening = grids.opening
@@ -94,10 +93,8 @@ class _Grids:
     @property
     def fixed(self) -> bool:
         """Whether all parameters that the pictures depend on are fixed."""
-        view = self.view
-        same = {"position", "rotation", "resolution"}
-        names = set(vars(view.high)) - same
-        return all(_equal(getattr(view.low, name), getattr(view.high, name)) for name in names)
+        names = set(vars(self.view.high)) - {"position", "rotation", "resolution"}
+        return all(same(*self.view.of(name)) for name in names)
 
     @property
     def straight(self) -> bool:
@@ -316,10 +313,9 @@ def _defocus_row(view: Ends[View], grids: _Grids, arriving: Arriving, radiance: 
         why += "; a mirror, glass or a material without a bound shows other objects to each part"
     elif bound > 0:
         why += "; gloss looks different from each part of the lens"
-    rank = "exact" if moved == 0 and bound == 0 else "bound"
-    effect = Effect("view.defocus", True, why, bound, moved, IRRADIANCE, rank)
     drop = None if math.isinf(moved + bound) or opening_of(lens) == 0 else _to_pinhole
-    return Row(effect, amount, drop, saves=0.1, needs=parts)
+    more = {"unit": IRRADIANCE, "place": moved, "saves": 0.1, "needs": parts}
+    return Row("view.defocus", amount, why, drop, **more)
 
 
 def _to_pinhole(draft: Draft) -> Draft:
@@ -339,30 +335,14 @@ def _to_pinhole(draft: Draft) -> Draft:
 
 def _row(name: str, amount: np.ndarray, place: float, why: str) -> Row:
     """The row of a part of the lens, which is dropped by setting it to None."""
-    amount = np.maximum(np.nan_to_num(amount, nan=INF, posinf=INF), 0)
-
-    def drop(draft: Draft) -> Draft:
-        view = draft.camera.view
-        left = replace(view, **{name: None}) if getattr(view, name, None) is not None else view
-        return replace(draft, camera=replace(draft.camera, view=left))
-
-    bound = clean(np.max(amount))
-    rank = "exact" if bound == 0 and place == 0 else "bound"
-    effect = Effect(f"view.{name}", True, why, bound, place, IRRADIANCE, rank)
-    return Row(effect, amount, drop, saves=0.3)
+    drop = setting(f"camera.view.{name}")
+    return Row(f"view.{name}", amount, why, drop, unit=IRRADIANCE, place=place, saves=0.3)
 
 
 def _rounding(grids: _Grids) -> float:
     """The rounding error of a brightness in the view's dtype."""
     dtype = grids.view.high.pixel_pitch.dtype
     return 0.0 if dtype == np.float64 else 16 * float(jnp.finfo(dtype).eps) * grids.opening
-
-
-def _equal(low: Any, high: Any) -> bool:
-    """Return whether two fields have the same numbers."""
-    a, tree = jax.tree.flatten(low)
-    b, other = jax.tree.flatten(high)
-    return tree == other and all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
 
 
 # The functions that bound each part, by the name of its field.

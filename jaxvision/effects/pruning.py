@@ -13,17 +13,17 @@ from ..errors import InputError
 from ..rendering import PixelSamples, render
 from ..scene import Camera, Scene, Sensor, ThinLens, TriangleMesh, View
 from ..transport import missing_light
-from .boxes import Box, ends_of, keeps, refuse_tracers, unbounded
+from .boxes import Box, ends_of, keeps, refuse_tracers, same, unbounded
 from .certificate import Effect, Pruned, Tolerance, parse
 from .choice import Chain, Choice, bands_of, concerns, finished
 from .development import development_stage
 from .illumination import has_size
 from .moments import scene_rows
-from .motion import moments_of, motion_stage, same
+from .motion import moments_of, motion_stage
 from .optics import optics_stage
 from .seconds import Advance, seconds_of
 from .sensor import sensor_stage
-from .stages import QUICKLY, Draft, Ends, Row
+from .stages import QUICKLY, Draft, Ends, Method, Row, unproved
 
 _MOVED = "surfaces[", "shadows[", "ambient", "view."  # effects of fields that a motion may change
 WORTH = 0.03  # share of the work, below which an effect that changes nothing is kept
@@ -31,65 +31,36 @@ _PROBE = 16  # pixels along each side of the picture from which the level is fou
 _probe = jax.jit(render, compiler_options=QUICKLY)
 
 
-def _chain(
-    scene: Ends[Scene],
-    camera: Ends[Camera],
-    *,
-    depth: int | None,
-    samples: PixelSamples | None,
-    motion: Any,
-    moments: int,
-    whole: bool,
-    estimates: bool,
-    whole_paths: bool,
-    caustics: bool,
-) -> Chain:
+def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
     """Return the rows from the scene to the picture; for a view without a camera, the rows of scene
     and lens."""
     view, sensor = camera.of("view"), camera.of("sensor")
-    rows, arriving = scene_rows(
-        scene,
-        view,
-        depth=depth,
-        motion=motion,
-        sensor=sensor.high,
-        moments=moments,
-        estimates=estimates,
-        whole_paths=whole_paths,
-        caustics=caustics,
-    )
+    rows, arriving = scene_rows(scene, view, sensor.high, method)
     aperture = sensor.low.pixel_aperture
     finer = 1 if aperture is None else aperture.oversampling
-    of_lens, on_sensor = optics_stage(view, arriving, samples=samples, oversampling=finer)
+    of_lens, on_sensor = optics_stage(view, arriving, samples=method.samples, oversampling=finer)
     rows += of_lens
-    if not whole:
+    if not method.whole:
         return Chain(rows, on_sensor.opening)
-    rows += motion_stage(scene, view, motion, sensor=sensor, moments=moments)
+    rows += motion_stage(scene, view, method.motion, sensor=sensor, moments=method.moments)
     shape = view.low.resolution
     of_sensor, response = sensor_stage(sensor, on_sensor.irradiance, shape=shape)
     rows += of_sensor + development_stage(camera.of("development"))
     return Chain(rows, on_sensor.opening, response.dn, response.dark)
 
 
-def _chain_of(
-    scene: Scene,
-    camera: Camera,
-    free: Box | None,
-    *,
-    depth: int | None,
-    moments: int,
-    **asked: Any,
-) -> Chain:
+def _chain_of(scene: Scene, camera: Camera, free: Box | None, method: Method) -> Chain:
     """The rows, without bounds if a number is not finite or a map rotates normals."""
     refuse_tracers(scene, camera)
+    depth = method.depth
     if depth is not None and (depth < 1 or depth != int(depth)):
         raise InputError(
-            "depth must be a whole number of segments, at least 1, or None for direct light; "
-            f"got {depth}."
+            "depth must be a whole number of segments, at least 1, or None for direct light; got "
+            f"{depth}."
         )
-    if moments < 1:
-        raise InputError(f"moments must be at least 1, got {moments}.")
-    if asked["motion"] is not None and camera.sensor.exposure_time is None:
+    if method.moments < 1:
+        raise InputError(f"moments must be at least 1, got {method.moments}.")
+    if method.motion is not None and camera.sensor.exposure_time is None:
         raise InputError(
             "a motion is bounded at the moments of an exposure; give a Camera whose sensor has an "
             "exposure_time, or leave the motion out."
@@ -100,17 +71,13 @@ def _chain_of(
         if surface.normals is not None:
             wrong = wrong or f"surfaces[{i}].normals turns the shading by any angle"
     if not wrong:
-        return _chain(*ends, depth=depth, moments=moments, **asked)
+        return _chain(*ends, method)
     with np.errstate(all="ignore"):
-        chain = _chain(*ends, depth=depth, moments=moments, **asked)
-    rows = (_kept_for(row, wrong) if row.effect.present else row for row in chain.rows)
-    return replace(chain, rows=tuple(rows))
-
-
-def _kept_for(row: Row, wrong: str) -> Row:
+        chain = _chain(*ends, method)
     why = f"{wrong}, and nothing is proved"
-    effect = replace(row.effect, bound=np.inf, rank="bound", why=why)
-    return replace(row, effect=effect, amount=row.amount + np.inf, drop=None, after=None)
+    return replace(
+        chain, rows=tuple(unproved(row, why) if row.present else row for row in chain.rows)
+    )
 
 
 def _camera_of(camera: Camera | View) -> Camera:
@@ -175,46 +142,24 @@ def inspect(
         shadows[0] 0.0 exact
         ambient 0.0 exact
     """
-    chain = _chain_of(
-        scene,
-        _camera_of(camera),
-        free,
-        depth=depth,
-        samples=samples,
-        motion=motion,
-        moments=moments,
-        whole=isinstance(camera, Camera),
-        estimates=estimates,
-        whole_paths=whole_paths,
-        caustics=caustics,
-    )
+    whole, own = isinstance(camera, Camera), _camera_of(camera)
+    paths = estimates, whole_paths, caustics
+    method = Method(whole, depth, samples, motion, moments, *paths)
+    chain = _chain_of(scene, own, free, method)
     named, taken = frozenset(free or ()), [None] * len(chain.rows)
-    whole = isinstance(camera, Camera)
     if time:
-        start = _start(scene, _camera_of(camera), samples, motion, moments, depth)
+        start = _start(scene, own, method)
         taken = seconds_of(chain.rows, start, scene, whole=whole, advance=advance)
     return tuple(
-        replace(
-            row.effect,
-            saves=row.saves,
-            free=any(concerns(name, row.effect.name) for name in named),
-            seconds=seconds,
-        )
+        replace(row.effect, free=any(concerns(name, row.name) for name in named), seconds=seconds)
         for row, seconds in zip(chain.rows, taken, strict=True)
     )
 
 
-def _start(
-    scene: Scene,
-    camera: Camera,
-    samples: PixelSamples | None,
-    motion: Any,
-    moments: int,
-    depth: Any,
-) -> Draft:
+def _start(scene: Scene, camera: Camera, method: Method) -> Draft:
     """The complete scene and camera."""
     everything = scene.surfaces, scene.lights, frozenset[int](), scene.ambient, camera
-    return Draft(*everything, samples, motion, moments, depth)
+    return Draft(*everything, method.samples, method.motion, method.moments, method.depth)
 
 
 def prune(
@@ -273,19 +218,9 @@ def prune(
     if goal.unit != "relative" and not whole:
         raise InputError(f"a tolerance in {goal.unit} needs a camera with a sensor, got a view.")
     own = _camera_of(camera)
-    chain = _chain_of(
-        scene,
-        own,
-        free,
-        depth=depth,
-        samples=samples,
-        motion=motion,
-        moments=moments,
-        whole=whole,
-        estimates=estimates,
-        whole_paths=whole_paths,
-        caustics=caustics,
-    )
+    paths = estimates, whole_paths, caustics
+    method = Method(whole, depth, samples, motion, moments, *paths)
+    chain = _chain_of(scene, own, free, method)
     if goal.unit == "relative":
         level = _level(scene, own.view) if level is None else float(level)
         if level == 0:
@@ -301,13 +236,13 @@ def prune(
             )
     else:
         level = None
-    start = _start(scene, own, samples, motion, moments, depth)
+    start = _start(scene, own, method)
     while True:
         choice = Choice(chain, goal, level, start, (scene, own), tuple(free or ()), estimates)
         choice.decide()
         alone = _new_kinds(scene, choice.draft)
         why = "without it, its surface would need a program of its own"
-        bare = any(row.effect.name.startswith(_MOVED) for row in choice.gone)
+        bare = any(row.name.startswith(_MOVED) for row in choice.gone)
         if not alone and bare and not _moves_alike(motion, choice, start, scene):
             alone, why = _MOVED, "the motion changes more than this"
         if not alone:
@@ -332,27 +267,24 @@ def removals(
     """The effects that can be dropped, by name, and a function from some names to the records
     without them, whatever their bounds; None where they cannot go together. `asked`: `free`,
     `samples` and `depth`, as in `inspect`."""
-    free = tuple(asked.pop("free", None) or ())
-    usual = {"motion": None, "moments": 1, "estimates": False, "whole_paths": False}
-    asked = {"samples": None, "depth": None, "caustics": False} | usual | asked
-    chain = _chain_of(scene, camera, None, whole=True, **asked)
-    start = _start(scene, camera, asked["samples"], None, 1, asked["depth"])
+    free, method = tuple(asked.pop("free", None) or ()), Method(**asked)
+    chain, start = _chain_of(scene, camera, None, method), _start(scene, camera, method)
     parties: dict[str, list[Row]] = {}
     for row in chain.rows:
-        if row.effect.present and row.drop is not None and not row.ladder:
-            parties.setdefault(row.together or row.effect.name, []).append(row)
+        if row.present and row.drop is not None and not row.ladder:
+            parties.setdefault(row.together or row.name, []).append(row)
 
     def left(names: Collection[str]) -> tuple[Scene, Camera] | None:
         rows = [row for name in parties if name in names for row in parties[name]]
-        gone, draft = {row.effect.name for row in rows}, start
+        gone, draft = {row.name for row in rows}, start
         if not all(row.needs <= gone and not row.instead_of & gone for row in rows):
             return None
         for row in rows:
             if row.part_of not in gone and row.drop is not None:
                 draft = row.drop(draft)
         whole = all(keeps(draft, name, scene, camera) for name in free)
-        same = whole and bands_of(draft) == bands_of(start)
-        return (finished(scene, draft), draft.camera) if same else None
+        whole = whole and bands_of(draft) == bands_of(start)
+        return (finished(scene, draft), draft.camera) if whole else None
 
     return {name: rows[0].effect for name, rows in parties.items()}, left
 
@@ -398,10 +330,9 @@ def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> boo
 
 def _kept_with(row: Row, names: tuple[str, ...], reason: str) -> Row:
     """The row as kept, for an effect with one of these names."""
-    if row.drop is None or not row.effect.name.startswith(names):
+    if row.drop is None or not row.name.startswith(names):
         return row
-    why = f"{row.effect.why}; {reason}"
-    return replace(row, drop=None, effect=replace(row.effect, why=why.removeprefix("; ")))
+    return replace(row, drop=None, why=f"{row.why}; {reason}".removeprefix("; "))
 
 
 def _level(scene: Scene, view: View) -> float:

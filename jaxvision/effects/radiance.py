@@ -16,9 +16,8 @@ from ..core._maps import ENDS, is_map, maps_of, mean_of, replace_maps
 from ..scene import AmbientLight, Material, Scene, Surface, TriangleMesh, View
 from .bodies import body_of, heights, is_closed, numbers, stacked
 from .bounces import EMITTED, Onward
-from .boxes import put, steps_of, value_at
+from .boxes import setting, value_at
 from .cells import anywhere, eye_of, in_view, part_of
-from .certificate import RADIANCE, Effect
 from .directions import lens_spread_bound
 from .extent import extent_change
 from .illumination import times
@@ -37,7 +36,8 @@ from .sums import (
 )
 
 # The share of a picture's computation that an effect takes, as measured by the benchmarks.
-_SAVES = {"light": 0.3, "shadows": 0.4, "lobe": 0.2, "extent": 0.9, "own": 0.02}
+_SAVES = {"light": 0.3, "shadows": 0.4, "lobe": 0.2, "extent": 0.9}
+_OWN = 0.02  # the same for every other effect
 
 
 def scene_stage(
@@ -99,24 +99,6 @@ def depths(sums: Sums) -> tuple[float, float]:
     return near, far
 
 
-def _row(
-    name: str,
-    amount: np.ndarray,
-    drop: Drop | None,
-    why: str,
-    *,
-    saves: float = _SAVES["own"],
-    part_of: str = "",
-    together: str = "",
-) -> Row:
-    """A row with a valid bound (not NaN, at least 0) and rank "exact" if the bound is 0."""
-    amount = np.maximum(np.where(np.isnan(amount), np.inf, amount), 0)
-    bound = float(np.max(amount))
-    rank = "exact" if bound == 0 else "bound"
-    effect = Effect(name, True, why, bound, unit=RADIANCE, rank=rank)
-    return Row(effect, amount, drop, saves=saves, part_of=part_of, together=together)
-
-
 # ---------------------------------------------------------------- lights
 
 
@@ -138,9 +120,6 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
     least = np.maximum(sums.shown[k], top(sums, onward) if hides else 0)
     why += ", may be seen" if hides else ""
 
-    def drop(draft: Draft) -> Draft:
-        return replace(draft, lights=_without(draft.lights, k))
-
     def amount(within: np.ndarray) -> np.ndarray:
         lamp, around = (
             sent(sums, k, around=any_viewer, only=within) for any_viewer in (False, True)
@@ -148,13 +127,15 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
         lit = pictured(sums, onward(lamp, around))
         return np.maximum(np.maximum(lit, _mirrored(sums, k, within)), least)
 
-    everywhere = np.ones(len(dark), bool)
+    name = f"lights[{k}]"
+    whole = amount(np.ones(len(dark), bool))
+    row = Row(name, whole, why, setting(name), saves=_SAVES["light"])
     if onward.depth is not None or not dark.any():
-        return _row(f"lights[{k}]", amount(everywhere), drop, why, saves=_SAVES["light"])
+        return row
     why += f"; {100 * np.mean(dark[sums.seen]):.0f} % in full shadow" if sums.seen.any() else ""
-    row = _row(f"lights[{k}]", amount(~dark), drop, why, saves=_SAVES["light"])
-    whole, shadows = amount(everywhere), f"shadows[{k}]"
-    return replace(row, after=lambda gone: whole if shadows in gone else row.amount)
+    lit, shadows = amount(~dark), f"shadows[{k}]"
+    after = lambda gone: whole if shadows in gone else lit  # noqa: E731
+    return replace(row, amount=lit, why=why, after=after)
 
 
 def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
@@ -167,10 +148,6 @@ def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
     return pictured(sums, np.where(shown[:, None], behind[sums.cells.surface], 0))
 
 
-def _without(records: tuple, k: int, value: Any = None) -> tuple:
-    return (*records[:k], value, *records[k + 1 :])
-
-
 def shadows(sums: Sums, onward: Onward, k: int) -> Row:
     """The effect of a lamp's shadows: at most all light of the lamp on surfaces that may be shaded;
     0 if no surface can be shaded.
@@ -180,20 +157,14 @@ def shadows(sums: Sums, onward: Onward, k: int) -> Row:
     why = f"{count} of {whole} pairs of receiver and occluder may block"
     if onward.depth is not None:
         why = "path tracing includes shadows; they cannot be dropped separately"
-        return _row(f"shadows[{k}]", amount + np.inf, None, why, part_of=f"lights[{k}]")
+        return Row(f"shadows[{k}]", amount + np.inf, why, None, saves=_OWN, part_of=f"lights[{k}]")
 
     def drop(draft: Draft) -> Draft:
         return replace(draft, shadowless=draft.shadowless | {k})
 
-    return _row(
-        f"shadows[{k}]",
-        amount,
-        drop,
-        why,
-        saves=_SAVES["shadows" if sums.searched else "own"],
-        part_of=f"lights[{k}]",
-        together="shadows",
-    )
+    saves = _SAVES["shadows"] if sums.searched else _OWN
+    party = {"part_of": f"lights[{k}]", "together": "shadows"}
+    return Row(f"shadows[{k}]", amount, why, drop, saves=saves, **party)
 
 
 def extent(sums: Sums, onward: Onward, k: int) -> Row:
@@ -201,19 +172,18 @@ def extent(sums: Sums, onward: Onward, k: int) -> Row:
     amount, small, why = extent_change(sums, k)
     if onward.depth is not None:
         small, why = None, "paths meet the lamp, which hides the objects behind it"
-    name = f"lights[{k}].extent"
+    name, lamp = f"lights[{k}].extent", f"lights[{k}]"
     if small is None:
-        return _row(
-            name, np.full(sums.spectrum.shape[1], np.inf), None, why, part_of=f"lights[{k}]"
-        )
-
-    def drop(draft: Draft) -> Draft:
-        return replace(draft, lights=_without(draft.lights, k, small))
-
+        return Row(name, _unknown(sums), why, None, saves=_OWN, part_of=lamp)
     change = pictured(sums, amount)
     if np.isinf(change).any():
         why += "; it is visible in a mirror, glass or a material without a bound"
-    return _row(name, change, drop, why, saves=_SAVES["extent"], part_of=f"lights[{k}]")
+    return Row(name, change, why, setting(lamp, small), saves=_SAVES["extent"], part_of=lamp)
+
+
+def _unknown(sums: Sums) -> np.ndarray:
+    """(bands,) inf, where no bound is known."""
+    return np.full(sums.spectrum.shape[1], np.inf)
 
 
 # ---------------------------------------------------------------- surfaces
@@ -230,70 +200,57 @@ def _surface_rows(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
         yield roughness(sums, onward, i)
     if reflection.mirror is not None:
         why = "a mirror or glass shows the rest of the scene: no bound is known"
-        yield _row(f"{name}.material", np.full(sums.k_body.shape[1], np.inf), None, why)
+        yield Row(f"{name}.material", _unknown(sums), why, None, saves=_OWN)
     if absorbs(material):
         yield absorption(sums, onward, i)
     if surface.low.emission is not None:
         yield emission(sums, onward, i)
     if isinstance(surface.low.shape, TriangleMesh) and surface.low.shape.normals is not None:
         why = "rotates the shading normals of a mesh: no bound is known"
-        yield _row(f"{name}.shape.normals", np.full(sums.k_body.shape[1], np.inf), None, why)
-
-
-def _all_lights(
-    sums: Sums, i: int, of_light: Callable[[int], np.ndarray], others: np.ndarray
-) -> np.ndarray:
-    """Return (c_i, bands): the reflected light of a surface's cells, summed over all lights and
-    over light from other surfaces, (bands,)."""
-    cells = len(sums.cells.surface[part_of(sums.cells, i)])
-    none = np.zeros((cells, 1)) + others
-    return sum((of_light(k) for k in range(len(sums.sources))), none)
+        yield Row(f"{name}.shape.normals", _unknown(sums), why, None, saves=_OWN)
 
 
 def _largest_sent(
-    sums: Sums, onward: Onward, i: int, sent: np.ndarray, around: np.ndarray | None = None
+    sums: Sums,
+    onward: Onward,
+    i: int,
+    of_light: Callable[[int, bool], np.ndarray],
+    others: np.ndarray,
 ) -> np.ndarray:
-    """Return the light from the cells of one surface to the eye, and `around` to any viewer, (c_i,
-    bands); in the picture (bands,)."""
+    """(bands,) the largest light in the picture that a surface reflects of all lights and of other
+    surfaces, `others`, (bands,). `of_light` returns that of a light, by number, from each cell, (c,
+    bands), to the eye or, where its second argument is true, to any viewer."""
     part = part_of(sums.cells, i)
+
+    def sent(around: bool) -> np.ndarray:
+        none = np.zeros((part.stop - part.start, 1)) + others
+        return sum((of_light(k, around)[part] for k in range(len(sums.sources))), none)
+
     if onward.depth is None:
-        return np.max(sent, axis=0, initial=0, where=sums.seen[part, None])
-    cells, on = np.zeros((2, len(sums.seen), sent.shape[1]))
-    cells[part], on[part] = sent, sent if around is None else around
+        return np.max(sent(False), axis=0, initial=0, where=sums.seen[part, None])
+    cells, on = np.zeros((2, len(sums.seen), sums.spectrum.shape[1]))
+    cells[part], on[part] = sent(False), sent(True)
     return pictured(sums, onward(cells, on))
 
 
 def _make_lambertian(i: int) -> Drop:
-    def drop(draft: Draft) -> Draft:
-        own = draft.surfaces[i]
-        plain = lambertian(own.material)
-        return replace(draft, surfaces=_without(draft.surfaces, i, replace(own, material=plain)))
-
-    return drop
-
-
-def _with(draft: Draft, i: int, **fields: Any) -> Draft:
-    own = replace(draft.surfaces[i], **fields)
-    return replace(draft, surfaces=_without(draft.surfaces, i, own))
+    material = f"surfaces[{i}].material"
+    return lambda draft: setting(material, lambertian(value_at(draft, material)))(draft)
 
 
 def lobe(sums: Sums, onward: Onward, i: int) -> Row:
     """The effect of a lobe: all of its light. A Lambertian with the same k_d remains."""
-    material, part = sums.surfaces[i].low.material, part_of(sums.cells, i)
+    material = sums.surfaces[i].low.material
     others = times(_size(sums.reflections[i].lobe) * sums.k_lobe[i], onward.of_lobe(i))
-    lamp, around = (
-        _all_lights(sums, i, lambda k, on=on: lobe_sent(sums, k, around=on)[part], others)
-        for on in (False, True)
-    )
-    amount = _largest_sent(sums, onward, i, lamp, around)
+    of_light = lambda k, around: lobe_sent(sums, k, around=around)  # noqa: E731
+    amount = _largest_sent(sums, onward, i, of_light, others)
     plain = _is_plain_without_lobe(material)
     why = f"the peak of the {type(material).__name__} lobe under all light"
     if not plain:
         why += ", whose body is not Lambertian"
     drop = _make_lambertian(i) if plain else None
     field = "material.specular" if hasattr(material, "specular") else "material"
-    name = f"surfaces[{i}].{field}"
-    return _row(name, amount, drop, why, saves=_SAVES["lobe"])
+    return Row(f"surfaces[{i}].{field}", amount, why, drop, saves=_SAVES["lobe"])
 
 
 def _size(lobe: Lobe | None) -> float:
@@ -314,15 +271,14 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
     least, full[i] = facets
     own = sums if onward.depth is None else sums._replace(eye=anywhere(sums.eye))
     others = times(_size(full[i]) * sums.k_lobe[i], onward.arriving.max(0))
-
-    def of_light(k: int) -> np.ndarray:
-        _, whole = geometry_of(own, sums.sources[k], sums.nearest[k], full)
-        seen = whole[part_of(sums.cells, i), None]
-        return times(seen, times(sums.k_lobe[i], sums.spectrum[k])[None])
-
-    amount = _largest_sent(sums, onward, i, _all_lights(sums, i, of_light, others)) * (1 - least)
+    each = zip(sums.sources, sums.nearest, sums.spectrum, strict=True)
+    found = [
+        times(geometry_of(own, source, near, full)[1][:, None], times(sums.k_lobe[i], spectrum))
+        for source, near, spectrum in each
+    ]
+    amount = _largest_sent(sums, onward, i, lambda k, _: found[k], others) * (1 - least)
     name, why = f"surfaces[{i}].material", f"facets reflect at least {least:.3g}; costs little"
-    return _row(f"{name}.interface", amount, None, why, part_of=f"{name}.specular")
+    return Row(f"{name}.interface", amount, why, None, saves=_OWN, part_of=f"{name}.specular")
 
 
 def roughness(sums: Sums, onward: Onward, i: int) -> Row:
@@ -331,20 +287,19 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
     plain = np.broadcast_to(reflection.plain, sums.k_body.shape[1:])
     grazing = times(np.array(reflection.grazing), sums.k_body[i])
 
-    def of_light(k: int) -> np.ndarray:
-        part = part_of(sums.cells, i)
-        even = times(sums.body[k, part, None], times(plain, sums.spectrum[k])[None])
-        return even + times(sums.facing[k, part, None], times(grazing, sums.spectrum[k])[None])
+    def of_light(k: int, _: bool) -> np.ndarray:
+        even = times(sums.body[k][:, None], times(plain, sums.spectrum[k]))
+        return even + times(sums.facing[k][:, None], times(grazing, sums.spectrum[k]))
 
     others = times(np.pi * (plain + 2 * grazing), onward.of_body(i))
-    amount = _largest_sent(sums, onward, i, _all_lights(sums, i, of_light, others))
+    amount = _largest_sent(sums, onward, i, of_light, others)
     name = f"surfaces[{i}].material"
     if np.isinf(plain).any() or not hasattr(material, "diffuse"):
         why = reflection.why or f"{type(material).__name__} has no Lambertian part"
-        return _row(name, amount + np.inf, None, why)
+        return Row(name, amount + np.inf, why, None, saves=_OWN)
     field, why = reflection.rough or ("", f"{type(material).__name__} to Lambert")
     name = f"{name}.{field}" if field else name
-    return _row(name, amount, _make_lambertian(i), why, saves=_SAVES["lobe"])
+    return Row(name, amount, why, _make_lambertian(i), saves=_SAVES["lobe"])
 
 
 def _unbent(surface: Surface) -> Surface:
@@ -364,34 +319,28 @@ def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
         share = np.divide(high - low, high, out=np.zeros(bands), where=high > 0)
         of_body, of_lobe = (share, 0 * share) if field == "diffuse" else (0 * share, share)
         why = f"replaced by its mean, within {share.max():.3g} of its largest value"
-    part, k_body, k_lobe = part_of(sums.cells, i), of_body * sums.k_body[i], of_lobe
+    k_body = of_body * sums.k_body[i]
     others = times(np.pi * (1 + own.grazing) * k_body, onward.of_body(i))
-    others = others + times(_size(own.lobe) * k_lobe * sums.k_lobe[i], onward.of_lobe(i))
-    lamp, around = (
-        _all_lights(
-            sums,
-            i,
-            lambda k, on=on: (
-                times(sums.body[k, part, None], times(k_body, sums.spectrum[k])[None])
-                + times(k_lobe, lobe_sent(sums, k, around=on)[part])
-            ),
-            others,
-        )
-        for on in (False, True)
-    )
-    amount = _largest_sent(sums, onward, i, lamp, around)
+    others = others + times(_size(own.lobe) * of_lobe * sums.k_lobe[i], onward.of_lobe(i))
+
+    def of_light(k: int, around: bool) -> np.ndarray:
+        body = times(sums.body[k][:, None], times(k_body, sums.spectrum[k]))
+        return body + times(of_lobe, lobe_sent(sums, k, around=around))
+
+    amount = _largest_sent(sums, onward, i, of_light, others)
     if field == "ambient":
         amount = sums.ambient[i]
     if own.mirror is not None or not place.startswith("material."):
         amount, why = amount + np.inf, "a map of a mirror or of normals has no bound"
 
-    def drop(draft: Draft) -> Draft:
-        surface = draft.surfaces[i]
-        found = value_at(surface, place)
-        plain = put(surface, steps_of(place), mean_of(found)) if is_map(found) else surface
-        return replace(draft, surfaces=_without(draft.surfaces, i, plain))
+    name = f"surfaces[{i}].{place}"
 
-    return _row(f"surfaces[{i}].{place}.map", amount, None if place == "normals" else drop, why)
+    def drop(draft: Draft) -> Draft:
+        found = value_at(draft, name)
+        return setting(name, mean_of(found))(draft) if is_map(found) else draft
+
+    drops = None if place == "normals" else drop
+    return Row(f"{name}.map", amount, why, drops, saves=_OWN)
 
 
 def _is_proportional(material: Ends[Any], field: str) -> bool:
@@ -410,9 +359,8 @@ def emission(sums: Sums, onward: Onward, i: int) -> Row:
     own = emitted(sums.surfaces, sums.own.shape[1])
     own[np.arange(len(own)) != i] = 0
     amount = pictured(sums, onward(own[sums.cells.surface], pieces=EMITTED))
-    return _row(
-        f"surfaces[{i}].emission", amount, lambda d: _with(d, i, emission=None), "emits light"
-    )
+    name = f"surfaces[{i}].emission"
+    return Row(name, amount, "emits light", setting(name), saves=_OWN)
 
 
 def absorption(sums: Sums, onward: Onward, i: int) -> Row:
@@ -434,11 +382,8 @@ def absorption(sums: Sums, onward: Onward, i: int) -> Row:
         amount, why = top(sums, onward) * share, f"absorbs at most {share:.3g} along a path"
     else:
         amount, why = np.zeros(sums.own.shape[1]), "absorbs nothing"
-
-    def drop(draft: Draft) -> Draft:
-        return _with(draft, i, material=replace(draft.surfaces[i].material, absorption=None))
-
-    return _row(f"surfaces[{i}].material.absorption", amount, drop, why)
+    name = f"surfaces[{i}].material.absorption"
+    return Row(name, amount, why, setting(name), saves=_OWN)
 
 
 def ambient(scene: Ends[Scene], sums: Sums, onward: Onward) -> Row:
@@ -448,10 +393,5 @@ def ambient(scene: Ends[Scene], sums: Sums, onward: Onward) -> Row:
     if onward.depth is not None:
         own = 0 * own
     amount = pictured(sums, own[sums.cells.surface])
-
-    def drop(draft: Draft) -> Draft:
-        return replace(draft, ambient=None)
-
     kind = AmbientLight.__name__ if present else "absent"
-    row = _row("ambient", amount, drop, kind)
-    return replace(row, effect=replace(row.effect, present=present))
+    return Row("ambient", amount, kind, setting("ambient"), saves=_OWN, present=present)

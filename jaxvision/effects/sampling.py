@@ -4,16 +4,14 @@ The mean over a pixel is over points within half of its diagonal.
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from ..optics import sensor_vergence
 from ..scene import Orthographic, ThinLens, View
-from .boxes import corners
-from .certificate import IRRADIANCE, Effect
-from .pixel import clean
-from .stages import Draft, Ends, Row
+from .boxes import corners, setting
+from .certificate import IRRADIANCE
+from .stages import Ends, Row
 
 _PARTS = ("rim", "distortion", "diffraction")
 _MIDDLE = math.sqrt(0.5)  # distance from a pixel's middle to its corner, pixels
@@ -23,15 +21,10 @@ _COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sq
 def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
     """Rays inside a pixel extend to its corners. A ray through its middle replaces them. The
     radiance is at most (bands,) W m^-2 sr^-1. Lens blur must have been dropped before."""
-
-    def drop(draft: Draft) -> Draft:
-        return replace(draft, samples=None)
-
-    lens = isinstance(view.high, ThinLens)
-    why = "a pixel's rays reach its corners"
-    effect = Effect("samples", True, why, 0.0, _MIDDLE, IRRADIANCE)
-    needs = frozenset({"view.defocus"}) if lens else frozenset()
-    return Row(effect, np.zeros_like(radiance), drop, saves=0.5, needs=needs)
+    nothing, why = np.zeros_like(radiance), "a pixel's rays reach its corners"
+    needs = frozenset({"view.defocus"} if isinstance(view.high, ThinLens) else ())
+    more = {"unit": IRRADIANCE, "place": _MIDDLE, "saves": 0.5, "needs": needs}
+    return Row("samples", nothing, why, setting("samples"), **more)
 
 
 def oversampling_row(
@@ -40,13 +33,6 @@ def oversampling_row(
     """One sample in a pixel's middle replaces all. None is farther away than the corners, and the
     cos^4 falloff changes by at most 1.04 of the slope. The opening is in W m^-2 per W m^-2 sr^-1,
     and no part of the view acts between pixels."""
-
-    def drop(draft: Draft) -> Draft:
-        sensor = draft.camera.sensor
-        assert sensor.pixel_aperture is not None
-        once = replace(sensor, pixel_aperture=replace(sensor.pixel_aperture, oversampling=1))
-        return replace(draft, camera=replace(draft.camera, sensor=once))
-
     reach = _MIDDLE * (1 - 1 / oversampling)
     amount = np.zeros_like(radiance)
     if not isinstance(view.high, Orthographic) and view.high.f_number is not None:
@@ -55,8 +41,8 @@ def oversampling_row(
     parts = frozenset(f"view.{p}" for p in _PARTS if getattr(view.high, p, None) is not None)
     why = f"{oversampling} samples along each side reach {reach:.2g} pixels from the middle"
     name = "sensor.pixel_aperture.oversampling"
-    effect = Effect(name, True, why, clean(np.max(amount)), reach, IRRADIANCE)
-    return Row(effect, amount, drop, saves=0.5, needs=parts)
+    more = {"unit": IRRADIANCE, "place": reach, "saves": 0.5, "needs": parts}
+    return Row(name, amount, why, setting(f"camera.{name}", 1), **more)
 
 
 def times(radiance: np.ndarray, gain: float) -> np.ndarray:

@@ -83,7 +83,7 @@ def _party(row: Row, rows: Sequence[Row]) -> list[Row]:
 def _without(party: Sequence[Row], start: Draft) -> Draft | None:
     draft = start
     for row in party:
-        if row.drop is None or row.needs or not row.effect.present:
+        if row.drop is None or row.needs or not row.present:
             return None
         draft = row.drop(draft)
     return draft if bands_of(draft) == bands_of(start) else None

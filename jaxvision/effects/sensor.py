@@ -18,13 +18,14 @@ import numpy as np
 from ..scene import Sensor, SensorEffect, ShotNoise, ShutterOffset
 from ..sensor import QUANTISATION_VARIANCE, mean_photoelectrons
 from . import sensor_charge, sensor_light, sensor_reading
-from .boxes import refuse_tracers
-from .certificate import DN, Effect
+from .boxes import setting, value_at
+from .certificate import DN
 from .electrons import share_of_light
 from .pixel import Bound, Pixel, clean, pixel_of
-from .stages import Draft, Ends, Gone, Response, Row
+from .stages import Draft, Drop, Ends, Gone, Response, Row
 
-BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
+BoundOf = Callable[[Pixel], Bound]
+BOUNDS: dict[str, BoundOf] = {
     **sensor_light.BOUNDS,
     **sensor_charge.BOUNDS,
     **sensor_reading.BOUNDS,
@@ -49,6 +50,7 @@ _SAVES = {
     "dead_pixels": 0.08,
     "hot_pixels": 0.1,
 }
+_TAPPED = ("read_noise", "prnu", "quantum_efficiency")  # nothing to multiply without the field
 _ASSUMES = {
     "full_well": "Numbers of electrons in different pixels are independent.",
     "blooming": "Numbers of electrons in different pixels are independent.",
@@ -59,7 +61,6 @@ def sensor_stage(
     sensor: Ends[Sensor], irradiance: np.ndarray, *, shape: tuple[int, int]
 ) -> tuple[tuple[Row, ...], Response]:
     """The rows of a sensor, and its response to a change of light."""
-    refuse_tracers(sensor)
     light = np.asarray(irradiance, float)
     arriving = jax.ShapeDtypeStruct((*shape, *light.shape), jnp.result_type(float))
     jax.eval_shape(lambda seen: mean_photoelectrons(sensor.high, seen), arriving)
@@ -69,7 +70,7 @@ def sensor_stage(
         return pixel_of(sensor, light, shape, frozenset(n for n in gone if n.startswith("sensor.")))
 
     rows = [
-        _row(name, bound, sensor, pixel)
+        _field(name, bound, sensor, pixel)
         for name, bound in BOUNDS.items()
         if getattr(sensor.high, name) is not None
     ]
@@ -78,7 +79,6 @@ def sensor_stage(
         for name, kinds, bound, kind in sensor_charge.COUNTING
         if isinstance(sensor.high.shot_noise, kinds)
     ]
-
     rows += [_own(i, ends, pixel) for i, ends in enumerate(pixel(frozenset()).own)]
 
     def response(change: np.ndarray, gone: Gone = frozenset()) -> float:
@@ -114,98 +114,65 @@ def _response(pixel: Pixel, change: np.ndarray) -> float:
 
 
 def _row(
-    name: str,
-    bound: Callable[[Pixel], Bound],
-    sensor: Ends[Sensor],
-    pixel: Callable[[Gone], Pixel],
+    name: str, bound: BoundOf, pixel: Callable[[Gone], Pixel], drop: Drop | None, **more: Any
 ) -> Row:
-    """The row of one field, which is dropped by setting it to None."""
-    field = f"sensor.{name}"
-    identity = _is_identity(name, sensor)
+    """The row of an effect, whose bound is that of the sensor without the effects dropped
+    before."""
 
     def after(gone: Gone) -> float:
-        return 0.0 if identity else clean(bound(pixel(gone - {field})).dn)
-
-    def drop(draft: Draft) -> Draft:
-        left = _without(draft.camera.sensor, name)
-        return replace(draft, camera=replace(draft.camera, sensor=left))
+        return clean(bound(pixel(gone - {name})).dn)
 
     first = bound(pixel(frozenset()))
-    dn = after(frozenset())
-    fixed = name in SCALES and not identity
-    why = "it is 1: nothing changes" if identity else first.why
-    needs = frozenset()
-    if name == "full_well" and sensor.high.blooming is not None:
-        needs = frozenset({"sensor.blooming"})
-    rank = "exact" if dn == 0 else first.rank
-    effect = Effect(field, True, why, dn, unit=DN, rank=rank, rare=first.rare)
-    return Row(
-        effect,
-        np.asarray(dn),
-        None if fixed else drop,
-        after,
-        _ASSUMES.get(name, ""),
-        _SAVES.get(name, 0.02),
-        needs=needs,
+    dn = np.asarray(clean(first.dn))
+    more |= {"estimated": first.rank == "estimate" and dn > 0, "rare": first.rare}
+    return Row(name, dn, first.why, drop, unit=DN, after=after, **more)
+
+
+def _field(name: str, bound: BoundOf, sensor: Ends[Sensor], pixel: Callable[[Gone], Pixel]) -> Row:
+    """The row of one field, which is dropped by setting it to None, and with it the factors of taps
+    on it."""
+    identity = _is_identity(name, sensor)
+
+    def drop(draft: Draft) -> Draft:
+        draft, taps = setting(f"camera.sensor.{name}")(draft), f"camera.sensor.taps.{name}"
+        tapped = name in _TAPPED and value_at(draft, taps) is not None
+        return setting(taps)(draft) if tapped else draft
+
+    if identity:
+        bound = lambda _: Bound(0.0, "it is 1: nothing changes")  # noqa: E731
+    blooms = name == "full_well" and sensor.high.blooming is not None
+    return _row(
+        f"sensor.{name}",
+        bound,
+        pixel,
+        None if name in SCALES and not identity else drop,
+        assumes=_ASSUMES.get(name, ""),
+        saves=_SAVES.get(name, 0.02),
+        needs=frozenset({"sensor.blooming"} if blooms else ()),
     )
-
-
-def _without(sensor: Sensor, name: str) -> Sensor:
-    """The sensor without a field and without the factors of taps on it."""
-    left: dict[str, Any] = {name: None}
-    taps = sensor.taps
-    if taps is not None and name in ("read_noise", "prnu", "quantum_efficiency"):
-        left["taps"] = replace(taps, **{name: None})
-    return replace(sensor, **left)
 
 
 def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Row:
     """The row of an external effect, with its own bound."""
-    name, kind = f"sensor.own[{i}]", type(ends.low).__name__
 
-    def after(gone: Gone) -> float:
-        left = pixel(gone - {name})
-        return clean(left.behind_own * left.moved_by(ends))
+    def bound(pixel: Pixel) -> Bound:
+        dn, kind = clean(pixel.behind_own * pixel.moved_by(ends)), type(ends.low).__name__
+        return Bound(dn, kind if math.isfinite(dn) else f"no bound of {kind} is known")
 
     def drop(draft: Draft) -> Draft:
         kept = tuple(own for own in draft.camera.sensor.own or () if own is not ends.low)
-        left = replace(draft.camera.sensor, own=kept)
-        return replace(draft, camera=replace(draft.camera, sensor=left))
+        return setting("camera.sensor.own", kept)(draft)
 
-    dn = after(frozenset())
-    why = kind if math.isfinite(dn) else f"no bound of {kind} is known"
-    rank = "exact" if dn == 0 else "bound"
-    effect = Effect(name, True, why, dn, unit=DN, rank=rank)
-    return Row(effect, np.asarray(dn), drop, after)
+    return _row(f"sensor.own[{i}]", bound, pixel, drop)
 
 
 def _faster(
-    name: str,
-    bound: Callable[[Pixel], Bound],
-    kind: type[ShotNoise],
-    pixel: Callable[[Gone], Pixel],
+    name: str, bound: BoundOf, kind: type[ShotNoise], pixel: Callable[[Gone], Pixel]
 ) -> Row:
     """The row of a faster counting method."""
-    field = f"sensor.shot_noise.{name}"
-
-    def after(gone: Gone) -> float:
-        return clean(bound(pixel(gone)).dn)
-
-    def drop(draft: Draft) -> Draft:
-        left = replace(draft.camera.sensor, shot_noise=kind())
-        return replace(draft, camera=replace(draft.camera, sensor=left))
-
-    found = bound(pixel(frozenset()))
-    effect = Effect(field, True, found.why, clean(found.dn), unit=DN, rank=found.rank)
+    field, drop = f"sensor.shot_noise.{name}", setting("camera.sensor.shot_noise", kind())
     others = {"sensor.shot_noise", "sensor.shot_noise.exact", "sensor.shot_noise.whole"} - {field}
-    return Row(
-        effect,
-        np.asarray(effect.bound),
-        drop,
-        after,
-        saves=0.25,
-        instead_of=frozenset(others),
-    )
+    return _row(field, bound, pixel, drop, saves=0.25, instead_of=frozenset(others))
 
 
 def _is_identity(name: str, sensor: Ends[Sensor]) -> bool:

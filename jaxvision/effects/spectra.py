@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..scene import Camera, Map, Scene
+from .boxes import setting
 from .cells import part_of
-from .certificate import RADIANCE, Effect
 from .illumination import times
-from .stages import Draft, Row
+from .stages import Row
 from .sums import Sums
 
 _DECADES = 7  # residuals from 0.1 to 1e-7 of the picture, one row each
@@ -33,7 +33,8 @@ def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
         return ()
     why = _why_not(sums, direct)
     if why:
-        return (_row(bands, np.full(bands, np.inf), f"{bands} bands; {why}"),)
+        unknown = np.full(bands, np.inf)
+        return (Row("bands", unknown, f"{bands} bands; {why}", None, ladder="bands"),)
     terms = _terms(sums)
     picture = max(float(np.max(np.abs(_largest(terms, bands)))), 1e-300)
     rows: list[Row] = []
@@ -141,19 +142,10 @@ def _pivots(table: np.ndarray) -> np.ndarray:
 
 
 def _step(bands: int, kept: np.ndarray, expand: np.ndarray, residual: np.ndarray) -> Row:
-    def drop(draft: Draft) -> Draft:
-        return replace(draft, bands=(kept, expand))
-
-    row = _row(bands, residual, f"{bands} bands from {len(kept)}")
+    why, drop = f"{bands} bands from {len(kept)}", setting("bands", (kept, expand))
     grows = max(float(np.abs(expand).sum(1).max()), 1.0)
-    return replace(row, drop=drop, grows=grows, saves=1 - len(kept) / bands)
-
-
-def _row(bands: int, amount: np.ndarray, why: str) -> Row:
-    bound = float(amount.max())
-    rank = "exact" if bound == 0 else "bound"
-    effect = Effect("bands", True, why, bound, unit=RADIANCE, rank=rank)
-    return Row(effect, amount, None, ladder="bands")
+    more = {"ladder": "bands", "grows": grows, "saves": 1 - len(kept) / bands}
+    return Row("bands", residual, why, drop, **more)
 
 
 def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:

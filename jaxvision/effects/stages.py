@@ -21,14 +21,14 @@ suprema that ignore everything that only removes light (shadows, rims, wells).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..core._bounds import Ends as Ends
 from ..scene import AmbientLight, Camera, Light, Surface
-from .certificate import Effect
+from .certificate import RADIANCE, Effect
 
 # Without optimisation a small picture compiles in half the time, and still runs in an instant.
 QUICKLY = {"xla_backend_optimization_level": "0", "xla_llvm_disable_expensive_passes": "True"}
@@ -66,14 +66,18 @@ Gone = frozenset[str]
 class Row:
     """An effect, the bound on its change, and the function that drops it."""
 
-    # name, reason, rank and place; its `bound` is the largest of `amount`. Its unit is that of
-    # `amount`: "W m^-2 sr^-1" or "W m^-2", (bands,), or "DN", ()
-    effect: Effect
-    # the bound, for each band before the sensor; at least 0, inf where there is no bound
+    name: str  # as in `Effect`, like `why`, `place`, `rare` and `present`
+    # the bound in `unit`, (bands,) before the sensor, else (): at least 0, inf for NaN
     amount: np.ndarray
+    why: str
     # returns a draft without the effect, by `dataclasses.replace`, so that the checks of every
     # record run; None if the effect cannot be dropped
     drop: Drop | None
+    unit: str = RADIANCE  # of `amount`: "W m^-2 sr^-1", "W m^-2" or "DN"
+    place: float = 0.0
+    rare: float = 0.0
+    present: bool = True
+    estimated: bool = False  # whether `amount` is sampled or tabulated instead of proved
     # if the bound depends on earlier drops: a function from the names of dropped effects to
     # `amount`; None if `amount` does not depend on them
     after: Callable[[Gone], float | np.ndarray] | None = None
@@ -92,6 +96,43 @@ class Row:
     # the first that fits, after all ordinary rows; "": an ordinary row
     ladder: str = ""
     grows: float = 1.0  # factor by which it magnifies the changes of other effects, >= 1
+
+    def __post_init__(self) -> None:
+        amount = np.asarray(self.amount, float)
+        amount = np.maximum(np.where(np.isnan(amount), np.inf, amount), 0)
+        object.__setattr__(self, "amount", amount)
+
+    @property
+    def bound(self) -> float:
+        """The largest `amount` of any band."""
+        return float(np.max(self.amount))
+
+    @property
+    def effect(self) -> Effect:
+        """The effect as `inspect` lists it, with its bound in the unit of its stage."""
+        exact = self.bound == 0 and self.place == 0
+        rank = "estimate" if self.estimated else "exact" if exact else "bound"
+        what = self.name, self.present, self.why, self.bound, self.place, self.unit, rank
+        return Effect(*what, saves=self.saves, rare=self.rare)
+
+
+def unproved(row: Row, why: str) -> Row:
+    """The row without a bound, which is kept for that reason."""
+    amount = row.amount + np.inf
+    return replace(row, why=why, amount=amount, estimated=False, after=None, drop=None)
+
+
+class Method(NamedTuple):
+    """How the picture is rendered, as in `inspect`."""
+
+    whole: bool = True  # whether a sensor and a development follow the lens
+    depth: int | None = None
+    samples: Any = None
+    motion: Any = None
+    moments: int = 1
+    estimates: bool = False
+    whole_paths: bool = False
+    caustics: bool = False
 
 
 class Arriving(NamedTuple):

@@ -8,18 +8,19 @@ This module has the supremum of each geometry over each cell. A bound is the sum
 terms, at its maximum over the visible cells. W m^-2 sr^-1; NumPy float64.
 """
 
-from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from ..core._bounds import peak
 from ..rendering.direct import can_shade
 from ..scene import Light, Scene, Surface
 from .angles import cos_seen, lobe_angles
 from .blocking import may_block
-from .bodies import body_of, gap, is_closed, numbers, stacked, taken
-from .cells import Cells, Eye, anywhere, bodies_of, cells_of, in_view
-from .illumination import Arrived, Source, arriving, of_lobes, source_of, times
+from .bodies import body_of, gap, is_closed, stacked, surface_bodies, taken
+from .cells import Cells, Eye, anywhere, bodies_of, cells_of, in_view, starts
+from .illumination import Source, arriving, of_lobes, source_of, times
 from .reflection import Lobe, Reflection, fills, reflection_of
 from .stages import Ends
 from .umbra import covered, hidden, in_umbra, shaded
@@ -95,24 +96,30 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
     if not bounces:
         seen &= ~hidden(surfaces, cells, eye)
     nearest = _nearest(sources, surfaces)
-    body, lobe, facing = _geometry(sources, nearest, reflections, cells, eye)
-    around = lobe
-    if bounces:
-        _, around, _ = _geometry(sources, nearest, reflections, cells, anywhere(eye))
+    lobes = [own.lobe for own in reflections]
+
+    def geometry(viewer: Eye) -> np.ndarray:
+        """(3, l, c) `body`, `lobe` and `facing` of `Sums`."""
+        shape = len(sources), 3, len(cells.radius)
+        each = zip(sources, nearest, strict=True)
+        found = [_geometry(s, least, reflections, lobes, cells, viewer) for s, least in each]
+        return np.array(found).reshape(shape).swapaxes(0, 1)
+
+    body, lobe, facing = geometry(eye)
+    around = geometry(anywhere(eye))[1] if bounces else lobe
     bands = _bands(scene, sources, reflections)
-    table = _Table(len(surfaces), bands)
-    k_body = table.filled((i, own.body) for i, own in enumerate(reflections))
-    k_lobe = table.filled(
-        (i, own.lobe.spectrum) for i, own in enumerate(reflections) if own.lobe is not None
+    k_body = _table(bands, [own.body for own in reflections])
+    k_lobe = _table(bands, [None if own is None else own.spectrum for own in lobes])
+    k_mirror = _table(
+        bands,
+        [
+            own.mirror * _growth(surface, own, eye)
+            if own.mirror is not None and (bounces or not fills(surface.low.material))
+            else None
+            for surface, own in zip(surfaces, reflections, strict=True)
+        ],
     )
-    k_mirror = table.filled(
-        (i, own.mirror * _growth(surfaces[i], own, eye))
-        for i, own in enumerate(reflections)
-        if own.mirror is not None and (bounces or not fills(surfaces[i].low.material))
-    )
-    spectrum = _Table(len(sources), bands).filled(
-        (k, own.spectrum) for k, own in enumerate(sources)
-    )
+    spectrum = _table(bands, [own.spectrum for own in sources])
     emission = emitted(surfaces, bands)
     ambient = 0 * emission if bounces else ambient_reflected(scene, surfaces, bands)
     visible = np.array([_may_be_seen(source, eye, surfaces) for source in sources], bool)
@@ -121,7 +128,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
     viewer = anywhere(eye) if bounces else eye
     mirrored = _mirrored(sources, nearest, k_mirror.max(1) > 0, cells, viewer)
     lit = (body + around > 0) | (shown[:, cells.surface] & mirrored)
-    wanted = _reduced(lit, cells, len(surfaces))
+    wanted = np.maximum.reduceat(lit, starts(cells), axis=-1)
     blocked = may_block(sources, surfaces, occluders=low.occluders, wanted=wanted)
     within = shaded(sources, surfaces, cells, may=blocked, wanted=lit & (seen | bounces))
     return Sums(
@@ -170,18 +177,12 @@ def _growth(surface: Ends[Surface], own: Reflection, eye: Eye) -> float:
     return 1.0 if outside else most**2
 
 
-class _Table(NamedTuple):
-    """A table of spectra with the given rows and bands."""
-
-    rows: int
-    bands: int
-
-    def filled(self, entries: Iterable[tuple[int, np.ndarray]]) -> np.ndarray:
-        """The table with these rows, 0 elsewhere; neutral spectra are repeated."""
-        table = np.zeros((self.rows, self.bands))
-        for row, spectrum in entries:
-            table[row] = spectrum
-        return table
+def _table(bands: int, spectra: Sequence[np.ndarray | None]) -> np.ndarray:
+    """(n, bands) of spectra, 0 for None; neutral ones are repeated."""
+    table = np.zeros((len(spectra), bands))
+    for row, spectrum in enumerate(spectra):
+        table[row] = 0 if spectrum is None else spectrum
+    return table
 
 
 def _bands(scene: Ends[Scene], sources: Sequence[Source], reflections: Sequence[Reflection]) -> int:
@@ -199,11 +200,8 @@ def _bands(scene: Ends[Scene], sources: Sequence[Source], reflections: Sequence[
 
 def emitted(surfaces: Sequence[Ends[Surface]], bands: int) -> np.ndarray:
     """(n, bands) W m^-2 sr^-1, the largest radiance that surfaces emit."""
-    return _Table(len(surfaces), bands).filled(
-        (i, np.maximum(*(np.abs(numbers(end.emission)) for end in surface)))
-        for i, surface in enumerate(surfaces)
-        if surface.low.emission is not None
-    )
+    lit = [None if own.low.emission is None else peak(own, "emission") for own in surfaces]
+    return _table(bands, lit)
 
 
 def ambient_reflected(
@@ -212,44 +210,29 @@ def ambient_reflected(
     """(n, bands) W m^-2 sr^-1, the largest k_a L_a."""
     if scene.low.ambient is None:
         return np.zeros((len(surfaces), bands))
-    around = np.maximum(*(np.abs(numbers(value_of(end, "ambient", "radiance"))) for end in scene))
-    return _Table(len(surfaces), bands).filled(
-        (
-            i,
-            around
-            * np.maximum(
-                *(np.abs(numbers(value_of(end, "material", "ambient"))) for end in surface)
-            ),
-        )
-        for i, surface in enumerate(surfaces)
-        if getattr(surface.low.material, "ambient", None) is not None
-    )
-
-
-def value_of(record: Any, *names: str) -> Any:
-    """The value of a nested field of a record."""
-    for name in names:
-        record = getattr(record, name)
-    return record
+    around = peak(scene.of("ambient"), "radiance")
+    materials = [surface.of("material") for surface in surfaces]
+    dark = [getattr(material.low, "ambient", None) is None for material in materials]
+    shares = zip(dark, materials, strict=True)
+    return _table(bands, [None if no else around * peak(own, "ambient") for no, own in shares])
 
 
 def _geometry(
-    sources: Sequence[Source],
+    source: Source,
     nearest: np.ndarray,
     reflections: Sequence[Reflection],
+    lobes: Sequence[Lobe | None],
     cells: Cells,
     eye: Eye,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`body`, `lobe` and `facing` of `Sums`."""
-    shape = len(sources), len(cells.radius)
-    body, lobe, facing = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    grazing, lobes = _grazing(reflections, cells), [own.lobe for own in reflections]
+    """`body`, `lobe` and `facing` of `Sums` for one light and given lobes of the surfaces: sup of E
+    f_r cos / k_d is that of E cos, and of E for the share that does not decrease with the
+    cosine."""
+    grazing = np.array([own.grazing for own in reflections])[cells.surface]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        for k, source in enumerate(sources):
-            arrived = arriving(source, cells, nearest[k, cells.surface])
-            body[k], facing[k] = _body_suprema(arrived, grazing), arrived.facing
-            lobe[k] = of_lobes(arrived, source, lobes, cells, eye)
-    return body, lobe, facing
+        arrived = arriving(source, cells, nearest[cells.surface])
+        body = times(1 - grazing, arrived.body) + times(grazing, arrived.facing)
+        return body, of_lobes(arrived, source, lobes, cells, eye), arrived.facing
 
 
 def _mirrored(
@@ -268,41 +251,32 @@ def _mirrored(
     return found
 
 
-def _grazing(reflections: Sequence[Reflection], cells: Cells) -> np.ndarray:
-    """(c,) `Reflection.grazing` of each cell."""
-    return np.array([own.grazing for own in reflections])[cells.surface]
-
-
-def _body_suprema(arrived: Arrived, grazing: np.ndarray) -> np.ndarray:
-    """(c,) sup of E f_r cos / k_d: E cos, and E for the share that does not decrease with the
-    cosine."""
-    return times(1 - grazing, arrived.body) + times(grazing, arrived.facing)
-
-
 def geometry_of(
     sums: Sums, source: Source, nearest: np.ndarray, lobes: Sequence[Lobe | None]
 ) -> tuple[np.ndarray, np.ndarray]:
     """`Sums.body` and `Sums.lobe` of one light for given lobes of the surfaces; `nearest`: (n,) m,
     lower bounds on its distances."""
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        cells = sums.cells
-        arrived = arriving(source, cells, nearest[cells.surface])
-        found = of_lobes(arrived, source, lobes, cells, sums.eye)
-    return _body_suprema(arrived, _grazing(sums.reflections, cells)), found
+    return _geometry(source, nearest, sums.reflections, lobes, sums.cells, sums.eye)[:2]
+
+
+def slopes(sums: Sums) -> np.ndarray:
+    """(n,) sr^-1 rad^-1, the slopes of the lobes with respect to the light direction, which are
+    those with respect to the view direction; inf if unknown."""
+    lobes = [own.lobe for own in sums.reflections]
+    found = [0.0 if own is None else own.slope for own in lobes]
+    return np.array([np.inf if slope is None else slope for slope in found])
 
 
 def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np.ndarray:
     """(l, n) m, lower bounds on the distances of lights and surfaces; 0 if one is endless."""
     found = np.zeros((len(sources), len(surfaces)))
-    bodies = [body_of(surface.of("shape")) for surface in surfaces]
-    bounded = [i for i, body in enumerate(bodies) if body is not None]
+    bodies, bounded = surface_bodies(surfaces)
     near = [k for k, source in enumerate(sources) if source.body is not None]
-    if not bounded or not near:
-        return found
-    lamps = stacked([body for source in sources if (body := source.body) is not None])
-    shapes = stacked([body for body in bodies if body is not None])
-    k, i = (x.ravel() for x in np.indices((len(near), len(bounded))))
-    found[np.ix_(near, bounded)] = gap(taken(lamps, k), taken(shapes, i)).reshape(len(near), -1)
+    if near:
+        lamps = stacked([body for source in sources if (body := source.body) is not None])
+        k, i = np.indices((len(near), len(surfaces))).reshape(2, -1)
+        apart = gap(taken(lamps, k), taken(bodies, i)).reshape(len(near), -1)
+        found[near] = np.where(bounded, apart, 0)
     return found
 
 
@@ -320,12 +294,6 @@ def _may_be_seen(source: Source, eye: Eye, surfaces: Sequence[Ends[Surface]]) ->
             return False
     in_picture = bool(in_view(eye, stacked([source.body]))[0])
     return in_picture and not covered(source.body, eye, surfaces)
-
-
-def _reduced(values: np.ndarray, cells: Cells, count: int) -> np.ndarray:
-    """The maximum of (..., c) over the cells of each surface, (..., n); cells are in order."""
-    first = np.searchsorted(cells.surface, np.arange(count))
-    return np.maximum.reduceat(values, first, axis=-1)
 
 
 def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = None) -> np.ndarray:

@@ -19,6 +19,7 @@ from .blocking import certain, is_convex, reach_of, swept, touching
 from .bodies import (
     DIRECTIONS,
     Bodies,
+    balls_about,
     body_of,
     disc_polygon,
     faces_of,
@@ -26,6 +27,7 @@ from .bodies import (
     heights,
     numbers,
     stacked,
+    surface_bodies,
     taken,
     unit,
 )
@@ -55,9 +57,7 @@ def shaded(
     if not 0 < count <= _PAIRS:
         return found
     reach = reach_of(surfaces, sources)
-    bounded = [body_of(surface.of("shape")) for surface in surfaces]
-    endless = np.array([body is None for body in bounded])
-    occluders = stacked([(np.zeros((1, 3)), np.ones(1)) if b is None else b for b in bounded])
+    occluders, bounded = surface_bodies(surfaces)
     own, relative = outward(surfaces, cells) > 0, touching(surfaces)
     for k, source in enumerate(sources):
         cell, occluder = np.nonzero(found[k][:, None] & may[k][cells.surface])
@@ -66,7 +66,7 @@ def shaded(
         if source.kind == "sky":
             continue
         found[k] = False
-        never = endless[occluder] | np.isinf(cells.radius[cell])
+        never = ~bounded[occluder] | np.isinf(cells.radius[cell])
         found[k, cell[never]] = True
         cell, occluder = cell[~never], occluder[~never]
         meets = _meets(source, cells, occluders, (cell, occluder), reach, relative)
@@ -87,12 +87,9 @@ def _meets(
     direction for the few remaining triples."""
     cell, occluder = pairs
     tolerance = certain(reach)
-    about = (occluders.points.min(1) + occluders.points.max(1)) / 2
-    size = (np.linalg.norm(occluders.points - about[:, None], axis=2) + occluders.radii).max(1)
+    about, size = balls_about(occluders)
     hulls = swept(source, bodies_of(cells), reach)
-    ends = hulls.points[:, 1:]
-    middle = (ends.min(1) + ends.max(1)) / 2
-    wide = (np.linalg.norm(ends - middle[:, None], axis=2) + hulls.radii[:, 1:]).max(1)
+    middle, wide = balls_about(Bodies(hulls.points[:, 1:], hulls.radii[:, 1:]))
     apart = _distance_to_segment(about[occluder], cells.centre[cell], middle[cell])
     meets = apart <= size[occluder] + np.maximum(cells.radius, wide)[cell] + tolerance
     left = np.flatnonzero(meets & (cells.spread[cell] == 0))
@@ -187,13 +184,11 @@ def in_umbra(
     blocking surfaces; None: all."""
     dark = np.zeros((len(sources), len(cells.radius)), bool)
     relative = touching(surfaces)
-    found = [body_of(surface.of("shape")) for surface in surfaces]
-    bounded = np.array([body is not None for body in found])[cells.surface]
+    whole, bounded = surface_bodies(surfaces)
+    bounded = bounded[cells.surface]
     if not bounded.any():
         return dark
-    none = np.zeros((1, 3)), np.zeros(1)
     balls = np.array([isinstance(surface.low.shape, Sphere) for surface in surfaces])
-    whole = stacked([none if body is None else body for body in found])
     of_body = np.abs(whole.points).max((1, 2)) + whole.radii.max(1)
     of_cell = np.abs(cells.centre).max(1) + np.minimum(cells.radius, 1e300)
     for j in range(len(surfaces)) if occluders is None else occluders:

@@ -15,9 +15,8 @@ import numpy as np
 
 from ..scene import Scene, Surface
 from .blocking import certain, reach_of, touching
-from .bodies import Bodies, body_of, heights, stacked
+from .bodies import Bodies, heights, stacked, surface_bodies
 from .cells import Eye, in_view
-from .certificate import RADIANCE, Effect
 from .illumination import Source
 from .stages import Draft, Ends, Row
 from .sums import Sums
@@ -38,16 +37,15 @@ def unmet_rows(scene: Ends[Scene], sums: Sums) -> Iterator[Row]:
         def drop(draft: Draft, i: int = i) -> Draft:
             return replace(draft, unmet=draft.unmet | {i})
 
-        effect = Effect(f"surfaces[{i}]", True, why, 0.0, unit=RADIANCE, rank="exact")
-        nothing = np.zeros(sums.spectrum.shape[1])
-        yield Row(effect, nothing, drop, saves=0.5 / len(low.surfaces), together="unmet")
+        nothing, saves = np.zeros(sums.spectrum.shape[1]), 0.5 / len(low.surfaces)
+        yield Row(f"surfaces[{i}]", nothing, why, drop, saves=saves, together="unmet")
 
 
 def with_owners(rows: Iterable[Row], owners: Iterable[Row]) -> Iterator[Row]:
     """The rows; those of a surface with a row among `owners` go with it."""
-    names = {row.effect.name for row in owners}
+    names = {row.name for row in owners}
     for row in rows:
-        owner = row.effect.name.partition(".")[0]
+        owner = row.name.partition(".")[0]
         yield replace(row, part_of=owner) if owner in names and not row.part_of else row
 
 
@@ -59,11 +57,9 @@ def unmet(
 ) -> np.ndarray:
     """Return (n,) whether no ray from the eye and no shadow ray meets a surface. True is certain,
     False is not. `occluders` are the numbers of the surfaces that block light; None for all."""
-    found = [body_of(surface.of("shape")) for surface in surfaces]
-    never = np.array([body is not None for body in found])
+    bodies, never = surface_bodies(surfaces)
     if eye.everywhere or not never.any():
         return np.zeros(len(surfaces), bool)
-    bodies = stacked([(np.zeros((1, 3)), np.ones(1)) if body is None else body for body in found])
     reach = reach_of(surfaces, sources) + float(np.abs(eye.place).max())
     slack = (touching(surfaces) + 10 * _LEVEL) * reach + certain(reach)
     bodies = Bodies(bodies.points, bodies.radii + slack)
