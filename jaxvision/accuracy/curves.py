@@ -13,7 +13,7 @@ from ..errors import InputError
 from .deadlines import OutOfTime
 from .fitted import fit_order
 from .knobs import knob_named
-from .norms import check_norms, level_of, next_error, norms_of, relative_rms, spreads_over
+from .norms import check_norms, level_of, next_error, norms_of, relative_rms, rms, spreads_over
 from .records import Curve, Knob, Problem, Reference, Trial
 from .reference import (
     PAIRED,
@@ -255,10 +255,10 @@ def _gap(
 
     error, known = reference.error, [one for one in others if len(one.results) > 1]
     means = [mean_of(list(one.results.values()), session.problem.compared) for one in known]
-    gaps = [float(np.sqrt(np.mean((mean - exact) ** 2))) for mean, _ in means]
+    gaps = [rms(mean - exact) for mean, _ in means]
     own = session.points.get(reference.setting)
     units = 0.0 if own is None else UNITS * own.rounding
-    if error <= units * float(np.sqrt(np.mean(exact**2))):
+    if error <= units * rms(exact):
         pairs = zip(gaps, means, strict=True)
         return min((max(gap, scatter) for gap, (_, scatter) in pairs), default=np.inf)
     if not known:
@@ -277,9 +277,8 @@ def _trial(
     names: tuple[str, ...],
 ) -> Trial:
     problem, knob = session.problem, session.knob
-    truth: Mapping[int, np.ndarray] = exact if isinstance(exact, dict) else {}
-    if not truth:
-        truth = dict.fromkeys(point.results, np.asarray(exact))
+    same = dict.fromkeys(point.results, exact)
+    truth: Mapping[int, np.ndarray] = exact if isinstance(exact, dict) else same
     seeds = [seed for seed in point.results if seed in truth]
     found = {seed: session.compared(point.results[seed]) for seed in seeds}
     norms_named = (*names, "rms")
@@ -287,7 +286,7 @@ def _trial(
         norms_of(found[s], truth[s], level, names=norms_named, developed=problem.developed)
         for s in seeds
     ]
-    norms = {n: float(np.sqrt(np.mean([one[n] ** 2 for one in each]))) for n in each[0]}
+    norms = {n: rms(np.array([one[n] for one in each])) for n in each[0]}
     main = np.array([one[names[0]] for one in each])
     if knob.random:
         error, low, high = next_error(main)
@@ -302,27 +301,16 @@ def _trial(
         low, high = max(low - SURE * own, 0.0), high + SURE * own
     high += own if hollow and own > 0 else 0.0
     times = whole_seconds(problem, np.array(point.warm or [point.first]), point.once)
-    quartiles = np.quantile(times, [0.25, 0.5, 0.75])
-    return Trial(
-        point.setting,
-        error,
-        low,
-        high,
-        float(quartiles[1]),
-        float(quartiles[0]),
-        float(quartiles[2]),
-        point.first,
-        len(seeds),
-        {name: norms[name] for name in names if name in norms},
-        hollow,
-        point.beside,
-    )
+    seconds = np.quantile(times, [0.5, 0.25, 0.75]).tolist()
+    kept = {name: norms[name] for name in names if name in norms}
+    last = point.first, len(seeds), kept, hollow, point.beside
+    return Trial(point.setting, error, low, high, *seconds, *last)
 
 
 def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:
     """The part of a difference that all seeds share, with its bounds: the root of the mean product
     of two seeds' differences, or the upper bound if noise hides it."""
-    typical = float(np.sqrt(np.mean(norms**2)))
+    typical = rms(norms)
     noise = float(np.mean(np.var(apart, axis=0, ddof=1))) if len(apart) > 1 else 0.0
     whole = float(np.mean(apart**2))
     if noise == 0 or whole == 0:

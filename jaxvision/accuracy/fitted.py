@@ -1,6 +1,7 @@
 """The order of a setting: a straight line through the logarithms of its errors."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ def fit_order(knob: Knob, trials: Sequence[Trial]) -> Order | None:
     """Fit the law of the errors, weighted by their precision over seeds; the power law where it
     describes them better than a declared geometric law. None for fewer than two, or settings that
     are not numbers."""
-    solid = [one for one in trials if not one.hollow and one.error > 0 and _is_number(one.setting)]
+    solid = [one for one in trials if not one.hollow and one.error > 0 and is_number(one.setting)]
     if len({one.setting for one in solid}) < 2:
         return None
     order, left = _line(knob, solid, knob.law)
@@ -59,7 +60,8 @@ def _interval_of_order(knob: Knob, trial: Trial) -> float:
     return max(wide / float(np.sqrt(trial.seeds)) if knob.random else wide, LEAST_SPREAD)
 
 
-def _is_number(setting: object) -> bool:
+def is_number(setting: Any) -> bool:
+    """Whether a setting is a positive number, and not a word."""
     return isinstance(setting, int | float) and not isinstance(setting, bool) and setting > 0
 
 

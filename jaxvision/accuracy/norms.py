@@ -28,15 +28,16 @@ def relative_rms(result: Any, reference: Any) -> float:
         0.0707
     """
     exact = np.asarray(reference, np.float64)
-    size = _rms(exact)
+    size = rms(exact)
     if size == 0:
         raise InputError(
             "the reference is 0 everywhere, so that no error is relative to it; add light."
         )
-    return _rms(np.asarray(result, np.float64) - exact) / size
+    return rms(np.asarray(result, np.float64) - exact) / size
 
 
-def _rms(values: np.ndarray) -> float:
+def rms(values: np.ndarray) -> float:
+    """The root mean square of numbers, in their unit."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -48,12 +49,12 @@ def _largest(values: np.ndarray) -> float:
     return float(np.max(np.abs(values)))
 
 
-NORMS: dict[str, Callable[[np.ndarray], float]] = {"rms": _rms, "p99": _p99, "max": _largest}
+NORMS: dict[str, Callable[[np.ndarray], float]] = {"rms": rms, "p99": _p99, "max": _largest}
 
 
 def level_of(reference: np.ndarray, level: float | None) -> float:
     """The level for relative errors, in the unit of the result; 1 if all is 0."""
-    found = _rms(reference) if level is None else level
+    found = rms(reference) if level is None else level
     return found if found > 0 else 1.0
 
 
@@ -110,7 +111,7 @@ def next_error(errors: np.ndarray) -> tuple[float, float, float]:
     from scipy.special import fdtri, stdtrit
 
     seen = np.abs(np.asarray(errors, np.float64))
-    count, typical = len(seen), float(np.sqrt(np.mean(seen**2)))
+    count, typical = len(seen), rms(seen)
     if count < 2 or not np.isfinite(typical) or np.ptp(seen) == 0:
         return typical, typical, typical
     far = typical * np.sqrt(fdtri(1, count, [_CHANCE, 1 - _CHANCE]))

@@ -9,7 +9,8 @@ import numpy as np
 
 from ..errors import InputError
 from .deadlines import OutOfTime
-from .fitted import variable
+from .fitted import is_number, variable
+from .norms import rms
 from .records import Compared, Knob, Law, Reference
 from .session import Session
 
@@ -27,18 +28,14 @@ MOST_TAIL = 6.0  # largest error after the last step, in units of this step
 STEEPEST = 300.0  # fall of an error between two settings, as a logarithm
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def mean_of(draws: Sequence[np.ndarray], compared: Compared | None) -> tuple[np.ndarray, float]:
     """Return the compared function of the mean of at least two independent results, and its
     standard error by the jackknife (Efron, SIAM (1982), ch. 3)."""
     count, total = len(draws), np.sum(draws, axis=0)
     if compared is None:
-        return total / count, _rms(np.std(draws, axis=0, ddof=1)) / count**0.5
+        return total / count, rms(np.std(draws, axis=0, ddof=1)) / count**0.5
     without = np.stack([compared((total - draw) / (count - 1)) for draw in draws])
-    return compared(total / count), _rms(np.std(without, axis=0)) * (count - 1) ** 0.5
+    return compared(total / count), rms(np.std(without, axis=0)) * (count - 1) ** 0.5
 
 
 def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
@@ -116,12 +113,9 @@ def paired_reference(
         steps = [step for step in steps if step != setting] + [setting]
         chosen = setting
     rungs = (*steps[-RUNGS:-1], chosen)
-    ladder = [
-        {seed: session.compared(session.points[step].results[seed]) for seed in PAIRED}
-        for step in rungs
-    ]
+    ladder = _ladder(session, rungs)
     found = ladder[-1]
-    rounding = UNITS * session.points[chosen].rounding * _rms(found[PAIRED[0]])
+    rounding = UNITS * session.points[chosen].rounding * rms(found[PAIRED[0]])
     if exact and chosen == knob.reference[-1]:
         return Reference(chosen, rounding, "exact setting"), found
     how = "twice as fine" if chosen in knob.reference else "finest setting"
@@ -136,16 +130,19 @@ def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
     rungs = [one for one in run if isinstance(one, int | float)]
     if len(rungs) < 3:
         return 0.0
-    ladder = [
-        {seed: session.compared(session.points[rung].results[seed]) for seed in PAIRED}
-        for rung in rungs
-    ]
+    ladder = _ladder(session, rungs)
     apart = [
         ladder[-1][seed] - (reference[seed] if isinstance(reference, dict) else reference)
         for seed in PAIRED
     ]
-    gap = _rms(np.mean(apart, axis=0))
+    gap = rms(np.mean(apart, axis=0))
     return gap if gap > MOST_UNLIKE * _tail(session.knob, rungs, ladder) else 0.0
+
+
+def _ladder(session: Session, settings: Sequence[Any]) -> list[dict[int, np.ndarray]]:
+    """The compared results of settings, by the seeds that settings share."""
+    results = (session.points[setting].results for setting in settings)
+    return [{seed: session.compared(own[seed]) for seed in PAIRED} for own in results]
 
 
 def _finest(session: Session, *, calls: int) -> Any:
@@ -167,13 +164,13 @@ def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.
         np.mean([after[seed] - before[seed] for seed in PAIRED], axis=0)
         for before, after in pairwise(ladder)
     ]
-    last = _rms(steps[-1])
-    laws = _laws(knob.law, settings, [_rms(step) for step in steps])
+    last = rms(steps[-1])
+    laws = _laws(knob.law, settings, [rms(step) for step in steps])
     apart = [_distance(laws[0], *pair) for pair in pairwise(settings)]
     if len(steps) < 2:
         known = knob.order is not None and knob.law == "power"
         return last * max(1.0, 1 / np.expm1(abs(knob.order or 1.0) * apart[0])) if known else last
-    first = _rms(steps[-2])
+    first = rms(steps[-2])
     if first == 0 or last == 0:
         return last
     alike = float(np.clip(np.mean(steps[-2] * steps[-1]) / (first * last), 0, 1))
@@ -207,7 +204,7 @@ def _distance(law: Law, coarse: Any, fine: Any) -> float:
     """Return the distance of two settings in the variable of a law; 1 for settings that are
     words.
     """
-    if not all(isinstance(one, int | float) and one > 0 for one in (coarse, fine)):
+    if not (is_number(coarse) and is_number(fine)):
         return 1.0
     return abs(variable(fine, law) - variable(coarse, law)) or 1.0
 
@@ -230,13 +227,8 @@ def _chance_of_last(ratio: float, before: float, after: float) -> float:
     """The error after two random steps, relative to the last step, from their ratio."""
     if ratio <= 1:
         return 1.0
-    squared = ratio**2
-    rate = _rate(
-        lambda k: (np.exp(2 * k * before) + 1) / (1 + np.exp(-2 * k * after)),
-        squared,
-        before,
-        after,
-    )
+    law = lambda k: (np.exp(2 * k * before) + 1) / (1 + np.exp(-2 * k * after))  # noqa: E731
+    rate = _rate(law, ratio**2, before, after)
     return float(1 / np.sqrt(np.exp(2 * rate * after) + 1))
 
 

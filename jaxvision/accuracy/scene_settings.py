@@ -26,6 +26,7 @@ from ..render_command import prune_scene, pruned_scene
 from .curves import KEPT, LEAST, WORTH, asked_knobs, curve, measure_in_turn
 from .deadlines import OutOfTime, TooLittleTime, run_within
 from .knobs import KNOBS
+from .norms import rms
 from .records import Curve, Knob, Problem
 from .scenes import APART, entry_of, knobs_of, scene_problem
 from .session import Clock, part_seconds
@@ -207,7 +208,7 @@ def settings(
         problem = scene_problem(scene_file, settings=own, seconds=seconds, clock=clock)
         picture = np.asarray(problem.prepare(problem.settings)(0), np.float64)
         picture = picture if problem.compared is None else problem.compared(picture)
-        level = float(np.sqrt(np.mean(picture**2)))
+        level = rms(picture)
     pruned, prunable = None, until - (1 - PRUNING) * seconds
     with suppress(OutOfTime):
         pruned = run_within(lambda: _prune(scene_file, tolerance, level), lambda: prunable - now())

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from .deadlines import OutOfTime, run_within, something_left_behind, wait_for_the_rest
+from .fitted import is_number
 from .records import Compute, Knob, Problem
 
 Clock = Callable[[], float]
@@ -132,9 +133,7 @@ class Session:
         `InputError` for numbers that are not finite.
         """
         of = self._of(setting)
-        if not (np.issubdtype(values.dtype, np.number) or values.dtype == bool) or np.iscomplexobj(
-            values
-        ):
+        if values.dtype.kind not in "biuf":
             raise NotComparable(f"{of} is {values.dtype}; give real numbers.")
         if values.size == 0:
             raise NotComparable(f"{of} is empty; give at least one number.")
@@ -225,10 +224,6 @@ def _growth(before: tuple[Any, float], after: tuple[Any, float]) -> tuple[float,
 def _ratio(before: Any, after: Any) -> float | None:
     """The ratio of two settings that are increasing numbers; None for others, such as
     tolerances."""
-    if _is_positive(before) and _is_positive(after) and after > before:
+    if is_number(before) and is_number(after) and after > before:
         return after / before
     return None
-
-
-def _is_positive(setting: object) -> bool:
-    return isinstance(setting, int | float) and not isinstance(setting, bool) and setting > 0

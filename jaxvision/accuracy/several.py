@@ -22,7 +22,7 @@ from ..core.interrupts import is_handled, raised_interrupts
 from ..errors import InputError
 from .choice import candidates
 from .deadlines import OutOfTime, run_within
-from .norms import level_of, next_error
+from .norms import level_of, next_error, rms
 from .records import Curve, Problem
 from .reference import DRAWS, FIRST_SEED, SURE, mean_of
 from .session import Clock, part_seconds, whole_seconds
@@ -92,21 +92,17 @@ def combined(
         front or [(base[curve.knob.name], 0.0, 1.0)]
         for curve, front in zip(curves, fronts, strict=True)
     ]
+    names = [curve.knob.name for curve in curves]
+    random = np.array([curve.knob.random for curve in curves])
     best: tuple[float, Combination] | None = None
     nearest = np.inf
     for chosen in product(*sets):
-        random = sum(
-            error**2 for (_, error, _), c in zip(chosen, curves, strict=True) if c.knob.random
-        )
-        bias = sum(
-            error for (_, error, _), c in zip(chosen, curves, strict=True) if not c.knob.random
-        )
-        error = float(np.sqrt(bias**2 + random))
+        errors = np.array([error for _, error, _ in chosen])
+        error = float(np.hypot(errors[~random].sum(), np.linalg.norm(errors[random])))
         taken = once * float(np.prod([factor for *_, factor in chosen]))
         price, limited = (error, taken) if tolerance is None else (taken, error)
         nearest = min(nearest, limited)
         if limited <= limit and (best is None or price < best[0]):
-            names = [curve.knob.name for curve in curves]
             settings = {n: s for n, (s, *_) in zip(names, chosen, strict=True)}
             best = price, Combination(settings, error, taken, unknown)
     if best is None:
@@ -286,7 +282,7 @@ def _fresh_runs(
         begun = now()
         result = np.asarray(chosen(seed))
         times.append(now() - begun)
-        errors.append(np.sqrt(np.mean((compared(result) - reference) ** 2)))
+        errors.append(rms(compared(result) - reference))
     level = level_of(reference, problem.level)
     found = next_error(np.array(errors) / level)[2]
     seconds = whole_seconds(problem, np.median(times[1:]), problem.once())

@@ -5,11 +5,12 @@ cameras    lens, motion, pixel aperture, diffraction, shot noise
 pictures   filters, mattes, curves
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
+from typing import Any
 
 from ...errors import InputError, nearest
-from ..records import Problem
+from ..records import Compute, Problem
 
 ROOMS = ("light", "cameras", "pictures")
 
@@ -20,6 +21,25 @@ def examples() -> dict[str, Callable[[], Problem]]:
     for room in ROOMS:
         found |= import_module(f"{__name__}.{room}").EXAMPLES
     return found
+
+
+def problem_of(
+    name: str,
+    knob: str,
+    make: Callable[[Any], Callable[..., Any]],
+    *given: Any,
+    seeded: bool = False,
+    exact: Any = None,
+) -> Problem:
+    """The problem whose result is that of `make(setting)`, compiled, for the given arrays, or for a
+    random key if `seeded`."""
+    import jax
+
+    def prepare(settings: Mapping[str, Any]) -> Compute:
+        run = jax.jit(make(settings[knob]))
+        return lambda seed: run(*([jax.random.key(seed)] if seeded else given))
+
+    return Problem(name, prepare, exact=exact)
 
 
 def example(knob: str) -> Problem:

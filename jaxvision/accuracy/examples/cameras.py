@@ -1,7 +1,8 @@
 """Lens, motion, pixel aperture, diffraction and shot noise."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -32,6 +33,7 @@ from ...scene import (
 from ...sensor import count, gathered
 from ...shot import capture
 from ..records import Compute, Problem
+from . import problem_of
 from .pictures import picture
 
 SIDE = 64  # pixels
@@ -71,26 +73,24 @@ def _lens(pitch: float, f_number: float = 1.4, focus_distance: float = 1.8) -> T
 
 def _lens_samples() -> Problem:
     lens, scene = _lens(WIDE), _balls()
-
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        count = settings["lens samples"]
-        run = jax.jit(lambda key: render(scene, lens, samples=PixelSamples(key, count)))
-        return lambda seed: run(jax.random.key(seed))
-
-    return Problem("three balls out of focus", prepare)
+    return problem_of(
+        "three balls out of focus",
+        "lens samples",
+        lambda count: lambda key: render(scene, lens, samples=PixelSamples(key, count)),
+        seeded=True,
+    )
 
 
 def _layers() -> Problem:
     lens = _lens(CLOSE)
     image = jnp.asarray(picture()[:SIDE, :SIDE])
     depth = jnp.asarray(np.linspace(1.0, 3.0, SIDE)[None, :] * np.ones((SIDE, 1)))
-
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        layers = settings["defocus layers"]
-        run = jax.jit(lambda image: layered_defocus(lens, image, depth, radius=12, layers=layers))
-        return lambda seed: run(image)
-
-    return Problem("a ramp of depth out of focus", prepare)
+    return problem_of(
+        "a ramp of depth out of focus",
+        "defocus layers",
+        lambda layers: partial(layered_defocus, lens, depth=depth, radius=12, layers=layers),
+        image,
+    )
 
 
 def _view() -> Pinhole:
@@ -103,26 +103,21 @@ def _moments() -> Problem:
     def pan(scene: Scene, view: View, time: Any) -> tuple[Scene, View]:
         return scene, replace(view, position=view.position + jnp.asarray([2.0, 0, 0]) * time)
 
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        moments = settings["motion moments"]
-        run = jax.jit(
-            lambda scene: capture(None, scene, camera, motion=pan, moments=moments).irradiance
-        )
-        return lambda seed: run(scene)
-
-    return Problem("three balls, panned", prepare)
+    return problem_of(
+        "three balls, panned",
+        "motion moments",
+        lambda n: lambda scene: capture(None, scene, camera, motion=pan, moments=n).irradiance,
+        scene,
+    )
 
 
 def _oversampling() -> Problem:
-    scene = _balls()
+    def make(oversampling: int) -> Callable[[Scene], jax.Array]:
+        sensor = Sensor(pixel_aperture=PixelAperture(1.0, oversampling=oversampling))
+        camera = Camera(_view(), sensor)
+        return lambda scene: capture(None, scene, camera).irradiance
 
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        aperture = PixelAperture(1.0, oversampling=settings["oversampling"])
-        camera = Camera(_view(), Sensor(pixel_aperture=aperture))
-        run = jax.jit(lambda scene: capture(None, scene, camera).irradiance)
-        return lambda seed: run(scene)
-
-    return Problem("three balls, pixels with an area", prepare)
+    return problem_of("three balls, pixels with an area", "oversampling", make, _balls())
 
 
 def _charge_steps() -> Problem:
@@ -130,39 +125,32 @@ def _charge_steps() -> Problem:
     spots[8:40:8, 8:40:8] = 1e5
     light, kernel = jnp.asarray(spots), np.array([[8e-7, 2e-7], [2e-7, 5e-8]])
 
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        effect = BrighterFatter(kernel, steps=settings["charge steps"])
-        run = jax.jit(lambda light: gathered(None, light, effect))
-        return lambda seed: run(light)
+    def make(steps: int) -> Callable[[jax.Array], jax.Array]:
+        effect = BrighterFatter(kernel, steps=steps)
+        return lambda light: gathered(None, light, effect)
 
-    return Problem("spots of 1e5 electrons that repel", prepare)
+    return problem_of("spots of 1e5 electrons that repel", "charge steps", make, light)
 
 
 def _diffraction_size() -> Problem:
     image = np.zeros((SIDE, SIDE, 1))
     image[20:24, 8:40] = 1.0
-    light = jnp.asarray(image)
 
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        diffraction = Diffraction(550e-9, size=settings["diffraction size"])
-        view = replace(_lens(4e-6, 16.0, 1e3), diffraction=diffraction)
-        run = jax.jit(lambda radiance: sensor_irradiance(view, radiance))
-        return lambda seed: run(light)
+    def make(size: int) -> Callable[[jax.Array], jax.Array]:
+        view = replace(_lens(4e-6, 16.0, 1e3), diffraction=Diffraction(550e-9, size=size))
+        return partial(sensor_irradiance, view)
 
-    return Problem("a slit at f/16", prepare)
+    return problem_of("a slit at f/16", "diffraction size", make, jnp.asarray(image))
 
 
 def _diffraction_nodes() -> Problem:
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        order = settings["diffraction nodes"]
-        run = jax.jit(
-            lambda pitch: airy_kernel(
-                jnp.asarray(550e-9), jnp.asarray(8.0), pitch, size=17, order=order
-            )
-        )
-        return lambda seed: run(jnp.asarray(4e-6))
-
-    return Problem("an Airy pattern over pixels", prepare)
+    numbers = (jnp.asarray(x) for x in (550e-9, 8.0, 4e-6))
+    return problem_of(
+        "an Airy pattern over pixels",
+        "diffraction nodes",
+        lambda order: partial(airy_kernel, size=17, order=order),
+        *numbers,
+    )
 
 
 def _shot_noise() -> Problem:

@@ -27,6 +27,7 @@ from ...transport.radiosity import (
     solve_radiosity,
 )
 from ..records import Compute, Problem
+from . import problem_of
 
 SIDE = 48  # pixels
 PATCH = 0.15  # m, in the Cornell box
@@ -44,26 +45,22 @@ def _paths(method: Callable[[Any], Paths], knob: str) -> Problem:
     error."""
     view = with_resolution(_box().view, (SIDE, SIDE))
 
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        chosen = method(settings[knob])
-        run = jax.jit(
-            lambda key: path_traced(key, _box().scene, view, method=chosen).radiance[SIDE // 3 :]
-        )
-        return lambda seed: run(jax.random.key(seed))
+    def make(setting: Any) -> Callable[[jax.Array], jax.Array]:
+        traced = partial(path_traced, scene=_box().scene, view=view, method=method(setting))
+        return lambda key: traced(key).radiance[SIDE // 3 :]
 
-    return Problem("Cornell box, 16 paths a pixel", prepare)
+    return problem_of("Cornell box, 16 paths a pixel", knob, make, seeded=True)
 
 
 def _form_factors() -> Problem:
     scene = _box().scene
     plan = plan_patches(scene, size=PATCH)
-
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        rays = settings["form factor rays"]
-        run = jax.jit(lambda scene: form_factor_table(scene, plan, rays=rays))
-        return lambda seed: run(scene)
-
-    return Problem("patches of the Cornell box", prepare)
+    return problem_of(
+        "patches of the Cornell box",
+        "form factor rays",
+        lambda rays: lambda scene: form_factor_table(scene, plan, rays=rays),
+        scene,
+    )
 
 
 def _progressive() -> Problem:
@@ -74,16 +71,16 @@ def _progressive() -> Problem:
     table = jnp.asarray(factors / factors.sum(axis=1).max())
     albedo = jnp.asarray(rng.uniform(0.2, 0.8, (96, 3)))
     sent = jnp.asarray(np.eye(96)[:, :1] * np.ones(3))
-
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        tolerance = settings["radiosity solver"]
-        run = jax.jit(
-            partial(solve_radiosity, method="progressive", tolerance=tolerance, limit=100_000)
-        )
-        return lambda seed: run(table, albedo, sent)
-
-    exact = np.asarray(solve_radiosity(table, albedo, sent))
-    return Problem("96 patches", prepare, exact=exact)
+    solve = partial(solve_radiosity, method="progressive", limit=100_000)
+    return problem_of(
+        "96 patches",
+        "radiosity solver",
+        lambda tolerance: partial(solve, tolerance=tolerance),
+        table,
+        albedo,
+        sent,
+        exact=np.asarray(solve_radiosity(table, albedo, sent)),
+    )
 
 
 def _adaptive() -> Problem:
@@ -91,14 +88,16 @@ def _adaptive() -> Problem:
     lamp = RectangleLight((-0.5, -0.5, 0.6), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), radiance=(1.0,))
     x, y = np.meshgrid(np.linspace(-1, 1, SIDE), np.linspace(-1, 1, SIDE))
     points = jnp.asarray(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=-1))
-
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        tolerance = settings["adaptive nodes"]
-        run = jax.jit(partial(adaptive_irradiance, tolerance=tolerance))
-        return lambda seed: run(lamp, points, jnp.asarray(UP))
-
     exact = jax.vmap(lambda point: rectangle_irradiance(lamp, point, jnp.asarray(UP)))(points)
-    return Problem("a floor under a lamp", prepare, exact=np.asarray(exact))
+    return problem_of(
+        "a floor under a lamp",
+        "adaptive nodes",
+        lambda tolerance: partial(adaptive_irradiance, tolerance=tolerance),
+        lamp,
+        points,
+        jnp.asarray(UP),
+        exact=np.asarray(exact),
+    )
 
 
 def _gloss(alpha: float) -> TorranceSparrow:
@@ -109,33 +108,24 @@ def _hemisphere() -> Problem:
     def sky(wi: Any) -> jax.Array:
         return (1 + wi[2] + 0.5 * wi[0])[None]
 
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        polar = settings["hemisphere"]
-        run = jax.jit(
-            lambda wo: (
-                hemisphere_radiance(
-                    _gloss(0.3), sky, jnp.asarray(UP), wo, polar=polar, azimuths=2 * polar
-                ).value
-            )
-        )
-        return lambda seed: run(jnp.asarray(VIEWER))
+    def make(polar: int) -> Callable[[jax.Array], jax.Array]:
+        nodes = {"polar": polar, "azimuths": 2 * polar}
+        return lambda wo: hemisphere_radiance(_gloss(0.3), sky, jnp.asarray(UP), wo, **nodes).value
 
-    return Problem("gloss under a sky", prepare)
+    return problem_of("gloss under a sky", "hemisphere", make, jnp.asarray(VIEWER))
 
 
 def _polygons() -> Problem:
     """Two squares that touch at a right angle."""
     floor = [as_vec(jnp.asarray(c, float)) for c in ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0))]
     wall = [as_vec(jnp.asarray(c, float)) for c in ((0, 0, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1))]
-
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        order = settings["polygon form factor"]
-        run = jax.jit(
-            lambda first, second: polygon_to_polygon(first, second, order=order).value[None]
-        )
-        return lambda seed: run(tuple(floor), tuple(wall))
-
-    return Problem("floor and wall", prepare)
+    return problem_of(
+        "floor and wall",
+        "polygon form factor",
+        lambda order: lambda a, b: polygon_to_polygon(a, b, order=order).value[None],
+        tuple(floor),
+        tuple(wall),
+    )
 
 
 def _sampler() -> Problem:

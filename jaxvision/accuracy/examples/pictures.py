@@ -1,7 +1,7 @@
 """Filters, mattes and curves on a synthetic picture."""
 
-from collections.abc import Callable, Mapping
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -12,7 +12,8 @@ from ... import filters
 from ...matting import closed_form_matte, estimate_foreground
 from ...optics import sample_image
 from ...point_ops import gamma_decode, lookup
-from ..records import Compute, Problem
+from ..records import Problem
+from . import problem_of
 
 SIDE = 96  # pixels
 SIGMA = 2.0
@@ -31,12 +32,9 @@ def picture() -> np.ndarray:
 def _filtered(name: str, function: Callable[[Any, Any], Any], knob: str) -> Problem:
     """A function of a picture and a setting."""
 
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        run = jax.jit(lambda image: function(image, settings[knob]))
-        image = jnp.asarray(picture())
-        return lambda seed: run(image)
-
-    return Problem(name, prepare)
+    return problem_of(
+        name, knob, lambda setting: lambda x: function(x, setting), jnp.asarray(picture())
+    )
 
 
 def _method() -> Problem:
@@ -96,34 +94,20 @@ def _layer() -> tuple[np.ndarray, np.ndarray]:
 def _matte() -> Problem:
     image, alpha = _layer()
     trimap = jnp.where(alpha <= 0.0, 0.0, jnp.where(alpha >= 1.0, 1.0, 0.5))[..., 0]
-
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        solve = jax.jit(
-            lambda image: (
-                closed_form_matte(
-                    image, trimap, tolerance=settings["matting solver"], max_steps=2000
-                ).alpha
-            )
-        )
-        given = jnp.asarray(image)
-        return lambda seed: solve(given)
-
-    return Problem("closed-form matte", prepare)
+    solve = partial(closed_form_matte, trimap=trimap, max_steps=2000)
+    return problem_of(
+        "closed-form matte",
+        "matting solver",
+        lambda tolerance: lambda image: solve(image, tolerance=tolerance).alpha,
+        jnp.asarray(image),
+    )
 
 
 def _foreground() -> Problem:
-    image, alpha = _layer()
-    cover = jnp.asarray(alpha)
+    def make(steps: int) -> Callable[[jax.Array, jax.Array], jax.Array]:
+        return lambda image, alpha: alpha * estimate_foreground(image, alpha, fine_steps=steps)[0]
 
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        steps = settings["foreground steps"]
-        solve = jax.jit(
-            lambda image, alpha: alpha * estimate_foreground(image, alpha, fine_steps=steps)[0]
-        )
-        given = jnp.asarray(image)
-        return lambda seed: solve(given, cover)
-
-    return Problem("foreground colours", prepare)
+    return problem_of("foreground colours", "foreground steps", make, *map(jnp.asarray, _layer()))
 
 
 def _power() -> Problem:
@@ -143,13 +127,14 @@ def _interpolation() -> Problem:
 
     image, within = waves(*np.mgrid[:SIDE, :SIDE]), np.meshgrid(places, places, indexing="ij")
 
-    def prepare(settings: Mapping[str, Any]) -> Compute:
-        word = settings["interpolation"]
-        rows, columns = (jnp.asarray(axis) for axis in within)
-        run = jax.jit(lambda image: sample_image(image, rows, columns, interpolation=word))
-        return lambda seed: run(image)
-
-    return Problem("waves between pixels", prepare, exact=waves(*within))
+    rows, columns = (jnp.asarray(axis) for axis in within)
+    return problem_of(
+        "waves between pixels",
+        "interpolation",
+        lambda word: lambda image: sample_image(image, rows, columns, interpolation=word),
+        image,
+        exact=waves(*within),
+    )
 
 
 def _table() -> Problem:
