@@ -8,13 +8,13 @@ options are answered immediately.
 import json
 import sys
 import time
-import warnings
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from ..core._warnings import warn
 from ..core.interrupts import ending_on_interrupt
 from ..core.memory import keep_memory
 from ..core.progress import progress_bar
@@ -82,7 +82,7 @@ def inspect(
             metavar="PART",
         ),
     ] = "",
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Print range, moments and saturation of each channel. With --out, draw the picture,
     histograms, a scan line, a grid of values and the surface in one figure."""
@@ -105,7 +105,7 @@ def inspect(
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
     if row is not None and out is None:
-        warnings.warn("--row has no effect without --out, which draws it.", stacklevel=2)
+        warn("--row has no effect without --out, which draws it.")
     if out is not None:
         with replaced_on_success(out) as partial:
             figure.savefig(partial, dpi=130)
@@ -241,9 +241,7 @@ def render(
     }
     settings = override_settings(source.render, given)
     for name in idle(settings.integrator, given):
-        warnings.warn(
-            f"--{name} has no effect with the integrator {settings.integrator!r}.", stacklevel=2
-        )
+        warn(f"--{name} has no effect with the integrator {settings.integrator!r}.")
     shown = None if no_preview else preview or out.parent / f"{out.stem}.png"
     if resolution:
         wanted = _pair("--resolution", resolution)
@@ -252,7 +250,7 @@ def render(
         source = replace(source, view=with_resolution(source.view, wanted))
     pruned = None if tolerance is None else prune_scene(source, settings, tolerance)
     if measure is not None and not accuracy and seconds is None:
-        warnings.warn("--measure has no effect without --accuracy or --seconds.", stacklevel=2)
+        warn("--measure has no effect without --accuracy or --seconds.")
     if keep_all and tolerance is not None:
         raise InputError("--keep-all and --tolerance exclude each other; give one.")
     if no_preview and preview is not None:
@@ -409,7 +407,7 @@ def effects(
     timed: Annotated[
         bool, typer.Option("--time", help="Measure the time that each effect takes.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Bound the change that each effect of a scene and a camera makes in the picture."""
     file = existing_file(scene, "scene")
@@ -423,7 +421,7 @@ def effects(
 
     goal = None
     if place is not None and tolerance is None:
-        warnings.warn("--place has no effect without --tolerance.", stacklevel=2)
+        warn("--place has no effect without --tolerance.")
     if tolerance is not None:
         goal = parse(tolerance, place=place)
         if timed:

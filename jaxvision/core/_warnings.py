@@ -27,11 +27,15 @@ def one_call() -> Iterator[None]:
 def warn_caller(text: str) -> None:
     """Warn at the caller's line outside the library, once per call from there."""
     given = _of_call.get()
-    if given:
-        return
-    if given is not None:
-        given.append(text)
+    if not given:
+        if given is not None:
+            given.append(text)
+        warn(text)
+
+
+def warn(text: str, category: type[Warning] = UserWarning) -> None:
+    """Warn at the caller's line outside the library."""
     frame, level = sys._getframe(1), 2
     while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] in _WITHIN:
         frame, level = frame.f_back, level + 1
-    warnings.warn(text, stacklevel=level)
+    warnings.warn(text, category, stacklevel=level)

@@ -5,12 +5,12 @@ Sources: the manual pages pbm(5), pgm(5) and ppm(5) of Netpbm; pfm(5).
 """
 
 import re
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ..core._warnings import warn
 from ..errors import InputError
 from ._plain_content import damaged
 
@@ -86,17 +86,13 @@ def read_netpbm(file: Path) -> np.ndarray:
     else:
         codes, rest = _byte_samples(file, head, data, count)
     if rest.strip():
-        warnings.warn(
-            f"{file}: {len(rest)} bytes after its first picture are not used.", stacklevel=2
-        )
+        warn(f"{file}: {len(rest)} bytes after its first picture are not used.")
     shape = (head.rows, head.columns, channels) if channels > 1 else (head.rows, head.columns)
     pixels = codes.reshape(shape)
     if head.magic in _FLOATS:
         if abs(head.largest) != 1:
-            warnings.warn(
-                f"{file}: its scale, {abs(head.largest):g}, is not used; the numbers are as "
-                "stored.",
-                stacklevel=2,
+            warn(
+                f"{file}: its scale, {abs(head.largest):g}, is not used; the numbers are as stored."
             )
         return pixels[::-1].copy()
     if head.magic in _BITMAPS:

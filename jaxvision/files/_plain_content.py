@@ -1,6 +1,7 @@
 """Limits on the size of parsed content, checked before and after. A damaged or hostile file ends in
 one sentence, and takes at most as much memory as a valid one."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,20 @@ def damaged(file: Path, reason: str) -> InputError:
     return InputError(
         f"{file}: the file is damaged or cut short ({reason}); copy it again from its source."
     )
+
+
+def unlike(place: object, fault: str) -> InputError:
+    """The error for a file that its program has not written as the format says."""
+    return InputError(f"{place}: {fault}; export it again.")
+
+
+def file_at(path: str | os.PathLike[str], kind: str = "") -> Path:
+    """The file at a path; `InputError` if there is none. `kind` ("scene") is for the message."""
+    file = Path(path)
+    if not file.is_file():
+        what = f"{kind} file".strip()
+        raise InputError(f"{file}: no such {what}; check the name and the folder.")
+    return file
 
 
 def check_content(place: str, content: Any) -> None:

@@ -6,11 +6,11 @@ applied to the pixels, are undone. Source: Ward, "Radiance File Formats", and `c
 """
 
 import re
-import warnings
 from pathlib import Path
 
 import numpy as np
 
+from ..core._warnings import warn
 from ..errors import InputError
 from ._plain_content import damaged
 
@@ -88,18 +88,14 @@ def _exposure_factors(file: Path, lines: list[bytes]) -> np.ndarray:
         if name == b"PIXASPECT":
             aspect *= numbers[0]
         elif name == b"PRIMARIES":
-            warnings.warn(
+            warn(
                 f"{file}: its primaries ({words.decode().strip()}) are not used; colours are as "
-                "stored.",
-                stacklevel=3,
+                "stored."
             )
         else:
             whole = whole * numbers
     if aspect != 1:
-        warnings.warn(
-            f"{file}: its pixels are not square (PIXASPECT {aspect:g}), which is not used.",
-            stacklevel=3,
-        )
+        warn(f"{file}: its pixels are not square (PIXASPECT {aspect:g}), which is not used.")
     return whole
 
 

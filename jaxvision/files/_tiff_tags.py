@@ -8,18 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
-_SIZES = {
-    1: 1,
-    2: 1,
-    3: 2,
-    4: 4,
-    5: 8,
-    7: 1,
-    10: 8,
-    13: 4,
-    16: 8,
-    18: 8,
-}  # bytes of a value, by the type of its tag
+# the layout of a value, by the type of its tag
 _LETTERS = {1: "B", 2: "B", 3: "H", 4: "I", 5: "II", 7: "B", 10: "ii", 13: "I", 16: "Q", 18: "Q"}
 _QUOTIENTS = (5, 10)
 SUBFILE, ROWS, COLUMNS, BITS, PHOTOMETRIC, COLOUR_MAP, SUB_IFDS = 254, 257, 256, 258, 262, 320, 330
@@ -118,14 +107,14 @@ class _Layout:
         for start in range(0, len(entries), entry):
             tag, kind = struct.unpack_from(f"{order}HH", entries, start)
             (number,) = struct.unpack_from(f"{order}{word}", entries, start + 4)
-            size = _SIZES.get(kind, 0) * number
             if kind not in _LETTERS or not 0 < number <= _MOST_VALUES:
                 continue
+            values_of = struct.Struct(order + number * _LETTERS[kind])
             place = here + struct.calcsize(count_letter) + start + 4 + at
-            if size > at:
+            if values_of.size > at:
                 (place,) = struct.unpack_from(f"{order}{word}", entries, start + 4 + at)
             stream.seek(place)
-            found = struct.unpack(f"{order}{number * _LETTERS[kind]}", stream.read(size))
+            found = values_of.unpack(stream.read(values_of.size))
             if kind in _QUOTIENTS:
                 above, below = found[::2], found[1::2]
                 found = tuple(n / d if d else n for n, d in zip(above, below, strict=True))

@@ -19,7 +19,6 @@ electrons per photon. `[bands]` then gives the wavelengths, `first`, `last` and 
 """
 
 import os
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -29,7 +28,7 @@ from jaxtyping import Array, Float
 
 from ..colour_spaces.colour_data import camera_sensitivities, wavelength_grid
 from ..core._types import require_metres
-from ..errors import InputError
+from ..core._warnings import warn
 from ..scene import Camera, Sensor
 from .records import Reading, attach_draws, check_keys, record_of, table_of, write_record
 from .shipped import existing_file, shipped_files
@@ -80,25 +79,21 @@ def read_camera(
     from .toml import read_toml
 
     file = existing_file(source, "camera")
-    content, place = read_toml(file, "camera"), str(file)
-    reading = Reading(place, "camera")
+    content, reading = read_toml(file, "camera"), Reading(str(file), "camera")
     check_keys(reading, "", content, (*_TABLES, "bands", "about"))
     for name in _TABLES[:2]:
         if not isinstance(content.get(name), Mapping):
-            raise InputError(f"{place}: the table [{name}] is missing; add it.")
+            raise reading.wrong(f"the table [{name}] is missing; add it.")
     if wavelengths is not None:
         require_metres("read_camera: wavelength", np.asarray(wavelengths, float))
     elif "bands" in content:
         wavelengths = _wavelengths(reading, content["bands"])
     colours = content["sensor"].get("colour_filter")
     if "bands" in content and not (isinstance(colours, Mapping) and "sensitivities" in colours):
-        warnings.warn(
-            f"{place}: bands has no effect without sensor.colour_filter.sensitivities.",
-            stacklevel=2,
-        )
+        warn(f"{file}: bands has no effect without sensor.colour_filter.sensitivities.")
     tables = {name: content[name] for name in _TABLES if name in content}
     tables["view"] = {"position": [0, 0, 0], "rotation": np.eye(3)} | dict(content["view"])
-    tables["sensor"] = _fill_sensitivities(place, content["sensor"], wavelengths)
+    tables["sensor"] = _fill_sensitivities(reading, content["sensor"], wavelengths)
     camera = record_of(reading, "", Camera, tables)
     return camera if draws is None else attach_draws(file, camera, draws)
 
@@ -160,7 +155,7 @@ def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> 
     content, reading = read_toml(file, "sensor"), Reading(str(file), "sensor")
     check_keys(reading, "", content, ("sensor", "about"))
     if not isinstance(content.get("sensor"), Mapping):
-        raise InputError(f"{file}: the table [sensor] is missing; add it.")
+        raise reading.wrong("the table [sensor] is missing; add it.")
     table = {name: value for name, value in content["sensor"].items() if name != "kind"}
     sensor = record_of(reading, "sensor", Sensor, table)
     return sensor if draws is None else attach_draws(file, sensor, draws)
@@ -194,20 +189,16 @@ def write_sensor(
 
 def _wavelengths(reading: Reading, table: Any) -> Float[Array, " bands"]:
     if not isinstance(table, Mapping):
-        raise InputError(f"{reading.place}: bands must be a table of first, last and step.")
+        raise reading.wrong("bands must be a table of first, last and step.")
     check_keys(reading, "bands", table, _BANDS)
     if any(not isinstance(table.get(name), int | float) for name in _BANDS):
-        raise InputError(
-            f"{reading.place}: bands needs the numbers first, last and step in m; give them."
-        )
-    try:
+        raise reading.wrong("bands needs the numbers first, last and step in m; give them.")
+    with reading.placed("bands"):
         return wavelength_grid(**{name: float(table[name]) for name in _BANDS})
-    except InputError as error:
-        raise InputError(f"{reading.place}: bands: {error}") from error
 
 
 def _fill_sensitivities(
-    place: str, sensor: Mapping[str, Any], wavelengths: Float[Array, " bands"] | None
+    reading: Reading, sensor: Mapping[str, Any], wavelengths: Float[Array, " bands"] | None
 ) -> dict[str, Any]:
     """The sensor's table, with numbers in place of the name of measured sensitivities."""
     table, colours = dict(sensor), sensor.get("colour_filter")
@@ -215,17 +206,15 @@ def _fill_sensitivities(
         return table
     colours = dict(colours)
     if wavelengths is None:
-        raise InputError(f"{place}: sensitivities are over wavelengths; add a table [bands].")
+        raise reading.wrong("sensitivities are over wavelengths; add a table [bands].")
     name, peak = colours.pop("sensitivities"), colours.pop("peak", None)
     if not isinstance(peak, int | float) or not 0 < peak <= 1:
-        raise InputError(
-            f"{place}: sensor.colour_filter.peak must be above 0 and at most 1 electrons per "
-            f"photon, got {peak}."
+        raise reading.wrong(
+            "sensor.colour_filter.peak must be above 0 and at most 1 electrons per photon, got "
+            f"{peak}."
         )
-    try:
+    with reading.placed("sensor.colour_filter.sensitivities"):
         per_watt = np.maximum(camera_sensitivities(name, wavelengths), 0)
-    except InputError as error:
-        raise InputError(f"{place}: sensor.colour_filter.sensitivities: {error}") from error
     # measured per radiant power; the energy of a photon falls with its wavelength
     per_photon = per_watt / np.asarray(wavelengths)[:, None]
     colours["transmission"] = (peak * per_photon / per_photon.max()).T

@@ -18,7 +18,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from ..errors import InputError
-from ._plain_content import check_content
+from ._plain_content import check_content, unlike
 
 Value = TypeVar("Value")
 SUFFIXES = (".gltf", ".glb")
@@ -44,10 +44,7 @@ class Gltf:
         array = self.content.get(kind, [])
         known = isinstance(array, list) and type(index) is int and 0 <= index < len(array)
         if not known or not isinstance(array[index], dict):
-            raise InputError(
-                f"{self.path}: refers to {kind}[{index!r}], which it does not hold; export it "
-                "again."
-            )
+            raise unlike(self.path, f"refers to {kind}[{index!r}], which it does not hold")
         return array[index]
 
 
@@ -73,7 +70,7 @@ def read_gltf(path: str | os.PathLike[str]) -> Gltf:
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{file}: not a glTF file (no JSON in it); export it again.") from error
+        raise unlike(file, "not a glTF file (no JSON in it)") from error
     check_content(str(file), content)
     asset = content.get("asset") if isinstance(content, dict) else None
     version = asset.get("version") if isinstance(asset, dict) else None
@@ -109,11 +106,11 @@ def _chunks(file: Path, raw: bytes) -> tuple[bytes, bytes | None]:
         length, kind = _CHUNK.unpack_from(raw, start)
         start += _CHUNK.size
         if start + length > end:
-            raise InputError(f"{file}: ends too early; export it again.")
+            raise unlike(file, "ends too early")
         found.setdefault(kind, raw[start : start + length])
         start += length + -length % 4
     if _JSON not in found:
-        raise InputError(f"{file}: not a glTF file (no JSON in it); export it again.")
+        raise unlike(file, "not a glTF file (no JSON in it)")
     return found[_JSON], found.get(_BINARY)
 
 
@@ -128,29 +125,26 @@ def primitive_of(file: Gltf, mesh: int, primitive: int, *, uv: bool = False) -> 
     part = parts[primitive]
     attributes = part.get("attributes") if isinstance(part, dict) else None
     if not isinstance(attributes, dict) or "POSITION" not in attributes:
-        raise InputError(f"{label}: has no POSITION; export it again.")
+        raise unlike(label, "has no POSITION")
     if part.get("mode", 4) != 4:
         raise InputError(f"{label}: mode {part['mode']!r} is not read, only 4, triangles.")
     for key in ("targets", "extensions"):
         if part.get(key):
             raise InputError(f"{label}: {key} are not read; export the mesh without.")
     vertices = _numbers(file, attributes["POSITION"], 3)
-    if "indices" in part:
-        indices = _numbers(file, part["indices"], 1).ravel()
-    else:
-        indices = np.arange(len(vertices))
+    every = np.arange(len(vertices))
+    indices = _numbers(file, part["indices"], 1).ravel() if "indices" in part else every
     if len(indices) % 3 or not len(indices) or indices.max() >= len(vertices):
-        raise InputError(
-            f"{label}: {len(indices)} indices of {len(vertices)} vertices make no triangles; "
-            "export it again."
-        )
-    normals = _numbers(file, attributes["NORMAL"], 3) if "NORMAL" in attributes else None
-    known = None
-    if uv and "TEXCOORD_0" in attributes:
-        known = _numbers(file, attributes["TEXCOORD_0"], 2)
-    for what, own in (("normal", normals), ("texture coordinate", known)):
+        raise unlike(label, f"{len(indices)} indices of {len(vertices)} vertices make no triangles")
+
+    def of_vertices(name: str, what: str, width: int) -> np.ndarray | None:
+        own = _numbers(file, attributes[name], width) if name in attributes else None
         if own is not None and len(own) != len(vertices):
-            raise InputError(f"{label}: has not one {what} a vertex; export it again.")
+            raise unlike(label, f"has not one {what} a vertex")
+        return own
+
+    normals = of_vertices("NORMAL", "normal", 3)
+    known = of_vertices("TEXCOORD_0", "texture coordinate", 2) if uv else None
     return Primitive(vertices, indices.reshape(-1, 3).astype(np.int64), normals, known)
 
 
@@ -160,18 +154,13 @@ def image_bytes(file: Gltf, index: int) -> bytes:
     if "bufferView" not in image:
         uri = image.get("uri")
         if not isinstance(uri, str):
-            raise InputError(f"{file.path}: images[{index}] names no file; export it again.")
+            raise unlike(file.path, f"images[{index}] names no file")
         return _bytes_at(file.path, uri)
     view = file.item("bufferViews", image["bufferView"])
-    buffer, start, length = (
-        _buffer(file, view.get("buffer")),
-        view.get("byteOffset", 0),
-        view.get("byteLength"),
-    )
+    buffer = _buffer(file, view.get("buffer"))
+    start, length = view.get("byteOffset", 0), view.get("byteLength")
     if not all(type(x) is int and x >= 0 for x in (start, length)) or start + length > len(buffer):
-        raise InputError(
-            f"{file.path}: images[{index}] reaches beyond its buffer; export it again."
-        )
+        raise unlike(file.path, f"images[{index}] reaches beyond its buffer")
     return buffer[start : start + length]
 
 
@@ -184,20 +173,18 @@ def _numbers(file: Gltf, index: Any, width: int) -> np.ndarray:
     kind = _of(_TYPES, accessor.get("componentType"))
     whole = width == 1  # indices are integers, points are floating numbers
     if kind is None or _of(_WIDTHS, accessor.get("type")) != width or (kind == "<f4") == whole:
-        raise InputError(
-            f"{label}: is not of {'whole numbers' if whole else f'{width} float numbers'}; export "
-            "it again."
-        )
+        wanted = "whole numbers" if whole else f"{width} float numbers"
+        raise unlike(label, f"is not of {wanted}")
     view = file.item("bufferViews", accessor["bufferView"])
     buffer = _buffer(file, view.get("buffer"))
     size = np.dtype(kind).itemsize
     starts = [view.get("byteOffset", 0), accessor.get("byteOffset", 0)]
     stride = view.get("byteStride", size * width)
     if type(count) is not int or not all(type(x) is int and x >= 0 for x in (*starts, stride)):
-        raise InputError(f"{label}: its place in the buffer is no number; export it again.")
+        raise unlike(label, "its place in the buffer is no number")
     last = sum(starts) + stride * (count - 1) + size * width
     if count < 1 or stride < size * width or last > len(buffer):
-        raise InputError(f"{label}: reaches beyond its buffer; export it again.")
+        raise unlike(label, "reaches beyond its buffer")
     return np.ndarray((count, width), kind, buffer, sum(starts), (stride, size)).copy()
 
 
@@ -206,10 +193,10 @@ def _buffer(file: Gltf, index: Any) -> bytes:
     uri = entry.get("uri")
     if uri is None:
         if file.binary is None or index != 0:
-            raise InputError(f"{file.path}: buffers[{index}] has no bytes; export it again.")
+            raise unlike(file.path, f"buffers[{index}] has no bytes")
         return file.binary
     if not isinstance(uri, str):
-        raise InputError(f"{file.path}: buffers[{index}] names no file; export it again.")
+        raise unlike(file.path, f"buffers[{index}] names no file")
     if uri not in file.files:
         file.files[uri] = _bytes_at(file.path, uri)
     return file.files[uri]
@@ -226,7 +213,7 @@ def _bytes_at(path: Path, uri: str) -> bytes:
         try:
             return base64.b64decode(uri.partition("base64,")[2], validate=True)
         except binascii.Error as error:
-            raise InputError(f"{path}: a buffer is not in base 64; export it again.") from error
+            raise unlike(path, "a buffer is not in base 64") from error
     beside = path.parent / unquote(uri)
     if not beside.is_file():
         raise InputError(f"{beside}: no such file, which {path.name} names; put it beside.")

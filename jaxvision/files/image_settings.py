@@ -3,7 +3,6 @@ is read by OpenImageIO, of raw files by exifread, and FITS headers by astropy.""
 
 import datetime
 import os
-import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core._warnings import warn
 from ..errors import InputError, check_utf8
 from ._heads import png_chunks, targa_bits
 from ._netpbm import NETPBM_FORMATS, netpbm_head
@@ -185,10 +185,9 @@ def _raw_settings(file: Path) -> ImageSettings:
                 np.ix_(*(np.arange(n) % m for n, m in zip(blacks.shape, stated.shape, strict=True)))
             ]
             if (stated != blacks[np.ix_(rows, columns)]).any():
-                warnings.warn(
+                warn(
                     f"{file}: its black level is not used: it differs over rows or columns in more "
-                    "than the sites of a mosaic; measure it from darks.",
-                    stacklevel=4,
+                    "than the sites of a mosaic; measure it from darks."
                 )
                 blacks = np.array([])
         levels = tuple(blacks.ravel().tolist())
@@ -288,10 +287,7 @@ def _is_bayer(letters: str) -> bool:
 
 
 def _warn_of_mosaic(file: Path, name: str) -> None:
-    warnings.warn(
-        f"{file}: its mosaic ({name}) is not used: it is none of RGGB, BGGR, GRBG and GBRG.",
-        stacklevel=4,
-    )
+    warn(f"{file}: its mosaic ({name}) is not used: it is none of RGGB, BGGR, GRBG and GBRG.")
 
 
 def _number(said: Any) -> float | None:
@@ -318,10 +314,9 @@ def _sensitivity(file: Path, rating: Any, said: Callable[[str], Any]) -> float |
     names = _SENSITIVITIES.get(int(kind or 0), ()) + _SENSITIVITIES[7]
     further = next((speed for name in names if (speed := _positive(said(name)))), None)
     if found is not None and further is None:
-        warnings.warn(
+        warn(
             f"{file}: its head says ISO 65535, which stands for that and more; the sensitivity is "
-            "not used.",
-            stacklevel=4,
+            "not used."
         )
     return further
 

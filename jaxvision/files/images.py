@@ -14,7 +14,6 @@ import os
 import re
 import shutil
 import tempfile
-import warnings
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -25,13 +24,14 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from ..core._warnings import warn
 from ..core.interrupts import removed_if_interrupted
 from ..core.plain_arrays import plain_array
 from ..errors import InputError, check_utf8, nearest, unwritable
 from ._heads import PALETTE as PNG_PALETTE
 from ._heads import PngChunks, jpeg_extras, png_chunks, targa_bits
 from ._netpbm import NETPBM_FORMATS, read_netpbm
-from ._plain_content import damaged
+from ._plain_content import damaged, file_at
 from ._radiance import END_OF_RANGE, is_radiance, read_radiance
 from ._tiff_tags import (
     ALPHA,
@@ -183,10 +183,8 @@ def read_channels(
         >>> print(jv.files.read_channels(file)[1])
         ('grey',)
     """
-    file = Path(path)
-    check_utf8(file)
-    if not file.is_file():
-        raise InputError(f"{file}: no such image file; check the name and the folder.")
+    check_utf8(Path(path))
+    file = file_at(path, "image")
     suffix = file.suffix.lower()
     names: tuple[str, ...] = ()
     if suffix in FITS_FORMATS:
@@ -246,8 +244,8 @@ def _open(file: Path) -> Iterator[Any]:
     source = oiio.ImageInput.open(str(file), as_stored)
     if source is None:
         raise InputError(
-            f"{file}: not readable as an image ({_reason(oiio)}); "
-            "export it again as PNG, TIFF, EXR or HDR."
+            f"{file}: not readable as an image ({_reason(oiio)}); export it again as PNG, TIFF, "
+            "EXR or HDR."
         )
     try:
         kind = source.format_name()
@@ -296,20 +294,17 @@ def _place(
         return number, None
     others = [titles[i] for i in plain[1:]]
     if part is None and others:
-        warnings.warn(
+        warn(
             f"{file}: holds {len(plain)} pictures; {titles[plain[0]]} is read, and "
             f"{listed(others)} {'is' if len(others) == 1 else 'are'} not used (the argument part "
-            "chooses one).",
-            stacklevel=5,
+            "chooses one)."
         )
     promised = re.match(
         r"ImageJ=.*\nimages=(\d+)", source.spec(0, 0).get_string_attribute("ImageDescription")
     )
     # ImageJ's stack of pictures described by one tag, beyond 4 GiB
     if promised and int(promised[1]) > len(titles):
-        warnings.warn(
-            f"{file}: holds {promised[1]} pictures of ImageJ; only the first is read.", stacklevel=5
-        )
+        warn(f"{file}: holds {promised[1]} pictures of ImageJ; only the first is read.")
     return plain[0], part
 
 
@@ -344,8 +339,8 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
         layer = "" if "" in layers else next(name for name in layers if name not in beside)
         if layer and len(layers) - len(beside) > 1:
             raise InputError(
-                f"{file}: holds the layers {listed(sorted(layers))}, none of which is the "
-                "picture; choose one by part."
+                f"{file}: holds the layers {listed(sorted(layers))}, none of which is the picture; "
+                "choose one by part."
             )
     if layer not in layers:
         raise InputError(f"{file}: has no part {layer!r}; {nearest(layer, filter(None, layers))}.")
@@ -365,17 +360,13 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
         chosen.append(known["a"])
     unused = [spec.channelnames[i] for i in range(spec.nchannels) if i not in chosen]
     if unused and not rendered:
-        warnings.warn(
+        warn(
             f"{file}: its channel{'s' if len(unused) > 1 else ''} {listed(unused)} "
-            f"{'are' if len(unused) > 1 else 'is'} not used.",
-            stacklevel=5,
+            f"{'are' if len(unused) > 1 else 'is'} not used."
         )
     own_names = [spec.channelnames[i].rpartition(".")[2] for i in chosen]
     if picture == "xyz":
-        warnings.warn(
-            f"{file}: holds CIE X, Y and Z, not R, G and B; they are given as they are.",
-            stacklevel=5,
-        )
+        warn(f"{file}: holds CIE X, Y and Z, not R, G and B; they are given as they are.")
     if picture not in ("rgb", "y"):
         return chosen, tuple(own_names)
     return chosen, tuple(_NAMES.get(name.lower()) or name for name in own_names)
@@ -427,10 +418,9 @@ def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -
     if source < bits and any(np.array_equal(pixels, way) for way in stretched):
         return codes
     said = ", ".join(map(str, chunks.significant))
-    warnings.warn(
+    warn(
         f"{file}: its sBIT ({said} significant bits) is not used: the numbers are as stored, of "
-        f"{bits} bits.",
-        stacklevel=6,
+        f"{bits} bits."
     )
     return pixels
 
@@ -507,7 +497,7 @@ def _warn_of_unused(
         told = ", ".join(f"{name} = {value.strip()}" for name, value in calibration.items())
         said.append(f"its calibration by ImageJ ({told}): the codes are as stored")
     if said:
-        warnings.warn(f"{file}: not used: {'; '.join(said)}.", stacklevel=5)
+        warn(f"{file}: not used: {'; '.join(said)}.")
 
 
 def _gdal_scaling(page: TiffPicture) -> list[str]:
@@ -554,10 +544,9 @@ def _display_window(file: Path, pixels: np.ndarray, spec: Any) -> np.ndarray:
         )
     outside = height * width - len(inside_rows) * len(inside_columns)
     if outside:
-        warnings.warn(
+        warn(
             f"{file}: {outside} pixels outside its display window of {rows} x {columns} are not "
-            "used.",
-            stacklevel=5,
+            "used."
         )
     made = np.zeros((rows, columns, pixels.shape[2]), pixels.dtype)
     to_rows, to_columns = (slice(r.start, r.stop) for r in (inside_rows, inside_columns))
@@ -708,8 +697,8 @@ def _check_format(file: Path, dtype: np.dtype) -> None:
             else ""
         )
         raise InputError(
-            f"{file}: {dtype} pixels do not fit {suffix}; uint8 and uint16 go to PNG or "
-            f"TIFF, uint8 to JPEG, floating point to EXR or HDR{hint}."
+            f"{file}: {dtype} pixels do not fit {suffix}; uint8 and uint16 go to PNG or TIFF, "
+            f"uint8 to JPEG, floating point to EXR or HDR{hint}."
         )
 
 

@@ -11,17 +11,17 @@ are read.
 
 import math
 import os
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
+from ..core._warnings import warn
 from ..errors import InputError
 from ..lights import Luminaire, flux, goniometric_light
 from ..lights.goniometric import LUMINOUS_EFFICACY, System
-from ._plain_content import check_size
+from ._plain_content import check_size, file_at
 
 FOOT = 0.3048  # m
 MOST = 5000  # largest number of vertical or horizontal angles
@@ -56,9 +56,7 @@ def read_luminaire(file: str | os.PathLike[str]) -> Luminaire:
         >>> print(lamp.name, lamp.candela[:, 0])
         a downlight [100.  70.   0.]
     """
-    path = Path(file)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file.")
+    path = file_at(file)
     check_size(path)
     data = path.read_bytes()
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:64]:
@@ -278,17 +276,15 @@ def _lamp(
     lamp = Luminaire(table, *angles, opening, lumens, watts, system=system, name=name)
     leaves = LUMINOUS_EFFICACY * float(flux(goniometric_light(lamp, [0.0, 0.0, 0.0]))[0])
     if leaves > MORE * lumens:
-        warnings.warn(
+        warn(
             f"{numbers.path}: {leaves:.4g} lm leave a luminaire whose lamps give {lumens:.4g} lm; "
-            "its candela values, their multiplier or the lamps' lumens are wrong.",
-            stacklevel=4,
+            "its candela values, their multiplier or the lamps' lumens are wrong."
         )
     elif stated and abs(100 * leaves / lumens - stated) > RATIO * stated:
-        warnings.warn(
+        warn(
             f"{numbers.path}: states a light output ratio of {stated:g} % (line 23), and its "
             f"intensities send {100 * leaves / lumens:.3g} % of its lamps' {lumens:.4g} lm; one of "
-            "them is wrong.",
-            stacklevel=4,
+            "them is wrong."
         )
     return lamp
 

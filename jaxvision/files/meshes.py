@@ -8,7 +8,6 @@ taken as metres; colours, textures and materials of the file are not read here. 
 
 import os
 import re
-import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from io import BytesIO
@@ -18,9 +17,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from ..core._warnings import warn
 from ..errors import InputError, install
 from ..geometry.checks import faces_without_area
 from ..scene import TriangleMesh
+from ._plain_content import file_at, unlike
 from ._polygons import are_fans, cut, fan, obj_in_triangles, ply_of_corners, polygons_of
 from .gltf import SUFFIXES, Gltf, primitive_of, read_gltf
 
@@ -80,9 +81,7 @@ def read_mesh(
             exist (vertex 0 of an OBJ), or a singular matrix; for texture coordinates that the file
             does not have.
     """
-    file = Path(path)
-    if not file.is_file():
-        raise InputError(f"{file}: no such mesh file; check the name and the folder.")
+    file = file_at(path, "mesh")
     loaded = _load(file) if primitive is None else _primitive(file, *primitive, uv)
     unit = getattr(loaded, "units", None) or _commented_unit(file)
     if (
@@ -90,10 +89,9 @@ def read_mesh(
         and scale == 1
         and matrix is None
     ):
-        warnings.warn(
+        warn(
             f"{file}: says that its unit is {unit}, which is not used: lengths are taken as m "
-            "times scale.",
-            stacklevel=2,
+            "times scale."
         )
     loaded.apply_transform(_world_matrix(file, scale, rotation, position, matrix))
     exact = np.asarray(loaded.vertices, float)
@@ -164,21 +162,20 @@ def _nonempty_triangles(
     triangles lost by rounding, since the file's vertices are exact."""
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces.min() if faces.min() < 0 else faces.max()
-        raise InputError(
-            f"{file}: a triangle names vertex {wrong}, counted from 0, where there are "
-            f"{len(vertices)}; export it again."
+        raise unlike(
+            file,
+            f"a triangle names vertex {wrong}, counted from 0, where there are {len(vertices)}",
         )
     flat = faces_without_area(vertices, faces)
     _check_rounding(file, vertices, exact, faces)
     if flat.all():
-        raise InputError(f"{file}: none of its {len(faces)} triangles has area; export it again.")
+        raise unlike(file, f"none of its {len(faces)} triangles has area")
     if flat.any():
         rounded = (flat & ~faces_without_area(exact, faces)).sum()
         by_rounding = f" ({rounded} of them in {vertices.dtype} alone)" if rounded else ""
-        warnings.warn(
+        warn(
             f"{file}: {flat.sum()} of {len(faces)} triangles have no area{by_rounding} and were "
-            "left out.",
-            stacklevel=3,
+            "left out."
         )
     return faces[~flat]
 
@@ -195,12 +192,11 @@ def _check_rounding(file: Path, vertices: np.ndarray, exact: np.ndarray, faces: 
         shift = np.abs(vertices - exact).max()
         share = shift / np.ptp(exact, axis=0).max()
     if change > _TURNED or share > _MOVED:
-        warnings.warn(
+        warn(
             f"{file}: lies up to {np.abs(exact).max():.3g} m from the origin, where "
             f"{vertices.dtype} moves its vertices by up to {shift:.2g} m and changes the areas and "
             f"slopes of its triangles by {change:.2g} on average; move it near the origin, with "
-            "lamps and camera, as by position, or take the dtype float64.",
-            stacklevel=4,
+            "lamps and camera, as by position, or take the dtype float64."
         )
 
 
@@ -253,9 +249,9 @@ def _load(file: Path):
         raise
     except Exception as error:  # each format's reader fails in its own way
         reason = _content_fault(file) or _error_in_words(error)
-        raise InputError(f"{file}: not readable as a mesh ({reason}); export it again.") from error
+        raise unlike(file, f"not readable as a mesh ({reason})") from error
     if np.shape(mesh.vertices)[1:] != (3,):
-        raise InputError(f"{file}: its points do not have three coordinates; export it again.")
+        raise unlike(file, "its points do not have three coordinates")
     if len(mesh.faces) == 0:
         why = _content_fault(file)
         reason = f" that can be read: {why}" if why else ""
@@ -286,14 +282,11 @@ def _source(file: Path) -> dict[str, Any]:
             text = text.replace("\r", "\n")
         text = _OBJ_COMMENT.sub(r"\1", text)
         if _OBJ_ZERO.search(text):
-            raise InputError(
-                f"{file}: a face names the vertex 0, where OBJ counts from 1; export it again."
-            )
+            raise unlike(file, "a face names the vertex 0, where OBJ counts from 1")
         if curved := sorted(set(_OBJ_CURVED.findall(text))):
-            warnings.warn(
+            warn(
                 f"{file}: holds curves or surfaces of free form ({', '.join(curved)}), which are "
-                "not read.",
-                stacklevel=4,
+                "not read."
             )
         read = (obj_in_triangles(text) or text).encode("latin-1")
         plain = data if read == data else read

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core._warnings import warn
 from ..errors import InputError, install
 from ._tiff_tags import MOSAIC, PHOTOMETRIC, SAMPLE_FORMAT, tiff_pictures
 
@@ -51,14 +52,11 @@ def read_raw(file: Path) -> np.ndarray:
             )
         mosaics = sum(picture.first(PHOTOMETRIC, 0) == MOSAIC for picture in pictures)
         if mosaics > 1:
-            warnings.warn(
-                f"{file}: not used: {mosaics - 1} of its {mosaics} raw pictures; LibRaw chose one.",
-                stacklevel=3,
+            warn(
+                f"{file}: not used: {mosaics - 1} of its {mosaics} raw pictures; LibRaw chose one."
             )
         if raw.sizes.flip:
-            warnings.warn(
-                f"{file}: not used: its orientation: rows and columns are as stored.", stacklevel=3
-            )
+            warn(f"{file}: not used: its orientation: rows and columns are as stored.")
         return np.array(raw.raw_image_visible)
 
 
@@ -111,7 +109,7 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
     for said in {" ".join(str(one.message).split()) for one in caught}:
         if "truncated" in said:
             raise InputError(f"{file}: the file is cut short; copy it again from its source.")
-        warnings.warn(f"{file}: {said}", stacklevel=3)
+        warn(f"{file}: {said}")
     pixels = pixels.astype(pixels.dtype.newbyteorder("="))
     known = isinstance(blank, int) and isinstance(zero, int | float)
     if known and np.issubdtype(pixels.dtype, np.integer):  # floating numbers are already NaN
@@ -134,7 +132,7 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
             said.append(f"the {planes} planes of its third axis{called} are taken as channels")
         pixels = np.moveaxis(pixels, 0, -1)
     if said:
-        warnings.warn(f"{file}: {'; '.join(said)}.", stacklevel=3)
+        warn(f"{file}: {'; '.join(said)}.")
     return pixels
 
 

@@ -6,7 +6,8 @@ with a leading axis, under its path (`.sensor.gain`).
 """
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import MISSING, fields
 from functools import cache
 from inspect import signature
@@ -172,6 +173,20 @@ class Reading(NamedTuple):
     finite: bool = False
     typed: Callable[[Any, str, Any], Any] = lambda *_: NotImplemented
 
+    def wrong(self, what: str) -> InputError:
+        """The error for a value of the file."""
+        return InputError(f"{self.place}: {what}")
+
+    @contextmanager
+    def placed(self, where: str = "") -> Iterator[None]:
+        """Context whose errors name the file and the key `where`, if they do not name them."""
+        try:
+            yield
+        except (TypeError, ValueError) as error:
+            if str(error).startswith(f"{self.place}: "):
+                raise
+            raise self.wrong(f"{where}: {error}" if where else str(error)) from error
+
 
 @cache
 def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str, Key]:
@@ -205,11 +220,8 @@ def record_of(
     """A record, by its class or the function that makes it, from the table of values at `where`;
     `InputError` for a wrong key or value."""
     values = values_of(reading, where, keys_of(make), table)
-    try:
+    with reading.placed(where):
         return make(**values)
-    except (TypeError, ValueError) as error:
-        sentence = f"{where}: {error}" if where else str(error)
-        raise InputError(f"{reading.place}: {sentence}") from error
 
 
 def values_of(
@@ -219,8 +231,7 @@ def values_of(
     check_keys(reading, where, table, keys)
     for name, key in keys.items():
         if key.default is MISSING and name not in table:
-            place = f"{where}.{name}".lstrip(".")
-            raise InputError(f"{reading.place}: {place} is missing; add it.")
+            raise reading.wrong(f"{where}.{name} is missing; add it.".lstrip("."))
     return {
         name: value_of(reading, f"{where}.{name}".lstrip("."), keys[name].hint, value)
         for name, value in table.items()
@@ -232,12 +243,8 @@ def value_of(reading: Reading, where: str, hint: Any, value: Any) -> Any:
     `InputError` for a value of another type."""
     kinds = tuple(kind for kind in members_of(hint) if kind is not NoneType)
     for kind in kinds:
-        try:
+        with reading.placed(where):
             found = reading.typed(kind, where, value)
-        except ValueError as error:
-            if str(error).startswith(f"{reading.place}: "):
-                raise
-            raise InputError(f"{reading.place}: {where}: {error}") from error
         if found is not NotImplemented:
             return found
     if isinstance(value, Mapping) and value.get("kind") == Map.__name__:
@@ -246,9 +253,8 @@ def value_of(reading: Reading, where: str, hint: Any, value: Any) -> Any:
         return _chosen_record(reading, where, kinds, value)
     if all(map(is_record, kinds)):
         known = " or ".join(kind.__name__ for kind in kinds)
-        raise InputError(
-            f"{reading.place}: {where} must be the table of a {known}, got {value!r}; head it "
-            f"[{where}]."
+        raise reading.wrong(
+            f"{where} must be the table of a {known}, got {value!r}; head it [{where}]."
         )
     words = [word for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
     if words:
@@ -258,7 +264,8 @@ def value_of(reading: Reading, where: str, hint: Any, value: Any) -> Any:
             if type(value) is not plain:
                 raise _wrong(reading, where, value, f"must be {noun}")
             if plain is int:
-                _check_range_of(reading, where, value, kinds)
+                with reading.placed():
+                    _check_ranges(where, value, kinds)
             return value
     if any(get_origin(kind) is tuple for kind in kinds):
         return _tuple(reading, where, kinds, value)
@@ -272,12 +279,12 @@ def chosen(reading: Reading, where: str, value: Any, words: Iterable[str]) -> st
     """A word at the key `where` that must be a known one; else `InputError` with the nearest."""
     if not isinstance(value, str) or value not in words:
         hint = nearest(str(value), words)
-        raise InputError(f"{reading.place}: {where} = {shorten(value)} is unknown; {hint}.")
+        raise reading.wrong(f"{where} = {shorten(value)} is unknown; {hint}.")
     return value
 
 
 def _wrong(reading: Reading, where: str, value: Any, what: str) -> InputError:
-    return InputError(f"{reading.place}: {where} = {shorten(value)}: {what}; correct it.")
+    return reading.wrong(f"{where} = {shorten(value)}: {what}; correct it.")
 
 
 def _chosen_record(
@@ -286,17 +293,12 @@ def _chosen_record(
     """The record of a field: the only possible kind, or the one that the key `kind` names."""
     kinds = {k.__name__: k for kind in hints if is_record(kind) for k in _kinds_of(kind)}
     if not kinds:
-        raise InputError(
-            f"{reading.place}: {where} is a number, not a table; write {where} = ...."
-            if not {bool, str} & {*hints}
-            else f"{reading.place}: {where} is no table; write {where} = ...."
-        )
+        what = "no table" if {bool, str} & {*hints} else "a number, not a table"
+        raise reading.wrong(f"{where} is {what}; write {where} = ....")
     rest = dict(table)
     name = rest.pop("kind", next(iter(kinds)) if len(kinds) == 1 else None)
     if name is None:
-        raise InputError(
-            f"{reading.place}: {where}.kind is missing; use one of {', '.join(kinds)}."
-        )
+        raise reading.wrong(f"{where}.kind is missing; use one of {', '.join(kinds)}.")
     return record_of(reading, where, kinds[chosen(reading, f"{where}.kind", name, kinds)], rest)
 
 
@@ -309,18 +311,14 @@ def _kinds_of(base: type) -> list[type]:
 def _tuple(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) -> Any:
     """A list as a tuple; "RGGB" as its pattern."""
     if where.endswith(".pattern") and isinstance(value, str):
-        try:
+        with reading.placed(where):
             return bayer(value)
-        except ValueError as error:
-            raise InputError(f"{reading.place}: {where}: {error}") from error
     parts = get_args(next(hint for hint in hints if get_origin(hint) is tuple))
     if not isinstance(value, list | tuple):
         raise _wrong(reading, where, value, "must be a list")
     if parts[-1] is not Ellipsis and len(value) != len(parts):
         end = "least" if len(value) < len(parts) else "most"
-        raise InputError(
-            f"{reading.place}: {where} lists {len(value)}; give at {end} {len(parts)}."
-        )
+        raise reading.wrong(f"{where} lists {len(value)}; give at {end} {len(parts)}.")
     each = parts if parts[-1] is not Ellipsis else parts[:1] * len(value)
     return tuple(
         value_of(reading, f"{where}[{i}]", kind, one)
@@ -340,15 +338,11 @@ def _number(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) ->
         if isinstance(x, bool) or not isinstance(x, int | float):
             lists = [hint for hint in hints if getattr(hint, "dim_str", "").strip()]
             noun = "numbers" if not array.shape and len(lists) == len(hints) else "a number"
-            raise InputError(
-                f"{reading.place}: {place(i)} = {shorten(x)} must be {noun}; correct it."
-            )
+            raise reading.wrong(f"{place(i)} = {shorten(x)} must be {noun}; correct it.")
     try:
         values = np.reshape([float(x) for x in numbers], array.shape)
     except OverflowError as error:
-        raise InputError(
-            f"{reading.place}: {where} is out of the range of numbers; correct it."
-        ) from error
+        raise reading.wrong(f"{where} is out of the range of numbers; correct it.") from error
     if reading.finite and not np.isfinite(values).all():
         i = int(np.argmin(np.isfinite(values.ravel())))
         raise _wrong(reading, place(i), numbers[i], "must be a finite number")
@@ -356,15 +350,14 @@ def _number(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) ->
         _check_ranges(where, values, hints)
     except ValueError:
         for i, x in enumerate(values.ravel()):
-            _check_range_of(reading, place(i), x, hints)
+            with reading.placed():
+                _check_ranges(place(i), x, hints)
     plain = [getattr(hint, "__origin__", hint) for hint in hints]
     shapes = [axes_of(hint) for hint in plain if hasattr(hint, "dim_str")]
     shapes += [()] * (float in plain)
     if shapes:
-        try:
+        with reading.placed():
             check_shape(where, values, *shapes)
-        except ValueError as error:
-            raise InputError(f"{reading.place}: {error}") from error
     return values
 
 
@@ -375,19 +368,9 @@ def _check_ranges(where: str, numbers: Any, hints: tuple[Any, ...]) -> None:
         check_range(where, numbers, **allowed._asdict())
 
 
-def _check_range_of(reading: Reading, where: str, number: Any, hints: tuple[Any, ...]) -> None:
-    try:
-        _check_ranges(where, number, hints)
-    except ValueError as error:
-        raise InputError(f"{reading.place}: {error}") from error
-
-
 def check_keys(reading: Reading, where: str, table: Mapping[str, Any], known: Any) -> None:
     """Raise `InputError` for unknown keys in the table at `where`, with the nearest known name."""
     for key in table:
         if key not in known:
-            name = f"{where}.{key}".lstrip(".")
-            hint = nearest(key, known)
-            raise InputError(
-                f"{reading.place}: {name} is not a key of a {reading.kind} file; {hint}."
-            )
+            name, hint = f"{where}.{key}".lstrip("."), nearest(key, known)
+            raise reading.wrong(f"{name} is not a key of a {reading.kind} file; {hint}.")

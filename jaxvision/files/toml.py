@@ -9,13 +9,12 @@ import re
 import tomllib
 from collections.abc import Mapping
 from inspect import signature
-from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import InputError, nearest, plain_text
-from ._plain_content import DEEPEST, check_content, check_size
+from ._plain_content import DEEPEST, check_content, check_size, file_at
 
 # A number and its unit, as in `exposure = 0.5 ms`.
 _WITH_UNIT = re.compile(
@@ -56,9 +55,7 @@ Model = TypeVar("Model", bound=BaseModel)
 def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     """Read the tables of a TOML file by name. `kind` is the expected kind of file, such as "scene".
     Raises `InputError` for a missing file, or one that is not TOML."""
-    file = Path(path)
-    if not file.is_file():
-        raise InputError(f"{file}: no such {kind} file; check the name and the folder.")
+    file = file_at(path, kind)
     check_size(file)
     text = ""
     try:

@@ -12,7 +12,6 @@ import math
 import os
 import platform
 import shutil
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
@@ -26,6 +25,7 @@ from jaxtyping import Float
 
 from .. import __version__
 from ..colour_spaces import luminance
+from ..core._warnings import warn
 from ..core.interrupts import say_if_interrupted
 from ..effects import Pruned, explain
 from ..errors import InputError
@@ -110,10 +110,9 @@ def render_to_file(
             if preview is not None:
                 write_image(preview, _display(rows, source))
             if not any((block != 0).any() for block in rows()):
-                warnings.warn(
+                warn(
                     f"{out}: every pixel is black: the camera sees no surface, or no light reaches "
-                    "what it sees; check its position and target, and the lamps.",
-                    stacklevel=2,
+                    "what it sees; check its position and target, and the lamps."
                 )
             ending = f"{out}: interrupted; the picture is written."
             say_if_interrupted(ending)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...errors import InputError
+from .._plain_content import file_at
 
 NANOMETRE = 1e-9
 LEAST_NANOMETRES = 10.0  # shorter wavelengths are X-rays
@@ -25,6 +26,4 @@ def contents_of(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
     file = Path(path)
     if file.is_dir():
         raise InputError(f"{file}: is a folder; name the file in it.")
-    if not file.is_file():
-        raise InputError(f"{file}: no such file; check the name and the folder.")
-    return file, file.read_bytes()
+    return file, file_at(file).read_bytes()

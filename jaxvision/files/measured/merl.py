@@ -11,7 +11,6 @@ Source:
 
 import os
 import struct
-import warnings
 from pathlib import Path
 from typing import Literal
 
@@ -19,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...brdf.half_difference import HalfDifferenceTable
+from ...core._warnings import warn
 from ...errors import InputError
 from ..images import replaced_on_success
 from ._contents import contents_of, representable
@@ -81,8 +81,8 @@ def read_merl(
     stored = np.frombuffer(data, "<f8", offset=12).reshape(3, *shape)
     if not (finite := representable(stored)).all():
         raise InputError(
-            f"{file}: {np.count_nonzero(~finite)} values are not finite numbers; the "
-            "file is damaged, copy it again from its source."
+            f"{file}: {np.count_nonzero(~finite)} values are not finite numbers; the file is "
+            "damaged, copy it again from its source."
         )
     valid = np.asarray((stored >= 0).all(axis=0))
     if not valid.any():
@@ -101,10 +101,9 @@ def _name_padding(file: Path, stored: np.ndarray) -> None:
     for colour, values in zip(("red", "green", "blue"), stored.reshape(3, -1), strict=True):
         ends = len(values) - 1 - int(np.max(np.flatnonzero(values), initial=-1))
         if _PADDED * len(values) < ends < len(values):
-            warnings.warn(
+            warn(
                 f"{file}: {colour} ends in zeros, {ends / len(values):.0%} of its bins, as in a "
-                "copy that was cut short; copy it again from its source.",
-                stacklevel=3,
+                "copy that was cut short; copy it again from its source."
             )
 
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from ...core._maps import maps_of
 from ...core._types import as_dtype
+from ...core._warnings import warn
 from ...core.in_notebooks import record_html
 from ...errors import InputError, nearest
 from ...geometry.checks import coarse, invalid
@@ -166,7 +167,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     kept, kept_view = as_dtype((scene, view), dtype)
     _check_rounding(file, names, light_names, (scene, view), (kept, kept_view))
     for idle in without_effect(content, entry):
-        warnings.warn(f"{file}: {idle}.", stacklevel=2)
+        warn(f"{file}: {idle}.")
     read = SceneFile(
         file,
         kept,
@@ -234,7 +235,7 @@ def _check_rounding(
             raise InputError(f"{file}: {name}: {problem}")
         if isinstance(after, Surface) and not isinstance(after.shape, TriangleMesh):
             for far in coarse(after.shape):  # for a mesh the reader has already warned
-                warnings.warn(f"{file}: {name}: {far}", stacklevel=3)
+                warn(f"{file}: {name}: {far}")
 
 
 @contextmanager
@@ -248,4 +249,4 @@ def _naming(file: Path, name: str) -> Iterator[None]:
         placed = str(error).startswith(f"{file}: ")
         raise InputError(str(error) if placed else where + str(error)) from error
     for warning in caught:
-        warnings.warn(f"{where}{warning.message}", warning.category, stacklevel=4)
+        warn(f"{where}{warning.message}", warning.category)

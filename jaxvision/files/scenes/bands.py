@@ -14,7 +14,6 @@ of y(lambda), so that a flat spectrum of 1 has Y = 1. Colours outside the sRGB g
 0. Colours of a reflectance of at most 1 are clipped at 1 too, and a warning says so.
 """
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -26,6 +25,7 @@ from jaxtyping import Array, Float
 
 from ...colour_spaces import colour_data, xyz_to_rgb
 from ...core._types import NOT_NEGATIVE, POSITIVE
+from ...core._warnings import warn
 from ...errors import InputError, nearest
 from ...spectra import (
     LUMINOUS_EFFICACY,
@@ -210,11 +210,10 @@ def _reduce(spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quantit
         is_reflectance = quantity == "reflectance" and spectrum.scale * values.max() <= 1
         if bands.wavelengths is None and is_reflectance and reduced.max() > 1 + _ROUNDING:
             red, green, blue = reduced
-            warnings.warn(
+            warn(
                 f"a reflectance of at most 1 is ({red:.3g}, {green:.3g}, {blue:.3g}) in linear "
                 "sRGB, whose colours end at 1, where it is cut; give the scene wavelengths to keep "
-                "it.",
-                stacklevel=2,
+                "it."
             )
         return np.minimum(reduced, 1) if is_reflectance else reduced
     wanted = _samples(bands)
@@ -245,9 +244,9 @@ def _table_of(
         _library_spectrum(spectrum, bands.wavelengths)
     elif table.shape.start > 380 or table.shape.end < 780:
         raise InputError(
-            f"illuminant {table.name!r} is known from {table.shape.start:g} to "
-            f"{table.shape.end:g} nm, and RGB takes 380 to 780 nm; give the scene wavelengths "
-            "within the table, or a spectrum of your own."
+            f"illuminant {table.name!r} is known from {table.shape.start:g} to {table.shape.end:g} "
+            "nm, and RGB takes 380 to 780 nm; give the scene wavelengths within the table, or a "
+            "spectrum of your own."
         )
     return table.wavelengths * 1e-9, table.values
 

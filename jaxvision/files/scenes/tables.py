@@ -352,7 +352,7 @@ def _word(
     """Return the word that gives the kind of a table, and its other keys."""
     rest = dict(entry)
     if key not in rest:
-        raise InputError(f"{reading.place}: {where}: {key} is missing; add it.")
+        raise reading.wrong(f"{where}: {key} is missing; add it.")
     return chosen(reading, f"{where}: {key}", rest.pop(key), known), rest
 
 
@@ -373,8 +373,8 @@ def _picture(folder: Folder, name: str, bands: Bands) -> np.ndarray:
     picture = read_environment(folder.file(name))
     if picture.shape[2] != bands.count:
         raise InputError(
-            f"{folder.file(name)}: has {picture.shape[2]} bands where the scene has "
-            f"{bands.count}; convert one to the other."
+            f"{folder.file(name)}: has {picture.shape[2]} bands where the scene has {bands.count}; "
+            "convert one to the other."
         )
     return picture
 

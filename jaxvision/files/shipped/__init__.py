@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from ...errors import InputError, nearest
+from .._plain_content import file_at
 
 Kind = Literal["scene", "camera"]
 
@@ -26,7 +27,7 @@ def existing_file(path: str | os.PathLike[str], kind: Kind) -> Path:
     if str(path) in known:
         return _folder(kind) / f"{path}.toml"
     if file.suffix or file.parent != Path("."):
-        raise InputError(f"{path}: no such {kind} file; check the name and the folder.")
+        file_at(path, kind)
     hint = nearest(file.name, known)
     raise InputError(f"{path}: neither a file nor a shipped {kind}; {hint}.")
 

@@ -14,15 +14,16 @@ both. Colours are linear sRGB. Unsupported parts are refused by name and never d
 names small differences.
 """
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ....core._warnings import warn
 from ....errors import InputError
 from ....spectra import LUMINOUS_EFFICACY
+from ..._plain_content import unlike
 from ...gltf import Gltf, read_gltf
 from .contents import Camera, Content, Light, Material, Node, content_of
 from .materials import emission_of, material_of, normals_of
@@ -61,12 +62,9 @@ def scene_of(file: Path) -> dict[str, Any]:
     if not cameras:
         raise InputError("has no camera in its scene; add one.")
     if len(cameras) > 1:
-        warnings.warn(f"has {len(cameras)} cameras; the first is taken.", stacklevel=2)
+        warn(f"has {len(cameras)} cameras; the first is taken.")
     if len(content.scenes) > 1:
-        warnings.warn(
-            f"has {len(content.scenes)} scenes; scene {content.scene}, counted from 0, is taken.",
-            stacklevel=2,
-        )
+        warn(f"has {len(content.scenes)} scenes; scene {content.scene}, counted from 0, is taken.")
     if not surfaces:
         raise InputError("has no mesh in its scene; add one.")
     if (
@@ -74,11 +72,10 @@ def scene_of(file: Path) -> dict[str, Any]:
         and lights
         and any("emission" in surface for surface in surfaces)
     ):
-        warnings.warn(
+        warn(
             "holds lamps and meshes that shine, written by Blender, whose lighting mode 'Standard' "
             "counts 683 lm for a watt of its lamps but not of its meshes: these are 683 times too "
-            "weak beside them, unless the mode was 'Unitless'; then all of the picture is.",
-            stacklevel=2,
+            "weak beside them, unless the mode was 'Unitless'; then all of the picture is."
         )
     return {
         "camera": cameras[0],
@@ -91,9 +88,7 @@ def scene_of(file: Path) -> dict[str, Any]:
 
 def _item(items: tuple, index: int, label: str):
     if index >= len(items):
-        raise InputError(
-            f"{label}: names item {index}, counted from 0, of {len(items)}; export it again."
-        )
+        raise unlike(label, f"names item {index}, counted from 0, of {len(items)}")
     return items[index]
 
 
@@ -105,8 +100,9 @@ def _light(light: Light, to_world: np.ndarray) -> dict[str, Any]:
             "put a mesh that shines in its place."
         )
     amount = (light.intensity / LUMINOUS_EFFICACY * np.array(light.color)).tolist()
-    if light.type == "point":
-        return {"kind": "point", "position": to_world[:3, 3].tolist(), "intensity": amount}
+    if light.type == "directional":
+        return {"kind": "directional", "direction": to_world[:3, 2].tolist(), "irradiance": amount}
+    made = {"kind": light.type, "position": to_world[:3, 3].tolist(), "intensity": amount}
     if light.type == "spot":
         inner, outer = light.spot.innerConeAngle, light.spot.outerConeAngle
         if not inner < outer <= np.pi / 2:
@@ -114,15 +110,9 @@ def _light(light: Light, to_world: np.ndarray) -> dict[str, Any]:
                 f"a spot has cones of {inner:g} and {outer:g} rad: the inner one must be the "
                 "smaller, the outer one at most pi / 2; export it again."
             )
-        return {
-            "kind": "spot",
-            "position": to_world[:3, 3].tolist(),
-            "direction": (-to_world[:3, 2]).tolist(),
-            "intensity": amount,
-            "inner": float(np.degrees(inner)),
-            "outer": float(np.degrees(outer)),
-        }
-    return {"kind": "directional", "direction": to_world[:3, 2].tolist(), "irradiance": amount}
+        made |= {"inner": float(np.degrees(inner)), "outer": float(np.degrees(outer))}
+        made["direction"] = (-to_world[:3, 2]).tolist()
+    return made
 
 
 def _camera(camera: Camera, to_world: np.ndarray, label: str) -> dict[str, Any]:
@@ -138,14 +128,14 @@ def _camera(camera: Camera, to_world: np.ndarray, label: str) -> dict[str, Any]:
     if camera.type == "perspective":
         lens = camera.perspective
         if lens is None:
-            raise InputError(f"{label}: its camera has no 'perspective'; export it again.")
+            raise unlike(label, "its camera has no 'perspective'")
         columns = max(1, round(ROWS * (lens.aspectRatio or 4 / 3)))
         across = 2 * np.arctan(np.tan(lens.yfov / 2) * columns / ROWS)
         made |= {"kind": "pinhole", "field_of_view": float(np.degrees(across))}
     else:
         size = camera.orthographic
         if size is None:
-            raise InputError(f"{label}: its camera has no 'orthographic'; export it again.")
+            raise unlike(label, "its camera has no 'orthographic'")
         columns = max(1, round(ROWS * size.xmag / size.ymag))
         made |= {"kind": "orthographic", "width": 2 * size.ymag * columns / ROWS}
     return made | {"resolution": [ROWS, columns]}

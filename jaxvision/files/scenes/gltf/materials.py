@@ -10,11 +10,11 @@ bilinearly; glTF interpolates each texture first, and multiplies the results. So
 2.0 Specification, appendix B.
 """
 
-import warnings
 from typing import Any
 
 import numpy as np
 
+from ....core._warnings import warn
 from ....errors import InputError
 from ...gltf import Gltf
 from .contents import Content, Material
@@ -32,9 +32,7 @@ def material_of(file: Gltf, content: Content, material: Material, label: str) ->
     of_colour = texels_of(file, content, surface.baseColorTexture, label, srgb=True)
     of_rest = texels_of(file, content, surface.metallicRoughnessTexture, label)
     if material.occlusionTexture is not None:
-        warnings.warn(
-            f"{label}: occlusionTexture is not used, since shadows are computed.", stacklevel=2
-        )
+        warn(f"{label}: occlusionTexture is not used, since shadows are computed.")
     if of_colour is not None and of_rest is not None:
         first, second = match_sizes(of_colour, of_rest, label)
         of_colour, of_rest = (first, of_colour[1]), (second, of_rest[1])
@@ -67,10 +65,9 @@ def material_of(file: Gltf, content: Content, material: Material, label: str) ->
     coat = ((index - 1) / (index + 1)) ** 2
     matt = (1 - metal) * (1 - coat) * colour
     if matt.any():
-        warnings.warn(
+        warn(
             f"{label}: its coat lets (1 - F0) through at all angles, where glTF takes (1 - F): "
-            "matt light is too bright at grazing angles.",
-            stacklevel=2,
+            "matt light is too bright at grazing angles."
         )
     return {
         "family": "torrance_sparrow",

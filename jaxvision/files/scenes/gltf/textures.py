@@ -8,6 +8,7 @@ import numpy as np
 
 from ....errors import InputError
 from ....point_ops import srgb_decode
+from ..._plain_content import unlike
 from ...gltf import Gltf, image_bytes
 from ...images import read_image
 from .contents import Content, Sampler, Used
@@ -24,12 +25,12 @@ def texels_of(
     if used is None:
         return None
     if used.index >= len(content.textures):
-        raise InputError(f"{label}: names no texture {used.index}; export it again.")
+        raise unlike(label, f"names no texture {used.index}")
     texture = content.textures[used.index]
     sampler = Sampler()
     if texture.sampler is not None:
         if texture.sampler >= len(content.samplers):
-            raise InputError(f"{label}: names no sampler {texture.sampler}; export it again.")
+            raise unlike(label, f"names no sampler {texture.sampler}")
         sampler = content.samplers[texture.sampler]
     if sampler.wrapS != sampler.wrapT or sampler.magFilter == _NEAREST:
         what = "wraps u and v differently" if sampler.wrapS != sampler.wrapT else "is not filtered"

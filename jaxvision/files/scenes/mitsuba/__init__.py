@@ -14,12 +14,12 @@ differences. On a mesh with mirrored texture coordinates, y of a normal map stay
 where Mitsuba turns it down.
 """
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ....core._warnings import warn
 from ....errors import InputError
 from .camera import camera_of
 from .document import Node, root_of
@@ -40,7 +40,7 @@ def scene_of(file: Path) -> dict[str, Any]:
     if not sensors:
         raise InputError("has no <sensor>; add one.")
     if len(sensors) > 1:
-        warnings.warn(f"has {len(sensors)} sensors; the first is taken.", stacklevel=2)
+        warn(f"has {len(sensors)} sensors; the first is taken.")
     camera, samples = camera_of(sensors[0])
     content: dict[str, Any] = {
         "camera": camera,
@@ -73,20 +73,16 @@ def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
         made["emission"] = light_of(emitter, "radiance", 1.0)
         emitter.must_be_read(without=("sampling_weight",))
         if two_sided and made["shape"] in ("quad", "disc", "mesh"):
-            warnings.warn(
-                f"{node.label}: shines to one side, and so reflects from that side only.",
-                stacklevel=2,
-            )
+            warn(f"{node.label}: shines to one side, and so reflects from that side only.")
         two_sided = False
     if (
         made["shape"] == "mesh"
         and not two_sided
         and np.linalg.det(np.array(made["matrix"])[:, :3]) < 0
     ):
-        warnings.warn(
+        warn(
             f"{node.label}: to_world mirrors the mesh, whose outside stays outside here; Mitsuba "
-            "turns it inside out.",
-            stacklevel=2,
+            "turns it inside out."
         )
     node.must_be_read(tags=("bsdf", "emitter"), without=("flip_tex_coords",))
     return made | {"two_sided": two_sided}
@@ -99,13 +95,11 @@ def _check_coordinates(node: Node, surface: dict[str, Any], mapped: bool) -> Non
     if not mapped:
         return
     if surface["shape"] == "quad" and not np.allclose(surface["edge_u"], 2 * turned[:, 0]):
-        raise InputError(
-            f"{node.label}: is turned over, which textures are not; give it as a mesh."
-        )
+        raise node.wrong("is turned over, which textures are not; give it as a mesh.")
     if surface["shape"] == "sphere" and not np.allclose(turned, abs(turned[0, 0]) * np.eye(3)):
-        raise InputError(f"{node.label}: is rotated, which its texture is not; give it as a mesh.")
+        raise node.wrong("is rotated, which its texture is not; give it as a mesh.")
     if not usual:
-        raise InputError(f"{node.label}: flip_tex_coords is not read with a texture; remove it.")
+        raise node.wrong("flip_tex_coords is not read with a texture; remove it.")
 
 
 def _render(node: Node | None, samples: int, *, old: bool) -> dict[str, Any]:
@@ -117,7 +111,7 @@ def _render(node: Node | None, samples: int, *, old: bool) -> dict[str, Any]:
         return _paths("integrator", -1, samples)
     kind = node.must_be("path", "volpath", "volpathmis", "direct", "ptracer")
     if node.take("hide_emitters", bool, False):
-        raise InputError(f"{node.label}: hide_emitters is not read; remove it.")
+        raise node.wrong("hide_emitters is not read; remove it.")
     if kind == "direct":
         node.must_be_read(without=("shading_samples", "emitter_samples", "bsdf_samples"))
         return {"integrator": "path", "samples": samples, "depth": 2}
@@ -128,10 +122,9 @@ def _render(node: Node | None, samples: int, *, old: bool) -> dict[str, Any]:
 
 def _paths(label: str, depth: int, samples: int) -> dict[str, Any]:
     if depth < 0:
-        warnings.warn(
+        warn(
             f"{label}: max_depth has no limit; paths end after {_DEEP} segments here. Choose "
-            "another number by --depth.",
-            stacklevel=2,
+            "another number by --depth."
         )
         depth = _DEEP
     return {"integrator": "path", "samples": samples, "depth": max(depth, 1)}
@@ -163,10 +156,8 @@ def light_entry(node: Node) -> dict[str, Any]:
         case "constant":
             made = {"kind": "environment", "radiance": light_of(node, "radiance", 1.0)}
         case _:
-            file = node.take("filename", str)
-            if file is None:
-                raise InputError(f"{node.label}: has no filename; add it.")
-            made = {"kind": "environment", "file": file, "scale": node.take("scale", float, 1.0)}
+            made = {"kind": "environment", "file": node.filename()}
+            made |= {"scale": node.take("scale", float, 1.0)}
             made |= {"up": to_world[:3, 1].tolist(), "toward": to_world[:3, 2].tolist()}
     node.must_be_read(without=("sampling_weight",))
     return {"name": node.label, **made}

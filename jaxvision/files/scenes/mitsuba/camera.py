@@ -1,10 +1,10 @@
 """Mitsuba's sensor and film as the table `[camera]`."""
 
-import warnings
 from typing import Any
 
 import numpy as np
 
+from ....core._warnings import warn
 from ....errors import InputError
 from .document import Node
 from .transforms import Affine, keeps_shape, lengths_of_axes, mirrors
@@ -25,7 +25,7 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
         across, along = lengths_of_axes(to_world)[[0, 2]]
         to_world = to_world @ np.diag([1, 1, across / along, 1])
     if mirrors(to_world) or not keeps_shape(to_world):
-        raise InputError(f"{node.label}: to_world mirrors or stretches the picture; correct it.")
+        raise node.wrong("to_world mirrors or stretches the picture; correct it.")
     made = {"resolution": [rows, columns], **_pose(to_world)}
     if kind == "orthographic":
         made |= {"kind": "orthographic", "width": float(2 * lengths_of_axes(to_world)[0])}
@@ -41,12 +41,11 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
         count = sampler.take("sample_count", int, count)
     for name in ("principal_point_offset_x", "principal_point_offset_y"):
         if kind != "orthographic" and node.take(name, float, 0.0):
-            raise InputError(f"{node.label}: {name} is not read, only 0; centre the picture.")
+            raise node.wrong(f"{name} is not read, only 0; centre the picture.")
     if any(name in node.values and node.values[name] != usual for name, usual in _CLIPS.items()):
-        warnings.warn(
+        warn(
             f"{node.label}: near_clip and far_clip are not used; what lies nearer or farther is "
-            "seen too.",
-            stacklevel=2,
+            "seen too."
         )
     node.must_be_read(tags=("film", "sampler"), without=_UNUSED)
     return made, count
@@ -75,10 +74,9 @@ def _resolution(film: Node | None, label: str) -> tuple[int, int]:
         formats = ("pixel_format", "component_format", "file_format", "sample_border", "banner")
         film.must_be_read(tags=("rfilter",), without=formats)
     if kernel is None or kernel.kind != "box":
-        warnings.warn(
+        warn(
             f"{label}: pixels are means over their area; Mitsuba's "
-            f"{'gaussian' if kernel is None else kernel.kind} filter blurs beyond it.",
-            stacklevel=2,
+            f"{'gaussian' if kernel is None else kernel.kind} filter blurs beyond it."
         )
     return rows, columns
 
@@ -89,7 +87,7 @@ def _half_width(node: Node, rows_per_column: float) -> float:
     focal_length = node.take("focal_length", str)
     degrees = node.take("fov", float)
     if focal_length is not None and degrees is not None:
-        raise InputError(f"{node.label}: has a fov and a focal_length; leave one of them.")
+        raise node.wrong("has a fov and a focal_length; leave one of them.")
     if degrees is None:
         focal_length = focal_length or "50mm"
         try:
@@ -97,17 +95,17 @@ def _half_width(node: Node, rows_per_column: float) -> float:
         except ValueError:
             millimetres = 0.0
         if not 0 < millimetres < np.inf:
-            raise InputError(f"{node.label}: focal_length must be above 0, as in '50mm'.")
+            raise node.wrong("focal_length must be above 0, as in '50mm'.")
         tangent, axis = _DIAGONAL / 2 / millimetres, "diagonal"
     elif not 0 < degrees < 180:
-        raise InputError(f"{node.label}: needs a fov in degrees, above 0 and below 180.")
+        raise node.wrong("needs a fov in degrees, above 0 and below 180.")
     else:
         tangent = np.tan(np.radians(degrees) / 2)
     if axis in ("smaller", "larger"):
         axis = "x" if (rows_per_column >= 1) == (axis == "smaller") else "y"
     sides = {"x": 1.0, "y": rows_per_column, "diagonal": float(np.hypot(1, rows_per_column))}
     if axis not in sides:
-        raise InputError(f"{node.label}: fov_axis must be x, y, diagonal, smaller or larger.")
+        raise node.wrong("fov_axis must be x, y, diagonal, smaller or larger.")
     return float(tangent / sides[axis])
 
 
@@ -117,8 +115,8 @@ def _lens(node: Node, half_width: float, columns: int) -> dict[str, Any]:
     radius = node.take("aperture_radius", float)
     distance = node.take("focus_distance", float)
     if radius is None or distance is None or radius <= 0 or distance <= 0:
-        raise InputError(
-            f"{node.label}: a thin lens takes an aperture_radius and a focus_distance above 0; use "
+        raise node.wrong(
+            "a thin lens takes an aperture_radius and a focus_distance above 0; use "
             "perspective for a pinhole."
         )
     focal_length = distance / 100

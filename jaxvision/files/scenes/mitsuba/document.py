@@ -67,13 +67,31 @@ class Node:
     old: bool = False
     _taken: set[str] = field(default_factory=set)
 
+    def wrong(self, what: str) -> InputError:
+        """The error for this object."""
+        return InputError(f"{self.label}: {what}")
+
+    def filename(self) -> str:
+        """The value `filename`; `InputError` if there is none."""
+        name = self.take("filename", str)
+        if name is None:
+            raise self.wrong("has no filename; add it.")
+        return name
+
+    def distribution(self) -> str:
+        """The distribution of facets of a rough BSDF."""
+        word = self.take("distribution", str, "beckmann")
+        if word not in ("beckmann", "ggx"):
+            raise self.wrong("distribution must be 'beckmann' or 'ggx'.")
+        return word
+
     def take(self, name: str, kinds: type | tuple[type, ...], otherwise: Any = None) -> Any:
         """The value with that name; `InputError` if it has another type."""
         self._taken.add(name)
         if any(called == name for called, _ in self.parts):
             part = next(part for called, part in self.parts if called == name)
-            raise InputError(
-                f"{self.label}: {name} is a {part.tag} (type {part.kind!r}), which is not read; "
+            raise self.wrong(
+                f"{name} is a {part.tag} (type {part.kind!r}), which is not read; "
                 "give one colour, as in <rgb>."
             )
         value = self.values.get(name, otherwise)
@@ -82,7 +100,7 @@ class Node:
             value = float(value)
         fits = isinstance(value, kinds) and _alike(value, otherwise)
         if value is not otherwise and not fits:
-            raise InputError(f"{self.label}: {name} is of an unexpected kind; correct it.")
+            raise self.wrong(f"{name} is of an unexpected kind; correct it.")
         return value
 
     def texture(self, name: str) -> "Node | None":
@@ -99,16 +117,15 @@ class Node:
         """The child object with a tag, if there is one; `InputError` if there are several."""
         found = self.within(tag)
         if len(found) > 1:
-            raise InputError(f"{self.label}: has {len(found)} of <{tag}>; leave one.")
+            raise self.wrong(f"has {len(found)} of <{tag}>; leave one.")
         return found[0] if found else None
 
     def must_be(self, *known: str) -> str:
         """The type, which must be a supported one; `InputError` otherwise."""
         if self.kind not in known:
             words = ", ".join(known)
-            raise InputError(
-                f"{self.label}: type {self.kind!r} is not read; those of <{self.tag}> that are: "
-                f"{words}."
+            raise self.wrong(
+                f"type {self.kind!r} is not read; those of <{self.tag}> that are: {words}."
             )
         return self.kind
 
@@ -125,8 +142,8 @@ class Node:
                 )
         for name, part in self.parts:
             if part.tag not in tags and not (part.tag == "texture" and name in self._taken):
-                raise InputError(
-                    f"{self.label}: holds <{part.tag} type={part.kind!r}>, which is not read; "
+                raise self.wrong(
+                    f"holds <{part.tag} type={part.kind!r}>, which is not read; "
                     "remove it if the picture may do without."
                 )
 
@@ -283,7 +300,7 @@ class _Reader:
         body = self.node(element, f"{label}: {given.get('name', '')}")
         kelvin = body.take("temperature", float)
         if kelvin is None or kelvin <= 0:
-            raise InputError(f"{body.label}: needs a temperature above 0 K.")
+            raise body.wrong("needs a temperature above 0 K.")
         body.must_be_read()
         return Blackbody(kelvin)
 

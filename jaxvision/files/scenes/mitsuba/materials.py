@@ -1,11 +1,10 @@
 """Mitsuba's BSDFs as the tables `[material.NAME]`."""
 
-import warnings
 from collections.abc import Callable
 from typing import Any
 
 from ....brdf.fresnel import Dielectric, mean_reflectance
-from ....errors import InputError
+from ....core._warnings import warn
 from .document import Node
 from .spectra import SPECTRUM, index_of, map_of, reflectance_of
 
@@ -45,12 +44,12 @@ def material_of(node: Node | None) -> tuple[dict[str, Any], bool]:
     if (kind := node.must_be(*_FAMILIES, "twosided", "normalmap")) in ("twosided", "normalmap"):
         inner = node.only("bsdf")
         if inner is None:
-            raise InputError(f"{node.label}: holds no BSDF; put one within.")
+            raise node.wrong("holds no BSDF; put one within.")
         made, two_sided = material_of(inner)
         if kind == "normalmap":
             normals = map_of(node, "normalmap")
             if normals is None or normals["encoding"] == "srgb" or "normals" in made:
-                raise InputError(f"{node.label}: needs one <texture name='normalmap'> that is raw.")
+                raise node.wrong("needs one <texture name='normalmap'> that is raw.")
             made["normals"] = normals
         node.must_be_read(tags=("bsdf",))
         return made, two_sided or kind == "twosided"
@@ -70,8 +69,8 @@ def _dielectric(node: Node) -> dict[str, Any]:
 
 def _conductor(node: Node) -> dict[str, Any]:
     if not _reflects_all(node):
-        raise InputError(
-            f"{node.label}: a smooth metal's reflectance by eta and k is not read; set material to "
+        raise node.wrong(
+            "a smooth metal's reflectance by eta and k is not read; set material to "
             "'none' and give its specular_reflectance, or take a roughconductor of small alpha."
         )
     return {"family": "mirror", "reflectance": reflectance_of(node, "specular_reflectance", 1.0)}
@@ -79,14 +78,11 @@ def _conductor(node: Node) -> dict[str, Any]:
 
 def _rough_conductor(node: Node) -> dict[str, Any]:
     if {"alpha_u", "alpha_v"} & set(node.values):
-        raise InputError(f"{node.label}: alpha_u and alpha_v are not read; give one alpha.")
-    distribution = node.take("distribution", str, "beckmann")
-    if distribution not in ("beckmann", "ggx"):
-        raise InputError(f"{node.label}: distribution must be 'beckmann' or 'ggx'.")
-    warnings.warn(
+        raise node.wrong("alpha_u and alpha_v are not read; give one alpha.")
+    distribution = node.distribution()
+    warn(
         f"{node.label}: facets hide each other by Smith's formula correlated by height, where "
-        "Mitsuba multiplies the two directions' shares: rough metal is a little brighter here.",
-        stacklevel=2,
+        "Mitsuba multiplies the two directions' shares: rough metal is a little brighter here."
     )
     made = {
         "family": "torrance_sparrow",
@@ -105,7 +101,7 @@ def _plastic(node: Node) -> dict[str, Any]:
     `nonlinear` by 1 - r R, as light that the coat returns to the body loses a part each time; R is
     the share that is returned. The same light leaves a body of the albedo r / (1 - R (1 - r))."""
     if node.take("specular_reflectance", SPECTRUM, 1.0) != 1.0:
-        raise InputError(f"{node.label}: a specular_reflectance below 1 is not read; remove it.")
+        raise node.wrong("a specular_reflectance below 1 is not read; remove it.")
     eta = _index(node, "int_ior", "polypropylene") / _index(node, "ext_ior", "air")
     made = {
         "family": "coated",
@@ -114,9 +110,8 @@ def _plastic(node: Node) -> dict[str, Any]:
     }
     if not node.take("nonlinear", bool, False):
         if "map" in (made["albedo"] if isinstance(made["albedo"], dict) else {}):
-            raise InputError(
-                f"{node.label}: a diffuse_reflectance by a texture is read with nonlinear alone; "
-                "set it to true."
+            raise node.wrong(
+                "a diffuse_reflectance by a texture is read with nonlinear alone; set it to true."
             )
         outside = float(mean_reflectance(Dielectric([eta]))[0])
         returned = 1 - (1 - outside) / eta**2
@@ -135,14 +130,11 @@ def _each(spectrum: Any, change: Callable[[float], float]) -> Any:
 
 
 def _rough_plastic(node: Node) -> dict[str, Any]:
-    distribution = node.take("distribution", str, "beckmann")
-    if distribution not in ("beckmann", "ggx"):
-        raise InputError(f"{node.label}: distribution must be 'beckmann' or 'ggx'.")
-    warnings.warn(
+    distribution = node.distribution()
+    warn(
         f"{node.label}: a rough coat without absorption loses no light here, where Mitsuba loses "
         "what facets send on to each other: its body is darker there, by 3 % (beckmann) and 10 % "
-        "(ggx) at alpha 0.1, and by 30 % (ggx) at 0.3.",
-        stacklevel=2,
+        "(ggx) at alpha 0.1, and by 30 % (ggx) at 0.3."
     )
     alpha = node.take("alpha", float, 0.1)
     return _plastic(node) | {"roughness": alpha, "distribution": distribution}
@@ -163,7 +155,7 @@ def _reflects_all(node: Node) -> bool:
     given = {"eta", "k"} <= set(node.values)
     name = node.take("material", str, "Cu" if node.old and not given else "none")
     if name != "none":
-        raise InputError(f"{node.label}: metals by name are not read; give eta and k of {name!r}.")
+        raise node.wrong(f"metals by name are not read; give eta and k of {name!r}.")
     return not {"eta", "k"} & set(node.values)
 
 
@@ -172,5 +164,5 @@ def _index(node: Node, name: str, otherwise: str) -> float:
     if isinstance(given, float):
         return given
     if given not in _INDICES:
-        raise InputError(f"{node.label}: {name} = {given!r} is not known; give the index itself.")
+        raise node.wrong(f"{name} = {given!r} is not known; give the index itself.")
     return _INDICES[given]

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from ....errors import InputError
 from .document import Node
 from .transforms import (
     Affine,
@@ -35,25 +34,18 @@ def shape_of(node: Node) -> dict[str, Any]:
         case _:
             return {
                 "shape": "mesh",
-                "file": _file(node),
+                "file": node.filename(),
                 "matrix": to_world[:3].tolist(),
                 "smooth": not node.take("face_normals", bool, False),
                 "flip": flip,
             }
 
 
-def _file(node: Node) -> str:
-    name = node.take("filename", str)
-    if name is None:
-        raise InputError(f"{node.label}: has no filename; add it.")
-    return name
-
-
 def _sphere(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
     centre = node.take("center", np.ndarray, np.zeros(3))
     radius = node.take("radius", float, 1.0)
     if not keeps_shape(to_world):
-        raise InputError(f"{node.label}: is stretched to an ellipsoid; give it as a mesh.")
+        raise node.wrong("is stretched to an ellipsoid; give it as a mesh.")
     _not_inside_out(node, flip)
     return {
         "shape": "sphere",
@@ -78,7 +70,7 @@ def _quad(to_world: Affine, flip: bool) -> dict[str, Any]:
 def _disc(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
     """The disc of radius 1 with its front toward z."""
     if not keeps_shape(to_world, axes=2):
-        raise InputError(f"{node.label}: is stretched to an ellipse; give it as a mesh.")
+        raise node.wrong("is stretched to an ellipse; give it as a mesh.")
     normal = np.linalg.inv(to_world[:3, :3])[2]  # normals are transformed by the transposed inverse
     return {
         "shape": "disc",
@@ -91,7 +83,7 @@ def _disc(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
 def _box(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
     """The box [-1, 1] along each axis."""
     if not keeps_right_angles(to_world):
-        raise InputError(f"{node.label}: is sheared to a parallelepiped; give it as a mesh.")
+        raise node.wrong("is sheared to a parallelepiped; give it as a mesh.")
     _not_inside_out(node, flip)
     half = lengths_of_axes(to_world)
     axes = (to_world[:3, :3] / half).T
@@ -107,7 +99,7 @@ def _box(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
 
 def _not_inside_out(node: Node, flip: bool) -> None:
     if flip:
-        raise InputError(f"{node.label}: flip_normals turns it inside out; give it as a mesh.")
+        raise node.wrong("flip_normals turns it inside out; give it as a mesh.")
 
 
 def _point(to_world: Affine, point: np.ndarray) -> list[float]:

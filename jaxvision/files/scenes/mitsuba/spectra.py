@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from ....errors import InputError
 from .document import Blackbody, Colour, Flat, Node, Table
 
 SPECTRUM = (Colour, Flat, Table, float)
@@ -17,16 +16,16 @@ def map_of(node: Node, name: str) -> dict[str, Any] | None:
     if texture is None:
         return None
     if texture.kind != "bitmap":
-        raise InputError(
-            f"{node.label}: {name} is a texture (type {texture.kind!r}), of which only bitmap is "
+        raise node.wrong(
+            f"{name} is a texture (type {texture.kind!r}), of which only bitmap is "
             "read; give a picture, or one colour, as in <rgb>."
         )
     file, wrap = texture.take("filename", str), texture.take("wrap_mode", str, "repeat")
     if file is None or wrap not in ("repeat", "clamp"):
         wanted = "a filename" if file is None else "wrap_mode 'repeat' or 'clamp'"
-        raise InputError(f"{texture.label}: needs {wanted}; correct it.")
+        raise texture.wrong(f"needs {wanted}; correct it.")
     if texture.take("filter_type", str, "bilinear") != "bilinear":
-        raise InputError(f"{texture.label}: filter_type is not read, only 'bilinear'; change it.")
+        raise texture.wrong("filter_type is not read, only 'bilinear'; change it.")
     raw = texture.take("raw", bool, False)
     made = {"map": file, "wrap": wrap, "encoding": "linear" if raw else "srgb"}
     to_uv = texture.take("to_uv", np.ndarray, np.eye(4))
@@ -66,8 +65,8 @@ def index_of(node: Node, name: str, otherwise: float) -> Any:
     """A part of a metal's index by its name, no unit."""
     value = node.take(name, SPECTRUM, otherwise)
     if isinstance(value, Table):
-        raise InputError(
-            f"{node.label}: {name} is a table of wavelengths, for which RGB has no definite value; "
+        raise node.wrong(
+            f"{name} is a table of wavelengths, for which RGB has no definite value; "
             "give it as <rgb>."
         )
     return _plain(value)
