@@ -3,7 +3,7 @@ and the scene without negligible ones."""
 
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -61,24 +61,15 @@ def _seen_by(source: SceneFile, camera: Camera | None) -> Camera | View:
 
 
 def inspect_scene(
-    source: SceneFile,
-    settings: RenderEntry,
-    *,
-    camera: Camera | None = None,
-    free: Box | None = None,
-    estimates: bool = False,
-    time: bool = False,
-    advance: Callable[[int, int], Any] | None = None,
+    source: SceneFile, settings: RenderEntry, *, camera: Camera | None = None, **asked: Any
 ) -> tuple[Effect, ...]:
     """The effects of a scene file and, if given, of a camera with its sensor, with times for direct
     light and paths; other arguments as in `effects.inspect`. `InputError` for the time of another
     integrator."""
-    if time and settings.integrator not in ("direct", "path"):
+    if asked.get("time") and settings.integrator not in ("direct", "path"):
         raise InputError(f"--time measures direct light and paths; this is {settings.integrator}.")
     seen = _seen_by(source, camera)
-    asked = _parse_request(settings) | {"free": free, "estimates": estimates}
-    asked |= {"time": time, "advance": advance}
-    return effects.inspect(source.scene, seen, **asked)
+    return effects.inspect(source.scene, seen, **_parse_request(settings), **asked)
 
 
 def prune_scene(
@@ -87,17 +78,13 @@ def prune_scene(
     tolerance: Tolerance | str,
     *,
     camera: Camera | None = None,
-    free: Box | None = None,
-    level: float | None = None,
-    estimates: bool = False,
+    **asked: Any,
 ) -> Pruned:
-    """The scene without the effects within a tolerance, with its certificate; arguments as in
-    `effects.prune`. `level`: W m^-2 sr^-1, None for the brightest pixel of a small picture."""
+    """The scene without the effects within a tolerance, with its certificate; other arguments as in
+    `effects.prune`."""
     seen = _seen_by(source, camera)
-    asked = _parse_request(settings)
-    asked |= {"free": free, "level": level, "estimates": estimates}
     try:
-        return effects.prune(source.scene, seen, tolerance, **asked)
+        return effects.prune(source.scene, seen, tolerance, **_parse_request(settings), **asked)
     except InputError as error:
         raise InputError(named_text(source, str(error))) from error
 

@@ -357,15 +357,14 @@ def _lobe_of_table(material: Material) -> tuple[float, float]:
 def _angle(light: RectangleLight, shape: Shape) -> float:
     """Return the angle, rad, of the longer side of a lamp as seen from the middle of a surface, or
     from half the surface's depth if that is farther."""
-    corner, u, v = (np.asarray(x, float) for x in (light.corner, light.edge_u, light.edge_v))
-    middle = corner + (u + v) / 2
+    middle = _parallelogram(light).mean(axis=0)
     if isinstance(shape, Plane):
-        away = abs(float((middle - np.asarray(shape.point, float)) @ _unit(shape.normal)))
+        away = float(_heights(shape, middle))
     else:
         low, high = _corners(shape).min(axis=0), _corners(shape).max(axis=0)
         away = float(np.linalg.norm(middle - (low + high) / 2))
         away = max(away, float((high - low).min()) / 2)
-    side = max(float(np.linalg.norm(u)), float(np.linalg.norm(v)))
+    side = max(float(np.linalg.norm(np.asarray(x, float))) for x in (light.edge_u, light.edge_v))
     return 2 * float(np.arctan2(side / 2, away))
 
 
@@ -449,12 +448,8 @@ def _chance(light: Light, matt: Sequence[Surface]) -> float:
     """Return the largest share of paths from a matt surface that hit a light; 1 if unknown."""
     match light:
         case RectangleLight():
-            corner, u, v = (
-                np.asarray(x, float) for x in (light.corner, light.edge_u, light.edge_v)
-            )
-            area = float(np.linalg.norm(np.cross(u, v)))
-            corners = np.stack([corner, corner + u, corner + v, corner + u + v])
-            return _share(area, corners, matt)
+            area = float(np.linalg.norm(np.cross(light.edge_u, light.edge_v)))
+            return _share(area, _parallelogram(light), matt)
         case EnvironmentMap():  # the smallest solid angle that sends half of its light
             density, rows = np.asarray(light.density, float), light.density.shape[0]
             edges = np.cos(np.linspace(0, np.pi, rows + 1))
@@ -475,10 +470,7 @@ def _share(area: float, corners: np.ndarray, matt: Sequence[Surface]) -> float:
     for surface in matt:
         own = _corners(surface.shape)
         if isinstance(surface.shape, Plane):  # along its normal
-            heights = (corners - np.asarray(surface.shape.point, float)) @ _unit(
-                surface.shape.normal
-            )
-            nearest = min(nearest, float(np.abs(heights).min()))
+            nearest = min(nearest, float(_heights(surface.shape, corners).min()))
             continue
         apart = np.maximum(np.maximum(own.min(axis=0) - high, low - own.max(axis=0)), 0)
         if apart.any():  # a lamp does not light itself
@@ -488,9 +480,17 @@ def _share(area: float, corners: np.ndarray, matt: Sequence[Surface]) -> float:
     return min(area / (np.pi * nearest**2), 1.0) if nearest > 0 else 1.0
 
 
-def _unit(direction: Array) -> np.ndarray:
-    vector = np.asarray(direction, float)
-    return vector / np.linalg.norm(vector)
+def _heights(plane: Plane, points: np.ndarray) -> np.ndarray:
+    """Return the distances, m, of points, (..., 3), from a plane."""
+    normal = np.asarray(plane.normal, float)
+    along = (points - np.asarray(plane.point, float)) @ normal
+    return np.abs(along) / np.linalg.norm(normal)
+
+
+def _parallelogram(sided: Quad | RectangleLight) -> np.ndarray:
+    """(4, 3) m, the corners of a shape or a lamp."""
+    corner, u, v = (np.asarray(x, float) for x in (sided.corner, sided.edge_u, sided.edge_v))
+    return np.stack([corner, corner + u, corner + v, corner + u + v])
 
 
 def _corners(shape: Shape) -> np.ndarray:
@@ -499,10 +499,7 @@ def _corners(shape: Shape) -> np.ndarray:
         case Plane():
             return np.zeros((0, 3))
         case Quad():
-            corner, u, v = (
-                np.asarray(x, float) for x in (shape.corner, shape.edge_u, shape.edge_v)
-            )
-            return np.stack([corner, corner + u, corner + v, corner + u + v])
+            return _parallelogram(shape)
         case TriangleMesh():
             return np.asarray(shape.vertices, float)
     ball = ball_around([shape])
