@@ -59,6 +59,7 @@ class _Tree(eqx.Module):
     radiance: Colour
 
 
+@one_program
 def ray_tree_radiance(
     scene: Scene, ray: Ray, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
 ) -> Colour:
@@ -84,11 +85,6 @@ def ray_tree_radiance(
         >>> print(jv.transport.ray_tree_radiance(jv.Scene(lamp, []), ray, rays=1))
         [2.]
     """
-    return _ray_tree(scene, ray, rays, rule)
-
-
-@one_program
-def _ray_tree(scene: Scene, ray: Ray, rays: int, rule: Quadrature) -> Colour:
     world = world_of(scene)
     rays, rules = _followed(world, rays), _rules(scene, world, rule)
 
@@ -100,6 +96,7 @@ def _ray_tree(scene: Scene, ray: Ray, rays: int, rule: Quadrature) -> Colour:
     return tree.radiance
 
 
+@one_program
 def ray_tree_radiances(
     scene: Scene, along: Ray, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
 ) -> Float[Array, "n bands"]:
@@ -113,11 +110,6 @@ def ray_tree_radiances(
     Returns:
         (n, bands) W m^-2 sr^-1.
     """
-    return _ray_trees(scene, along, rays, rule)
-
-
-@one_program
-def _ray_trees(scene: Scene, along: Ray, rays: int, rule: Quadrature) -> Float[Array, "n bands"]:
     world = world_of(scene)
     rays, rules = _followed(world, rays), _rules(scene, world, rule)
 

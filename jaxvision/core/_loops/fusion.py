@@ -75,8 +75,8 @@ def one_program(function: Callable[P, R]) -> Callable[P, R]:
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         # equinox treats NumPy numbers as arrays, but numbers among the settings are static
-        known = (x.item() if isinstance(x, np.generic) else x for x in args)
-        return compiled(*known, **kwargs)
+        known = [x.item() if isinstance(x, np.generic) else x for x in (*args, *kwargs.values())]
+        return compiled(*known[: len(args)], **dict(zip(kwargs, known[len(args) :], strict=True)))
 
     return call
 

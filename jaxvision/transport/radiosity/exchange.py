@@ -42,6 +42,7 @@ Tile = tuple[Float[Array, "*tiles lengths n"], Int[Array, "*tiles numbers n"]]
 Numbered = tuple[Patches, Int[Array, "..."]]
 
 
+@one_program
 def form_factor_table(
     scene: Scene, plan: Plan, *, rays: int = 1, elements: Int[Array, " rows"] | None = None
 ) -> Float[Array, "rows patches"]:
@@ -69,11 +70,6 @@ def form_factor_table(
     Raises:
         ValueError: for fewer than one ray, or a scene without surfaces.
     """
-    return _table(scene, plan, rays, elements)
-
-
-@one_program
-def _table(scene: Scene, plan: Plan, rays: int, elements: Array | None) -> Array:
     of = _pairs_of(scene, plan, rays, elements)
 
     def rows(receivers: Tile) -> Array:
@@ -85,6 +81,7 @@ def _table(scene: Scene, plan: Plan, rays: int, elements: Array | None) -> Array
 
 
 @takes_numbers
+@one_program
 def exchanged(
     scene: Scene,
     plan: Plan,
@@ -109,17 +106,6 @@ def exchanged(
     Raises:
         ValueError: for fewer than one ray, or a scene without surfaces.
     """
-    return _exchanged(scene, plan, sent, rays, elements)
-
-
-@one_program
-def _exchanged(
-    scene: Scene,
-    plan: Plan,
-    sent: Float[Array, "patches bands"],
-    rays: int,
-    elements: Array | None,
-) -> Float[Array, "rows bands"]:
     of = _pairs_of(scene, plan, rays, elements)
     missing = len(of.senders[0]) * TILE - of.counts[1]
     light = jnp.pad(sent, ((0, missing), (0, 0))).reshape(-1, TILE, sent.shape[1])

@@ -128,6 +128,7 @@ def _solved(
 _solved_by_table = one_program(_solved)
 
 
+@one_program
 def direct_irradiance(
     scene: Scene, elements: Patches, *, rule: Rule = DEFAULT_RULE
 ) -> Float[Array, "elements bands"]:
@@ -142,11 +143,6 @@ def direct_irradiance(
     Returns:
         (elements, bands) W m^-2.
     """
-    return _direct(scene, elements, rule)
-
-
-@one_program
-def _direct(scene: Scene, elements: Patches, rule: Rule) -> Float[Array, "elements bands"]:
     return _lit(scene, elements, rule, shapes_of(scene))
 
 

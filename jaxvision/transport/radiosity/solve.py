@@ -142,6 +142,7 @@ def _without_table(
 
 @takes_numbers
 @in_range(albedo=_ALBEDO)
+@one_program
 def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int) -> PatchSpectra:
     """Return B after a number of reflections: the first terms of the Neumann series, as in a path
     tracer of that depth.
@@ -153,11 +154,7 @@ def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int
     Returns:
         (patches, bands) W m^-2.
     """
-    return _bounced(table, albedo, sent, count)
 
-
-@one_program
-def _bounced(table: Table, albedo: PatchSpectra, sent: PatchSpectra, count: int) -> PatchSpectra:
     def once(_: Int[Array, ""], radiosity: PatchSpectra) -> PatchSpectra:
         return sent + albedo * (table @ radiosity)
 
@@ -166,6 +163,7 @@ def _bounced(table: Table, albedo: PatchSpectra, sent: PatchSpectra, count: int)
 
 @takes_numbers
 @in_range(albedo=_ALBEDO)
+@one_program
 def shoot(
     table: Table,
     albedo: PatchSpectra,
@@ -196,13 +194,6 @@ def shoot(
         Cohen, Chen, Wallace and Greenberg, "A Progressive Refinement Approach to Fast Radiosity
         Image Generation", SIGGRAPH 1988.
     """
-    return _shot(table, albedo, sent, tolerance, limit)
-
-
-@one_program
-def _shot(
-    table: Table, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float, limit: int
-) -> tuple[PatchSpectra, PatchSpectra]:
     most = _most_added(table, albedo)
 
     def state_of(radiosity: PatchSpectra, unshot: PatchSpectra, shots: Array) -> State:
