@@ -65,7 +65,7 @@ def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = ""
     `amount`, (bands,) W m^-2 sr^-1, which is proved if `assumes` is ""."""
     why, estimated = f"paths of at most {pieces} segments", bool(assumes)
     more = {"estimated": estimated, "assumes": assumes, "saves": 1 - pieces / depth}
-    return Row("bounces", amount, why, setting("depth", pieces), ladder="bounces", **more)
+    return Row("bounces", amount, why, setting("depth", to=pieces), ladder="bounces", **more)
 
 
 class Transport(NamedTuple):

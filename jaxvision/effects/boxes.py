@@ -73,9 +73,9 @@ def put(record: Any, steps: list[str | int], value: Any) -> Any:
     return replace(record, **{first: inner})
 
 
-def setting(name: str, value: Any = None) -> Drop:
-    """A drop that sets the field of that name in a draft, such as "camera.sensor.bits"."""
-    return lambda draft: put(draft, steps_of(name), value)
+def setting(name: str, *, to: Any = None) -> Drop:
+    """A drop that sets the field of that name, such as "camera.sensor.bits", in a draft."""
+    return lambda draft: put(draft, steps_of(name), to)
 
 
 def _names(record: Any, prefix: str) -> Iterator[str]:

@@ -120,7 +120,7 @@ class Choice:
             told = f"{why} rest adds at most {threshold:.3g} W m^-2 sr^-1"
             # of the shape of the first row, which is for a light
             own = np.full_like(self.chain.rows[0].amount, threshold)
-            return Row("lights in order", own, told, setting("threshold", threshold), saves=0.5)
+            return Row("lights in order", own, told, setting("threshold", to=threshold), saves=0.5)
 
         threshold, left = 1.0, self.goal.value - self.total - self.estimated
         for _ in range(_TRIES):

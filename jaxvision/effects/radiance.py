@@ -178,7 +178,7 @@ def extent(sums: Sums, onward: Onward, k: int) -> Row:
     change = pictured(sums, amount)
     if np.isinf(change).any():
         why += "; it is visible in a mirror, glass or a material without a bound"
-    return Row(name, change, why, setting(lamp, small), saves=_SAVES["extent"], part_of=lamp)
+    return Row(name, change, why, setting(lamp, to=small), saves=_SAVES["extent"], part_of=lamp)
 
 
 def _unknown(sums: Sums) -> np.ndarray:
@@ -235,7 +235,7 @@ def _largest_sent(
 
 def _make_lambertian(i: int) -> Drop:
     material = f"surfaces[{i}].material"
-    return lambda draft: setting(material, lambertian(value_at(draft, material)))(draft)
+    return lambda draft: setting(material, to=lambertian(value_at(draft, material)))(draft)
 
 
 def lobe(sums: Sums, onward: Onward, i: int) -> Row:
@@ -337,7 +337,7 @@ def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
 
     def drop(draft: Draft) -> Draft:
         found = value_at(draft, name)
-        return setting(name, mean_of(found))(draft) if is_map(found) else draft
+        return setting(name, to=mean_of(found))(draft) if is_map(found) else draft
 
     drops = None if place == "normals" else drop
     return Row(f"{name}.map", amount, why, drops, saves=_OWN)

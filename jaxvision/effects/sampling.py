@@ -42,7 +42,7 @@ def oversampling_row(
     why = f"{oversampling} samples along each side reach {reach:.2g} pixels from the middle"
     name = "sensor.pixel_aperture.oversampling"
     more = {"unit": IRRADIANCE, "place": reach, "saves": 0.5, "needs": parts}
-    return Row(name, amount, why, setting(f"camera.{name}", 1), **more)
+    return Row(name, amount, why, setting(f"camera.{name}", to=1), **more)
 
 
 def times(radiance: np.ndarray, gain: float) -> np.ndarray:

@@ -161,7 +161,7 @@ def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Ro
 
     def drop(draft: Draft) -> Draft:
         kept = tuple(own for own in draft.camera.sensor.own or () if own is not ends.low)
-        return setting("camera.sensor.own", kept)(draft)
+        return setting("camera.sensor.own", to=kept)(draft)
 
     return _row(f"sensor.own[{i}]", bound, pixel, drop)
 
@@ -170,7 +170,7 @@ def _faster(
     name: str, bound: BoundOf, kind: type[ShotNoise], pixel: Callable[[Gone], Pixel]
 ) -> Row:
     """The row of a faster counting method."""
-    field, drop = f"sensor.shot_noise.{name}", setting("camera.sensor.shot_noise", kind())
+    field, drop = f"sensor.shot_noise.{name}", setting("camera.sensor.shot_noise", to=kind())
     others = {"sensor.shot_noise", "sensor.shot_noise.exact", "sensor.shot_noise.whole"} - {field}
     return _row(field, bound, pixel, drop, saves=0.25, instead_of=frozenset(others))
 

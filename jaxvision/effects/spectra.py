@@ -142,7 +142,7 @@ def _pivots(table: np.ndarray) -> np.ndarray:
 
 
 def _step(bands: int, kept: np.ndarray, expand: np.ndarray, residual: np.ndarray) -> Row:
-    why, drop = f"{bands} bands from {len(kept)}", setting("bands", (kept, expand))
+    why, drop = f"{bands} bands from {len(kept)}", setting("bands", to=(kept, expand))
     grows = max(float(np.abs(expand).sum(1).max()), 1.0)
     more = {"ladder": "bands", "grows": grows, "saves": 1 - len(kept) / bands}
     return Row("bands", residual, why, drop, **more)
