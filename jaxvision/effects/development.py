@@ -27,7 +27,7 @@ from ..scene import (
 from .boxes import refuse_tracers, setting
 from .certificate import DN
 from .pixel import INF
-from .stages import Ends, Row
+from .stages import Ends, Row, by_field
 
 FILMIC_SLOPE = 1.8012  # the largest slope of the ACES curve, at 0.12
 SRGB_SLOPE = 12.92
@@ -150,22 +150,7 @@ def compression(development: Development) -> Factor:
     return Factor(INF, "JPEG rounds its coefficients: they jump")
 
 
-BOUNDS: dict[str, Callable[[Development], Factor]] = {
-    function.__name__: function
-    for function in (
-        black_level,
-        white_level,
-        demosaicing,
-        white_balance,
-        saturation,
-        denoising,
-        colour_matrix,
-        tone_map,
-        tone,
-        sharpening,
-        compression,
-    )
-}
+BOUNDS: dict[str, Callable[[Development], Factor]] = by_field(Development, globals())
 
 
 def lipschitz(development: Development | None) -> Factor:

@@ -15,9 +15,10 @@ from ..scene import (
     FastPoissonShotNoise,
     GaussianShotNoise,
     PoissonShotNoise,
+    Sensor,
 )
 from .pixel import INF, Bound, Pixel, growth
-from .stages import Ends
+from .stages import Ends, by_field
 
 # 2-Wasserstein distances from a Poisson law, e-. For the Gaussian with the same moments: the
 # largest in a table over means, at 0.86 e-. At many electrons it is sqrt(1/12 + 1/18), from
@@ -145,10 +146,7 @@ def shares_along(inefficiency: float, size: int, trail: int) -> tuple[np.ndarray
 
 
 BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
-    **{
-        function.__name__: function
-        for function in (shot_noise, brighter_fatter, full_well, blooming, charge_transfer)
-    },
+    **by_field(Sensor, globals()),
     **{name: partial(charge_effects, name) for name in ("mixing", "nonlinearity")},
 }
 # Replacements for a counting method: the name of the effect, the kinds that have it, its bound, and

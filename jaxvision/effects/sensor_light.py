@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..scene import Sensor
 from .electrons import share_of_light
 from .overflow import sensitivity_bias
 from .pixel import INF, Bound, Pixel, growth
-from .stages import Ends
+from .stages import Ends, by_field
 
 
 def photon_conversion(pixel: Pixel) -> Bound:
@@ -132,21 +133,4 @@ def _attenuator(pixel: Pixel, name: str, factor: float | np.ndarray, why: str) -
     return Bound(without.moved(taken, patterned=True), why)
 
 
-BOUNDS = {
-    function.__name__: function
-    for function in (
-        photon_conversion,
-        light_offset,
-        infrared_cut,
-        quantum_efficiency,
-        colour_filter,
-        pixel_aperture,
-        exposure_time,
-        crosstalk,
-        smear,
-        prnu,
-        dead_pixels,
-        dark_current,
-        hot_pixels,
-    )
-}
+BOUNDS = by_field(Sensor, globals())

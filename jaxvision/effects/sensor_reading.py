@@ -13,11 +13,12 @@ from functools import partial
 
 import numpy as np
 
-from ..scene import HeavyTailedReadNoise
+from ..scene import HeavyTailedReadNoise, Sensor
 from ..sensor import QUANTISATION_VARIANCE
 from .electrons import read_out_variances
 from .overflow import excess
 from .pixel import INF, Bound, Pixel, growth
+from .stages import by_field
 
 # Standard deviations within which a Gaussian gain is assumed; the tails are bounded separately.
 _WIDE = 9.0
@@ -257,8 +258,5 @@ EVERY_PIXEL = (
 )
 BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
     **{name: partial(every_pixel, name) for name in EVERY_PIXEL},
-    **{
-        function.__name__: function
-        for function in (conversion_prnu, telegraph_noise, column_prnu, gain, offset, taps, bits)
-    },
+    **by_field(Sensor, globals()),
 }

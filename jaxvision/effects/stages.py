@@ -20,8 +20,8 @@ Bounds must be valid for every picture between the full and the pruned one. They
 suprema that ignore everything that only removes light (shadows, rims, wells).
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -120,6 +120,12 @@ def unproved(row: Row, why: str) -> Row:
     """The row without a bound, which is kept for that reason."""
     amount = row.amount + np.inf
     return replace(row, why=why, amount=amount, estimated=False, after=None, drop=None)
+
+
+def by_field(record: type, functions: Mapping[str, Any]) -> dict[str, Any]:
+    """The functions with the name of a field of the record, in the order of its fields."""
+    names = (field.name for field in fields(record))
+    return {name: functions[name] for name in names if name in functions}
 
 
 class Method(NamedTuple):

@@ -52,14 +52,10 @@ def read_rgl(path: str | os.PathLike[str]) -> RGL:
     for name in needed:
         shape, wanted = fields[name].shape, shapes.get(name, ())
         if len(shape) != dimensions[name] or shape[: len(wanted)] != wanted or 0 in shape:
-            raise InputError(
-                f"{file}: field {name!r} has shape {shape}, which does not fit {nodes[0]} azimuths "
-                f"and {nodes[1]} elevations of {bands} bands; copy the file again."
-            )
+            grid = f"{nodes[0]} azimuths and {nodes[1]} elevations of {bands} bands"
+            raise _damaged(file, name, f"has shape {shape}, which does not fit {grid}")
         if not representable(fields[name]).all():
-            raise InputError(
-                f"{file}: field {name!r} holds values that are not finite; copy the file again."
-            )
+            raise _damaged(file, name, "holds values that are not finite")
     symmetry = _check_rgl_values(file, fields, spectral=spectral)
     dtype = jnp.result_type(float)
     table = {name: jnp.asarray(fields[name], dtype) for name in needed}
@@ -83,7 +79,7 @@ def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bo
     theta, phi = fields["theta_i"], fields["phi_i"]
     for name in ("theta_i", "phi_i"):
         if (np.diff(fields[name]) <= 0).any():
-            raise InputError(f"{file}: field {name!r} does not increase; copy the file again.")
+            raise _damaged(file, name, "does not increase")
     if theta[0] < 0 or theta[-1] > np.pi / 2 + 1e-4:
         raise InputError(
             f"{file}: field 'theta_i' runs from {theta[0]:g} to {theta[-1]:g}, which must lie in "
@@ -97,27 +93,25 @@ def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bo
         )
     symmetry = 1 if len(phi) <= 2 else round(2 * np.pi / span)
     if symmetry not in (1, 2, 4):
-        raise InputError(
-            f"{file}: field 'phi_i' spans {span:g} rad, which is neither a turn nor a half nor a "
-            "quarter of one; copy the file again."
-        )
+        turn = "which is neither a turn nor a half nor a quarter of one"
+        raise _damaged(file, "phi_i", f"spans {span:g} rad, {turn}")
     for name in ("ndf", "sigma", "vndf", "luminance"):
         lowest = fields[name].min()
         if lowest < 0:
-            raise InputError(
-                f"{file}: field {name!r} holds {lowest:g} where nothing can be negative; copy the "
-                "file again."
-            )
+            raise _damaged(file, name, f"holds {lowest:g} where nothing can be negative")
         if not fields[name].any():
-            raise InputError(f"{file}: field {name!r} is 0 everywhere; copy the file again.")
+            raise _damaged(file, name, "is 0 everywhere")
     if spectral:
         nanometres = fields["wavelengths"]
         if not np.isfinite(nanometres).all() or (nanometres < LEAST_NANOMETRES).any():
-            raise InputError(
-                f"{file}: field 'wavelengths' must hold finite numbers, in nm, of "
-                f"{LEAST_NANOMETRES:g} or more; copy the file again."
-            )
+            wanted = f"finite numbers, in nm, of {LEAST_NANOMETRES:g} or more"
+            raise _damaged(file, "wavelengths", f"must hold {wanted}")
     return symmetry
+
+
+def _damaged(file: Path, name: str, fault: str) -> InputError:
+    """The error for a field whose values cannot be those of the database."""
+    return InputError(f"{file}: field {name!r} {fault}; copy the file again.")
 
 
 def write_rgl(path: str | os.PathLike[str], material: RGL, *, description: str = "") -> None:
