@@ -13,19 +13,10 @@ import numpy as np
 
 from ..core._warnings import warn
 from ..errors import InputError, check_utf8
+from . import _tiff_tags as tiff
 from ._heads import png_chunks, targa_bits
 from ._netpbm import NETPBM_FORMATS, netpbm_head
-from ._tiff_tags import (
-    BITS,
-    BLACKS,
-    BLACKS_ALONG,
-    BLACKS_SIZE,
-    COLOUR_MAP,
-    PALETTE,
-    PHOTOMETRIC,
-    SAMPLE_FORMAT,
-    tiff_pictures,
-)
+from ._tiff_tags import tiff_pictures
 from .raw import FITS_FORMATS, RAW_FORMATS, extra, fits_header, opened_raw
 
 ABSOLUTE_ZERO = -273.15  # degrees Celsius
@@ -152,11 +143,11 @@ def _depth(file: Path, said: Mapping[str, Any]) -> int | None:
     page = next((page for page in tiff_pictures(file) if not page.is_copy), None)
     if page is None:
         return targa_bits(file) if "targa:version" in said else whole
-    if page.first(PHOTOMETRIC) == PALETTE:
-        colours = np.array(page.values.get(COLOUR_MAP, (1,)))
+    if page.first(tiff.PHOTOMETRIC) == tiff.PALETTE:
+        colours = np.array(page.values.get(tiff.COLOUR_MAP, (1,)))
         return 8 if not (colours % 257).any() or not (colours % 256).any() else 16
-    bits = page.first(BITS, 1)
-    return bits if page.first(SAMPLE_FORMAT, 1) == 1 and bits <= 16 else None
+    bits = page.first(tiff.BITS, 1)
+    return bits if page.first(tiff.SAMPLE_FORMAT, 1) == 1 and bits <= 16 else None
 
 
 def _raw_settings(file: Path) -> ImageSettings:
@@ -210,10 +201,10 @@ def _dng_blacks(file: Path) -> np.ndarray | None:
     for page in tiff_pictures(file):
         for picture in (page, *page.inner):
             along_columns, along_rows = (
-                np.array(picture.values.get(t, (0,))) for t in BLACKS_ALONG
+                np.array(picture.values.get(t, (0,))) for t in tiff.BLACKS_ALONG
             )
-            height, width = picture.values.get(BLACKS_SIZE, (1, 1))[:2]
-            levels = np.array(picture.values.get(BLACKS, ()), float)
+            height, width = picture.values.get(tiff.BLACKS_SIZE, (1, 1))[:2]
+            levels = np.array(picture.values.get(tiff.BLACKS, ()), float)
             if picture.is_copy or levels.size < max(height * width, 1):
                 continue
             if len(set(along_columns)) == len(set(along_rows)) == 1:

@@ -28,28 +28,13 @@ from ..core._warnings import warn
 from ..core.interrupts import removed_if_interrupted
 from ..core.plain_arrays import plain_array
 from ..errors import InputError, check_utf8, nearest, unwritable
+from . import _tiff_tags as tiff
 from ._heads import PALETTE as PNG_PALETTE
 from ._heads import PngChunks, jpeg_extras, png_chunks, targa_bits
 from ._netpbm import NETPBM_FORMATS, read_netpbm
 from ._plain_content import damaged, file_at
 from ._radiance import END_OF_RANGE, is_radiance, read_radiance
-from ._tiff_tags import (
-    ALPHA,
-    BITS,
-    COLOUR_MAP,
-    COLUMNS,
-    GDAL_MISSING,
-    GDAL_WORDS,
-    INKS,
-    LIGHT,
-    MULTIPLIED,
-    PALETTE,
-    PHOTOMETRIC,
-    ROWS,
-    WHITE_IS_ZERO,
-    TiffPicture,
-    tiff_pictures,
-)
+from ._tiff_tags import TiffPicture, tiff_pictures
 from .raw import FITS_FORMATS, RAW_FORMATS, listed, read_fits, read_raw
 
 _LOG = logging.getLogger("jaxvision.io")
@@ -221,7 +206,7 @@ def _read_by_openimageio(
         _refuse_unlike_pictures(file, spec, page)
         chosen, names = _channels(file, spec, layer)
         sample = _sample(file, spec, chosen)
-        if page and page.first(PHOTOMETRIC) == PALETTE:
+        if page and page.first(tiff.PHOTOMETRIC) == tiff.PALETTE:
             pixels = _palette_colours(file, number, page)
         else:
             pixels = _pixels(file, source, number, chosen, sample)
@@ -311,10 +296,10 @@ def _place(
 def _refuse_unlike_pictures(file: Path, spec: Any, page: TiffPicture | None) -> None:
     """Raise `InputError` for content that is not a picture of light in rows and columns."""
     inks = spec.get_string_attribute("jpeg:ColorSpace") in ("CMYK", "YCCK")
-    photometric = page.first(PHOTOMETRIC, 1) if page else 1
-    if inks or photometric == INKS:
+    photometric = page.first(tiff.PHOTOMETRIC, 1) if page else 1
+    if inks or photometric == tiff.INKS:
         raise InputError(f"{file}: holds amounts of ink (CMYK), not light; convert it to RGB.")
-    if photometric not in LIGHT:
+    if photometric not in tiff.LIGHT:
         raise InputError(
             f"{file}: holds CIE Lab or other colours ({photometric}), not light; convert it to RGB."
         )
@@ -388,7 +373,7 @@ def _stored_codes(
 ) -> np.ndarray:
     """The codes of the file, which its decoder has stretched to 8 or 16 bits."""
     if not np.issubdtype(pixels.dtype, np.integer):
-        if page and page.first(PHOTOMETRIC, 1) == WHITE_IS_ZERO:
+        if page and page.first(tiff.PHOTOMETRIC, 1) == tiff.WHITE_IS_ZERO:
             raise InputError(f"{file}: floating numbers with white as zero; save it the other way.")
         return pixels
     full = 8 * pixels.dtype.itemsize
@@ -396,12 +381,12 @@ def _stored_codes(
     if chunks:
         bits = 8 if chunks.colour_type == PNG_PALETTE else chunks.depth
     elif page:
-        bits = page.first(BITS, 1)
+        bits = page.first(tiff.BITS, 1)
     elif spec.get_int_attribute("targa:version"):
         bits = targa_bits(file)
     if bits < full:
         pixels = pixels >> (full - bits)  # the last bits repeat the first ones, exactly or nearly
-    if page and page.first(PHOTOMETRIC, 1) == WHITE_IS_ZERO and full == 16:
+    if page and page.first(tiff.PHOTOMETRIC, 1) == tiff.WHITE_IS_ZERO and full == 16:
         pixels = (2**bits - 1) - pixels  # the decoder itself does this up to 8 bits
     return _significant(file, pixels, bits, chunks) if chunks else pixels
 
@@ -437,8 +422,8 @@ def _repeat_bits(codes: np.ndarray, source: int, bits: int) -> np.ndarray:
 def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
     """(h, w, 3) colours of a TIFF's palette at full depth, by indices from a copy of the file
     declared grey; the decoder keeps 8 bits."""
-    bits = page.first(BITS, 1)
-    colours = np.array(page.values.get(COLOUR_MAP, ()))
+    bits = page.first(tiff.BITS, 1)
+    colours = np.array(page.values.get(tiff.COLOUR_MAP, ()))
     if len(colours) != 3 << bits:
         raise damaged(file, f"its palette holds {len(colours)} numbers where {3 << bits} belong")
     with tempfile.TemporaryDirectory() as folder:
@@ -446,7 +431,7 @@ def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
         shutil.copyfile(file, grey)
         with grey.open("r+b") as stream:
             order = "little" if stream.read(2) == b"II" else "big"
-            stream.seek(page.places[PHOTOMETRIC])
+            stream.seek(page.places[tiff.PHOTOMETRIC])
             stream.write((1).to_bytes(2, order))
         with _open(grey) as source:
             indices = _pixels(file, source, number, [0], str(source.spec(number, 0).format))
@@ -463,8 +448,8 @@ def _warn_of_unused(
 ) -> None:
     """Warn about metadata that the array does not contain."""
     said = [
-        f"its picture of {x.first(ROWS)} x {x.first(COLUMNS)} and {x.first(BITS, 1)} bits in a "
-        "SubIFD: export it as a file of its own"
+        f"its picture of {x.first(tiff.ROWS)} x {x.first(tiff.COLUMNS)} and "
+        f"{x.first(tiff.BITS, 1)} bits in a SubIFD: export it as a file of its own"
         for x in (page.inner if page else ())
         if not x.is_copy
     ]
@@ -483,7 +468,7 @@ def _warn_of_unused(
         said += chunks.scales
     if kind == "jpeg":
         said += jpeg_extras(file)
-    if page and page.first(ALPHA) == MULTIPLIED:
+    if page and page.first(tiff.ALPHA) == tiff.MULTIPLIED:
         said.append("that its colours are multiplied by alpha (those of most files are not)")
     white = spec.get_float_attribute("whiteLuminance", 0.0)
     if white > 0:
@@ -503,14 +488,14 @@ def _warn_of_unused(
 def _gdal_scaling(page: TiffPicture) -> list[str]:
     """GDAL's metadata of a GeoTIFF: scale, offset, and the value of missing data."""
     items = re.findall(
-        r"<Item[^>]*\brole=[\"'](scale|offset)[\"'][^>]*>\s*([^<\s]+)", page.text(GDAL_WORDS)
+        r"<Item[^>]*\brole=[\"'](scale|offset)[\"'][^>]*>\s*([^<\s]+)", page.text(tiff.GDAL_WORDS)
     )
     plain = {"scale": 1.0, "offset": 0.0}
     told = [f"{role} = {number}" for role, number in items if _differs(number, plain[role])]
     said = []
     if told:
         said.append(f"its {', '.join(dict.fromkeys(told))} by GDAL: the numbers are as stored")
-    if missing := page.text(GDAL_MISSING).strip():
+    if missing := page.text(tiff.GDAL_MISSING).strip():
         said.append(f"that pixels of {missing} are missing, by GDAL")
     return said
 
