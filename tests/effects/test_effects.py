@@ -318,13 +318,16 @@ def test_what_cannot_be_bounded_says_why():
 def test_tracers_are_refused():
     scene = jv.Scene(FLOOR, jv.PointLight([0, 0, 2], [1.0]))
 
-    def traced(x):
+    def of_light(x):
         moved = replace(scene.lights[0], intensity=x)
         effects.inspect(replace(scene, lights=(moved,)), VIEW)
-        return x
 
-    with pytest.raises(ValueError, match="outside jit"):
-        jax.jit(traced)(jnp.ones(1))
+    def of_sensor(x):
+        effects.prune(scene, jv.Camera(VIEW, jv.Sensor(gain=x[0])), "1DN")
+
+    for traced in (of_light, of_sensor):
+        with pytest.raises(ValueError, match="outside jit"):
+            jax.eval_shape(traced, jnp.ones(1))
 
 
 def test_what_is_free_stays_and_bounds_hold_over_its_box():
