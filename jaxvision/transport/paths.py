@@ -122,6 +122,7 @@ class _Path(eqx.Module):
     alive: Bool[Array, ""]
 
 
+@one_program
 def path_sample(scene: Scene, ray: Ray, stream: Stream, *, method: Paths) -> Colour:
     """Compute the radiance of ONE random path.
 
@@ -134,11 +135,6 @@ def path_sample(scene: Scene, ray: Ray, stream: Stream, *, method: Paths) -> Col
     Returns:
         (bands,) W m^-2 sr^-1; its mean over streams is the radiance along the ray.
     """
-    return _path_sample(scene, ray, stream, method)
-
-
-@one_program
-def _path_sample(scene: Scene, ray: Ray, stream: Stream, method: Paths) -> Colour:
     return jnp.stack(_walk(world_of(scene), ray, stream, method))
 
 

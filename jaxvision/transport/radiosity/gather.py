@@ -58,6 +58,7 @@ from .solution import DEFAULT_RULE, Solution
 _LARGEST = 256  # arrays of at most so many numbers are indexed by each pixel
 
 
+@one_program
 def radiosity_along(
     scene: Scene,
     plan: Plan,
@@ -83,13 +84,6 @@ def radiosity_along(
     Returns:
         (bands,) W m^-2 sr^-1.
     """
-    return _radiance(scene, plan, solution, ray, rule, gather)
-
-
-@one_program
-def _radiance(
-    scene: Scene, plan: Plan, solution: Solution, ray: Ray, rule: Rule, gather: MonteCarlo | None
-) -> Colour:
     enclosure = _enclosure_of(scene, plan, solution)
     rules = rules_of(scene, rule, count=len(enclosure.sources))
     return _along(enclosure, ray, rules, gather)
