@@ -3,6 +3,7 @@
 Each band is its own array here, because vector code is slow over a trailing axis of three.
 """
 
+import functools
 from collections.abc import Callable
 
 import jax
@@ -60,15 +61,18 @@ def weighted_mean(
 ) -> Planes:
     """sum w f / sum w over the neighbours up to `radius` away for which `taken(dy, dx)`, or all.
     `weight_of(change, dy, dx)` gets guide(p + (dy, dx)) - guide(p) on the picture and `margin`
-    pixels around it. Border "normalised_zero" leaves out neighbours outside. The backward pass
+    pixels around it. A neighbour has no weight if, there or in its margin, one guide is infinite
+    and the other is not. Border "normalised_zero" leaves out neighbours outside. The backward pass
     recomputes each row of neighbours."""
     zero = jnp.zeros_like(values[0])
     height, width = zero.shape[1:]
     present = (_pad_guide(zero + 1, radius, border),) if border == "normalised_zero" else ()
     values = tuple(_pad_guide(plane, radius, border) for plane in values)
     guide = tuple(_pad_guide(plane, radius + margin, border) for plane in guide)
+    signs = _signs_of_infinity(guide)
+    guide = tuple(jnp.where(jnp.isinf(plane), 0, plane) for plane in guide)
     inner = slice(radius, radius + height + 2 * margin), slice(radius, radius + width + 2 * margin)
-    here = tuple(g[:, *inner] for g in guide)
+    here, signs_here = tuple(g[:, *inner] for g in guide), signs[:, *inner]
 
     @jax.checkpoint
     def row(dy: Int[Array, ""]) -> tuple[Planes, Plane]:
@@ -77,12 +81,17 @@ def weighted_mean(
             for planes in (values, present)
         )
         guides = tuple(lax.dynamic_slice_in_dim(g, dy, height + 2 * margin, 1) for g in guide)
+        signs_of_row = lax.dynamic_slice_in_dim(signs, dy, height + 2 * margin, 1)
         sums, total = tuple(zero for _ in lines), zero
         for dx in range(2 * radius + 1):
             there = (lax.slice_in_dim(g, dx, dx + width + 2 * margin, axis=2) for g in guides)
             change = tuple(a - b for a, b in zip(there, here, strict=True))
             weight = weight_of(change, dy - radius, dx - radius)
             moved = tuple(lax.slice_in_dim(f, dx, dx + width, axis=2) for f in lines)
+            signs_there = lax.slice_in_dim(signs_of_row, dx, dx + width + 2 * margin, axis=2)
+            near = ~_any_around(signs_there != signs_here, margin)
+            weight = jnp.where(near, weight, 0)
+            moved = tuple(jnp.where(near, f, 0) for f in moved)
             for here_or_not in inside:
                 weight = weight * lax.slice_in_dim(here_or_not, dx, dx + width, axis=2)
             if taken is not None:
@@ -99,6 +108,18 @@ def weighted_mean(
     start = tuple(zero for _ in values), zero
     (sums, total), _ = lax.scan(add, start, jnp.arange(2 * radius + 1, dtype=jnp.int32))
     return tuple(s / total for s in sums)
+
+
+def _signs_of_infinity(guide: Planes) -> Plane:
+    """One number for each pixel, which tells the bands that are +inf, -inf and finite."""
+    signs = (jnp.where(jnp.isinf(g), jnp.sign(g), 0) * 3.0**k for k, g in enumerate(guide))
+    return lax.stop_gradient(functools.reduce(jnp.add, signs))
+
+
+def _any_around(flags: Bool[Array, "images _ _"], margin: int) -> Bool[Array, "images _ _"]:
+    """Whether any flag within `margin` rows and columns is set, where all of them exist."""
+    side = 2 * margin + 1
+    return lax.reduce_window(flags, False, lax.bitwise_or, (1, side, side), (1, 1, 1), "valid")
 
 
 def _pad_guide(plane: Plane, by: int, border: str) -> Plane:

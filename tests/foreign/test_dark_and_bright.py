@@ -183,3 +183,44 @@ def test_weights_and_curves_do_not_depend_on_their_unit(exponent):
     curve = jv.tone_curve(picture, inputs, outputs)
     np.testing.assert_array_equal(jv.tone_curve(picture, inputs, unit * outputs), unit * curve)
     np.testing.assert_array_equal(jv.tone_curve(unit * picture, unit * inputs, outputs), curve)
+
+
+def bilateral_by_definition(picture, sigma_space, sigma_range, radius):
+    """Each window by itself, in float64; what is infinitely far in value has no weight."""
+    rows, columns = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    space = np.exp(-(rows**2 + columns**2) / (2 * sigma_space**2))
+    around = sliding_window_view(
+        np.pad(picture.astype(float), radius, mode="symmetric"), space.shape
+    )
+    means = np.empty(picture.shape)
+    for place in np.ndindex(picture.shape):
+        value, here = around[place], float(picture[place])
+        alike = value == here
+        change = np.where(alike, 0, value - np.where(alike, 0, here))
+        weight = space * np.exp(-(change**2) / (2 * sigma_range**2))
+        means[place] = (weight * np.where(weight > 0, value, 0)).sum() / weight.sum()
+    return means
+
+
+@pytest.mark.parametrize("bands", [0, 2])
+def test_infinite_pixels_have_no_part_in_the_means_of_others(bands):
+    """A saturated or broken pixel of an EXR: the others are as by the definition, it stays."""
+    picture = np.random.default_rng(0).random((9, 11)).astype(np.float32)
+    picture[4, 5], picture[4, 6], picture[2, 2] = np.inf, -np.inf, np.inf
+    true = bilateral_by_definition(picture, 1.5, 0.2, 2)
+    assert np.isfinite(true).sum() == picture.size - 3
+    given = np.repeat(picture[..., None], bands, -1) if bands else picture
+    sigma = 0.2 * max(bands, 1) ** 0.5  # equal bands add up their squares
+
+    def smooth(given):
+        return filters.bilateral_filter(given, 1.5, sigma, radius=2)
+
+    got = np.asarray(smooth(given))
+    np.testing.assert_allclose(got[..., -1] if bands else got, true, rtol=2e-5)
+    slopes = jax.grad(lambda x: jnp.where(jnp.isfinite(given), smooth(x), 0).sum())(given)
+    assert np.isfinite(slopes).all()
+    patches = np.asarray(filters.nonlocal_means_filter(given, 0.2, radius=2, patch=3))
+    assert np.isfinite(patches).sum() == given.size - 3 * max(bands, 1)
+    usual = patches[np.isfinite(patches)]
+    assert given[np.isfinite(given)].min() <= usual.min()
+    assert usual.max() <= 1
