@@ -33,7 +33,6 @@ from .command_line import (
     sub_command,
 )
 
-PERCENT_MEANT = 100.0  # a bare number from 1 to this is taken as a forgotten per cent
 MEASURED = 240.0  # s, default time of the measurement before --accuracy or --seconds choose
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 SceneArgument = Annotated[
@@ -349,11 +348,6 @@ def _share(text: str) -> float:
     if goal.unit != "relative" or not goal.value > 0:
         raise InputError(f"--accuracy {text}: give a share of the picture above 0, as in 1%.")
     if goal.value >= 1:
-        if "%" not in text and goal.value < PERCENT_MEANT:
-            raise InputError(
-                f"--accuracy {text} is {100 * goal.value:g} %; write {text}% or "
-                f"{goal.value / 100:g}."
-            )
         raise InputError(
             f"--accuracy {text}: even a black picture errs by no more than 100 %; give less, as in "
             "1%."

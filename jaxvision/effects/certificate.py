@@ -87,7 +87,8 @@ def parse(text: str, *, place: float | None = None, rare: float | None = None) -
         The tolerance.
 
     Raises:
-        InputError: for any other text.
+        InputError: for any other text, and for a number of 1 or more without a unit, which is
+            100 % of the picture and probably a forgotten per cent.
 
     Example:
         >>> from jaxvision import effects
@@ -103,6 +104,11 @@ def parse(text: str, *, place: float | None = None, rare: float | None = None) -
     if not np.isfinite(value):
         raise InputError(
             f"a tolerance is a number and its unit, as in 1%, 0.5DN or 0.1sigma, got {text!r}."
+        )
+    if found and not found[2] and value >= 1:
+        instead = f"write {value:g}% or {value / 100:g}" if value < 100 else "give less, as in 1%"
+        raise InputError(
+            f"a tolerance of {value:g} without a unit is {100 * value:g} %; {instead}."
         )
     return Tolerance(value, unit, place, rare)  # pyright: ignore[reportArgumentType]
 

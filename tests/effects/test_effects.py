@@ -2,6 +2,7 @@
 traps by hand. The pictures are drawn by an oracle that shares no code with the library."""
 
 import json
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -438,6 +439,22 @@ def test_options_of_another_kind_are_refused(options, sentence):
 def test_no_tolerance_is_refused(text):
     with pytest.raises(jv.InputError, match="tolerance"):
         effects.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("1", "is 100 %; write 1% or 0.01."),
+        ("2.5", "is 250 %; write 2.5% or 0.025."),
+        ("100", "is 10000 %; give less, as in 1%."),
+    ],
+)
+def test_a_forgotten_per_cent_is_refused(text, sentence):
+    """Within 100 % of the level, everything may be dropped and the picture is black."""
+    scene = jv.Scene(FLOOR, jv.PointLight([0, 0, 2], [1.0]))
+    with pytest.raises(jv.InputError, match=re.escape(sentence)):
+        effects.prune(scene, VIEW, text, level=1.0)
+    assert effects.parse("0.99").value == 0.99
 
 
 def test_a_certificate_explains_itself():
