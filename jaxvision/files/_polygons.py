@@ -83,11 +83,11 @@ def _clip_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def obj_in_triangles(text: str) -> str | None:
-    """An OBJ file with its polygons divided into triangles; None if all of them are convex."""
-    joined = text.replace("\\\r\n", " ").replace("\\\n", " ")
-    if not re.search(r"^[ \t]*f(?:[ \t]+\S+){4}", joined, re.MULTILINE):
+    """An OBJ file, whose lines are whole, with its polygons divided into triangles; None if all of
+    them are convex."""
+    if not re.search(r"^[ \t]*f(?:[ \t]+\S+){4}", text, re.MULTILINE):
         return None
-    lines = joined.splitlines()
+    lines = text.splitlines()
     vertices, places, polygons = [], [], []
     for place, line in enumerate(lines):
         words = line.split("#", 1)[0].split()

@@ -262,6 +262,9 @@ def _load(file: Path):
 _OBJ_ZERO = re.compile(r"^[ \t]*f\b(?:[^\n#]*\s)0+(?=[/\s]|$)", re.MULTILINE)
 _OBJ_CURVED = re.compile(r"^[ \t]*(curv2?|surf)\b", re.MULTILINE)
 _OBJ_COMMENT = re.compile(r"^([ \t]*(?:v[tnp]?|f|l|p)[ \t][^\n#]*)#.*", re.MULTILINE)
+# a line that goes on in the next; a comment does not, though it may end in a backslash
+_OBJ_CONTINUED = re.compile(r"^([^#\n]*)\\[ \t]*\r?\n", re.MULTILINE)
+_OBJ_PATH = re.compile(r"(#.*?)[\\ \t]+(?=\r?$)", re.MULTILINE)
 _UNIT = re.compile(
     r"^[ \t]*(?:#|comment\b).*\bunits?\b"
     r"[ \t]*(?:[:=]|is\b|are\b|in\b(?=[ \t]+\w))?[ \t]*(?:1[ \t]*)?"
@@ -280,6 +283,7 @@ def _source(file: Path) -> dict[str, Any]:
         text = plain.decode("latin-1")
         if "\n" not in text:
             text = text.replace("\r", "\n")
+        text = _OBJ_CONTINUED.sub(r"\1 ", _OBJ_PATH.sub(r"\1", text))
         text = _OBJ_COMMENT.sub(r"\1", text)
         if _OBJ_ZERO.search(text):
             raise unlike(file, "a face names the vertex 0, where OBJ counts from 1")

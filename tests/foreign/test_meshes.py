@@ -148,6 +148,19 @@ def test_a_face_over_two_lines_is_covered_once(tmp_path, end):
     np.testing.assert_allclose(areas(read_mesh(file)), 2.5)
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("notch", [".5", "3"])  # a corner that is not convex, or none
+def test_a_comment_that_ends_in_a_backslash_hides_no_vertex(tmp_path, end, notch):
+    """A pentagon by the shoelace formula, written below the folder of its program."""
+    file = tmp_path / "a.obj"
+    comment = "# written by C:\\models\\"
+    lines = [comment, "v 0 0 0", "v 2 0 0", "v 2 2 0 # in D:\\", f"v 1 {notch} 0", "v 0 2 0"]
+    lines += ["f 1 2 \\", " 3 4 5 # over two lines", "v 9 9 9", ""]
+    file.write_bytes(end.join(lines).encode())
+    corners = np.array([[0, 0], [2, 0], [2, 2], [1, float(notch)], [0, 2]])
+    np.testing.assert_allclose(areas(read_mesh(file)), shoelace(corners))
+
+
 @pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
 def test_comments_and_line_ends_of_an_obj_do_not_matter(tmp_path, newline):
     file = tmp_path / "m.obj"
