@@ -32,6 +32,7 @@ from ..lights import (
     nearest_seen,
     rules_of,
 )
+from ..lights.environment_quadrature import warn_of_skies
 from ..scene import Light, Material, Scene, Surface, TriangleMesh, View
 from .edges import Edges, moving_edges
 from .maps import Patch, Varied, at_patch, patch_of, shading_normal, summed, varied_surfaces
@@ -44,7 +45,7 @@ from .pixel_loop import (
     numbers_of,
     photograph,
 )
-from .shading import Lighting, largest_reflected, lighting, reflected_radiance
+from .shading import CURE, Lighting, largest_reflected, lighting, reflected_radiance
 from .shadows import (
     DEFAULT_RULE,
     TRACED,
@@ -370,7 +371,8 @@ def render(
     Returns:
         (h, w, bands) W m^-2 sr^-1.
 
-    All integrators warn of a shape so far from the origin that rounding in its dtype deforms it.
+    All integrators warn of a shape so far from the origin that rounding in its dtype deforms it,
+    and those with a quadrature of a sky whose sun it misses, if the numbers are known.
     Integrators that follow reflected light also warn of a surface that reflects more than it
     receives.
 
@@ -388,6 +390,7 @@ def render(
     check_given("render: scene", scene, Scene)
     check_given("render: view", view, View)
     warn_if_coarse(*(surface.shape for surface in scene.surfaces))
+    warn_of_skies(scene.lights, rules_of(scene, rule), CURE)
     wide = samples is None and varied_surfaces(scene) is not None
     along = direct_along(scene, rule, wide=wide, threshold=threshold)
     radiance = photograph(along, view, samples, keep=(TRACED,), wide=wide).radiance

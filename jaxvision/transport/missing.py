@@ -45,11 +45,9 @@ from ..lights import (
     Rule,
     can_be_seen,
     incident,
-    light_nodes,
     rules_of,
 )
-from ..lights.environment import environment_node
-from ..lights.incidence import Incident
+from ..lights.environment_quadrature import found_by_quadrature
 from ..optics import view_ray
 from ..rendering.scene_checks import reflects_ambient
 from ..rendering.shadows import DEFAULT_RULE
@@ -59,10 +57,6 @@ from .ray_tree import DEFAULT_RULE as RULE_OF_RAYS
 
 Integrator = Literal["direct", "rays", "path", "light", "radiosity"]
 RARE = 1e-3  # a lamp is reported if a smaller share of paths hits it by chance
-# An error of irradiance is reported above this fraction of the environment's largest irradiance; a
-# smooth sky stays below.
-MISSED = 0.1
-_ROWS = 64  # an environment with fewer rows is interpolated to at least so many
 _FACES = 24  # largest number of successive mirror and glass faces that are counted
 _SIDE = 24  # rays along each side of the picture that are followed to count the faces
 _NAMED = 3  # largest number of objects that a sentence names
@@ -235,41 +229,12 @@ def _between_directions(
 ) -> list[str]:
     """Return a sentence if a quadrature finds far too little or too much light of an
     environment."""
-    power = np.asarray(light.radiance, float).mean(axis=-1)
-    rows, columns = (size * -(-_ROWS // power.shape[0]) for size in power.shape)
-    edges = np.cos(np.linspace(0, np.pi, rows + 1))
-    cosine = np.cos((np.arange(rows) + 0.5) * np.pi / rows)
-    around = (np.arange(columns) + 0.5) / columns
-    places = np.stack(np.meshgrid((1 - cosine) / 2, around, indexing="ij"), -1).reshape(-1, 2)
-    weights = np.repeat((edges[:-1] - edges[1:]) / (2 * columns), columns)
-    if rows == power.shape[0]:
-        turn = np.pi * (1 - 2 * places[:, 1])
-        height = 1 - 2 * places[:, 0]
-        across = np.sqrt(np.maximum(1 - height**2, 0))
-        own_axes = np.stack([across * np.cos(turn), across * np.sin(turn), height], -1)
-        whole = own_axes @ np.asarray(light.rotation, float), 4 * np.pi * power.ravel() * weights
-    else:
-        whole = _arriving(light, places, weights)
-    brightest = whole[0][np.argmax(whole[1])]
-    normals = np.concatenate([np.eye(3), -np.eye(3), brightest[None]])
-    nodes, shares = (np.asarray(x) for x in light_nodes(light, rule, light.radiance.dtype))
-    found, true = (
-        np.array([np.maximum(directions @ normal, 0) @ amounts for normal in normals])
-        for directions, amounts in (_arriving(light, nodes, shares), whole)
-    )
-    worst = int(np.argmax(np.abs(found - true)))
-    if not abs(found[worst] - true[worst]) > MISSED * true.max():
+    if (wrong := found_by_quadrature(light, rule)) is None:
         return []
-    facing = ", ".join(f"{x:.2f}" for x in normals[worst] + 0.0)
-    lost = found[worst] < true[worst]
     cures = "" if integrator == "rays" else "rule = 'balanced' or 'monte_carlo', or "
     return [
-        f"{'Missing' if lost else 'Too much'}: light of {name}. On a surface that faces ({facing}) "
-        f"its irradiance is {true[worst]:.3g} W/m^2, of which quadrature of order {rule.order} "
-        f"finds {found[worst]:.3g}, {found[worst] / true[worst]:.2g} times as much: its "
-        f"{len(nodes)} directions {'pass by' if lost else 'meet by chance'} a small bright part, "
-        f"such as a sun. Set {cures}integrator = 'path', or take the sun out of the map and add "
-        "a directional light."
+        f"{wrong.sentence(name)} Set {cures}integrator = 'path', or take the sun out of the map "
+        "and add a directional light."
     ]
 
 
@@ -407,21 +372,6 @@ def _rare(light: str, faces: str, chance: float, samples: int | None) -> str:
         f"one path in {round(1 / chance):,}. {shown} Set integrator = 'light', which finds it on "
         "purpose."
     )
-
-
-def _arriving(
-    light: EnvironmentMap, places: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the world directions of positions in the unit square, and the irradiance from each,
-    W m^-2, averaged over the bands."""
-    sent = _nodes(light, jnp.asarray(places, light.radiance.dtype))
-    amounts = np.asarray(sent.irradiance, float).mean(axis=-1) * weights
-    return np.asarray(as_array(sent.direction), float), amounts
-
-
-@jax.jit
-def _nodes(light: EnvironmentMap, places: Float[Array, "n 2"]) -> Incident:
-    return jax.vmap(lambda u: environment_node(light, jnp.zeros(3, u.dtype), u))(places)
 
 
 def _rarely_found(

@@ -149,6 +149,46 @@ def test_a_sun_between_the_directions_of_a_quadrature_is_named(rows, own):
     assert missing_light(scene, integrator="path") == []
 
 
+def sky_with_a_sun(rows: int) -> tuple[jv.EnvironmentMap, float]:
+    """A sky that is black but for one pixel, and the radiance of the floor under it: radiance times
+    solid angle times the cosine to the zenith, in closed form."""
+    row, columns = rows // 6, 2 * rows
+    radiance = np.zeros((rows, columns, 1))
+    radiance[row, 7] = 1e5
+    edges = np.cos(np.pi * np.array([row, row + 1]) / rows)
+    within = -np.diff(edges**2)[0] / 2 * (2 * np.pi / columns)  # of cos(theta) over the pixel
+    return jv.environment_map(radiance), 1e5 * within * 0.5 / np.pi
+
+
+@pytest.mark.parametrize("rows", [64, 200])
+@pytest.mark.parametrize("name", ["render", "ray_traced", "outgoing_radiance"])
+def test_pictures_warn_of_a_sun_that_their_quadrature_misses(name, rows):
+    """The picture is black or far too bright by a quadrature; the cure that is named finds it."""
+    sky, true = sky_with_a_sun(rows)
+    scene, up = jv.Scene([FLOOR], [sky]), jnp.array([0.0, 0.0, 1.0])
+    calls = {
+        "render": lambda: jv.render(scene, BELOW)[4, 4],
+        "ray_traced": lambda: ray_traced(scene, BELOW)[4, 4],
+        "outgoing_radiance": lambda: jv.outgoing_radiance(GREY, [sky], jnp.zeros(3), up, up),
+    }
+    with pytest.warns(
+        UserWarning, match=r"light of lights\[0\].* such as a sun\. .*SunDisc"
+    ) as said:
+        found = float(calls[name]()[0])
+    assert len(said) == 1
+    assert abs(found / true - 1) > 0.5
+    rule = jv.Balanced(jax.random.key(0), 256)
+    cured = jv.outgoing_radiance(GREY, [sky], jnp.zeros(3), up, up, rule=rule)
+    assert float(cured[0]) == pytest.approx(true, rel=0.1)
+
+
+def test_pictures_of_smooth_skies_say_nothing():
+    clear = jv.lights.daylight(12, [0.3, 0.2, 0.8], irradiance=[1.0])
+    for sky in (jv.environment_map(np.ones((4, 8, 1))), clear):
+        picture = jv.render(jv.Scene([FLOOR], [sky]), BELOW)
+        assert float(picture[4, 4, 0]) > 0
+
+
 @pytest.mark.slow
 def test_skies_that_a_quadrature_finds_are_not_named():
     height = np.cos(np.pi * (np.arange(64) + 0.5) / 64)[:, None, None]

@@ -1,0 +1,123 @@
+"""How much of an environment's light a quadrature finds."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..core._types import is_known
+from ..core._vector import as_array
+from ..core._warnings import warn_caller
+from ..scene import Light
+from ._registry import Incident
+from ._samples import light_nodes
+from .environment import EnvironmentMap, environment_node
+from .rules import Quadrature, Rule
+
+# An error of irradiance is reported above this fraction of the environment's largest irradiance; a
+# smooth sky stays below.
+MISSED = 0.1
+_ROWS = 64  # an environment is interpolated to at least so many rows, or averaged to at most twice
+
+
+class Found(NamedTuple):
+    """The irradiance of an environment on a surface, W m^-2, and the part that a quadrature
+    finds."""
+
+    normal: np.ndarray
+    true: float
+    found: float
+    rule: Quadrature
+    directions: int
+
+    def sentence(self, name: str) -> str:
+        """What the quadrature finds of the light of this name."""
+        lost = self.found < self.true
+        facing = ", ".join(f"{x:.2f}" for x in self.normal + 0.0)
+        return (
+            f"{'Missing' if lost else 'Too much'}: light of {name}. On a surface that faces "
+            f"({facing}) its irradiance is {self.true:.3g} W/m^2, of which quadrature of order "
+            f"{self.rule.order} finds {self.found:.3g}, {self.found / self.true:.2g} times as "
+            f"much: its {self.directions} directions {'pass by' if lost else 'meet by chance'} a "
+            "small bright part, such as a sun."
+        )
+
+
+def found_by_quadrature(light: EnvironmentMap, rule: Quadrature) -> Found | None:
+    """Return what a quadrature finds of an environment, where that is far too little or too much
+    for the surface that it serves worst among seven; else None. The light is not traced."""
+    whole = _whole(light)
+    brightest = whole[0][np.argmax(whole[1])]
+    normals = np.concatenate([np.eye(3), -np.eye(3), brightest[None]])
+    nodes, shares = (np.asarray(x) for x in light_nodes(light, rule, light.radiance.dtype))
+    found, true = (
+        np.array([np.maximum(directions @ normal, 0) @ amounts for normal in normals])
+        for directions, amounts in (_arriving(light, nodes, shares), whole)
+    )
+    worst = int(np.argmax(np.abs(found - true)))
+    if not abs(found[worst] - true[worst]) > MISSED * true.max():
+        return None
+    return Found(normals[worst], float(true[worst]), float(found[worst]), rule, len(nodes))
+
+
+def warn_of_skies(lights: Sequence[Light], rules: Sequence[Rule], cure: str) -> None:
+    """Warn of the first environment of known numbers of which its quadrature finds far too little
+    or too much. `cure`: a sentence."""
+    for i, (light, rule) in enumerate(zip(lights, rules, strict=True)):
+        if not (isinstance(light, EnvironmentMap) and isinstance(rule, Quadrature)):
+            continue
+        if not all(map(is_known, jax.tree.leaves(light))):
+            continue
+        with jax.ensure_compile_time_eval():  # known values may occur inside a trace
+            wrong = found_by_quadrature(light, rule)
+        if wrong is not None:
+            warn_caller(f"{wrong.sentence(f'lights[{i}]')} {cure}")
+            return
+
+
+def _whole(light: EnvironmentMap) -> tuple[np.ndarray, np.ndarray]:
+    """Return world directions, (n, 3), and the irradiance from each, W m^-2, averaged over the
+    bands, of the whole environment."""
+    radiance = np.asarray(light.radiance)
+    rows, columns = (size * -(-_ROWS // radiance.shape[0]) for size in radiance.shape[:2])
+    edges = np.cos(np.linspace(0, np.pi, rows + 1))
+    cosine = np.cos((np.arange(rows) + 0.5) * np.pi / rows)
+    around = (np.arange(columns) + 0.5) / columns
+    weights = (edges[:-1] - edges[1:]) / (2 * columns)
+    if rows > radiance.shape[0]:
+        places = np.stack(np.meshgrid((1 - cosine) / 2, around, indexing="ij"), -1).reshape(-1, 2)
+        return _arriving(light, places, np.repeat(weights, columns))
+    mean = radiance @ np.full(radiance.shape[-1], 1 / radiance.shape[-1], radiance.dtype)
+    power = mean * (4 * np.pi * weights[:, None])
+    # blocks of pixels, each at its middle
+    down, across = (np.arange(0, size, max(1, rows // _ROWS)) for size in (rows, columns))
+    power = np.add.reduceat(np.add.reduceat(power, down, axis=0), across, axis=1)
+    theta = np.pi / 2 * (down + np.append(down[1:], rows)) / rows
+    turn = np.pi * (1 - (across + np.append(across[1:], columns)) / columns)
+    own_axes = np.stack(
+        [
+            np.outer(np.sin(theta), np.cos(turn)),
+            np.outer(np.sin(theta), np.sin(turn)),
+            np.outer(np.cos(theta), np.ones_like(turn)),
+        ],
+        axis=-1,
+    )
+    return own_axes.reshape(-1, 3) @ np.asarray(light.rotation, float), power.ravel()
+
+
+def _arriving(
+    light: EnvironmentMap, places: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the world directions of positions in the unit square, and the irradiance from each,
+    W m^-2, averaged over the bands."""
+    sent = _nodes(light, jnp.asarray(places, light.radiance.dtype))
+    amounts = np.asarray(sent.irradiance, float).mean(axis=-1) * weights
+    return np.asarray(as_array(sent.direction), float), amounts
+
+
+@jax.jit
+def _nodes(light: EnvironmentMap, places: Float[jax.Array, "n 2"]) -> Incident:
+    return jax.vmap(lambda u: environment_node(light, jnp.zeros(3, u.dtype), u))(places)
