@@ -2,12 +2,14 @@
 loses most of them.
 
 Every operation of the function's jaxpr runs in float64 on its float32 operands. An inexact result
-is rounded to float32 at random, up or down, so that its expectation is exact; an exact one is kept,
-so that compensated sums and products work. The scatter over several runs is the error by rounding
-(Parker, "Monte Carlo Arithmetic", UCLA CSD-970002, 1997). If the float32 operation itself has an
-error above one ULP, as special functions and long sums may have, this error is added with a random
-sign. A loop, a branch or a linear solve is reported as one operation, but each operation in it is
-rounded.
+is rounded to float32 at random, up or down: with the probability that makes its expectation exact,
+but at least 3/8, so that a few runs show what is lost of a small number that is added to a large
+one. An exact result is kept, so that compensated sums and products work. The scatter over several
+runs is the error by rounding (Parker, "Monte Carlo Arithmetic", UCLA CSD-970002, 1997). If the
+float32 operation itself has an error above one ULP, as special functions and long sums may have,
+this error is added with a random sign. A result that underflows to 0 is at random 0 or the smallest
+normal number. A loop, a branch or a linear solve is reported as one operation, but each operation
+in it is rounded.
 """
 
 from collections.abc import Callable
@@ -30,6 +32,7 @@ _WIDE = {
     np.dtype(np.float32): np.dtype(np.float64),
     np.dtype(np.complex64): np.dtype(np.complex128),
 }
+_RARELY = 3 / 8  # probability of an inexact result's farther neighbour, at least
 _OWN = 2.0  # ULP, beyond which an operation has an error of its own
 _LOSS = 1.0  # lost digits, beyond which an operation is named
 
@@ -255,23 +258,28 @@ def _count_unstacked(outside: list[Any], inside: list[Any]) -> int:
 
 
 def _round_at_random(exact: Any, native: Any, key: Any) -> Any:
-    """A float64 rounded to a neighbouring float32, so that its expectation is the number itself;
-    `native` is the float32 of the operation itself, whose own error is taken with either sign."""
+    """A float64 rounded to a neighbouring float32; `native` is the float32 of the operation itself,
+    whose own error is taken with either sign."""
     if jnp.iscomplexobj(exact):
         parts = zip((exact.real, exact.imag), (native.real, native.imag), (2, 3), strict=True)
         return jax.lax.complex(
             *(_round_at_random(x, y, jax.random.fold_in(key, i)) for x, y, i in parts)
         )
+    smallest = float(jnp.finfo(jnp.float32).tiny)
+    lost = (native == 0) & (exact != 0) & (jnp.abs(exact) < smallest)
     near, off = exact.astype(jnp.float32), native.astype(jnp.float64) - exact
     unit = jnp.abs(jnp.nextafter(near, jnp.float32(jnp.inf)) - near).astype(jnp.float64)
     sign = jax.random.rademacher(jax.random.fold_in(key, 1), exact.shape, jnp.float64)
+    least = jnp.where(sign > 0, smallest * jnp.sign(exact), 0).astype(jnp.float32)
     exact = jnp.where(jnp.isfinite(off) & (jnp.abs(off) > _OWN * unit), exact + sign * off, exact)
     near = exact.astype(jnp.float32)
     rest = exact - near.astype(jnp.float64)
     other = jnp.nextafter(near, jnp.where(rest > 0, jnp.inf, -jnp.inf).astype(jnp.float32))
     gap = jnp.abs(other.astype(jnp.float64) - near.astype(jnp.float64))
-    chance = jnp.where((rest != 0) & jnp.isfinite(gap) & (gap > 0), jnp.abs(rest) / gap, 0)
-    return jnp.where(jax.random.uniform(key, exact.shape) < chance, other, near)
+    inexact = (rest != 0) & jnp.isfinite(gap) & (gap > 0)
+    chance = jnp.where(inexact, jnp.maximum(jnp.abs(rest) / gap, _RARELY), 0)
+    rounded = jnp.where(jax.random.uniform(key, exact.shape) < chance, other, near)
+    return jnp.where(lost, least, rounded)
 
 
 def _name_operation(eqn: Any) -> str:

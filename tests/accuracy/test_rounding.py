@@ -147,6 +147,38 @@ def of_a_function(entry):
     return np.median(told[known]), min(-np.log10(max(usual, 1e-20)), 7.22)
 
 
+@pytest.mark.parametrize(
+    ("lossy", "fine", "at"),
+    [
+        (lambda x: jnp.exp(-x), lambda x: 1 + jnp.exp(-x), 200.0),  # exp(-200) is 1.4e-87
+        (lambda x: jnp.log(jnp.exp(-x * x)), lambda x: -x * x, 20.0),
+        (lambda x: jnp.sqrt(x * x + x * x), lambda x: jnp.sqrt(2.0) * x, 1e-25),
+        (lambda x: x * x * 1e30 * 1e30, lambda x: (x * 1e30) ** 2, 1e-30),
+    ],
+)
+def test_what_underflows_has_no_digits(lossy, fine, at):
+    """float32 ends at 1e-38, float64 at 1e-308: what is 0 in one and not in the other has lost all
+    of its digits; beside a number of ordinary size the loss is nothing."""
+    x = np.float32(at)
+    with jax.enable_x64(True):  # each operation by itself: XLA would simplify log(exp(x))
+        assert float(lossy(jnp.asarray(x))) in (0, -np.inf)
+        assert float(lossy(jnp.asarray(at))) not in (0, -np.inf)
+    lost = digits(lossy, x)
+    assert not lost.fewest >= 1  # NaN where it is not finite
+    assert digits(fine, x).fewest > 5.5
+    assert lost.operation.split()[:1] != []
+
+
+@pytest.mark.parametrize("x", [1e-3, 1e-5])
+def test_a_small_number_that_is_absorbed_is_lost(x):
+    """1e8 + x is 1e8 in float32, and 1 - cos(x) from 1e-4 down is 0: no digit of x is left."""
+    assert digits(lambda x: (x + 1e8) - 1e8, np.float32(x)).fewest < 0.5
+    assert digits(lambda x: 1 - jnp.cos(x), np.float32(x)).fewest < 2
+    kept = digits(lambda x: x + 1e8, np.float32(x))
+    assert kept.fewest > 6.5
+    assert kept.operation == ""
+
+
 @pytest.mark.slow
 def test_digits_of_many_functions_are_those_of_float32_against_float64():
     """Within half a digit for 43 functions of the table of errors, every third of it."""
