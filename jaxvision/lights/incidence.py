@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers
+from ..core._loops.groups import fold
 from ..core._numerics import dot
 from ..core._types import Colour, Scalar, common_dtype
 from ..core._vector import Direction, Vector
@@ -139,15 +140,16 @@ def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
         >>> print(jv.lights.nearest_seen([high, low], jv.Ray([0, 0, 0], [0, 0, 1])).distance)
         3.0
     """
-    distance = jnp.full_like(ray.origin.x, jnp.inf)
-    radiance = jnp.zeros_like(ray.origin.x)
-    for light in filter(can_be_seen, lights):
+
+    def nearer(before: Seen, light: Light) -> Seen:
         ahead = seen(light, ray)
-        both_far = jnp.isinf(distance) & jnp.isinf(ahead.distance)
-        behind = radiance + jnp.where(both_far, ahead.radiance, 0)
-        radiance = jnp.where(ahead.distance < distance, ahead.radiance, behind)
-        distance = jnp.minimum(ahead.distance, distance)
-    return Seen(distance, radiance)
+        both_far = jnp.isinf(before.distance) & jnp.isinf(ahead.distance)
+        behind = before.radiance + jnp.where(both_far, ahead.radiance, 0)
+        radiance = jnp.where(ahead.distance < before.distance, ahead.radiance, behind)
+        return Seen(jnp.minimum(ahead.distance, before.distance), radiance)
+
+    nothing = Seen(jnp.full_like(ray.origin.x, jnp.inf), jnp.zeros_like(ray.origin.x))
+    return fold(nearer, nothing, [light for light in lights if can_be_seen(light)])
 
 
 @takes_numbers

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool
 
 from ..core._arguments import takes_numbers
 from ..core._loops.fusion import materialise
+from ..core._loops.groups import UNROLLED
 from ..core._shown import Shown
 from ..core._types import Scalar, common_dtype
 from ..core._vector import Direction, Vector, as_vec
@@ -36,7 +37,6 @@ DEFAULT_RULE = Quadrature(8)
 
 # marks results of a search among all shapes, which are small and expensive to recompute
 TRACED = "traced"
-UNROLLED = 8  # up to so many lights without size are unrolled; more are summed by a loop
 
 Visible = tuple[Bool[Array, " _"] | None, ...]
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..core._loops.bands import Bands, plus, split_bands, times
 from ..core._loops.fusion import materialise
-from ..core._loops.groups import Tree, call_member, group_by_structure, row
+from ..core._loops.groups import Tree, call_member, fold, group_by_structure, row
 from ..core._numerics import divide, dot, or_one, reciprocal, safe_sqrt, smallest_divisor
 from ..core._types import Colour, Scalar
 from ..core._vector import Vec, as_vec
@@ -262,13 +262,16 @@ def shining_ahead(
     shown = jnp.where(visible(nearest.distance), shown, 0)
     ends = looks & visible(nearest.distance) & jnp.isfinite(nearest.distance)
     passed = jnp.zeros_like(shown)
+
+    def passing(so_far: Colour, light: Light) -> Colour:
+        ahead = seen(light, ray)
+        drawn = direction_pdf(light, ray.origin, ray.direction) / emitters.count
+        weight = chance_weight(strategy, density, drawn)
+        arriving = ahead.radiance * transmitted(absorption, ahead.distance)
+        return so_far + jnp.where(visible(ahead.distance), weight, 0) * arriving
+
     if strategy != "lights":
-        for light in emitters.lights:
-            ahead = seen(light, ray)
-            drawn = direction_pdf(light, ray.origin, ray.direction) / emitters.count
-            weight = chance_weight(strategy, density, drawn)
-            arriving = ahead.radiance * transmitted(absorption, ahead.distance)
-            passed = passed + jnp.where(visible(ahead.distance), weight, 0) * arriving
+        passed = fold(passing, passed, emitters.lights)
     of_lights = split_bands(jnp.where(looks, shown, passed), bands)
     return plus(tuple(jnp.where(ends, 0, x) for x in found), of_lights), ends
 

@@ -1,11 +1,14 @@
 """Inverse square, constancy, and the point that is the light itself."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import integrate
 
+import jaxvision as jv
 from jaxvision import as_array, as_dtype
 from jaxvision.lights import (
     Balanced,
@@ -135,3 +138,43 @@ def test_rays_of_a_small_light_carry_its_flux_by_the_cosine():
     np.testing.assert_allclose(flux.mean(axis=0), [3 * within(np.pi / 2), 1.5 * within(np.pi / 2)])
     near = direction @ normal > np.sqrt(0.5)
     np.testing.assert_allclose((flux[:, 0] * near).mean(), 3 * within(np.pi / 4))
+
+
+def test_any_number_of_lamps_of_one_kind_is_one_program():
+    """The nearest of many lamps is that of a plain loop over them, and a scene of 60 lamps has as
+    many operations that compute as one of 20: only the stacking of their numbers grows."""
+    rng = np.random.default_rng(0)
+
+    def lamps(count):
+        corners = rng.uniform(-1, 1, (count, 3)) + np.array([0.0, 0, 3])
+        return [
+            jv.RectangleLight(corner, [0.0, 0.4, 0], [0.4, 0.0, 0], [float(i + 1)])
+            for i, corner in enumerate(corners)
+        ]
+
+    many = [*lamps(20), jv.environment_map(np.full((2, 4, 1), 0.5))]
+    ways = rng.uniform(-0.3, 0.3, (12, 3)) + np.array([0.0, 0, 1])
+    rays = [jv.Ray(np.zeros(3), way / np.linalg.norm(way)) for way in ways]
+    nearest, alone = jax.jit(jv.lights.nearest_seen), jax.jit(jv.lights.seen)
+    met = 0
+    for ray in rays:
+        each = [alone(light, ray) for light in many]
+        first = min(float(seen.distance) for seen in each)  # what is at infinity adds up
+        radiance = sum(float(seen.radiance[0]) for seen in each if float(seen.distance) == first)
+        found = nearest(many, ray)
+        np.testing.assert_allclose(found.distance, first)
+        np.testing.assert_allclose(found.radiance, [radiance])
+        met += bool(np.isfinite(first))
+    assert met > 2
+
+    floor = jv.Surface(jv.Quad([-2.0, -2, 0], [4.0, 0, 0], [0.0, 4, 0]), jv.Lambert([0.2]))
+    ball = jv.Surface(jv.Sphere([0.0, 0, 1], 0.2), jv.Lambert([0.2]))
+    view = jv.Orthographic([0, 0, 2], np.diag([1.0, -1, -1]), 0.1, resolution=(2, 2))
+    moving = {"broadcast_in_dim", "concatenate", "slice", "squeeze", "reshape", "gather", "copy"}
+
+    def operations(count):
+        text = str(jax.make_jaxpr(jv.render)(jv.Scene([floor, ball], lamps(count)), view))
+        names = re.findall(r"= ([a-z_0-9]+)[\[ ]", text)
+        return sum(name not in moving for name in names)
+
+    assert operations(60) < 1.05 * operations(20)

@@ -2,7 +2,7 @@
 stack may be traced."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import partial, reduce
 from typing import Any, TypeVar
 
 import jax
@@ -13,6 +13,8 @@ from jaxtyping import Array, Bool, Int
 from .._types import Record
 
 Tree = TypeVar("Tree")
+
+UNROLLED = 8  # up to so many records are unrolled; more are done by a loop
 
 
 def group_by_structure(
@@ -71,6 +73,19 @@ def call_member(
         here = function(record)
         chosen = here if chosen is None else jax.tree.map(partial(jnp.where, among), here, chosen)
     return chosen
+
+
+def fold(step: Callable[[Tree, Record], Tree], start: Tree, records: Sequence[Record]) -> Tree:
+    """Apply `step` to a result and each record in turn. Beyond `UNROLLED` records, those of equal
+    structure share one loop, so that compiling takes the same time for any number of them."""
+    if len(records) <= UNROLLED:
+        return reduce(step, records, start)
+    result = start
+    for members, group in group_by_structure(records):
+        result = step(result, records[members[0]])  # of the shape of all later results
+        rest = jax.tree.map(lambda leaf: leaf[1:], group)
+        result, _ = jax.lax.scan(lambda so_far, one: (step(so_far, one), None), result, rest)
+    return result
 
 
 def row(leaf: Array, slot: Int[Array, ""]) -> Array:
