@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int, Shaped
 
 from ..core._arguments import takes_numbers
 from ..core._loops.fusion import materialise
-from ..core._types import Scalars
+from ..core._types import Scalars, is_known
 from ._planes import (
     Binning,
     Pixels,
@@ -61,9 +61,9 @@ def equalise_locally(
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
         tiles: rows and columns of tiles, each at least 1.
-        clip_limit: () no unit, largest count in a bin as a multiple of the mean count of a tile's
-            bins. The excess is redistributed evenly, so that 1 leaves the contrast unchanged. None
-            for no limit: each tile is fully equalised.
+        clip_limit: () no unit, above 0: the largest count in a bin as a multiple of the mean count
+            of a tile's bins. The excess is redistributed evenly, so that 1 leaves the contrast
+            unchanged. None for no limit: each tile is fully equalised.
         bins: number of bins of a floating image; None takes 256.
         value_range: (low, high) of a floating image, relative; None takes [0, 1].
 
@@ -71,8 +71,8 @@ def equalise_locally(
         The image's shape, unit and dtype.
 
     Raises:
-        ValueError: for tiles of another form, for bins or a range with an integer image, and as for
-            `exact_histogram`.
+        ValueError: for tiles of another form, for a clip_limit of 0 or below, for bins or a range
+            with an integer image, and as for `exact_histogram`.
 
     Example:
         >>> ramp = np.linspace(0.4, 0.6, 64).reshape(8, 8)
@@ -84,6 +84,11 @@ def equalise_locally(
     if np.shape(tiles) != (2,) or not all(isinstance(n, Integral) and n >= 1 for n in tiles):
         raise ValueError(
             f"tiles must be (rows, columns), whole numbers of at least (1, 1), got {tiles}."
+        )
+    if clip_limit is not None and is_known(clip_limit) and np.any(np.asarray(clip_limit) <= 0):
+        raise ValueError(
+            f"clip_limit must be above 0, got {float(np.min(clip_limit)):g}; None is for no limit, "
+            "which OpenCV writes as 0."
         )
     check_codes_whole(stack, bins, value_range)
     chosen, parts = binning(stack, bins, value_range), (int(tiles[0]), int(tiles[1]))

@@ -277,6 +277,12 @@ def test_clahe_is_opencvs(tiles, clip_limit):
     assert levels_apart(ours, peer.apply(CODES)) <= 1
 
 
+def test_a_clip_limit_of_0_is_refused_as_opencv_means_none_by_it():
+    for limit in (0, 0.0, -1.0):
+        with pytest.raises(ValueError, match="None is for no limit, which OpenCV writes as 0"):
+            equalise_locally(CODES, clip_limit=limit)
+
+
 def test_clahe_of_sixteen_bits_is_opencvs():
     import cv2
 
