@@ -120,7 +120,7 @@ def projected_matte(image: Picture, foreground: Picture, background: Picture) ->
         background: (..., bands) or (bands,), relative.
 
     Returns:
-        (..., 1) alpha, no unit.
+        (..., 1) alpha, no unit; 1 where both colours are equal, so that any alpha fits.
 
     Source: Levin, Lischinski, Weiss 2008, equation 1: a projection onto one line.
 
@@ -161,7 +161,7 @@ def least_squares_matte(
         backgrounds: the same shape, relative.
 
     Returns:
-        (..., bands + 1), a layer.
+        (..., bands + 1), a layer; alpha is 1 where all backgrounds are equal, so that any fits.
 
     Raises:
         ValueError: for unequal shapes or fewer than two pictures.
@@ -205,7 +205,7 @@ def triangulation_matte(
         background_2: (..., bands) the second background.
 
     Returns:
-        (..., bands + 1), a layer.
+        (..., bands + 1), a layer; alpha is 1 where all backgrounds are equal, so that any fits.
 
     Raises:
         ValueError: for two pictures, or backgrounds, of different shapes.
