@@ -46,8 +46,7 @@ FORMS = {
 
 @pytest.mark.parametrize("name", FORMS)
 def test_digits_are_those_of_float32_against_many(name):
-    """Within a digit of the error of float32 at 20 near numbers; the operation is that which
-    cancels, or is flat."""
+    """Within a digit of the error of float32 at 20 near numbers."""
     form, exact, operation = FORMS[name]
     near = X * np.linspace(1, 1.01, 20, dtype=np.float32)
     true = np.array([float(exact(mp.mpf(float(x)))) for x in near])

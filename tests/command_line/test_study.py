@@ -119,8 +119,7 @@ def test_drift_is_the_regression_line_where_it_is_not_chance():
 
 @pytest.fixture
 def cameras(tmp_path, monkeypatch):
-    """Three folders, and a calibration that counts how often it is asked for: the mean code of the
-    first flat, from the file."""
+    """Three folders, and a calibration that counts how often it is asked for."""
     asked = []
 
     def calibrated(path, step, draws):

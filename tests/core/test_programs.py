@@ -105,8 +105,7 @@ class _Own(NamedTuple):
 
 @pytest.fixture
 def kept(untouched, monkeypatch):
-    """A folder with the whole program of 2 x + 1, and how to call it again: traced only where that
-    is said."""
+    """A folder with the whole program of 2 x + 1, and how to call it again."""
     monkeypatch.setattr(programs, "_keeps_whole", False)
     programs.keep_programs()
 

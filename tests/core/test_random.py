@@ -111,9 +111,7 @@ def places(pixels, samples, dimensions, dtype=jnp.float64):
 
 @pytest.mark.parametrize(("dimensions", "root"), [(2, 1.32471795724), (4, 1.16730397826)])
 def test_samples_of_a_pixel_are_a_kronecker_sequence_with_a_shift_of_its_own(dimensions, root):
-    """Steps of the powers of the roots of x^3 = x + 1 and x^5 = x + 1, which Roberts gives; the
-    shifts, and the samples of all pixels together, are uniform and the first few of no pixel are
-    those of another."""
+    """Steps of the powers of the roots of x^3 = x + 1 and x^5 = x + 1, which Roberts gives."""
     made = places(512, 64, dimensions)
     steps = (made[:, 1:] - made[:, :-1]) % 1
     expected = np.broadcast_to(root ** -np.arange(1.0, dimensions + 1), steps.shape)
@@ -124,8 +122,7 @@ def test_samples_of_a_pixel_are_a_kronecker_sequence_with_a_shift_of_its_own(dim
 
 
 def test_a_lattice_covers_a_pixel_more_evenly_than_independent_numbers():
-    """The part of a pixel left of and above a corner, by 64 samples: the variance of independent
-    ones is p (1 - p) / 64."""
+    """The part of a pixel left of and above a corner, by 64 samples."""
     made, corner = places(512, 64, 2), np.array([0.4, 0.7])
     covered = (made < corner).all(axis=-1).mean(axis=1)
     p = corner.prod()

@@ -140,8 +140,7 @@ def eulumdat(symmetry, planes, table, *, lumens=2000.0, factor=1.0, sets=1, rati
 )
 @pytest.mark.parametrize("sets", [1, 2])
 def test_eulumdat(symmetry, first, kept, sets, tmp_path):
-    """cd per 1000 lm of the lamps, decimal commas; each stored plane is where it should be, and
-    the flux is the share of the lamps' that 1000 / pi cd for 1000 lm and the cosine make: all."""
+    """cd per 1000 lm of the lamps, decimal commas."""
     planes = np.arange(0, 360, 45)
     table = np.broadcast_to(np.cos(np.radians(GAMMA)) * 1000 / np.pi, (kept, len(GAMMA))).copy()
     tall = table / (1 + 0.1 * np.arange(kept)[:, None])
@@ -158,8 +157,7 @@ def test_eulumdat(symmetry, first, kept, sets, tmp_path):
 
 
 def test_sets_of_lamps_are_read_in_either_order(tmp_path):
-    """The standard has all numbers of lamps, then all types; many programs have one whole set, then
-    the next."""
+    """The standard has all numbers of lamps, then all types."""
     planes, table = np.arange(0, 360, 45), np.cos(np.radians(GAMMA)) * 1000 / np.pi
     lines = eulumdat(1, planes, table, sets=2).split("\r\n")
     lines[26:38] = [lines[26 + 2 * field + one] for one in (0, 1) for field in range(6)]

@@ -47,8 +47,7 @@ def refused(reader, path, *words):
 
 
 def test_merl_layout_is_the_published_one(tmp_path):
-    """Each valid bin holds what was written at its angles; marked bins hold the nearest valid
-    value, or zero."""
+    """Each valid bin holds what was written at its angles."""
     data, valid = oracle.merl_bytes(reflectance, SHAPE)
     path = write(tmp_path, "paint.binary", data)
     table = files.read_merl(path)
@@ -200,9 +199,7 @@ def test_a_binary_file_is_no_cornell_file(tmp_path):
 
 @pytest.mark.slow
 def test_scattered_samples_become_a_table():
-    """Samples of a known lobe at Cornell's angles: the table reproduces them and interpolates
-    between them, reciprocal and mirror-symmetric.
-    """
+    """Samples of a known lobe at Cornell's angles."""
     theta = np.radians(np.arange(10, 81, 10.0))
     axes = np.meshgrid(theta, np.radians(np.arange(0, 80, 8.0)), np.linspace(0, np.pi, 19))
     theta_i, theta_o, phi = (axis.ravel() for axis in axes)
@@ -242,9 +239,7 @@ def rgl_fields(rng, **options):
 @pytest.mark.sweep
 @pytest.mark.parametrize("bands", [None, 5])
 def test_rgl_fields_and_round_trip(tmp_path, bands):
-    """Values against the construction written out over the same fields; after writing and reading,
-    the material is equal to the file's float32.
-    """
+    """Values against the construction written out over the same fields."""
     fields = rgl_fields(np.random.default_rng(3), bands=bands)
     path = write(tmp_path, "m.bsdf", oracle.tensor_bytes(fields))
     material = files.read_measured(path)

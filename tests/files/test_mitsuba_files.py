@@ -29,9 +29,7 @@ def read(folder, *parts, version="3.0.0"):
 @pytest.mark.parametrize("name", ["shapes", "lens", "lamps", "metals", "maps"])
 @pytest.mark.filterwarnings("ignore:.*facets hide each other")
 def test_pictures_are_those_of_mitsuba(name, tmp_path):
-    """The mean of all pixels, and the rms difference, within the noise of both: Mitsuba's is known,
-    ours that of two halves. Besides, 0.2 % of the mean and 0.4 % of a pixel, since Mitsuba's skies
-    are interpolated otherwise and rough metal differs by what its warning says."""
+    """The mean of all pixels, and the rms difference, within the noise of both."""
     mitsuba_pictures.write_scenes(tmp_path)
     write_image(tmp_path / "sky.exr", mitsuba_pictures.sky())
     for file, codes in mitsuba_pictures.textures().items():
@@ -152,8 +150,7 @@ def test_an_old_file_is_read_with_its_names(tmp_path):
 
 @pytest.mark.filterwarnings("ignore:.*max_depth has no limit")
 def test_plastics_are_bodies_under_coats(tmp_path):
-    """Their albedo is that which returns as much: r / (1 - r R) of it is r / (1 - R) of Mitsuba's
-    default, R = 0.59635 of the index 1.5; a rough one is told of."""
+    """Their albedo is that which returns as much."""
     index = '<float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/>'
     grey = '<rgb name="diffuse_reflectance" value="0.9 0.5 0.1"/>'
     inside = '<shape type="sphere"><bsdf type="{}">{}</bsdf></shape><emitter type="constant"/>'

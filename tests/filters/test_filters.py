@@ -412,8 +412,7 @@ def test_auto_takes_passes_for_a_kernel_of_low_rank_and_the_transform_for_a_larg
 
 @pytest.mark.slow
 def test_normalising_knows_a_sum_of_rounding():
-    """Weights whose exact sum is 0, in single precision: inside the answer is 0, not noise over
-    noise, and as a matrix too."""
+    """Weights whose exact sum is 0, in single precision."""
     bell = np.exp(-(np.arange(-7, 8.0) ** 2) / 8)
     kernel = np.outer(bell / bell.sum(), bell)
     kernel -= kernel.mean()

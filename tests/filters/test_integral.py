@@ -50,8 +50,7 @@ def test_sliding_windows(size):
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_small_boxes_far_from_the_origin_keep_their_digits(dtype):
-    """A dark corner below a bright sky: the sum above is 10^9 times the box's own. One number a
-    sum would keep no digit of it in float32."""
+    """A dark corner below a bright sky: the sum above is 10^9 times the box's own."""
     image = np.full((400, 300), 1e4)
     image[-3:, -3:] = RNG.random((3, 3))
     image = image.astype(dtype)

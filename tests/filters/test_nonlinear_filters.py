@@ -179,8 +179,7 @@ def test_nonlocal_means_is_the_loop(profile, noise, cutoff):
 
 
 def test_nonlocal_means_is_scikit_images():
-    """scikit-image's exp is approximate (weights within some 4 %), so its change is within 4 %;
-    inside, where its other border is not seen."""
+    """scikit-image's exp is approximate (weights within some 4 %), so its change is within 4 %."""
     from skimage import restoration
 
     image = RNG.random((20, 20)) * 0.2 + np.linspace(0, 1, 20)

@@ -151,8 +151,7 @@ SCIPY = {
 @pytest.mark.parametrize("method", ["auto", pytest.param("fft", marks=pytest.mark.slow)])
 @pytest.mark.sweep
 def test_an_even_kernel_of_several_pictures_size(border, method):
-    """SciPy's sums; those that it lacks entry by entry: a straight line goes on, and weights
-    outside do not count."""
+    """SciPy's sums; those that it lacks entry by entry."""
     random = np.random.default_rng(3)
     picture, kernel = random.uniform(size=(3, 2)), random.uniform(0.1, 1, size=(10, 14))
     fill = 0.3 if border == "constant" else 0.0

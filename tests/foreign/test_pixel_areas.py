@@ -88,9 +88,7 @@ def test_normals_within_pixels_of_a_map_follow_from_neighbours():
 @pytest.mark.parametrize("parts", [1, 8])
 @pytest.mark.parametrize("top", [4095, 2400])
 def test_highlights_of_a_few_pixels_have_their_width(top, parts):
-    """In pictures of a camera, and in pictures rendered at the middle of each pixel. As points,
-    specular and exponent of the camera's were 6 standard errors off, and with clipped highlights
-    20 %."""
+    """In pictures of a camera, and in pictures rendered at the middle of each pixel."""
     images = np.minimum(exposed(np.random.default_rng(0), signal(LIGHTS, parts)), top)
     camera = Camera(bits=12, black_level=BLACK, gain=GAIN, read_noise=READ, saturation=top)
     seen = observed(images, camera=camera)

@@ -102,8 +102,7 @@ def test_lamps_that_paths_behind_glass_hardly_meet_are_named():
 
 @pytest.mark.slow
 def test_the_share_of_pixels_that_meet_rare_light_is_said():
-    """A caustic under a pane, of a chip that one path in 31,416 meets at most: the pixels that are
-    not black are those whose errors know of it."""
+    """A caustic under a pane, of a chip that one path in 31,416 meets at most."""
     chip = jv.RectangleLight([-0.01, -0.01, 2], [0.0, 0.02, 0], [0.02, 0.0, 0], [4e4])
     scene = jv.Scene([FLOOR, PANE], [chip])
     (said,) = missing_light(scene, integrator="path", samples=256)

@@ -142,8 +142,7 @@ def test_levels_of_two_gains_are_named_at_the_break():
 
 
 def test_darks_that_the_camera_subtracted_from_itself_are_named():
-    """Noise reduction from the fifth exposure on: twice the read-out's variance, and no dark
-    current that the variance would tell."""
+    """Noise reduction from the fifth exposure on."""
     rng = np.random.default_rng(8)
 
     def own(i, electrons):

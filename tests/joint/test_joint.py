@@ -150,8 +150,7 @@ def photographs(
     rng, *, lights=7, scatter=0.01, turn=0.0, stray=0.0, prnu=0.0, gamma=GAMMA,
     exponent=EXPONENT, body=1.0, size=SIZE,
 ):  # fmt: skip
-    """A Phong ball under lights that are not quite what they are said to be: Poisson electrons,
-    read noise, encoding, rounding; all in NumPy."""
+    """A Phong ball under lights that are not quite what they are said to be."""
     nodes, shares = np.polynomial.legendre.leggauss(4)  # places within a pixel, along each side
     at = (np.arange(size)[:, None] + nodes / 2).ravel()
     row, column = np.meshgrid(at, at, indexing="ij")
@@ -229,8 +228,7 @@ def likelihood_of(measurement):
 
 
 def test_only_what_the_rig_calls_for_is_in_the_likelihood():
-    """No Cholesky factor where the lights are exact, no power where the files are linear; and each
-    error that the rig names adds operations."""
+    """No Cholesky factor where the lights are exact, no power where the files are linear."""
     images, lights = photographs(np.random.default_rng(0), gamma=1)
     exact = Camera(bits=12, black_level=BLACK, gain=GAIN, read_noise=READ)
 
@@ -490,9 +488,7 @@ def test_wide_cells_say_what_fine_ones_say():
 
 @pytest.mark.slow
 def test_a_surface_that_is_not_the_models_is_no_noise():
-    """A body that falls as the cosine to the power 1.2: the gain stays the sensor's, since pixels
-    of like normals scatter no more; a misfit is found, and said, and its band holds what it says of
-    an unseen light."""
+    """A body that falls as the cosine to the power 1.2."""
     measurement = large_ball(np.random.default_rng(5), body=1.2)
     found = calibrate(measurement)
     (fit,) = found.fits
@@ -599,9 +595,7 @@ def test_what_all_cells_of_an_image_miss_is_no_noise_of_a_free_sensor(waves, prn
 @pytest.mark.slow
 @pytest.mark.parametrize("together", [False, True])
 def test_images_whose_lights_were_turned_are_judged_one_by_one(together):
-    """The angles of the lights have their axis of images last; the scores of all images sum to the
-    gradient of the likelihood, which at the best fit is that of the priors. Lights that were
-    measured together have one covariance."""
+    """The angles of the lights have their axis of images last."""
     lab = Lab(Sphere(direction_sd=np.radians(1.0)), gamma=1.0)
     measurement = photographed(lab, 0)
     if together:
@@ -621,8 +615,7 @@ def test_images_whose_lights_were_turned_are_judged_one_by_one(together):
 
 @pytest.mark.slow
 def test_halves_of_the_images_are_fitted_and_told():
-    """Two surfaces in turns under unequal lights, fitted as one: the halves tell one each, a
-    sentence gives both, and the interval holds both."""
+    """Two surfaces in turns under unequal lights, fitted as one."""
     given: dict[str, Any] = {"scatter": 0.03, "gamma": 1, "size": 80, "lights": 17}
     truth = (12.0, 60.0)
     images, others = (
@@ -730,8 +723,7 @@ def test_halves_that_differ_are_two_random_groups():
 @pytest.mark.sweep
 @pytest.mark.parametrize(("prnu", "stated"), [(0.0, None), (0.0, 0.0), (0.01, None)])
 def test_pixels_of_unequal_gains_are_named(prnu, stated):
-    """Their size, from a fit that takes pixels for alike. Where none are seen gain and read noise
-    are printed only if the rig says that pixels are alike: these images cannot."""
+    """Their size, from a fit that takes pixels for alike."""
     rng = np.random.default_rng(12)
     images, lights = photographs(rng, lights=4, scatter=0.0, gamma=1, size=90, prnu=prnu)
     given: dict[str, Any] = {

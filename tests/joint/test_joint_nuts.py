@@ -46,8 +46,7 @@ def light_errors(vector, data):
 
 @pytest.mark.slow
 def test_draws_without_the_errors_of_lights_are_those_with_them():
-    """emcee of the marginal density against NUTS of the whole: means within .1 standard deviation
-    and widths within 5 %."""
+    """emcee of the marginal density against NUTS of the whole."""
     images, lights = photographs(np.random.default_rng(0), lights=13)
     camera = Camera(
         bits=12, black_level=BLACK, black_sd=0.5, gamma=GAMMA, gamma_sd=0.5,

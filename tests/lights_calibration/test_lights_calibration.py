@@ -338,8 +338,7 @@ def test_photometric_stereo_allows_for_lights_that_err_together():
 
 @pytest.mark.slow
 def test_intervals_of_a_reflectance_hold_through_the_lights():
-    """A flat matte patch, which shows no direction by itself. With independent errors of the same
-    size its z have a standard deviation of 1.4."""
+    """A flat matte patch, which shows no direction by itself."""
     normal, lights = np.array([0.6, 0, 0.8]), directions(24)
     lights = lights[lights @ normal > 0.4]
     z = []

@@ -623,8 +623,7 @@ def fits_of_settings(template, start, light, mean, variance):
 
 
 def simulated(cameras):
-    """What each setting tells of each of many cameras, (cameras, settings) lists; means are drawn
-    from Normal distributions, variances from Gamma's."""
+    """What each setting tells of each of many cameras, (cameras, settings) lists."""
     rng, rows = np.random.default_rng(0), []
     for iso, kelvin in zip(ISO, WARMTH, strict=True):
         light, mean, variance = (np.asarray(x) for x in moments_of_levels(iso, kelvin))

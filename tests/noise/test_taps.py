@@ -180,8 +180,7 @@ def mosaic_sensor(pattern, names):
     ],
 )
 def test_frames_of_another_phase_are_predicted_by_colour(phase, shift):
-    """A frame that begins one row or column later has the same pixels under other places; green
-    pixels in the rows of red ones are those in the rows of red ones still."""
+    """A frame that begins one row or column later has the same pixels under other places."""
     tile = ((0, 1), (2, 3))
     flats, darks, exposures, photons = frames(
         11, np.roll(BAYER, shift, (0, 1)), efficiency=EFFICIENCIES

@@ -96,8 +96,7 @@ def test_every_band_of_the_picture_is_geometry_times_spectra(spectral, table):
 
 @pytest.mark.slow
 def test_the_published_rgb_colours_are_these_spectra(table):
-    """The RGB of Mitsuba's box, which it made of the same measurements: their means over the
-    observer, as this library reduces light. Its tables are at other steps: 7e-4."""
+    """The RGB of Mitsuba's box, which it made of the same measurements."""
     matrix = reduction(table["wavelength_nm"] * 1e-9, Bands(3), quantity="light")
     published = (cornell_box.WHITE, cornell_box.GREEN, cornell_box.RED)
     for name, rgb in zip(SURFACES, published, strict=True):

@@ -103,9 +103,7 @@ def test_pictures_are_drawn(calibration):
 
 @pytest.mark.slow
 def test_a_joint_fit_tells_misfit_from_noise(ball):
-    """Pixels of like normals scatter far less than any model misses: the gain is that of their
-    scatter, and the band of a pixel holds what it says under lights that were not fitted. Without a
-    misfit the gain came out as 31.8 DN per electron."""
+    """Pixels of like normals scatter far less than any model misses."""
     measurement = read_joint_measurement(load_rig(ball))
     fit = fit_channel(measurement, 0, Form("phong"))
     assert fit.converged

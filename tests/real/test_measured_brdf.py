@@ -43,8 +43,7 @@ def slanted(theta):
 
 @pytest.mark.slow
 def test_albedo_of_white_paper(rgl):
-    """The figures published beside the data: .82-.86 in red, .83-.87 in green; by an independent
-    product quadrature, and the material's own to 3e-3."""
+    """The figures published beside the data: .82-.86 in red, .83-.87 in green."""
     directions, solid = product_nodes(64, 128)
     for theta in (0.0, 0.5, 1.0):
         integral = solid @ np.asarray(shading(rgl["paper_white"], directions, slanted(theta)))
@@ -59,8 +58,7 @@ def test_albedo_of_white_paper(rgl):
     [("paper_white", 0.02, 0.1), ("satin_rosaline", 0.05, 0.3), ("vch_golden_yellow", 0.1, 0.5)],
 )
 def test_reciprocity_of_the_measurement(rgl, name, median, worst):
-    """|f(a, b) - f(b, a)| over their mean, both elevations below 60 degrees: the database does not
-    enforce reciprocity, and how far it holds is a figure of each material (median, 95 %)."""
+    """|f(a, b) - f(b, a)| over their mean, both elevations below 60 degrees."""
     rng = np.random.default_rng(0)
     wi, wo = (oracle.directions(rng, 2000, highest=np.pi / 3) for _ in range(2))
     one, other = evaluate(rgl[name], wi, wo)[:, 1], evaluate(rgl[name], wo, wi)[:, 1]
@@ -89,8 +87,7 @@ def test_draws_weigh_little_more_than_the_albedo(rgl):
 
 @pytest.mark.slow
 def test_cornell_files_hold_what_the_goniometer_did(cornell):
-    """1439 samples of 31 bands, 10 to 80 degrees of incidence; in the plane of incidence the
-    brightest sample at grazing incidence is the mirror direction."""
+    """1439 samples of 31 bands, 10 to 80 degrees of incidence."""
     for samples, _ in cornell.values():
         assert samples.values.shape == (1439, 31)
         np.testing.assert_allclose(samples.wavelengths, np.arange(400, 701, 10) * 1e-9)
@@ -118,8 +115,7 @@ def test_tables_of_the_paints_return_their_samples(cornell):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "part"), [("garnet_red", 0.7), ("acryl_blue", 0.25)])
 def test_an_angle_of_incidence_left_out_is_predicted(cornell, name, part):
-    """The samples at 60 degrees from those at the seven others, by the table: nearer than linear
-    interpolation in the angles of both directions, by far where the lobe is narrow."""
+    """The samples at 60 degrees from those at the seven others, by the table."""
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
     samples, _ = cornell[name]

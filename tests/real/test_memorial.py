@@ -35,8 +35,7 @@ def test_map_agrees_with_the_authors_map(data_folder, tmp_path):
 
 @pytest.mark.slow
 def test_parts_of_the_stack_agree_within_their_errors(data_folder, tmp_path):
-    """Curves from halves, checkerboards and every other exposure; they lay 1.7 to 7.9 of their
-    errors apart while pixels counted as independent."""
+    """Curves from halves, checkerboards and every other exposure."""
     stack = read_exposure_stack(load_rig(write_memorial_rig(data_folder, tmp_path)))
     scores, inside = zip(
         *[

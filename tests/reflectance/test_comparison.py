@@ -148,9 +148,7 @@ def test_the_error_that_is_shown_is_the_one_that_is_judged():
 
 
 def test_an_order_may_be_sure_where_its_size_is_not():
-    """Roots of 4 and of (4 * 4 + 400) / 5 times as much: more at each of six incidences, by how
-    much is open. Of five, or where five say the reverse, the order is open too: the chance of five
-    of five is .0625, above that of a 95 % interval."""
+    """Roots of 4 and of (4 * 4 + 400) / 5 times as much."""
     base = np.ones(6)
     sure = ratio(of([4, 4, 4, 4, 4, 400]), of(base), "cosine")
     np.testing.assert_allclose(sure.without[[-1, 0]], [2, np.sqrt(416 / 5)])

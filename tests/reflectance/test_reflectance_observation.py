@@ -144,8 +144,7 @@ def test_a_colour_of_a_mosaic_is_its_own_pixels_at_their_own_places(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [folders.brdf, folders.joint])
 def test_photographs_of_a_raw_mosaic_tell_each_colour(tmp_path, command):
-    """Each colour by the pixels of its sites, with black levels and gains of the sites; flats and
-    darks of the joint fit, too."""
+    """Each colour by the pixels of its sites, with black levels and gains of the sites."""
     rng, size, radius = np.random.default_rng(3), 48, 22.0
     directions = light_directions(16)
     which = np.tile([[0, 1], [1, 2]], (size // 2, size // 2))

@@ -71,8 +71,7 @@ def test_no_pixel_lacks_more_than_the_threshold():
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", [jv.Quadrature(2), jv.MonteCarlo(jax.random.key(2), 3)])
 def test_behind_a_lens_with_lamps_of_some_size(rule):
-    """Within the threshold of the picture with all shadow rays; the same picture and gradient at a
-    threshold of 0."""
+    """Within the threshold of the picture with all shadow rays."""
     scene = crowded(3, lamps=9)
     lamp = jv.RectangleLight([-3, 3, 0], [0.5, 0, 0], [0, 0, 0.5], [4.0, 2.0])
     lens = jv.ThinLens([0, 1.5, -6], VIEW.rotation, 0.05, 0.004, resolution=(16, 16), f_number=0.2)

@@ -92,8 +92,7 @@ def test_band_holds_the_truth_and_widens_with_shutter_errors():
 
 
 def test_jpeg_photographs_from_hand():
-    """Half a pixel of misregistration, 1 % shutters, moving leaves, JPEG: the curve is the camera's
-    to 3 % rms and within its band, and so are those of two checkerboards."""
+    """Half a pixel of misregistration, 1 % shutters, moving leaves, JPEG."""
     codes = jpeg_stack(s_shaped, TIMES[::2], np.random.default_rng(1))
     everywhere, known = np.ones(codes.shape[1:], bool), {"black": 0.0, "clip": 255.0}
     curve = fitted(codes, everywhere, TIMES[::2], **known)
@@ -112,8 +111,7 @@ def test_jpeg_photographs_from_hand():
 
 @pytest.mark.slow
 def test_parts_of_jpeg_stacks_agree_within_their_errors():
-    """Curves from halves, checkerboards and every other exposure. What exposures share, halves of
-    one picture share too: their differences may be smaller than their errors, never larger."""
+    """Curves from halves, checkerboards and every other exposure."""
     found = [
         split_tests(
             jpeg_stack(response, TIMES, np.random.default_rng(seed), shape=(200, 260)),
@@ -271,8 +269,7 @@ def test_pure_gamma_costs_nothing_in_the_prior():
 
 @pytest.mark.parametrize("most_bins", [140, 512])
 def test_a_linear_camera_is_as_smooth_as_can_be(most_bins):
-    """The energy of a pure gamma is 0 to rounding, of either sign as a quadratic form: the search
-    then began again at the roughest curve, or not, by the last digit."""
+    """The energy of a pure gamma is 0 to rounding, of either sign as a quadratic form."""
     rng = np.random.default_rng(4)
     light = np.geomspace(400, 32_000, 4800)
     times = np.array([1 / 16, 1 / 4, 1.0])
@@ -371,8 +368,7 @@ def test_no_peaks_hide_in_sharp_pictures():
 
 
 def test_a_camera_that_sharpens_is_measured_in_flat_places():
-    """Sharpening half of the difference to a Gaussian of one pixel, of an S-shaped response: of
-    all places together, the curve departs by 1 % and more, and half of the band missed it."""
+    """Sharpening half of the difference to a Gaussian of one pixel, of an S-shaped response."""
     codes = processed_stack(s_shaped, STOPS, np.random.default_rng(3000), sharpened=0.5)
     everywhere = np.ones(codes.shape[1:], bool)
     curve = fitted(codes, everywhere, STOPS, black=0.0, clip=254.5)
@@ -449,8 +445,7 @@ def test_rounding_follows_the_light_until_noise_dithers_it():
 
 
 def test_codes_three_stops_apart_keep_a_pure_gamma():
-    """Nothing but their noise ties such codes to those between them: a score that took a tenth of
-    it for rounding bent half of these curves by .02, ten times their errors."""
+    """Nothing but their noise ties such codes to those between them."""
     times = 8.0 ** np.arange(-2, 2)
     for seed in range(3):
         rng = np.random.default_rng(seed)

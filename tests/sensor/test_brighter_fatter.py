@@ -62,8 +62,7 @@ def currents(light, kernel):
 
 
 def moments(light, kernel):
-    """Mean and covariance after the exposure. The currents are linear in the charges, so that
-    those of Poisson counts obey linear equations."""
+    """Mean and covariance after the exposure."""
     gains, arriving, n = currents(light, kernel), light.ravel(), light.size
 
     def rates(time, state):
@@ -122,8 +121,7 @@ def test_flat_covariances_are_the_exponential_in_fourier_space(mu):
 
 
 def test_frames_have_the_covariances_of_the_closed_form():
-    """Of frames of a flat: variance and covariances, each within 4.5 standard errors; the frames
-    of independent pixels are far away."""
+    """Of frames of a flat: variance and covariances, each within 4.5 standard errors."""
     mu, shape, frames = 6e4, (64, 64), 48
     sensor = s.Sensor(shot_noise=s.GaussianShotNoise(), brighter_fatter=EFFECT)
     keys = jax.random.split(jax.random.key(3), frames)
@@ -166,8 +164,7 @@ def test_the_bound_holds_over_the_true_moments(scale):
 
 
 def test_a_well_holds_what_repels():
-    """Beyond its full well a pixel repels no more: a light a thousand times too bright leaves its
-    neighbours as a light that just fills it twice does."""
+    """Beyond its full well a pixel repels no more."""
     light = np.full((5, 5, 1), 1000.0)
     light[2, 2] = 1e8
     sensor = s.Sensor(brighter_fatter=EFFECT, full_well=1e4)

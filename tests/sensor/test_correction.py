@@ -225,8 +225,7 @@ def test_what_pixels_share_is_how_far_draws_move_them():
 
 
 def simulated(count, masters_of, frames=16, taps=None):
-    """z of pixels, patches, and their differences in pairs of frames that share dark and flat; each
-    pair with a die of its own."""
+    """z of pixels, patches, and their differences in pairs of frames that share dark and flat."""
 
     def master(sensor, key, die, light):
         shots = jax.random.split(key, frames)

@@ -354,8 +354,7 @@ def test_rounding_leaves_out_what_is_stated(rms, most):
 
 
 def test_defects_have_slopes_by_what_they_draw_from():
-    """Hot pixels of fraction p and mean r: E[x] = p r, E[x^2] = 2 p r^2. Dead ones: none by their
-    fraction, that of the others by light."""
+    """Hot pixels of fraction p and mean r: E[x] = p r, E[x^2] = 2 p r^2."""
     shape = (300, 300, 1)
 
     def hot(p, r):
@@ -382,8 +381,7 @@ def test_defects_have_slopes_by_what_they_draw_from():
 
 @pytest.mark.slow
 def test_charge_transfer_has_unbiased_moments():
-    """A packet of mean m leaves the share eps behind: with a full well, which it never fills, by a
-    draw of its own."""
+    """A packet of mean m leaves the share eps behind."""
     m, eps = 2.0, 0.2
     frames = jax.random.split(KEY, 4000)
 

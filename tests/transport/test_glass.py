@@ -88,9 +88,7 @@ def test_family_is_a_delta():
 @pytest.mark.sweep
 @pytest.mark.parametrize(("theta", "absorption"), [(0.0, None), (0.6, None), (0.6, 0.8)])
 def test_slab_in_closed_form(theta, absorption):
-    """T = (1 - R)^2 a / (1 - R^2 a^2) of a slab that absorbs 1 - a along one crossing; without
-    absorption 1 - 2 R / (1 + R), and to an eye in the glass n^2 / (1 + R): radiance squeezed
-    once."""
+    """T = (1 - R)^2 a / (1 - R^2 a^2) of a slab that absorbs 1 - a along one crossing."""
     n, thickness = 1.5, 0.1
     back = Quad([-50, -50, -1], [100, 0, 0], [0, 100, 0])
     glass = Glass(n, absorption=None if absorption is None else [absorption])
