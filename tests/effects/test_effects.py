@@ -107,8 +107,7 @@ def test_each_effect_alone_keeps_its_bound(seeds):
 
 @pytest.mark.parametrize("seeds", MANY)
 def test_the_shadows_of_each_lamp_keep_their_bound(seeds):
-    """By the picture of one lamp alone, with and without occluders; what changes nothing is proved
-    to in most scenes."""
+    """By the picture of one lamp alone, with and without occluders."""
     for seed in seeds:
         scene, view = random_scene(seed)
         rows, _, _ = scene_stage(Ends(scene, scene), Ends(view, view))

@@ -30,8 +30,7 @@ def toward(place):
 @pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [0.0, 1e-6, 0.01])
 def test_bands_are_joined_where_only_emission_shows(tolerance):
-    """Shading normals of a mesh face away at its rim, where there is no ambient light: emission
-    alone has another spectrum than both together."""
+    """Shading normals of a mesh face away at its rim, where there is no ambient light."""
     mesh = jv.TriangleMesh(OCTAHEDRON, FACES, normals=OCTAHEDRON)
     material = jv.Lambert([0.1, 0.1, 0.1], ambient=[0.0, 1.0, 0.5])
     scene = jv.Scene(
@@ -50,8 +49,7 @@ def test_bands_are_joined_where_only_emission_shows(tolerance):
 @pytest.mark.slow
 @pytest.mark.parametrize("tolerance", ["0.05DN", "0.2DN", "1DN"])
 def test_bands_never_stand_for_light_that_went_for_the_sensors_sake(tolerance):
-    """Ambient light of a band that the sensor hardly sees may go for a tenth of a DN; that band,
-    in which nearly all of the radiance is, then stands for no other."""
+    """Ambient light of a band that the sensor hardly sees may go for a tenth of a DN."""
     even, far = np.ones(31), 10 * np.eye(31)[0]
     floor = jv.Surface(
         jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert(0.1 * even, ambient=even), even
@@ -146,8 +144,7 @@ def test_reflectance_of_all_indices_between_two():
 
 
 def test_the_unit_of_sigma_is_the_least_noise_of_a_box():
-    """A spread of the conversion that may be 0 adds no noise to the unit: what is left out without
-    it is all that is left out with it free."""
+    """A spread of the conversion that may be 0 adds no noise to the unit."""
     camera = jv.Camera(
         jv.Pinhole([0, 0, 0], np.eye(3), 1.0, 1e-5, resolution=(64, 64)),
         jv.Sensor(

@@ -151,8 +151,7 @@ def test_a_pruned_sensor_is_never_a_larger_program(seeds):
 
 @pytest.mark.slow
 def test_what_changes_nothing_is_left_out_without_asking(monkeypatch):
-    """Where looking is cheap, of a known scene: the dark lamp, a factor of 1 and what is 0. The
-    same numbers result, bit by bit, and a scene that is an argument of `jit` keeps all."""
+    """Where looking is cheap, of a known scene: the dark lamp, a factor of 1 and what is 0."""
     view = replace(jv.Orthographic([0, 0, 3], DOWN, 0.05, resolution=(8, 8)), f_number=2.0)
     camera = replace(CAMERA, view=view)
     whole = capture(KEY, SCENE, camera, die_key=DIE)

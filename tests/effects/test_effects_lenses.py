@@ -73,8 +73,7 @@ def test_every_ray_of_a_pixel_is_in_view(aperture):
 
 
 def test_what_a_lens_does_not_let_in_is_out_of_view():
-    """At most 2 r beyond the widest ray at the depth z: r (1 + z / z_f) instead of r |1 - z / z_f|,
-    and half a pixel."""
+    """At most 2 r beyond the widest ray at the depth z."""
     eye, radius = eye_of(Ends(lens(), lens())), FOCAL / 4
     for depth in (0.5, 1.0, 50.0):
         pixel = (SHAPE[1] / 2 + 0.5) * PITCH / image_of(1.0) * depth

@@ -69,8 +69,7 @@ def test_no_tolerance_allows_what_has_no_bound():
 
 
 def test_paths_of_any_length_are_bounded_in_a_few_rows():
-    """Two plates send each other at most rho F of their light: from k pieces on, the rows fall by
-    at least that, and none is 0 however many pieces are left."""
+    """Two plates send each other at most rho F of their light."""
     scene = jv.Scene([FLOOR, ROOF], [POINT])
     found = effects.inspect(scene, VIEW, depth=100_000)
     bounds = np.array([effect.bound for effect in found if effect.name == "bounces"])
@@ -95,18 +94,6 @@ def test_the_second_derivative_of_a_small_lamp():
     h = 1e-4
     second = (integrand(h) - 2 * integrand(0) + integrand(-h)) / h**2
     assert 11.99 < np.abs(second).max() < 12.01
-
-
-@pytest.mark.slow
-def test_a_far_rectangle_is_bounded_closely_as_a_place():
-    """Over a matt floor, by a fine rule: the bound is within 4 of what changes."""
-    lamp = jv.RectangleLight([-0.1, -0.1, 4], [0, 0.2, 0], [0.2, 0, 0], [100.0])
-    scene = jv.Scene(FLOOR, lamp, occluders=())
-    (bound,) = (e.bound for e in effects.inspect(scene, VIEW) if e.name == "lights[0].extent")
-    fine = jax.jit(lambda scene: render(scene, VIEW, rule=jv.Quadrature(8)))(scene)
-    small = jax.jit(lambda scene: render(scene, VIEW))(replace(scene, lights=(small_light(lamp),)))
-    change = float(jnp.abs(fine - small).max())
-    assert change <= bound <= 4 * change
 
 
 def test_effects_that_leave_the_same_program_share_it(monkeypatch):

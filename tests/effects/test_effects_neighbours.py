@@ -126,8 +126,7 @@ def test_a_dark_lamp_hides_the_sky_in_a_mirror():
 
 @pytest.mark.parametrize(("shape", "least"), [("card", 0.5), ("ball", 0.0)])
 def test_a_mirror_shows_the_lamps_that_lie_where_it_looks(shape, least):
-    """Of lamps all about, by pictures in NumPy: what may be left out is in no mirror. A ball shows
-    nearly all of them, small."""
+    """Of lamps all about, by pictures in NumPy: what may be left out is in no mirror."""
     made = {
         "card": jv.Quad([-0.3, -0.3, 0], [0.6, 0, 0], [0, 0.6, 0]),
         "ball": jv.Sphere([0, 0, 0], 0.3),

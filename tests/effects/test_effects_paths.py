@@ -46,8 +46,7 @@ def patches(corner, u, v, side):
 
 @pytest.mark.parametrize("depth", [2, 3, 4, 5])
 def test_what_is_emitted_is_reflected_in_each_further_piece(depth):
-    """Two plates that face each other, of which the roof, out of view, shines; the radiance of the
-    floor's middle, by patches, in paths of at most so many pieces."""
+    """Two plates that face each other, of which the roof, out of view, shines."""
     floor, roof = ([-0.5, -0.5, z] for z in (0.0, 1.0))
     side, area = 12, 1 / 144
     below, _ = patches(floor, [1, 0, 0], [0, 1, 0], side)
@@ -77,9 +76,7 @@ IN_A_BRIGHT_BALL = [
 
 @pytest.mark.parametrize(("material", "field", "change"), IN_A_BRIGHT_BALL)
 def test_lobes_and_rough_facets_reflect_what_surfaces_emit(material, field, change):
-    """Under even light of radiance 1, seen along the normal: a normalised lobe sends k_s, smooth
-    facets nearly as much, and a rough body pi k_d (1 - A) less than Lambert's (A: Oren and Nayar,
-    1994)."""
+    """Under even light of radiance 1, seen along the normal."""
     plate = jv.Surface(jv.Disc([0, 0, 0], [0, 0, 1], 0.1), material)
     ball = jv.Surface(jv.Sphere([0, 0, 0], 2.0), jv.Lambert([0.0]), [1.0], two_sided=True)
     found = bounds([plate, ball], [], view_from([0, 0, 1]), 2)
@@ -250,9 +247,7 @@ SHEETS = [
 
 @pytest.mark.parametrize("sheet", SHEETS, ids=lambda sheet: type(sheet).__name__)
 def test_an_open_sheet_of_glass_that_is_met_from_behind(sheet):
-    """Radiance over the square of the index is kept: an emitter before it is seen from behind n^2
-    times as bright, less the share that Fresnel's equations mirror; and all light that comes
-    through has gone through glass all the way, however thin the sheet."""
+    """Radiance over the square of the index is kept."""
     n, a, way = 1.33, 0.3, 5.0
     seen = n**2 * (1 - ((n - 1) / (n + 1)) ** 2)
     wall = jv.Surface(

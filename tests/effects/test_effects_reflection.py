@@ -114,8 +114,7 @@ def test_the_slope_of_a_power_of_a_cosine(family, exponents):
 
 
 def test_a_broad_lobe_that_ends_across_a_lamp():
-    """cos^n of the mirror angle with n = 0.1, half of the lamp beyond its end: E L sum over a grid
-    against the value at the middle, in NumPy."""
+    """cos^n of the mirror angle with n = 0.1, half of the lamp beyond its end."""
     n, side, far = 0.1, 2.0, 100.0
     polar = np.radians(60)
     to_lamp, tilt = (

@@ -86,17 +86,6 @@ def test_a_few_random_sensors_against_moments():
     assert np.median([r for r in ratios if r is not None]) <= 1.5
 
 
-@pytest.mark.slow
-def test_three_hundred_random_sensors_against_moments():
-    found = [check_sensor(seed) for seed in range(300)]
-    together = [ratio for ratio, _ in found if ratio is not None]
-    print("together", len(together), np.percentile(together, [25, 50, 75]).round(3))
-    for name in sorted({name for _, alone in found for name in alone}):
-        ratios = [alone[name] for _, alone in found if name in alone]
-        print(name, len(ratios), np.percentile(ratios, [25, 50, 75]).round(3))
-    assert np.median(together) <= 1.5
-
-
 @pytest.mark.parametrize("seeds", [range(3), pytest.param(range(300), marks=pytest.mark.slow)])
 def test_random_sensors_with_all_that_calibrations_find(seeds):
     """Light offset, mixing, a curve, noise of columns and frames, and taps, beside all others."""

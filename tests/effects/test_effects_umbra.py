@@ -33,8 +33,7 @@ def lamp(draw):
 
 @pytest.mark.parametrize("count", [10, pytest.param(1000, marks=pytest.mark.slow)])
 def test_full_shadow_is_full_and_what_is_out_of_reach_is_never_met(count):
-    """A screen between lamp and receiver: of those that no segment passes, 70 % are proved; and a
-    segment that is met starts in a cell that shadows reach."""
+    """A screen between lamp and receiver: of those that no segment passes, 70 % are proved."""
     whole = proved = reached = 0
     for seed in range(count):
         draw = Draw(seed)

@@ -48,8 +48,7 @@ def traced(problem):
 
 @pytest.mark.slow
 def test_what_no_fit_can_see_is_not_traced():
-    """The faint lamp and the lobe go, and of the likelihood the noise of rows; the lamp before
-    the one that is fitted stays, so that its path leads where it did."""
+    """The faint lamp and the lobe go, and of the likelihood the noise of rows."""
     whole = stated()
     less = called_for(whole)
     gone = {effect.name for effect in less.left_out.dropped}
@@ -63,8 +62,7 @@ def test_what_no_fit_can_see_is_not_traced():
 
 @pytest.mark.slow
 def test_bounds_hold_over_the_box_of_what_is_fitted():
-    """A lamp that may be a thousand million times as bright is no longer faint; a fixed number
-    takes its place before anything is bounded, and stays."""
+    """A lamp that may be a thousand million times as bright is no longer faint."""
     far = "scene.lights[2].intensity[0]"
     kept = called_for(stated({far: Parameter(lower=0.0, upper=1e9), ROWS: 50.0}))
     assert len(kept.records["scene"].lights) == 3

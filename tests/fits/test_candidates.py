@@ -117,8 +117,7 @@ def test_a_scale_that_the_data_do_not_show_is_left_out():
 
 @pytest.mark.slow
 def test_a_term_of_groups_is_judged_by_their_errors():
-    """A covariate that is constant within 8 groups, which share errors: it stays by independent
-    errors, and goes by those of the groups."""
+    """A covariate that is constant within 8 groups, which share errors."""
     groups = np.repeat(np.arange(8), 10)
     rng = np.random.default_rng(8)
     covariate = rng.standard_normal(8)[groups]

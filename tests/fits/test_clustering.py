@@ -97,8 +97,7 @@ def test_one_cluster_is_not_judged():
 
 
 def test_clusters_that_agree_by_chance_leave_few_degrees_of_freedom():
-    """Two clusters of equal means show a variance of zero: what stands for it is no better known
-    than a variance of two means, so that Student's t keeps its single degree of freedom."""
+    """Two clusters of equal means show a variance of zero."""
     light = np.repeat([0, 1], 4)
     scores = np.tile([-1.0, 1.0, 1.0, -1.0], 2)[None]
     found = cluster_robust(scores, np.array([[8.0]]), light, None, slopes=np.ones((1, 8)))
@@ -193,9 +192,7 @@ def test_intervals_cover_with_few_lights_and_several_parameters(lights, paramete
 
 
 def test_levels_that_cross_are_those_of_naive_sums():
-    """Frames, rows and columns of 6 x 7 x 8 data that share errors of each, slopes all 1: the sums
-    of Cameron, Gelbach and Miller over all seven intersections, in NumPy loops, each shared sum
-    taken larger by 1 / sqrt(1 - share)."""
+    """Frames, rows and columns of 6 x 7 x 8 data that share errors of each, slopes all 1."""
     rng = np.random.default_rng(4)
     shape = (6, 7, 8)
     frame, row, column = (index.ravel() for index in np.indices(shape))

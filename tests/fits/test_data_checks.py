@@ -83,8 +83,7 @@ def test_data_that_are_clipped_as_stated_or_rounded_finely_are_not():
 
 
 def test_standard_deviations_that_follow_the_data_are_told():
-    """Sum of the data less that of the predictions: about chi-square, by the equations of Neyman's
-    least squares for a factor on the prediction."""
+    """Sum of the data less that of the predictions."""
     counts = np.random.default_rng(1).poisson(9 * TRUE).astype(float)
     found = fitted(counts, Gaussian(sd=np.sqrt(np.maximum(counts, 1))))
     assert "follow the data themselves" in found.failures[0]

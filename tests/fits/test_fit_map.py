@@ -171,8 +171,7 @@ def test_seven_digits_end_where_sixteen_do(bounds):
 
 @pytest.mark.slow
 def test_materials_share_their_parameters():
-    """Labels: least squares over all pixels of a label; inputs of every pixel; one label is empty
-    of data, negative ones are left out."""
+    """Labels: least squares over all pixels of a label; inputs of every pixel."""
     angles = ANGLES[:, None, None] * RNG.uniform(0.8, 1.1, (6, 10))
     labels = np.repeat([0, 1, 2, -1], 15).reshape(6, 10)
     slope, offset = np.array([1.0, 2.0, 3.0, 0.0])[labels], 4.0

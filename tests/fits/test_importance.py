@@ -63,8 +63,7 @@ def test_few_data_give_students_t(count):
 
 
 def test_the_prior_of_a_scatter_is_jeffreys():
-    """Root of the information, by differences of the Gaussian's entropy: flat in ln tau where the
-    scatter rules, falling as tau^2 where it drowns."""
+    """Root of the information, by differences of the Gaussian's entropy."""
     one = jnp.ones(3)
     data = NoiseData(
         light=1e4 * jnp.arange(1.0, 4.0),

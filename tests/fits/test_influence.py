@@ -27,8 +27,7 @@ def shown(scene, camera):
 
 
 def planted(seed):
-    """A ball on a floor under a lamp, with effects of random sizes: from what no fit can see to
-    what moves its numbers by several standard errors."""
+    """A ball on a floor under a lamp, with effects of random sizes."""
     rng = np.random.default_rng([56, seed])
 
     def some(least, most):
@@ -63,8 +62,7 @@ def planted(seed):
 
 @pytest.mark.slow
 def test_no_refit_moves_further_than_its_bound():
-    """Each effect of 40 problems is left out, and the problem fitted again: a target moves by no
-    more than is promised, and the promise is close."""
+    """Each effect of 40 problems is left out, and the problem fitted again."""
     ratios = []
     for seed in range(40):
         whole, target = planted(seed), list(FREE)[seed % 3]
@@ -85,8 +83,7 @@ def test_no_refit_moves_further_than_its_bound():
 
 @pytest.mark.slow
 def test_a_problem_leaves_out_what_does_not_move_its_target():
-    """More is dropped for one number than for all; the number and its error stay, and the fit names
-    what was left out. Read noise moves the number little, but the data need it."""
+    """More is dropped for one number than for all."""
     whole = planted(0)
     small, smaller = called_for(whole), called_for(whole, target="exponent")
     before, after = ({e.name for e in one.left_out.dropped} for one in (small, smaller))

@@ -38,8 +38,7 @@ fitted = partial(fit, starts=2)
 
 
 def line(part, prior=None, *, sd=SD, **other):
-    """Three numbers in which the prediction is linear; of 20 data the first two are correlated by
-    .98."""
+    """Three numbers in which the prediction is linear."""
     free = {**FREE, "c": Parameter(start=0.0), **other}
     return Problem(
         free,
@@ -248,8 +247,7 @@ def test_a_prior_that_new_data_contradict_is_named(half):
 
 @pytest.mark.slow
 def test_a_prior_far_from_the_data_is_the_only_cause_that_is_named():
-    """A decay over a background of .1, then of .3: the search between the two ends uphill. Against
-    SciPy's fit of the new data alone."""
+    """A decay over a background of .1, then of .3: the search between the two ends uphill."""
     time, noise = np.linspace(0, 5, 200), 0.02 * np.random.default_rng(0).standard_normal(200)
     free = {
         "amplitude": Parameter(lower=0, upper=5),
@@ -391,44 +389,3 @@ def test_candidates_and_samplers_take_a_prior(half):
         np.sqrt(np.diagonal(laplace.posterior.covariance)),
         rtol=0.08,
     )
-
-
-def phong(lights, image, prior=None, sd=0.01):
-    """Diffuse and specular albedo and exponent of a bump under several lights."""
-    x, y = np.meshgrid(np.linspace(-0.7, 0.7, 12), np.linspace(-0.7, 0.7, 12))
-    z = np.sqrt(1 - np.minimum(x**2 + y**2, 0.98))
-    normals = np.stack([x, y, z], axis=-1).reshape(-1, 3)
-    cosines = np.maximum(normals @ lights.T, 0)
-    mirrored = 2 * cosines * normals[:, 2:] - lights[None, :, 2]
-    return Problem(
-        {
-            "diffuse": Parameter(transform="log", lower=1e-3, upper=10),
-            "specular": Parameter(transform="log", lower=1e-3, upper=10),
-            "exponent": Parameter(transform="log", lower=1, upper=200),
-        },
-        lambda diffuse, specular, exponent, inputs: (
-            diffuse * inputs[0]
-            + specular * jnp.where(inputs[1] > 0, jnp.maximum(inputs[1], 1e-6) ** exponent, 0)
-        ),
-        Gaussian(sd=sd),
-        image,
-        inputs=np.stack([cosines, np.where(cosines > 0, mirrored, 0)]),
-        prior=prior,
-    )
-
-
-@pytest.mark.slow
-def test_phong_from_two_halves_of_the_lights_equals_all_lights():
-    rng = np.random.default_rng(5)
-    lights = np.concatenate([0.6 * rng.standard_normal((8, 2)), np.ones((8, 1))], axis=1)
-    lights /= np.linalg.norm(lights, axis=1, keepdims=True)
-    with jax.enable_x64(True):
-        blank = phong(lights, np.zeros((144, 8)))
-        seen = np.asarray(blank.predict(0.5, 0.4, 25.0, blank.inputs))
-        image = seen + 0.01 * rng.standard_normal(seen.shape)
-        whole = fit(phong(lights, image), starts=8)
-        first = fit(phong(lights[:4], image[:, :4]), starts=8)
-        both = fit(phong(lights[4:], image[:, 4:], first.as_prior()), starts=8)
-    for one, all_lights in zip(both.estimates, whole.estimates, strict=True):
-        assert abs(one.value - all_lights.value) < 0.05 * all_lights.standard_error
-        assert 0.95 < one.standard_error / all_lights.standard_error < 1.05

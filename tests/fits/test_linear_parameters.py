@@ -76,8 +76,7 @@ def test_of_linear_numbers_alone_the_fit_is_that_of_numpy():
 
 @pytest.mark.slow
 def test_a_frequency_needs_neither_start_nor_amplitudes():
-    """Of 0.2 to 40 Hz, the cost has some hundred valleys; SciPy's fit from a start one valley from
-    the truth stays there."""
+    """Of 0.2 to 40 Hz, the cost has some hundred valleys."""
 
     def wave(sine, cosine, base, frequency):
         phase = 2 * jnp.pi * frequency * TIME

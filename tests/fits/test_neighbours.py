@@ -11,8 +11,7 @@ LIGHTS, PIXELS = 32, 20
 
 
 def mean_of_images(rng, reach):
-    """(miss of the mean, scores, information, light, places): images' errors of unit variance,
-    correlated as exp(-distance^2 / 2 reach^2) over the places of their lights."""
+    """(miss of the mean, scores, information, light, places)."""
     places = rng.uniform(-1, 1, (LIGHTS, 2))
     apart = ((places[:, None] - places) ** 2).sum(-1)
     shared = np.exp(-apart / (2 * reach**2)) if reach else np.eye(LIGHTS)
@@ -42,8 +41,7 @@ def held(place):
 
 @pytest.mark.slow
 def test_intervals_hold_more_often_where_neighbours_err_alike():
-    """An error that is smooth over a tenth of the places: with each image counted as independent
-    95 % intervals hold 75 %, with regions 85 %; what regions share is not seen."""
+    """An error that is smooth over a tenth of the places."""
     assert held(places_of_zero(0.2, merged=False)) < 0.8
     assert held(places_of_zero(0.2, merged=True)) > 0.82
 

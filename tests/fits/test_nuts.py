@@ -10,10 +10,9 @@ import pytest
 from scipy import stats
 
 from fitting.inference.convergence import effective_draws
-from fitting.inference.emcee_run import Emcee
 from fitting.inference.nuts import Nuts, nuts
 from fitting.inference.parameters import Parameter
-from fitting.inference.posterior import estimates, sample
+from fitting.inference.posterior import estimates
 from fitting.inference.trust import convergence_in_words, is_trusted
 from jaxvision.errors import InputError
 
@@ -107,18 +106,6 @@ def test_nuts_finds_a_banana(banana):
 @pytest.mark.slow
 def test_the_step_adapts_to_the_acceptance_that_is_asked_for():
     assert 0.9 < run(TWIST, draws=300, seed=3, acceptance=0.95).acceptance < 0.99
-
-
-@pytest.mark.slow
-def test_emcee_agrees_with_nuts_on_a_banana(banana):
-    by_emcee = sample(
-        *(twisted, SPACE, jnp.zeros(3), COVARIANCE, (PRECISION, jnp.asarray(TWIST))),
-        options=Emcee(walkers=64, block=300),
-        seed=4,
-    )
-    assert by_emcee.missing_steps == 0
-    worth = [p.samples.shape[0] / p.tau.max() for p in (banana, by_emcee)]
-    assert_same_quantiles(unconstrained(banana), unconstrained(by_emcee), worth)
 
 
 def test_chains_that_go_on_are_those_that_never_stopped(drawn, tmp_path):

@@ -275,8 +275,7 @@ def of_one_source(source, rng, count):
 @pytest.mark.slow
 @pytest.mark.parametrize("target", ["exponent", "diffuse"])
 def test_each_source_leaves_what_refits_with_it_alone_scatter_by(target):
-    """Photons, read noise, rounding, lights and geometry: variances within a tenth, of 4,000 refits
-    each (of what is less than a thousandth of the whole, within that)."""
+    """Photons, read noise, rounding, lights and geometry."""
     rng = np.random.default_rng(11)
     nominal = np.asarray(shiny(800.0, 1500.0, 12.0, np.ones(4), np.zeros(4), inputs=SEEN))
     problem = Problem(*(SHINY, shiny, SensorNoise(CAMERA), 0.05 * nominal + 10), inputs=SEEN)

@@ -19,8 +19,7 @@ def said(found):
 
 
 def test_a_prior_is_compared_with_what_the_data_alone_say():
-    """(1.3 - 1) / sqrt(.05^2 + .1^2 / 5) = 4.47 standard deviations; chi-square is not beyond
-    chance."""
+    """(1.3 - 1) / sqrt(.05^2 + .1^2 / 5) = 4.47 standard deviations."""
     problem = level(1.3 + 0.05 * NOISE, prior=Normal(1.0, 0.05))
     found = fit(problem, starts=2)
     assert found.converged

@@ -164,19 +164,6 @@ def test_data_that_are_all_missing_are_refused():
         fit(decay_problem(np.full(60, np.nan)))
 
 
-@pytest.mark.slow
-def test_a_missing_datum_counts_for_nothing(fitted):
-    holes = np.where(np.arange(60) % 7 == 3, np.nan, DECAY)
-    result = fit(decay_problem(holes), starts=2)
-    kept = ~np.isnan(holes)
-    best, _ = scipy.optimize.curve_fit(
-        lambda t, a, k: a * np.exp(-k * t), TIME[kept], DECAY[kept], p0=[1.0, 1.0]
-    )
-    np.testing.assert_allclose(result.values["rate"], best[1], rtol=1e-3)
-    assert np.isnan(result.residuals).sum() == (~kept).sum()
-    assert f"to {kept.sum()} data" in repr(result)
-
-
 def scene():
     ball = Surface(Sphere((0.0, 0.0, 0.0), 1.0), Phong((0.2,), (0.4,), exponent=20.0))
     floor = Surface(Sphere((0.0, 0.0, -3.0), 1.0), Lambert((0.1,)))
@@ -334,26 +321,6 @@ def test_a_record_s_value_begins_the_search_inside_the_bounds():
     assert seen.free[0].start is None  # one of them is not finite
     records["r"]["a"] = np.array([0.0, 2.5, 7.0])
     assert seen.with_records(records).free[0].start == (2.0, 2.5, 3.0)
-
-
-@pytest.mark.slow
-def test_a_wrong_optimum_is_no_success(fitted):
-    """A sine of unknown frequency has many optima: from a start at one, the fit says so."""
-    time = np.linspace(0, 10, 80)
-    problem = Problem(
-        {"frequency": Parameter(lower=0.1, upper=3.0)},
-        lambda frequency, inputs: jnp.sin(2 * jnp.pi * frequency * inputs),
-        Gaussian(sd=0.1),
-        np.sin(2 * np.pi * 1.1 * time) + 0.1 * RNG.standard_normal(80),
-        inputs=time,
-    )
-    wrong = fit(problem, start={"frequency": 2.5})
-    assert not wrong.converged
-    assert any("does not describe the data" in sentence for sentence in wrong.failures)
-    assert "NOT CONVERGED" in str(wrong)
-    right = fit(problem, starts=64)
-    assert right.converged
-    np.testing.assert_allclose(right.values["frequency"], 1.1, atol=5e-3)
 
 
 @pytest.mark.slow

@@ -29,8 +29,7 @@ def test_one_evaluation_of_newton_gives_the_derivatives_at_the_start():
 
 
 def test_many_searches_never_wait_for_each_other_s_threads():
-    """No program of ours runs two decompositions of a batch at the same time: see `decompositions`,
-    which finds those that hung."""
+    """No program of ours runs two decompositions of a batch at the same time."""
     matrices = jnp.ones((5, 3, 3))
 
     def hung(matrix):

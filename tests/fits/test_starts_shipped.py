@@ -110,8 +110,7 @@ def about(vector, information, space, factor):
 
 @pytest.mark.slow
 def test_a_lobe_beyond_the_range_that_is_searched_is_no_optimum():
-    """A start on the plateau of facets so rough that they no longer shine: the gradient vanishes,
-    and the fit says that it failed."""
+    """A start on the plateau of facets so rough that they no longer shine."""
     observation, chosen, cells = reflectance.SPHERE.observed
     view = View(observation, 0, chosen)
     fit = fit_channel(view, Form("torrance-sparrow-beckmann"), cells)

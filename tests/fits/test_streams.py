@@ -9,7 +9,7 @@ import pytest
 
 from fitting import Censored, Clustered, Emcee, Gaussian, Parameter, Problem, fit
 from fitting.inference.misfit import judge, judge_sums, sums
-from fitting.inference.search import derivatives, search, search_read, spread_starts
+from fitting.inference.search import search, search_read, spread_starts
 from fitting.inference.streams import chunks
 from jaxvision.errors import InputError
 
@@ -78,17 +78,6 @@ def test_a_line_in_chunks_is_weighted_least_squares(tmp_path):
     assert found.misfit.count == COUNT - 2
     assert found.residuals.shape == (CHUNK,)
     assert found.converged
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("likelihood", [CLIPPED, SMALL])
-def test_sums_over_chunks_are_those_of_all_data(likelihood):
-    """Cost, gradient and curvature at any place, to rounding."""
-    place, read = np.array([[-1.2, 0.3]]), problem(yielded, likelihood, None, chunk=CHUNK)
-    found = derivatives(place, read, parts=chunks(read))
-    expected = derivatives(place, problem(likelihood=likelihood))
-    for one, other in zip(found, expected, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
 @pytest.mark.slow

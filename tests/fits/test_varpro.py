@@ -93,19 +93,6 @@ def test_a_slope_that_only_falls_ends_at_the_bound():
 
 
 @pytest.mark.slow
-def test_keeps_float32():
-    rng = np.random.default_rng(2)
-    for rate in np.exp(rng.uniform(-1, 1, 8)):
-        y = (0.3 + np.exp(-rate * X)).astype(np.float32)
-        found = best(y, np.ones((1, X.size)), lower=-3.0, upper=3.0)
-        assert found.amplitudes.dtype == jnp.float32
-        # The search ranks costs, and a float32 cost is known to about eps of sum y^2.
-        constant, amplitude = np.asarray(found.amplitudes[0], np.float64)
-        left = constant + amplitude * np.exp(-np.exp(found.nonlinear) * X) - y
-        assert np.sum(left**2) < 10 * np.finfo(np.float32).eps * np.sum(y**2)
-
-
-@pytest.mark.slow
 def test_two_fixed_columns_beside_the_searched_one():
     """Against scipy's NNLS at the rate that was found."""
     rng = np.random.default_rng(3)

@@ -81,8 +81,7 @@ EFFECTS = [name for name, value in vars(EVERY_EFFECT).items() if value is not No
 @pytest.mark.sweep
 @pytest.mark.parametrize("effect", [name for name in EFFECTS if name != "full_well"])
 def test_a_source_that_is_none_takes_its_primitives_with_it(effect, with_all):
-    """Of all effects at once: without one there is nothing new, and less of something; alone it
-    is the only one with random bits, if it draws."""
+    """Of all effects at once: without one there is nothing new, and less of something."""
     without = shot(replace(EVERY_EFFECT, **{effect: None}))
     cut = Counter(["min"]) if effect == "blooming" else Counter()  # a well that only ends
     assert without - cut <= with_all

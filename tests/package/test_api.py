@@ -106,8 +106,7 @@ def compare(function, batch, lanes):
 
 
 def faults(calls):
-    """What is wrong with each function, by name. Each has a program of its own: one for a whole
-    room takes XLA half as long again to compile."""
+    """What is wrong with each function, by name."""
     known, wrong = traced(), {}
     for name, (arguments, options) in calls.items():
         function = partial(known[name], **options)

@@ -83,8 +83,7 @@ class _Running(ast.NodeTransformer):
 
 @cache
 def imports(file: Path) -> set[str]:
-    """Absolute dotted names that a file imports when it runs, relative ones resolved; `from a
-    import b` gives both a and a.b, since b may be a module."""
+    """Absolute dotted names that a file imports when it runs, relative ones resolved."""
     package = list(file.relative_to(ROOT).parent.parts)
     found = set()
     for node in ast.walk(_Running().visit(ast.parse(file.read_text()))):
@@ -111,8 +110,7 @@ def offered(package: str) -> dict[str, str]:
 
 
 def where_defined(name: str) -> str:
-    """`jaxvision.render` is `jaxvision.rendering.direct.render`: a name taken through a package
-    counts as taken from where it is defined."""
+    """`jaxvision.render` is `jaxvision.rendering.direct.render`."""
     package, _, rest = name.partition(".")
     if package not in ("jaxvision", "fitting") or rest not in offered(package):
         return name
@@ -121,10 +119,7 @@ def where_defined(name: str) -> str:
 
 @cache
 def files_of_rooms(package: str) -> dict[str, list[Path]]:
-    """The files of each top-level module of a package (a sub-package counts as one).
-
-    `__init__` is no room: it opens the doors of all of them.
-    """
+    """The files of each top-level module of a package (a sub-package counts as one)."""
     found: dict[str, list[Path]] = {}
     for file in sorted((ROOT / package).rglob("*.py")):
         parts = file.relative_to(ROOT / package).with_suffix("").parts
@@ -300,8 +295,7 @@ def test_no_function_hides_a_module(package):
 
 
 def borrowed(package: str) -> set[str]:
-    """The private names that rooms import of other rooms. A module like `core._types` is private to
-    the package, what begins with an underscore inside of it to the module."""
+    """The private names that rooms import of other rooms."""
     found = set()
     for room, files in files_of_rooms(package).items():
         for name in set[str]().union(*map(imports, files)):
@@ -370,8 +364,7 @@ def test_the_names_of_a_package_load_nothing(package, name):
 
 
 def test_names_load_when_first_used_also_in_a_trace():
-    """`import jaxvision` first, any name later: the files and figures alone bring their libraries,
-    and a module that is first loaded while JAX traces keeps no tracer."""
+    """`import jaxvision` first, any name later."""
     loaded, stderr = loaded_by(
         "import sys, jax, jaxvision\n"
         "def f(x):\n"

@@ -155,14 +155,3 @@ def test_nan_in_gives_nan_out(room):
     calls = {n: call for n, call in examples_of(room).items() if n not in REFUSE}
     wrong = faults({n: call for n, call in calls.items() if n.startswith(swept)})
     assert not wrong, wrong
-
-
-STRIDE = 25  # of the functions that are quick to compile the default run sweeps each so many
-
-
-@pytest.mark.slow
-def test_nan_in_gives_nan_out_of_some():
-    rooms = ("brdf", "colour", "develop", "optics", "point_ops")
-    calls = {name: call for room in rooms for name, call in examples_of(room).items()}
-    wrong = faults({name: calls[name] for name in sorted(calls)[::STRIDE]})
-    assert not wrong, wrong

@@ -197,8 +197,7 @@ def test_their_mistakes_are_named(tmp_path, kinds, case):
 
 
 def test_effects_drops_what_their_bounds_allow(source, kinds):
-    """The far spot goes, and the picture changes by no more than the certificate says; without a
-    bound it stays."""
+    """The far spot goes, and the picture changes by no more than the certificate says."""
     pruned = effects.prune(source.scene, source.view, "1%", level=0.1)
     assert len(pruned.scene.lights) == 1
     (row,) = (row for row in pruned.certificate.dropped if row.name == "lights[1]")

@@ -130,8 +130,7 @@ print("equal")
 
 
 def environment(devices):
-    """Of a process whose processor stands for some devices, each of which needs a thread: they wait
-    for each other."""
+    """Of a process whose processor stands for some devices, each of which needs a thread."""
     flags = f"--xla_force_host_platform_device_count={devices} --xla_backend_optimization_level=0"
     root = Path(__file__).parents[2]
     return os.environ | {"XLA_FLAGS": flags, "NPROC": f"{2 * devices}", "PYTHONPATH": str(root)}

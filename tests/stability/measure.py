@@ -88,8 +88,7 @@ def truth(entry, m, points):
 
 
 def ulps(got, true, scale=1.0, turn=None):
-    """|got - true| in ULP of the dtype of `got`, over `scale`; not finite where `got` is not, but
-    should be. Angles that differ by a whole `turn` are equal."""
+    """|got - true| in ULP of the dtype of `got`, over `scale`."""
     limits = np.finfo(got.dtype)
     exact = np.abs(true)
     error = np.abs((got.astype(true.dtype) if true.dtype != object else DIGITS.array(got)) - true)
@@ -105,8 +104,7 @@ def ulps(got, true, scale=1.0, turn=None):
 
 
 def conditions(entry, points, step=None):
-    """1 + sum |x df/dx| / |f| of each part, by differences of the oracle; in 60 digits by a `step`,
-    relative, where slopes change within the usual one."""
+    """1 + sum |x df/dx| / |f| of each part, by differences of the oracle."""
     m = DIGITS if entry.of_digits or step else LONG
     columns, h = [m.array(column) for column in points], m.c(step or "1e-6")
     values = truth(entry, m, points)
@@ -161,8 +159,7 @@ def slopes(entry, points):
 
 
 def gradient_errors(entry, points):
-    """(worst relative error of a slope, how many are not finite) in the precision of the points:
-    relative to the largest slope by that argument, or to what the row allows if that is more."""
+    """(worst relative error of a slope, how many are not finite) in the precision of the points."""
     program = jax.jit(jax.vmap(jax.jacrev(lambda *a: _flat(entry, a), argnums=_numbers(entry))))
     found = [np.asarray(g) for g in program(*map(jnp.asarray, points))]
     limits = np.finfo(points[0].dtype)

@@ -108,23 +108,8 @@ def test_torrance_sparrow_in_ulps(dtype, roughness, distribution, shadowing):
 
 
 @both_precisions
-@pytest.mark.parametrize("exponent", [1.0, 1e3, 1e6])
-def test_blinn_in_ulps(dtype, exponent):
-    material = as_dtype(BlinnBRDF([0.0], [1.0], exponent), dtype)
-    pairs = jnp.asarray(near_mirror(1 / np.sqrt(exponent)), dtype)
-    got = jax.jit(jax.vmap(brdf.evaluate, in_axes=(None, 0, 0)))(
-        material, pairs[:, 0], pairs[:, 1]
-    )[:, 0]
-    for (wi, wo), value in zip(pairs, got, strict=True):
-        cos = half(exact.vector(wi), exact.vector(wo))[2]
-        argument = abs(exponent * mp.log(cos))
-        assert exact.ulps(value, cos**exponent) <= 8 + 4 * float(argument)
-
-
-@both_precisions
 def test_masking_at_grazing_angles_in_ulps(dtype):
-    """z Lambda(w) down to z = 1e-7, where Lambda itself is 1e7. Of a Beckmann surface it is a
-    difference that underflows far from grazing: there it counts in units of z."""
+    """z Lambda(w) down to z = 1e-7, where Lambda itself is 1e7."""
     alpha = jnp.asarray([0.1, 0.4], dtype)
     for z in (1e-7, 1e-4, 0.05, 0.5):
         w = jnp.asarray(np.array([0.6, 0.8, z]) / np.hypot(1, z), dtype)
@@ -158,8 +143,7 @@ def test_albedo_of_a_polished_surface_at_grazing_views(distribution):
 @pytest.mark.slow
 @pytest.mark.parametrize("record", [NormalisedPhong, NormalisedBlinn])
 def test_albedo_of_the_sharpest_lobes(record):
-    """Exponents to 1e7 in float32: k_s along the normal, where the horizon cuts nothing off; no
-    more from aside, and what 64 bits find."""
+    """Exponents to 1e7 in float32: k_s along the normal, where the horizon cuts nothing off."""
     exponents = np.array([0.0, 1.0, 1e3, 1e5, 1e6, 1e7], np.float32)
     cosines = np.array([1.0, 0.9, 0.1, 1e-3], np.float32)
 
@@ -182,9 +166,7 @@ def test_albedo_of_the_sharpest_lobes(record):
 @both_precisions
 @pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
 def test_gradients_in_the_roughness_at_grazing_angles(dtype, distribution):
-    """A normal turned aside down to a cosine of 1e-7 over alphas from below 1e-6 to 10: all finite;
-    and d log(D) / d log(alpha) of D = exp(-tan^2 / alpha^2) / (pi alpha^2 cos^4), or of GGX,
-    where the density is one that a float can hold."""
+    """A normal turned aside down to a cosine of 1e-7 over alphas from below 1e-6 to 10."""
     cosines = jnp.logspace(-7, 0, 29, dtype=dtype)
     alphas = jnp.logspace(-6.5, 1, 31, dtype=dtype)
 

@@ -126,19 +126,6 @@ def test_nothing_covered_and_nothing_weighted(dtype):
     assert_finite(jax.grad(lambda *x: disk(*x).sum(), (0, 1))(f, width))
 
 
-@pytest.mark.slow
-@both_precisions
-def test_orientation_of_a_flat_picture(dtype):
-    f = jnp.zeros((7, 7), dtype)
-
-    def strength(f):
-        basis = filters.quadrature_basis(f, jnp.asarray(1, dtype), size=5)
-        angle, strength = filters.dominant_orientation(basis)
-        return (angle + strength).sum()
-
-    assert_finite((strength(f), jax.grad(strength)(f)))
-
-
 def test_half_precision_and_the_transform():
     """bfloat16 keeps its dtype, and passes through float32."""
     f = jnp.ones((8, 8), jnp.bfloat16)

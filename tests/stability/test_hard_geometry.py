@@ -49,8 +49,7 @@ WORLDS = [(scale, np.zeros(3)) for scale in SCALES] + [(1.0, np.array([1000.0, -
 
 
 def numbers(kind, turn, scale, place, edges):
-    """The float fields of a shape about `place`, of a size near `scale`; rows of `turn`: its axes
-    in the world."""
+    """The float fields of a shape about `place`, of a size near `scale`."""
     centre = scale * place
     match kind:
         case "sphere":
@@ -385,8 +384,7 @@ NOTHING = {
 
 
 def rays_that_meet_nothing(kind):
-    """(origin, direction, fields): in the plane of a flat shape, above and below it; at shapes
-    of no extent from all sides."""
+    """(origin, direction, fields): in the plane of a flat shape, above and below it."""
     for scale in SCALES if kind in PARALLEL else []:
         fields = [scale * x if kind == "triangle" else x for x in PARALLEL[kind]]
         for above, way in [(h, 0) for h in (0, 1e-6, -1e-6, 1)] + [(0, 1e-80)]:
@@ -422,8 +420,7 @@ LEAVING = [(0, 0, 1), (0.6, 0, 0.8), (0, -0.8, 0.6), (1, 0, 0.02), (-0.28, -0.96
 
 
 def shadows(kind):
-    """For a ray that meets the shape, and a way on about the normal of the side that it meets: the
-    hit, where rays that go on, and through, start, and what is blocked."""
+    """For a ray that meets the shape, and a way on about the normal of the side that it meets."""
 
     def one(origin, direction, fields, way, scale):
         shape = MAKE[kind](*fields)

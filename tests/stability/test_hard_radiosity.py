@@ -105,9 +105,7 @@ def test_rectangles_of_unequal_size(case, dtype):
 @both_precisions
 @pytest.mark.parametrize("apart", [0.0, 0.5, 1.9, 2.6, 8.0, 13.0, 1000.0])
 def test_patches_at_any_distance(apart, dtype):
-    """Two patches of 0.1 m, shifted by `apart` of their size, in planes 0.1 m apart: within the
-    bound that the docstring states for C-13, in 50 digits.
-    """
+    """Two patches of 0.1 m, shifted by `apart` of their size, in planes 0.1 m apart."""
     first = jnp.asarray([[0.0, 0.1], [0.0, 0.1]], dtype)
     second = first + jnp.asarray([[0.1 * apart], [0.0]], dtype)
     gap = jnp.asarray(0.1, dtype)

@@ -45,8 +45,7 @@ def test_gradients_of_an_interface_are_finite(dtype, index):
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-3, 1e4])
 def test_closed_box_of_any_scale_loses_no_light_in_float32(scale):
-    """Radiance 1 from every wall of a box of albedo .5 and emission .5: a leak, or a wall that
-    shades itself, would darken it."""
+    """Radiance 1 from every wall of a box of albedo .5 and emission .5."""
     half = np.array([1.0, 0.7, 0.4]) * scale
     wall = Surface(Box(half * 3, half), Lambert([0.5 / np.pi]), [0.5], two_sided=True)
     scene = as_dtype(Scene([wall], []), jnp.float32)
@@ -67,8 +66,7 @@ def test_closed_box_of_any_scale_loses_no_light_in_float32(scale):
 
 @both_precisions
 def test_a_ray_that_begins_on_a_mesh_meets_what_lies_ahead(dtype):
-    """Two sheets of 128 triangles in one mesh, and a start in the plane of the first: neither a
-    search nor a shadow ray stops at distance 0, which Embree alone would."""
+    """Two sheets of 128 triangles in one mesh, and a start in the plane of the first."""
     pytest.importorskip("embreex")
     place = np.linspace(-1, 1, 9)
     x, y = (v.ravel() for v in np.meshgrid(place, place, indexing="ij"))

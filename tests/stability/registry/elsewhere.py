@@ -139,13 +139,7 @@ ELSEWHERE = (
             geometry.checks.*
         """,
     ),
-    Elsewhere(
-        FILES,
-        "test_measured_files",
-        """
-            files.measured.*
-        """,
-    ),
+    Elsewhere(FILES, "test_measured_files", "files.measured.*"),
     Elsewhere(
         FILES,
         "test_scene_files",
@@ -202,13 +196,7 @@ ELSEWHERE = (
             rendering.lifted_scene.*
         """,
     ),
-    Elsewhere(
-        COMMANDS,
-        "test_study",
-        """
-            fitting.study.*
-        """,
-    ),
+    Elsewhere(COMMANDS, "test_study", "fitting.study.*"),
     Elsewhere(
         COMMANDS,
         "test_cli test_tasks",
@@ -217,13 +205,7 @@ ELSEWHERE = (
             tasks.*
         """,
     ),
-    Elsewhere(
-        DRAWS,
-        "test_shading",
-        """
-            rendering.hemisphere_integral: sampled_radiance
-        """,
-    ),
+    Elsewhere(DRAWS, "test_shading", "rendering.hemisphere_integral: sampled_radiance"),
     Elsewhere(
         DRAWS,
         "test_random test_lights",
@@ -245,20 +227,8 @@ ELSEWHERE = (
             fitting.demo.section.*
         """,
     ),
-    Elsewhere(
-        WORDS,
-        "test_lazy_names",
-        """
-            core.lazy_names.*
-        """,
-    ),
-    Elsewhere(
-        WORDS,
-        "test_in_notebooks",
-        """
-            core.in_notebooks.*
-        """,
-    ),
+    Elsewhere(WORDS, "test_lazy_names", "core.lazy_names.*"),
+    Elsewhere(WORDS, "test_in_notebooks", "core.in_notebooks.*"),
     Elsewhere(
         WORDS,
         "test_accuracy test_accuracy_several",
@@ -289,13 +259,7 @@ ELSEWHERE = (
             core.memory.*
         """,
     ),
-    Elsewhere(
-        COMMANDS,
-        "test_programs",
-        """
-            programs.*
-        """,
-    ),
+    Elsewhere(COMMANDS, "test_programs", "programs.*"),
     Elsewhere(
         COMMANDS,
         "test_lab test_seeds",
@@ -320,34 +284,14 @@ ELSEWHERE = (
             fitting.checks.simulations.*
         """,
     ),
-    Elsewhere(
-        CLOCK,
-        "test_accuracy test_accuracy_knobs test_accuracy_several",
-        """
-            accuracy.*
-        """,
-    ),
-    Elsewhere(
-        CLOCK,
-        "test_fit_accuracy",
-        """
-            fitting.accuracy.*
-        """,
-    ),
+    Elsewhere(CLOCK, "test_accuracy test_accuracy_knobs test_accuracy_several", "accuracy.*"),
+    Elsewhere(CLOCK, "test_fit_accuracy", "fitting.accuracy.*"),
     Elsewhere(
         BOUNDS,
         "test_effects test_effects_sensor test_effects_optics test_effects_bodies",
-        """
-            effects.*
-        """,
+        "effects.*",
     ),
-    Elsewhere(
-        CHOICES,
-        "test_sensor_light",
-        """
-            sensor.shutter: exposed
-        """,
-    ),
+    Elsewhere(CHOICES, "test_sensor_light", "sensor.shutter: exposed"),
     Elsewhere(
         CHOICES,
         "test_own_kinds test_own_kinds_in_one_file test_lights",
@@ -404,13 +348,7 @@ ELSEWHERE = (
             transport.radiosity.solve: shoot
         """,
     ),
-    Elsewhere(
-        CHOICES,
-        "test_types",
-        """
-            core._types: as_dtype
-        """,
-    ),
+    Elsewhere(CHOICES, "test_types", "core._types: as_dtype"),
     Elsewhere(
         TABLES,
         "test_hemisphere test_accuracy_knobs",
@@ -421,13 +359,7 @@ ELSEWHERE = (
             lights.orders: order_for
         """,
     ),
-    Elsewhere(
-        INTERPOLATED,
-        "test_resampling",
-        """
-            filters.resampling: resize warp
-        """,
-    ),
+    Elsewhere(INTERPOLATED, "test_resampling", "filters.resampling: resize warp"),
     Elsewhere(
         TABLES,
         "test_filters_named test_filters_varying",
@@ -446,20 +378,8 @@ ELSEWHERE = (
             sensor.expectation: expected_of_count expected_of_defect expected_of_reading
         """,
     ),
-    Elsewhere(
-        WORDS,
-        "foreign/test_scenes",
-        """
-            transport.missing: missing_light
-        """,
-    ),
-    Elsewhere(
-        TABLES,
-        "test_optics_distortion",
-        """
-            optics.views: opencv_view
-        """,
-    ),
+    Elsewhere(WORDS, "foreign/test_scenes", "transport.missing: missing_light"),
+    Elsewhere(TABLES, "test_optics_distortion", "optics.views: opencv_view"),
     Elsewhere(
         DRAWS,
         "test_transport_light test_transport_paths test_hemisphere",
@@ -489,20 +409,12 @@ ELSEWHERE = (
             filters.integral: integral_image
         """,
     ),
-    Elsewhere(
-        SOLVERS,
-        "test_side_by_side",
-        """
-            core.side_by_side.*
-        """,
-    ),
+    Elsewhere(SOLVERS, "test_side_by_side", "core.side_by_side.*"),
     Elsewhere(
         STATISTICS,
         "test_likelihoods test_parameters test_problem test_clustering test_diagnostics "
         "test_joint_left_out test_joint_prior test_stated_errors test_neighbours",
-        """
-            fitting.inference.given.*
-        """,
+        "fitting.inference.given.*",
     ),
     Elsewhere(
         STATISTICS,
@@ -529,21 +441,9 @@ ELSEWHERE = (
         "test_shading_check test_spread test_stated_errors",
         "fitting.reflectance.*",
     ),
-    Elsewhere(
-        STATISTICS,
-        "test_from_edge",
-        "fitting.resolution.*",
-    ),
-    Elsewhere(
-        STATISTICS,
-        "test_sensitivities",
-        "fitting.sensitivities.*",
-    ),
-    Elsewhere(
-        STATISTICS,
-        "test_lights_calibration",
-        "fitting.lights.*",
-    ),
+    Elsewhere(STATISTICS, "test_from_edge", "fitting.resolution.*"),
+    Elsewhere(STATISTICS, "test_sensitivities", "fitting.sensitivities.*"),
+    Elsewhere(STATISTICS, "test_lights_calibration", "fitting.lights.*"),
     Elsewhere(
         STATISTICS,
         "test_report foreign/test_noise foreign/test_frames test_noise test_emva1288 "

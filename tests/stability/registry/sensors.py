@@ -3,18 +3,8 @@
 import jax.numpy as jnp
 from oracle_numbers import MP, special
 
-from jaxvision import (
-    ArrheniusDarkCurrent,
-    DoublingDarkCurrent,
-    Moments,
-    Sensor,
-    expected_signal,
-    photon_rate,
-    scene,
-    sensor,
-    signal_variance,
-    spectra,
-)
+import jaxvision as jv
+from jaxvision import scene, sensor, spectra
 from jaxvision.sensor import adc
 
 from .entry import Columns, Entry, Range, Whole
@@ -60,11 +50,11 @@ clipped_variance = special(lambda m, v, a, b: censored_moments(m, v, a, b)[1])
 def both(mean, sd):
     """In units of the window [0, 1]."""
     one = jnp.ones_like(mean)
-    return tuple(sensor.censored(Moments(mean, sd * sd), low=0 * one, high=one))
+    return tuple(sensor.censored(jv.Moments(mean, sd * sd), low=0 * one, high=one))
 
 
 def below(mean):
-    return tuple(sensor.censored(Moments(mean, jnp.ones_like(mean)), low=jnp.zeros_like(mean)))
+    return tuple(sensor.censored(jv.Moments(mean, jnp.ones_like(mean)), low=jnp.zeros_like(mean)))
 
 
 def at_zero(m, mean):
@@ -81,23 +71,23 @@ def in_window(m, mean, sd):
 
 
 def a_sensor(read, gain, offset, **other):
-    return Sensor(
+    return jv.Sensor(
         shot_noise=scene.PoissonShotNoise(), read_noise=read, gain=gain, offset=offset, **other
     )
 
 
 def mean_of(photons, gain, offset):
     zero = jnp.zeros_like(gain)
-    return expected_signal(a_sensor(zero, gain, offset), photons[None])[0]
+    return jv.expected_signal(a_sensor(zero, gain, offset), photons[None])[0]
 
 
 def pattern_of(photons, prnu, dsnu, dead):
-    plain = Sensor(prnu=prnu, dsnu=dsnu, dead_pixels=dead)
+    plain = jv.Sensor(prnu=prnu, dsnu=dsnu, dead_pixels=dead)
     return sensor.pattern_variance(plain, photons[None])[0]
 
 
 def variance_of(photons, read, gain):
-    return signal_variance(a_sensor(read, gain, 0 * gain), photons[None])[0]
+    return jv.signal_variance(a_sensor(read, gain, 0 * gain), photons[None])[0]
 
 
 def ratio_of(photons, read, gain):
@@ -191,7 +181,7 @@ ENTRIES = [
     ),
     Entry(
         "sensor.exposure.photon_rate",
-        lambda e, w, a: photon_rate(e[None], w, a)[0],
+        lambda e, w, a: jv.photon_rate(e[None], w, a)[0],
         lambda m, e, w, a: e * w * a / (m.c(H) * m.c(C)),
         (Range(1e-9, 1e6), NANOMETRES, Range(1e-13, 1e-9)),
         ((1e-12, 5.5e-7, 1.2e-11), (1e6, 5.5e-7, 1e-10)),
@@ -199,7 +189,7 @@ ENTRIES = [
     Entry(
         "sensor.dark.dark_rate",
         lambda r, t: sensor.dark_rate(
-            DoublingDarkCurrent(r, t, reference_temperature=0 * t + 300, doubling=0 * t + 8)
+            jv.DoublingDarkCurrent(r, t, reference_temperature=0 * t + 300, doubling=0 * t + 8)
         ),
         lambda m, r, t: r * m.power(m.c("2"), (t - 300) / 8),
         (Range(1e-3, 1e3), Range(220.0, 380.0, log=False)),
@@ -211,7 +201,7 @@ ENTRIES = [
     Entry(
         "sensor.dark.dark_rate",
         lambda r, t: sensor.dark_rate(
-            ArrheniusDarkCurrent(
+            jv.ArrheniusDarkCurrent(
                 r, t, reference_temperature=0 * t + 300, activation_energy=0 * t + 0.5
             )
         ),
