@@ -10,9 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxvision.rendering.direct import can_shade
-from jaxvision.scene import Camera, Scene, View
-
 from ..inference.differences import UNSEEN
 from ..inference.on_host import on_host
 from ..inference.problem import Problem, Values, prediction, values_at
@@ -54,7 +51,14 @@ def warn_of_moving_edges(problem: Problem) -> None:
 
 def _geometric(problem: Problem) -> Iterator[str]:
     """Yield the free paths whose change may move an edge in the picture."""
-    for name in (parameter.name for parameter in problem.free if is_path(parameter.name)):
+    paths = [parameter.name for parameter in problem.free if is_path(parameter.name)]
+    if not paths:
+        return
+    # here: most problems have no scene, and this takes a third of the import of `fit`
+    from jaxvision.rendering.direct import can_shade
+    from jaxvision.scene import Camera, Scene, View
+
+    for name in paths:
         record = problem.records.get(head(name))
         within = name[len(head(name)) + 1 :]
         if isinstance(record, View) or (isinstance(record, Camera) and within.startswith("view.")):

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision.core.in_notebooks import record_html
-from jaxvision.effects.certificate import Certificate, summary
 from jaxvision.errors import InputError, nearest
 
 from ..inference.candidates import Choice
@@ -35,6 +34,8 @@ from .words import agreeing, prior_share
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from jaxvision.effects.certificate import Certificate
 
 
 @dataclass(frozen=True)
@@ -462,8 +463,10 @@ def section(fit: Fit, title: str) -> Section:
     )
 
 
-def left_out_table(certificate: Certificate) -> Table:
+def left_out_table(certificate: "Certificate") -> Table:
     """The effects that `called_for` dropped, with bounds in the certificate's unit."""
+    from jaxvision.effects.certificate import summary
+
     rows = tuple((e.name, e.bound, e.place, e.rank, e.why) for e in certificate.dropped)
     heads = ("effect", f"bound [{certificate.unit}]", "moves by [pixels]", "rank", "why")
     return Table("Left out", heads, rows, summary(certificate))
