@@ -16,17 +16,7 @@ import numpy as np
 import pytest
 from turns import in_turns
 
-from jaxvision import (
-    Pinhole,
-    Plane,
-    PointLight,
-    Scene,
-    Sphere,
-    Surface,
-    as_dtype,
-    look_at,
-    render,
-)
+import jaxvision as jv
 from jaxvision.brdf.phong import PhongBRDF
 
 pytestmark = pytest.mark.benchmark
@@ -46,17 +36,17 @@ LAMPS = [([3, 5, 3], [30, 28, 25]), ([-3, 4, 2], [15, 18, 25]), ([0.5, 6, -3], [
 
 
 def ours():
-    shapes = [Sphere(c, r) for c, r in zip(CENTRES, RADII, strict=True)]
-    shapes.append(Plane([0, 0, 0], [0, 1, 0]))
+    shapes = [jv.Sphere(c, r) for c, r in zip(CENTRES, RADII, strict=True)]
+    shapes.append(jv.Plane([0, 0, 0], [0, 1, 0]))
     surfaces = [
-        Surface(shape, PhongBRDF(*fields))
+        jv.Surface(shape, PhongBRDF(*fields))
         for shape, *fields in zip(shapes, KD, KS, EXPONENTS, strict=True)
     ]
-    lights = [PointLight(*lamp) for lamp in LAMPS]
-    rotation = look_at(jnp.asarray(EYE), jnp.asarray(TARGET), jnp.asarray([0.0, 1, 0]))
+    lights = [jv.PointLight(*lamp) for lamp in LAMPS]
+    rotation = jv.look_at(jnp.asarray(EYE), jnp.asarray(TARGET), jnp.asarray([0.0, 1, 0]))
     pitch = 2 * np.tan(np.radians(FIELD) / 2) / SIDE
-    view = Pinhole(EYE, rotation, 1.0, pitch, resolution=(SIDE, SIDE))
-    return as_dtype((Scene(surfaces, lights), view), jnp.float32)
+    view = jv.Pinhole(EYE, rotation, 1.0, pitch, resolution=(SIDE, SIDE))
+    return jv.as_dtype((jv.Scene(surfaces, lights), view), jnp.float32)
 
 
 def mitsuba_rival(shadows=True):
@@ -200,9 +190,9 @@ def test_the_sum_over_three_points_beside_mitsuba(shadows):
     scenes of all sizes need, and tested against all shapes, its own among them."""
     draw, _ = mitsuba_rival(shadows)
     scene, view = ours()
-    arguments = Scene(scene.surfaces, scene.lights, occluders=None if shadows else ()), view
+    arguments = jv.Scene(scene.surfaces, scene.lights, occluders=None if shadows else ()), view
     begin = time.perf_counter()
-    compiled = jax.jit(render).lower(*arguments).compile(compiler_options=WIDE)
+    compiled = jax.jit(jv.render).lower(*arguments).compile(compiler_options=WIDE)
     print(f"\nshadows: {shadows}, compile {time.perf_counter() - begin:.2f} s")
     difference = np.abs(np.asarray(compiled(*arguments)) - np.asarray(draw()))
     off = (difference.max(axis=-1) > 1e-3).mean()
@@ -227,10 +217,10 @@ def test_the_gradient_in_the_reflectance_beside_mitsuba():
 
     def loss(materials):
         coated = [
-            Surface(surface.shape, material)
+            jv.Surface(surface.shape, material)
             for surface, material in zip(scene.surfaces, materials, strict=True)
         ]
-        image = render(Scene(coated, scene.lights), view)
+        image = jv.render(jv.Scene(coated, scene.lights), view)
         return jnp.mean((image - TARGET_RADIANCE) ** 2)
 
     begin = time.perf_counter()

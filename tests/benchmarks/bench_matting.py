@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from turns import in_turns
 
-from jaxvision.matting import closed_form_matte, estimate_foreground
+from jaxvision.matting import closed_form_matte
 
 ROUNDS = 5
 RNG = np.random.default_rng(0)
@@ -64,29 +64,3 @@ def test_closed_form(side):
     }
     table(rivals, lambda name: f"mean error {errors[name]:.5f}")
     assert errors["float64"] < 1.05 * errors["pymatting"]
-
-
-@pytest.mark.benchmark
-def test_foreground():
-    pymatting = pytest.importorskip("pymatting")
-    seen, _, alpha = scene(512)
-    estimate = jax.jit(estimate_foreground)
-    single = jnp.asarray(seen, jnp.float32), jnp.asarray(alpha[..., None], jnp.float32)
-    rivals = {
-        "float32": lambda: estimate(*single),
-        "pymatting": lambda: pymatting.estimate_foreground_ml(seen, alpha, return_background=True),
-    }
-
-    def energy(name: str) -> float:
-        front, behind = (np.asarray(x, np.float64) for x in rivals[name]())
-        a = alpha[..., None]
-        total = np.sum((a * front + (1 - a) * behind - seen) ** 2)
-        for axis in (0, 1):
-            weight = 2 * (1e-5 + np.abs(np.diff(a, axis=axis)))
-            for light in (front, behind):
-                total += np.sum(weight * np.diff(light, axis=axis) ** 2)
-        return float(total)
-
-    energies = {name: energy(name) for name in rivals}
-    table(rivals, lambda name: f"energy {energies[name]:.4f}")
-    assert energies["float32"] < energies["pymatting"]

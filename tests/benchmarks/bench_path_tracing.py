@@ -1,7 +1,6 @@
 """The Cornell box by path tracing against Mitsuba 3 (`llvm_ad_rgb`, `path`): 256 x 256 pixels, 64
 samples, up to 6 pieces, no roulette, float32. Both against a reference of 2048 samples by Mitsuba,
-so that speed is compared at the error that each has; and the compile times of the picture and of
-its gradients, in all materials and in the whole scene.
+so that speed is compared at the error that each has.
 
     pytest tests/benchmarks/bench_path_tracing.py -m benchmark -s
 
@@ -12,7 +11,6 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +21,6 @@ from scipy.ndimage import binary_dilation
 from turns import in_turns
 
 from jaxvision import as_dtype
-from jaxvision.scene import Scene
 from jaxvision.transport import Paths, path_traced
 
 SIDE, SAMPLES, DEPTH, ROUNDS = 256, 64, 6, 7
@@ -37,30 +34,6 @@ def compiled(strategy, scene, view):
         jax.jit(partial(path_traced, method=method)).lower(jax.random.key(0), scene, view).compile()
     )
     return (lambda key: call(key, scene, view).radiance), time.perf_counter() - start
-
-
-def gradient_seconds(scene, view, *, whole):
-    """Tracing and compiling the gradient of a mean picture, in all materials or in the `whole`
-    scene: shapes and emission too."""
-    method = Paths(4, DEPTH, strategy="lights")
-    materials = [surface.material for surface in scene.surfaces]
-
-    def mean(scene):
-        return path_traced(jax.random.key(0), scene, view, method=method).radiance.mean()
-
-    def of_materials(materials):
-        surfaces = [
-            eqx.tree_at(lambda s: s.material, surface, material)
-            for surface, material in zip(scene.surfaces, materials, strict=True)
-        ]
-        return mean(Scene(surfaces, scene.lights))
-
-    loss, at = (mean, scene) if whole else (of_materials, materials)
-    start = time.perf_counter()
-    call = jax.jit(jax.grad(loss)).lower(at).compile()
-    seconds = time.perf_counter() - start
-    assert all(jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(call(at)))
-    return seconds
 
 
 @pytest.mark.benchmark
@@ -106,6 +79,3 @@ def test_cornell_box():
         print(f"{name:16s}{taken:8.2f}{errors[name]:12.4f}{faster:14.2f}{equal:16.2f}")
     for strategy, taken in compile_seconds.items():
         print(f"compiled {strategy}: {taken:.2f} s")
-    for name, whole in (("materials", False), ("the whole scene", True)):
-        taken = gradient_seconds(scene, view, whole=whole)
-        print(f"compiled gradient in {name}: {taken:.2f} s")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from turns import in_turns
 
-from jaxvision.colour_spaces import apply_matrix, rgb_to_ycbcr
+from jaxvision.colour_spaces import apply_matrix
 from jaxvision.matting.compositing import over
 from jaxvision.point_ops import blend, clip, exposure, gain_bias, gamma_encode
 
@@ -118,14 +118,6 @@ def test_single_operators(size):
             "numpy": lambda: front + (1 - front[..., 3:]) * back,
         },
         1e-6,
-    )
-    report(
-        f"Y'CbCr {title}",
-        {
-            "ours": compiled("ycbcr", rgb_to_ycbcr, first),
-            "opencv": lambda: cv2.transform(first, LUMA.astype(np.float32)),
-        },
-        2e-6,
     )
 
 

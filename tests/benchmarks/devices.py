@@ -21,14 +21,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from bench_direct_light import ours as spheres
-from bench_mcmc import posterior_of
-from bench_mcmc import walkers as start_of_walkers
 from bench_mesh import bumpy_ball, camera_rays
-from bench_sensor import ALL, DIE
 from oracles import cornell_box
+from oracles.sensors import OF_PHOTONS
+from oracles.sphere_photographs import light_directions, sphere_normals
 
 from fitting.inference.posterior import walkers_at_a_time
-from fitting.reflectance.from_images.fit import adjusted_log_density
+from fitting.reflectance.from_images.fit import Adjusted, adjusted_log_density
+from fitting.reflectance.from_images.samples import Samples, total_log_likelihood
+from fitting.reflectance.from_images.signal import Form, local_geometry
 from jaxvision import Vec, as_dtype, filters, histogram, render
 from jaxvision.accuracy.scene_settings import machine
 from jaxvision.development import demosaic
@@ -38,7 +39,57 @@ from jaxvision.sensor import raw_image
 from jaxvision.transport import Paths, path_traced
 from jaxvision.transport.radiosity import plan_patches, radiosity
 
-KEY = jax.random.key(0)
+KEY, DIE = jax.random.split(jax.random.key(0))
+TRUTH, WHITE = np.log([0.4, 0.45, 40.0]), 3000.0  # of the reflectance posterior
+ALL = replace(
+    OF_PHOTONS,
+    exposure_time=0.01,
+    crosstalk=None,
+    smear=None,
+    blooming=None,
+    charge_transfer=None,
+    gain=0.4,
+    bits=12,
+)
+
+
+def lit_pixels() -> tuple:
+    """n.l, digital numbers and geometry of the lit pixels of a Phong sphere under ten lights."""
+    normals = sphere_normals(64, 31.0).reshape(-1, 3)
+    normals = normals[~np.isnan(normals[:, 2])]
+    directions = light_directions(10)
+    n_l = directions @ normals.T
+    mirrored = 2 * n_l * normals[:, 2] - directions[:, 2:]
+    lit = n_l > 0
+    cosine, cos_mirror = n_l[lit], np.clip(mirrored[lit], 1e-6, 1)
+    signal = WHITE * (0.4 * cosine + 0.45 * cos_mirror**40)
+    dn = signal + 20 * np.random.default_rng(0).standard_normal(signal.size)
+    light, pixel = np.nonzero(lit)
+    return (
+        cosine,
+        dn,
+        local_geometry(normals[pixel], directions[light], np.full_like(cosine, WHITE)),
+    )
+
+
+def reflectance_posterior() -> Adjusted:
+    cosine, dn, seen = lit_pixels()
+    one = jnp.ones(())
+    samples = Samples(
+        form=Form("phong"),
+        geometry=seen,
+        dn=jnp.asarray(dn),
+        deviation=jnp.full_like(cosine, 20.0),
+        saturated=None,
+        black=0 * one,
+        white=4095 * one,
+        clip=4095 * one,
+        gamma=None,
+    )
+    parts = (samples, None), jnp.asarray(TRUTH), jnp.eye(3), jnp.zeros(3)
+    return Adjusted(total_log_likelihood, *parts)
+
+
 Program = tuple[Callable, tuple]
 
 
@@ -67,7 +118,8 @@ def radiosities(size: float) -> Program:
 
 def walkers() -> Program:
     """The reflectance posterior of 27,000 pixels where an ensemble's walkers stand."""
-    posterior = posterior_of(cells=False)
+    posterior = reflectance_posterior()
+    start = TRUTH + 1e-3 * np.random.default_rng(1).standard_normal((128, 3))
 
     def densities(vectors):
         def one(vector):
@@ -75,7 +127,7 @@ def walkers() -> Program:
 
         return jax.lax.map(one, vectors, batch_size=walkers_at_a_time())
 
-    return densities, (jnp.asarray(start_of_walkers(), jnp.result_type(float)),)
+    return densities, (jnp.asarray(start, jnp.result_type(float)),)
 
 
 def picture(side: int, bands: tuple = (3,)) -> jax.Array:
