@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from clocks import Clock
 
 from jaxvision.accuracy import (
     Knob,
@@ -20,16 +21,6 @@ from jaxvision.accuracy.reference import mean_of
 from jaxvision.errors import InputError
 
 LENGTH = 400  # numbers of a result, where it stands for a picture
-
-
-class Clock:
-    """Seconds that the problem's own calls advance."""
-
-    def __init__(self):
-        self.now = 100.0
-
-    def __call__(self):
-        return self.now
 
 
 STILL = Clock()  # by which everything fits into any budget
@@ -113,8 +104,7 @@ def test_the_order_of_the_midpoint_rule_and_the_floor_of_its_reference():
 
 
 def test_gauss_converges_geometrically():
-    """By a factor a node: a straight line against the setting, not against its logarithm; what
-    rounding hides is hollow, and enters no fit."""
+    """By a factor a node: a straight line against the setting, not against its logarithm."""
     clock = Clock()
     problem, exact = quadrature(gauss, clock=clock)
     knob = replace(
@@ -229,8 +219,7 @@ def test_a_chosen_setting_meets_its_tolerance_with_fresh_seeds(size, whole):
 
 
 def test_a_bias_is_measured_by_equal_seeds():
-    """A knob that shifts by 1 / n^2 a result that scatters by far more: the error is the shift, not
-    the scatter, which is not the knob's."""
+    """A knob that shifts by 1 / n^2 a result that scatters by far more."""
     c = np.linspace(1, 2, 10_000)
 
     def prepare(settings):
@@ -449,8 +438,7 @@ def test_a_result_that_is_not_finite_is_left_out_and_says_so(knob, wrong):
 @pytest.mark.parametrize("knob", [N, RANDOM])
 @pytest.mark.parametrize("at", [32, 128, 1024])
 def test_a_setting_that_fails_loses_no_other(knob, at):
-    """As one that needs more memory than there is, among the settings or in the reference; what
-    fails at once is a fault of the problem."""
+    """As one that needs more memory than there is, among the settings or in the reference."""
     plain = quadrature(midpoint)[0] if knob is N else monte_carlo()
 
     def prepare(settings):
@@ -469,8 +457,7 @@ def test_a_setting_that_fails_loses_no_other(knob, at):
 
 
 def test_a_bias_of_what_was_taken_for_chance_is_in_the_error_of_its_reference():
-    """All seeds agree, and no finer setting could be run: the scatter of the seeds is 0, the
-    reference's own error is not."""
+    """All seeds agree, and no finer setting could be run."""
     knob = replace(RANDOM, settings=(4, 8), reference=())
     found = curve(
         Problem("biased", lambda s: lambda seed: np.full(9, 1 + 1 / s["n"] ** 2)), knob, clock=STILL
@@ -483,8 +470,7 @@ def test_a_bias_of_what_was_taken_for_chance_is_in_the_error_of_its_reference():
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("alone", [False, True])
 def test_a_rule_without_chance_is_no_truth_for_itself(dtype, alone):
-    """The mean of seven equal results differs from them by rounding, which is not their error: they
-    are all off by 5 %, which the other rule hides in its own scatter."""
+    """The mean of seven equal results differs from them by rounding, which is not their error."""
     shape, clock = np.random.default_rng(0).uniform(0.5, 1.5, LENGTH), Clock()
 
     def prepare(settings):

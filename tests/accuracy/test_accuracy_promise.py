@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from clocks import Clock
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
@@ -18,16 +19,6 @@ from jaxvision.errors import InputError
 
 SHAPE = np.random.default_rng(0).uniform(0.5, 1.5, 400)
 RMS = float(np.sqrt(np.mean(SHAPE**2)))
-
-
-class Clock:
-    """Seconds that calls advance."""
-
-    def __init__(self):
-        self.now = 100.0
-
-    def __call__(self):
-        return self.now
 
 
 def shifted(law, *, clock=None):
