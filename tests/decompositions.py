@@ -18,15 +18,7 @@ PARALLEL = {"cholesky", "eig", "eigh", "geqrf", "householder_product", "lu", "sv
 
 
 def beside_each_other(function: Any, *arguments: Any) -> list[tuple[str, str]]:
-    """Pairs of decompositions of batches of which neither waits for the other.
-
-    Args:
-        function: to be traced.
-        arguments: of it.
-
-    Returns:
-        Names of the primitives.
-    """
+    """Pairs of decompositions of batches of which neither waits for the other."""
     return _pairs(jax.make_jaxpr(function)(*arguments).jaxpr)
 
 

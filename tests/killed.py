@@ -104,8 +104,7 @@ class Job:
         return process.returncode
 
     def interrupt(self, after: float, *, cache: str) -> float | None:
-        """Seconds that the command took to end, None if it was done before, or all but done;
-        `AssertionError` where it does not end as it should."""
+        """Seconds that the command took to end, None if it was done before, or all but done."""
         process = self.begun(cache=cache)
         try:
             process.communicate(timeout=after)
@@ -158,8 +157,7 @@ class Job:
         return self.compared(moment, again=moment % 4 == 0)
 
     def killed_at(self, moment: int) -> str:
-        """What a run that is killed at a moment leaves behind: "nothing", "some files" or "all";
-        `AssertionError` where a file is torn, or the next run ends otherwise."""
+        """What a run that is killed at a moment leaves behind: "nothing", "some files" or "all"."""
         self.start_over()
         self.run(kill_after=random.Random(moment).uniform(0, self.seconds))
         return self.compared(moment, again=True)

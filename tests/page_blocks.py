@@ -11,8 +11,7 @@ def blocks(page, language):
 
 
 def promises(block):
-    """[(number, tolerance)] that the comments beside a block's `print` promise, in order: `# 0.25`
-    to its last digit, `# 0.25 within 1 %`; None where a comment promises no number."""
+    """[(number, tolerance)] that the comments beside a block's `print` promise, in order."""
     found = []
     for line in re.findall(r"^.*\bprint\(.*$", block, flags=re.MULTILINE):
         comment = re.search(

@@ -234,8 +234,7 @@ def traced():
 
 
 def doors():
-    """The functions of `traced` that convert and check what users pass: all that a package lists,
-    and of those inside that do. The others trust their callers."""
+    """The functions of `traced` that convert and check what users pass."""
     listed = {
         id(getattr(module, name))
         for module in (jaxvision, *modules(jaxvision))

@@ -8,8 +8,7 @@ SHAPE = (16, 12)
 
 
 def draw(seed, *, wells=True, further=False):
-    """(sensor, numbers of the oracle, light in photons per pixel (h, w), rng); `further`: with
-    effects that calibrations find in real cameras."""
+    """(sensor, numbers of the oracle, light in photons per pixel (h, w), rng)."""
     rng = np.random.default_rng(seed)
 
     def log(low, high):

@@ -16,8 +16,7 @@ _INSIDE = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # what a call's parameters call 
 
 
 def _steps(closed, into, arguments):
-    """Appends (operation, inputs, outputs) of a program, those of its calls in their place. Inputs
-    and outputs are numbers of slots, or constants."""
+    """Appends (operation, inputs, outputs) of a program, those of its calls in their place."""
     jaxpr, slots = closed.jaxpr, {}
     for variable, value in zip(jaxpr.constvars, closed.consts, strict=True):
         slots[variable] = ("constant", value)

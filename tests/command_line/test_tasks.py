@@ -4,7 +4,6 @@ import gc
 import os
 import pickle
 import signal
-import threading
 import time
 import weakref
 from dataclasses import replace
@@ -316,8 +315,7 @@ def test_records_that_tasks_share_are_not_kept_when_they_are_done():
 @pytest.mark.slow
 @pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_tasks_like_earlier_ones_compile_nothing(tmp_path, caplog, every):
-    """What a worker compiles anew, or JAX remembers, at each task adds up in it for ever: renders
-    and, of `every` kind, fits and folders."""
+    """What a worker compiles anew, or JAX remembers, at each task adds up in it for ever."""
     (tmp_path / "ball.toml").write_text(BALL)
     folder = write_camera(tmp_path / "camera", seed=0, levels=4, side=16) if every else None
 
@@ -367,26 +365,6 @@ def slow_tile(shared, item):
     rng = np.random.default_rng((shared, item))
     time.sleep(0.1)
     return rng.standard_normal(1000).cumsum()
-
-
-def killed_first(spawned):
-    """Kills the first of the processes that a cluster starts, as soon as it is there."""
-    until = time.monotonic() + 60
-    while time.monotonic() < until and not spawned:
-        spawned += worker_processes()
-        time.sleep(0.01)
-    spawned[0].send_signal(signal.SIGKILL)
-
-
-@pytest.mark.slow
-def test_a_process_killed_while_it_starts_is_started_again():
-    killed = []
-    thread = threading.Thread(target=killed_first, args=(killed,))
-    thread.start()
-    with tasks.workers(2):
-        assert list(tasks.in_order(slow_tile, 3, range(4)))
-    thread.join()
-    assert not killed[0].is_running()
 
 
 def worker_processes():

@@ -121,16 +121,3 @@ def test_an_undecided_condition_does_not_matter(name, dtype):
     assert flags + of_slope > 0 or (name, dtype) in DECIDED, "the numbers decide no condition"
     wrong += wrong_slopes
     assert not wrong, wrong
-
-
-def test_a_doubled_condition_is_found():
-    """What the test looks for: a quotient whose argument and output are replaced apart."""
-
-    def double_where(x):
-        far = x > 2
-        return jnp.where(far, 6 / jnp.where(far, x, 1), 3)
-
-    flags, wrong = disagreements(double_where, jnp.asarray(2.0))
-    assert flags > 0
-    assert len(wrong) == 1
-    assert "6" in wrong[0]

@@ -160,17 +160,6 @@ def test_soft_rounding_of_one_coefficient(quality, code, compressed):
     np.testing.assert_allclose(255 * ours, 128 + soft * step / 8, rtol=1e-9)
 
 
-@pytest.mark.slow
-def test_a_batch_of_pictures_and_of_qualities():
-    pictures = relative(RNG.integers(0, 256, size=(2, 8, 9, 3)).astype(np.uint8))
-    whole = jpeg(pictures, 40.0)
-    qualities = jnp.asarray([40.0, 90.0], jnp.float32)
-    each = jax.vmap(jpeg)(pictures, qualities)
-    np.testing.assert_array_equal(whole[0], jpeg(pictures[0], 40.0))
-    np.testing.assert_array_equal(each[0], whole[0])
-    np.testing.assert_array_equal(each[1], jpeg(pictures[1], 90.0))
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

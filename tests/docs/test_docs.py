@@ -106,8 +106,7 @@ def shown(file):
 
 
 def internals(code):
-    """What code imports of the packages that no package offers. A module just below the root, which
-    lists no names, offers those that it defines."""
+    """What code imports of the packages that no package offers."""
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import):
             names = [(alias.name, None) for alias in node.names]
@@ -124,18 +123,6 @@ def internals(code):
             )
             if not is_public or re.search(r"(^|\.)_", f"{module}.{name}"):
                 yield f"{module}.{name}" if name else module
-
-
-def test_the_reader_of_internals_reads():
-    code = (
-        "import jaxvision as jv\nfrom jaxvision.files import write_image\nfrom fitting import fit"
-    )
-    assert not list(internals(code))
-    code = "from fitting.joint.prediction import predict\nfrom jaxvision.core._types import Vec"
-    assert list(internals(code)) == [
-        "fitting.joint.prediction.predict",
-        "jaxvision.core._types.Vec",
-    ]
 
 
 @pytest.mark.parametrize(

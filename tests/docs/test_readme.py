@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from oracles.measured import merl_bytes
-from page_blocks import blocks, promises, run
+from page_blocks import blocks, run
 from typer.testing import CliRunner
 
 import fitting.cli
@@ -34,16 +34,6 @@ INSTEAD = {
     "accuracy PATH": "accuracy PATH --knob 'curve rounds' --seconds 90",
     "cornell_box --seconds 60": "cornell_box --knob depth --seconds 40",
 }
-
-
-def test_promises_are_read():
-    assert promises(
-        "print(a)  # 0.25 within 1 %: the gain\nprint(b)  # W m^-2\n  print(c)  # -3.1"
-    ) == [
-        (0.25, 0.0025),
-        None,
-        (-3.1, 0.05),
-    ]
 
 
 @pytest.mark.slow

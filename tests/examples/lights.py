@@ -4,27 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvision import (
-    DirectionalLight,
-    GoniometricLight,
-    Lambert,
-    LightFieldLight,
-    MonteCarlo,
-    Phong,
-    PointLight,
-    Quadrature,
-    Ray,
-    RectangleLight,
-    Scene,
-    SmallLight,
-    Sphere,
-    SpotLight,
-    SunDisc,
-    Surface,
-    Window,
-    as_vec,
-    environment_map,
-)
+import jaxvision as jv
 from jaxvision.lights.harmonics import irradiance_coefficients
 from jaxvision.lights.skies import cie_sky
 
@@ -39,24 +19,24 @@ def unit(*v):
 N, WO = unit(0.1, -0.2, 1), unit(-0.4, -0.5, 0.8)
 POINT = jnp.asarray([0.2, 0.1, -0.3])
 UP, U = unit(0.05, 0.1, 1), jnp.asarray([0.31, 0.62])
-WINDOW = Window([-0.5, 0.6, 1], [1.1, 0.1, 0], [-0.1, -1.2, 0.1])
-FOCAL = Window([-2, 2.1, 2], [4.4, 0.4, 0], [-0.34, -4.08, 0.34])
-RECTANGLE = RectangleLight(WINDOW.corner, WINDOW.edge_u, WINDOW.edge_v, [0.4, 0.7])
-SKY = environment_map(RNG.uniform(0.2, 1, size=(3, 6, 2)))
-FIELD = LightFieldLight(RNG.uniform(0.2, 1, size=(2, 2, 2, 3, 2)), WINDOW, FOCAL)
-RAY = Ray(POINT, UP)
-RULE = Quadrature(2)
-PHONG = Phong([0.2, 0.1], [0.3, 0.2], 9.0)
+WINDOW = jv.Window([-0.5, 0.6, 1], [1.1, 0.1, 0], [-0.1, -1.2, 0.1])
+FOCAL = jv.Window([-2, 2.1, 2], [4.4, 0.4, 0], [-0.34, -4.08, 0.34])
+RECTANGLE = jv.RectangleLight(WINDOW.corner, WINDOW.edge_u, WINDOW.edge_v, [0.4, 0.7])
+SKY = jv.environment_map(RNG.uniform(0.2, 1, size=(3, 6, 2)))
+FIELD = jv.LightFieldLight(RNG.uniform(0.2, 1, size=(2, 2, 2, 3, 2)), WINDOW, FOCAL)
+RAY = jv.Ray(POINT, UP)
+RULE = jv.Quadrature(2)
+PHONG = jv.Phong([0.2, 0.1], [0.3, 0.2], 9.0)
 KEY = jax.random.key(5)
-LAMP, SUN = PointLight([1, 2, -3], [0.3, 0.2]), DirectionalLight([0.3, 0.2, -1], [0.2, 0.1])
-BALL = Scene([Surface(Sphere([0.1, 0.2, 3], 1.0), Lambert([0.2, 0.1]))], [RECTANGLE])
+LAMP, SUN = jv.PointLight([1, 2, -3], [0.3, 0.2]), jv.DirectionalLight([0.3, 0.2, -1], [0.2, 0.1])
+BALL = jv.Scene([jv.Surface(jv.Sphere([0.1, 0.2, 3], 1.0), jv.Lambert([0.2, 0.1]))], [RECTANGLE])
 
 TURNS = [0, 2.0, 4.0, 2 * np.pi]
 SPREAD = np.array([[1.0, 1, 1, 1], [0.5, 0.9, 0.7, 0.5], [0.2, 0.1, 0.4, 0.2]])
-SOLD = GoniometricLight([1, 2, -3], [0.3, 0.2], SPREAD, [0, 1.0, np.pi], TURNS)
-DISC = SunDisc([0.3, 0.2, 1], [0.2, 0.1], 0.5)
-SPOT = SpotLight([1, 2, -3], [-0.4, -0.9, 1.2], [0.3, 0.2], 0.2, 1.5)
-SMALL = SmallLight([1, 2, -3], [-0.4, -0.9, 1.2], [0.3, 0.2])
+SOLD = jv.GoniometricLight([1, 2, -3], [0.3, 0.2], SPREAD, [0, 1.0, np.pi], TURNS)
+DISC = jv.SunDisc([0.3, 0.2, 1], [0.2, 0.1], 0.5)
+SPOT = jv.SpotLight([1, 2, -3], [-0.4, -0.9, 1.2], [0.3, 0.2], 0.2, 1.5)
+SMALL = jv.SmallLight([1, 2, -3], [-0.4, -0.9, 1.2], [0.3, 0.2])
 
 
 def arriving(wi):
@@ -71,19 +51,22 @@ EXAMPLES = {
         {"resolution": (1, 2, 1, 2), "rule": RULE},
     ),
     "lights._emission.emitted": ((SMALL, jnp.asarray([0.2, 0.4, 0.6, 0.8])), {"around": None}),
-    "lights._emission.emitted_from_point": ((as_vec(POINT), as_vec(UP), jnp.asarray([3.0, 2])), {}),
+    "lights._emission.emitted_from_point": (
+        (jv.as_vec(POINT), jv.as_vec(UP), jnp.asarray([3.0, 2])),
+        {},
+    ),
     "lights._emission.emitted_from_surface": (
-        (Sphere([0.1, 0.2, 3], 1.0), jnp.asarray([3.0, 2]), jnp.asarray([0.2, 0.4, 0.6, 0.8])),
+        (jv.Sphere([0.1, 0.2, 3], 1.0), jnp.asarray([3.0, 2]), jnp.asarray([0.2, 0.4, 0.6, 0.8])),
         {},
     ),
     "lights._nodes.shifted_lattice": ((KEY,), {"samples": 3, "dtype": np.float64}),
     "lights._samples.incident_sample": ((RECTANGLE, RULE, POINT, U, jnp.asarray(0.25)), {}),
-    "lights._samples.light_nodes": ((RECTANGLE, MonteCarlo(KEY, 2)), {"dtype": np.float64}),
+    "lights._samples.light_nodes": ((RECTANGLE, jv.MonteCarlo(KEY, 2)), {"dtype": np.float64}),
     "lights.incidence.direction_pdf": ((RECTANGLE, POINT, UP), {}),
     "lights.incidence.direction_sample": ((RECTANGLE, POINT, U), {}),
-    "lights.incidence.incident": ((LAMP, as_vec(POINT)), {}),
+    "lights.incidence.incident": ((LAMP, jv.as_vec(POINT)), {}),
     "lights.incidence.incident_samples": ((FIELD, POINT), {"rule": RULE}),
-    "lights.incidence.irradiance": ((RECTANGLE, POINT, N), {"rule": MonteCarlo(KEY, 2)}),
+    "lights.incidence.irradiance": ((RECTANGLE, POINT, N), {"rule": jv.MonteCarlo(KEY, 2)}),
     "lights.incidence.nearest_seen": (([RECTANGLE, SKY], RAY), {}),
     "lights.incidence.radiance_from": ((SKY, POINT, UP), {}),
     "lights.incidence.seen": ((FIELD, RAY), {}),
@@ -111,7 +94,12 @@ EXAMPLES = {
     "lights.point.from_point_light": ((LAMP, POINT), {}),
     "lights.polygon.angle_over_sine": ((jnp.asarray([0.3, 1e-9]), jnp.asarray([-0.2, 0.9])), {}),
     "lights.polygon.nodes_integral": (
-        (as_vec(3 * UP), as_vec(unit(1.0, 0.2, 0.1)), as_vec(unit(0.2, -1.0, 0.0)), as_vec(N)),
+        (
+            jv.as_vec(3 * UP),
+            jv.as_vec(unit(1.0, 0.2, 0.1)),
+            jv.as_vec(unit(0.2, -1.0, 0.0)),
+            jv.as_vec(N),
+        ),
         {"order": 3},
     ),
     "lights.polygon.rectangle_irradiance": ((RECTANGLE, POINT, unit(0.9, 0.1, 0.2)), {}),

@@ -132,15 +132,6 @@ def test_what_narrow_derivatives_lose(sigma, sampled, integrated):
     np.testing.assert_allclose(filters.derivative(blurred).x[15, 15], 1, atol=1e-12)
 
 
-@pytest.mark.slow
-def test_kernel_of_vanishing_width():
-    for size in (5, 4):
-        for sampling in ("sampled", "integrated"):
-            k = filters.gaussian_kernel(value(0.0), size=size, sampling=sampling)
-            expected = [0, 0, 1, 0, 0] if size == 5 else [0, 0.5, 0.5, 0]
-            np.testing.assert_allclose(k, expected, atol=1e-15)
-
-
 # ------------------------------------------------ derivatives
 
 

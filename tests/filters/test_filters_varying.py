@@ -156,26 +156,6 @@ def test_bank_keeps_the_variance_between_its_sigmas():
     np.testing.assert_allclose((got * yy**2).sum(), 1.7**2, rtol=1e-5)
 
 
-@pytest.mark.slow
-def test_gradients_by_image_and_by_map():
-    """Along one direction each, against central differences."""
-    sigma, f = jnp.asarray(RNG.uniform(0.8, 2, size=(H, W))), jnp.asarray(PLANE)
-    y = RNG.normal(size=(H, W))
-    for blur in (
-        partial(filters.radial_blur, radius=2),
-        partial(filters.gaussian_varying, sigmas=(0.5, 1.0, 2.1), truncate=2.0),
-    ):
-        value = jax.jit(lambda f, s, b=blur: jnp.vdot(y, b(f, s)))
-        slope = jax.jit(jax.jvp, static_argnums=0)(value, (f, sigma), (f * 0 + 1 + y, sigma * y))[1]
-        by_f, by_s = jax.grad(value, (0, 1))(f, sigma)
-        np.testing.assert_allclose(
-            slope, np.vdot(by_f, 1 + y) + np.vdot(by_s, sigma * y), rtol=1e-9
-        )
-        h = 1e-6
-        ahead, behind = (value(f + t * (1 + y), sigma + t * sigma * y) for t in (h, -h))
-        np.testing.assert_allclose(slope, (ahead - behind) / (2 * h), rtol=1e-6)
-
-
 # ------------------------------------------------ matrices
 
 

@@ -31,8 +31,7 @@ K, QE, SHAPE, PHOTONS = 0.25, 0.5, (64, 64), np.linspace(300, 28_000, 8)
 
 
 def camera(rng, *, read, dsnu=1.0, offset=64.0, bits=12, convert=np.asarray, light=None):
-    """A calibrated camera of 12 bits, whose numbers go through `convert`; `light` is what each
-    pixel of a flat gets of its mean."""
+    """A calibrated camera of 12 bits, whose numbers go through `convert`."""
     die = dsnu * rng.standard_normal(SHAPE), 1 + 0.01 * rng.standard_normal(SHAPE)
 
     def frame(photons):
@@ -447,8 +446,7 @@ def test_dead_columns_rows_and_pixels_are_left_out(bits):
 
 
 def test_hot_and_stuck_pixels_are_left_out_of_flats_and_darks():
-    """A hundredth of the pixels with a dark current of 3,000 electrons, and its shot noise; two
-    that always read about 700 DN."""
+    """A hundredth of the pixels with a dark current of 3,000 electrons, and its shot noise."""
     rng = np.random.default_rng(14)
     flats, darks, *others = read_out(rng)
     hot = rng.random(SHAPE) < 0.01
@@ -755,8 +753,7 @@ def exposed(rng, *, offset=64.0, side=128, read=4.0, dark=20.0, light=None, leve
 @pytest.mark.parametrize("seed", [6, 7, 8])
 @pytest.mark.sweep
 def test_bands_of_a_dimmed_lamp_are_no_camera_that_moved(seed):
-    """A lamp that is dimmed by pulses under a rolling shutter: 4 %, of another phase in each frame.
-    Two frames of nearly one phase may be left out."""
+    """A lamp that is dimmed by pulses under a rolling shutter."""
     rows = np.arange(128)[:, None]
 
     def bands(rng):

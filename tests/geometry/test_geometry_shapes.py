@@ -126,18 +126,6 @@ def test_box_against_its_six_faces(rotation):
     np.testing.assert_allclose(as_array(hit.normal), normal @ turn, atol=1e-14)
 
 
-@pytest.mark.slow
-def test_a_box_is_its_mesh():
-    """Twelve triangles wound outward, and the box: the same distances and normals."""
-    origins = 3 * RNG.normal(size=(300, 3))
-    ray = rays(origins, RNG.uniform(-0.7, 0.7, size=origins.shape) - origins)
-    _, by_box = meet(ray, [Box([0, 0, 0], [0.5, 1, 1.5])])
-    encounter, by_mesh = meet(ray, [mesh_of(CUBE)])
-    assert (encounter.primitive[encounter.shape == 0] >= 0).all()
-    np.testing.assert_allclose(by_mesh.distance, by_box.distance, rtol=1e-12)
-    np.testing.assert_allclose(as_array(by_mesh.normal), as_array(by_box.normal), atol=1e-12)
-
-
 # ---------------------------------------------------------------- meshes
 
 
@@ -227,18 +215,6 @@ def test_normals_and_uv_are_interpolated():
     np.testing.assert_allclose(as_array(hit.normal), np.tile([0, 0, 1.0], (100, 1)), atol=1e-15)
 
 
-@pytest.mark.slow
-def test_a_triangle_without_area_is_never_met():
-    line = TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 0, 3]])
-    x = np.linspace(-0.5, 2.5, 64)
-    origins = np.stack([x, np.zeros(64), np.full(64, 2.0)], axis=1)
-    directions = np.stack([np.zeros(64), np.repeat([0.0, 1e-9], 32), -np.ones(64)], axis=1)
-    for dtype in (jnp.float32, jnp.float64):
-        encounter, hit = meet(rays(origins, directions, dtype), [as_dtype(line, dtype)])
-        assert (encounter.shape == -1).all()
-        assert jnp.isinf(hit.distance).all()
-
-
 # ---------------------------------------------------------------- rays from a surface
 
 
@@ -282,32 +258,6 @@ def test_no_acne(scale):
         return jax.vmap(by_each)(hit, direction, distance)
 
     assert not blocked(hit, direction, distance)[np.arange(len(which)), which].any()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
-def test_no_leaks(scale):
-    """A ray into the solid it starts on is blocked by its far wall, from the smallest depth that
-    the offset leaves."""
-    shapes, hit, which = surface_points(20_000, jnp.float32, scale)
-    solid = np.isin(which, [0, 2, 4])
-    hit = jax.tree.map(lambda x: x[solid], hit)
-    inward = RNG.normal(size=(int(solid.sum()), 3))
-    normal = np.asarray(as_array(hit.normal))
-    depth = (inward * normal).sum(axis=1, keepdims=True)
-    inward = unit(np.where(depth > 0, inward - 2 * depth * normal, inward))
-    steep = np.abs((inward * normal).sum(axis=1)) > 0.02
-    direction = Vec(*jnp.asarray(inward[steep], jnp.float32).T)
-    hit = jax.tree.map(lambda x: x[steep], hit)
-    far = jnp.full(int(steep.sum()), jnp.inf, jnp.float32)
-
-    @jax.jit
-    def blocked(hit, direction, distance):
-        return jax.vmap(lambda h, d, far: occluded(h.point, h.normal, d, far, shapes, size=h.size))(
-            hit, direction, distance
-        )
-
-    assert blocked(hit, direction, far).all()
 
 
 @pytest.mark.slow

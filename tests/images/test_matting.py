@@ -253,50 +253,11 @@ def test_confidence_is_the_paper_s():
 
 
 @pytest.mark.slow
-def test_closed_form_finds_the_matte():
-    """Where the colours of front and back follow lines in every window, the matte is exact."""
-    front, behind = np.array([0.9, 0.5, 0.2]), np.array([0.1, 0.2, 0.6])
-    seen = ALPHA * front + (1 - ALPHA) * behind
-    matte = SOLVE(*arrays(seen, TRIMAP))
-    np.testing.assert_allclose(matte.alpha, ALPHA, atol=2e-3)
-
-
-@pytest.mark.slow
 def test_too_few_steps_are_said():
     scene = arrays(*band_of_unknown(9, 1))
     rushed = jax.jit(lambda i, t: matting.closed_form_matte(i, t, max_steps=2))(*scene)
     assert not rushed.converged
     assert jnp.isfinite(rushed.alpha).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("columns", "bands"), [(8, 1), pytest.param(9, 3, marks=pytest.mark.slow)])
-def test_gradient_is_that_of_the_solution(columns, bands):
-    """Central differences of the solved matte, in a random direction of the picture; without a
-    coarse grid and with one."""
-    image, trimap = arrays(*band_of_unknown(columns, bands))
-    weights = jnp.asarray(RNG.normal(size=(*trimap.shape, 1)))
-
-    def loss(x):
-        matte = matting.closed_form_matte(x, trimap, epsilon=1e-3, tolerance=1e-13)
-        return jnp.sum(weights * matte.alpha)
-
-    value_and_slope = jax.jit(jax.value_and_grad(loss))
-    move = jnp.asarray(RNG.normal(size=image.shape))
-    slope = jnp.vdot(value_and_slope(image)[1], move)
-    h = 1e-5
-    ahead, behind = (value_and_slope(image + step * move)[0] for step in (h, -h))
-    np.testing.assert_allclose(slope, (ahead - behind) / (2 * h), rtol=1e-6)
-
-
-@pytest.mark.slow  # the peer compiles for a minute
-def test_closed_form_against_pymatting():
-    """The same picture, trimap, epsilon and confidence; both solvers far beyond their defaults."""
-    pymatting = pytest.importorskip("pymatting")
-
-    theirs = pymatting.estimate_alpha_cf(SEEN, TRIMAP, cg_kwargs={"rtol": 1e-11})
-    ours = SOLVE(*arrays(SEEN, TRIMAP)).alpha[..., 0]
-    np.testing.assert_allclose(ours, theirs, atol=1e-6)
 
 
 # ------------------------------------------------ foreground

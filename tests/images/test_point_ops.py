@@ -46,8 +46,7 @@ def test_srgb_against_the_loop():
 
 
 def test_srgb_of_known_greys():
-    """Reflectance 0.18 is code 118 of 255, and code 128 is 21.6 % of white: the usual tables of
-    sRGB values."""
+    """Reflectance 0.18 is code 118 of 255, and code 128 is 21.6 % of white."""
     assert round(float(srgb_encode(jnp.asarray(0.18))) * 255) == 118
     np.testing.assert_allclose(srgb_decode(jnp.asarray(128 / 255)), 0.2158605, atol=5e-8)
 
@@ -278,15 +277,6 @@ def test_key_of_a_picture():
     np.testing.assert_allclose(scaled_to_key(jnp.asarray(holes)), expected, rtol=1e-13)
 
 
-@pytest.mark.slow
-def test_filmic_of_the_published_fit():
-    x = np.linspace(0, 3, 40)
-    expected = x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)
-    np.testing.assert_allclose(filmic(jnp.asarray(x)), np.minimum(expected, 1), rtol=1e-14)
-    ends = filmic(jnp.asarray([-1.0, 0.0, 1e30, 3e38], jnp.float32))
-    np.testing.assert_array_equal(ends, [0, 0, 1, 1])
-
-
 def test_log_curve_ends():
     x = jnp.asarray([-1.0, 0.0, 1.0, 1e-8])
     np.testing.assert_allclose(
@@ -308,8 +298,7 @@ def test_a_curve_of_the_luminance_keeps_the_chromaticity():
 
 
 def test_fast_forms_err_as_documented():
-    """Up to 16 gamma units of the last place, where a dark value is a large power of two; the exact
-    form within 2."""
+    """Up to 16 gamma units of the last place, where a dark value is a large power of two."""
     x = np.geomspace(1e-5, 1, 20_001).astype(np.float32)
     eps = np.finfo(np.float32).eps
     for curve in (gamma_encode, gamma_decode):
@@ -370,26 +359,6 @@ def test_curves_are_finite_keep_the_dtype_and_nan(dtype):
         assert jnp.isnan(broken[np.nan][name][0][4]), name
         for found, _ in (broken[bad][name] for bad in broken):
             np.testing.assert_array_equal(found[others], value[others], err_msg=name)
-
-
-@pytest.mark.slow
-def test_numbers_for_parameters_are_as_good_as_arrays():
-    x = jnp.asarray([0.1, 0.5, 2.0], jnp.float32)
-    operators = [
-        (gain_bias, (1.7, 0.1)),
-        (contrast_brightness, (1.2, 0.1)),
-        (exposure, (-1.3,)),
-        (gamma_encode, (2.2,)),
-        (gamma_decode, (2.2,)),
-        (clip, (0.2, 1.0)),
-        (log_curve, (100.0,)),
-        (lambda t, white: reinhard(t, white=white), (3.0,)),
-    ]
-    for operator, parameters in operators:
-        with_arrays = operator(x, *(scalar(p, jnp.float32) for p in parameters))
-        with_numbers = operator(x, *parameters)
-        assert with_numbers.dtype == jnp.float32
-        np.testing.assert_allclose(with_numbers, with_arrays, rtol=1e-6)
 
 
 def test_codes_are_no_colours(as_for_users):

@@ -11,7 +11,6 @@ from oracles.frames import level_of
 from fitting import noise
 from fitting.noise.calibration import calibrate, extra_in_flats, without_flicker
 from fitting.noise.emva1288 import ranges, sheet, statistics
-from fitting.noise.findings import findings
 from fitting.noise.level_sums import Moments
 from fitting.noise.levels import Levels, linear_levels
 from fitting.noise.live_pixels import LivePixels
@@ -118,37 +117,6 @@ def test_row_noise_widens_the_pattern():
         z += list(pattern / np.sqrt(by_noise))
     assert abs(np.mean(z)) < 0.1
     assert 0.8 < np.std(z) < 1.2
-
-
-@pytest.mark.slow
-def test_a_calibration_names_row_noise():
-    """7.5 e- of rows beside 6 e- of pixels: named with their sizes, the fit still linear."""
-    rng, gain = np.random.default_rng(4), 0.25
-    photons = np.linspace(200, 8000, 6)
-
-    def frame(mean):
-        electrons = rng.poisson(0.5 * mean, (40, 60))
-        noisy = electrons + 6 * rng.standard_normal((40, 60)) + 7.5 * rng.standard_normal((40, 1))
-        return np.round(64 + gain * noisy)
-
-    def frames(mean):
-        return [frame(mean) for _ in range(4)]
-
-    measured = noise.from_frames(
-        [frames(p) for p in photons],
-        [frames(0.0) for _ in photons],
-        list(np.linspace(0.001, 0.01, 6)),
-        list(photons),
-        camera=Camera(bits=12),
-    )
-    calibration = calibrate(measured)
-    told = [sentence for sentence in findings(calibration) if "share noise" in sentence]
-    assert len(told) == 1
-    assert told[0].startswith("The rows of a dark frame share noise of ")
-    size, error = (float(told[0].split(" e⁻")[0].split()[i]) for i in (-3, -1))
-    assert abs(size - 7.5) < 4 * error
-    assert calibration.linear.p_value > 1e-3
-    assert not [name for name in calibration.chosen.values if name.endswith("scatter")]
 
 
 def camera_frames(rng, photons, size, *, rows=0.0, wander=0.0, gain=0.25):
@@ -273,8 +241,7 @@ def test_noise_of_rows_in_flats_alone_is_told_from_that_of_darks_too():
 
 @pytest.mark.slow
 def test_light_that_flickers_is_taken_out_row_by_row():
-    """Lines of flats that err by 3 %, anew in every frame, nine tenths of the variance: what pixels
-    have of their own gives the gain all the same."""
+    """Lines of flats that err by 3 %, anew in every frame, nine tenths of the variance."""
     rng, photons = np.random.default_rng(2), np.linspace(0.02, 1, 8) * 20_000
 
     def frames(mean):

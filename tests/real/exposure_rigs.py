@@ -8,8 +8,7 @@ CAMERA = "[camera]\nbits = 8\n"
 
 
 def write_memorial_rig(data_folder: Path, folder: Path) -> Path:
-    """Debevec & Malik's memorial church (1997): 16 exposures; the list's second column is
-    1 / shutter time."""
+    """Debevec & Malik's memorial church (1997): 16 exposures."""
     root = data_folder / "hdr_memorial"
     lines = (root / "memorial.hdr_image_list.txt").read_text().splitlines()
     entries = [line.split() for line in lines if line.startswith("memorial")]

@@ -63,8 +63,7 @@ def test_standard_deviations_hold():
 @pytest.mark.parametrize("lights", [6, 8, 12, 40])
 @pytest.mark.parametrize("highlight", [0.0, 100.0])
 def test_leaving_out_what_contradicts_keeps_intervals_right(lights, highlight):
-    """95 % hold 95 %, whether a reading is broken or none, within 3.5 standard errors; of six
-    lights a broken one is found in four pixels of five, and shown by the errors in the others."""
+    """95 % hold 95 %, whether a reading is broken or none, within 3.5 standard errors."""
     rng = np.random.default_rng(lights)
     directions = rng.normal(size=(lights, 3))
     directions[:, 2] = np.abs(directions[:, 2]) + 1  # none in the shadow

@@ -19,7 +19,7 @@ from oracles.sphere_photographs import (
     sphere_normals,
     write_rig,
 )
-from scipy.stats import binom, norm
+from scipy.stats import norm
 
 from fitting.inference.emcee_run import Emcee
 from fitting.inference.estimates import find
@@ -245,21 +245,6 @@ def test_censored_optimum_is_scipys(observation):
 
 
 @pytest.mark.slow
-def test_intervals_cover_on_simulated_data(observation):
-    """95 % intervals in 100 repetitions of each of three parameters."""
-    repetitions = 100
-    covered = np.zeros(3, int)
-    for seed in range(repetitions):
-        frames = photographs(np.random.default_rng(1000 + seed))
-        found = fit(with_frames(observation, frames))
-        z = np.log(found.natural / PHONG) / deviations(found)
-        covered += np.abs(z) < 1.96
-    # Each count lies outside of this with probability 1e-3.
-    assert np.all(covered >= binom.ppf(5e-4, repetitions, 0.95))
-    assert np.all(covered <= binom.ppf(1 - 5e-4, repetitions, 0.95))
-
-
-@pytest.mark.slow
 def test_uneven_lights_widen_the_errors_to_what_they_are(observation):
     """Intensities wrong by 3 %: the robust error of k_d is the scatter over repetitions, the error
     that takes pixels for independent is a small part of it."""
@@ -337,21 +322,6 @@ def test_gamma_known_or_free(observation):
     # What is not known costs precision, as long as nothing else widens the errors.
     costly, cheap = (np.diagonal(np.linalg.inv(f.information))[:3] for f in (free, known))
     assert np.all(costly > cheap)
-
-
-@pytest.mark.slow
-def test_the_composite_density_has_the_robust_curvature(observation):
-    lights = np.exp(0.03 * np.random.default_rng(6).standard_normal(LIGHTS))
-    frames = photographs(np.random.default_rng(6), lights=lights)
-    found = fit(with_frames(observation, frames))
-    data = composite(found, cells(observation, found.selection))
-    curvature = -jax.hessian(adjusted_log_density)(data.mode, data)
-    # Cells replace pixels: their curvature agrees to a few per cent.
-    widths = np.sqrt(np.diagonal(np.linalg.inv(curvature)))
-    wider = np.sqrt(np.diagonal(found.robustness.gaussian_covariance))
-    np.testing.assert_allclose(widths, wider, rtol=0.05)
-    step = np.linalg.solve(curvature, jax.grad(adjusted_log_density)(data.mode, data))
-    assert np.all(np.abs(step) < 1e-5 * deviations(found))
 
 
 def log_likelihood_of_pixels(vector, samples):

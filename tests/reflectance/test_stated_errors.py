@@ -68,8 +68,7 @@ def test_each_error_pulls_as_a_refit_moves(fitted):
 
 
 def turned_by_hand(observation, size, about):
-    """The third light turned about either axis across it; about the second it goes around the
-    view, to which a sphere looks alike."""
+    """The third light turned about either axis across it."""
     light = observation.wi[2, 0]
     axis = np.cross(light, np.eye(3)[np.argmin(np.abs(light))])
     axis = axis if about == 0 else np.cross(light, axis)
@@ -107,8 +106,7 @@ def test_a_turned_light_is_turned_back(fitted, about):
 
 
 def test_lights_are_as_uncertain_as_their_images_show(fitted):
-    """Off by four times what its rig says, a light is turned, and counts as that uncertain;
-    by ten times, lights stay, and no highlight is told."""
+    """Off by four times what its rig says, a light is turned, and counts as that uncertain."""
     observation, fit = fitted
     wrong, known = turned_by_hand(observation, 0.01, 0), np.zeros(5)
     known[2] = 0.01
@@ -143,8 +141,7 @@ def test_lights_come_to_rest_where_they_do_without_a_part_first(fitted, monkeypa
 
 @pytest.mark.parametrize("core", [0.0, 0.6])
 def test_turns_take_the_information_that_a_fit_of_them_takes(fitted, core):
-    """Parameters and two turns by finite differences, their normal equations inverted whole; also
-    of a highlight with a core that the model misses, as those of real surfaces have."""
+    """Parameters and two turns by finite differences, their normal equations inverted whole."""
     observation, fit = fitted
     known = np.zeros(5)
     known[2] = 5e-3

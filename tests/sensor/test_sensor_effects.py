@@ -330,42 +330,8 @@ def test_a_sensor_file_holds_them_and_their_draws(tmp_path, curve):
     assert len(np.unique(means[:, 0, 0, 0])) == 5
 
 
-@pytest.mark.slow
-def test_gradients_of_the_moments_are_differences():
-    """By every number of the new fields, mean, variance and covariance together."""
-    sensor = replace(FULL, brighter_fatter=jv.BrighterFatter([[2e-6]]))
-    sensor = jax.tree.map(lambda x: jnp.asarray(x, float), sensor)
-    light = jnp.full((2, 4, 1), 6e5)
-
-    def total(sensor):
-        parts = [f(sensor, light) for f in (jv.expected_signal, jv.signal_variance)]
-        parts += [jv.pattern_variance(sensor, light), js.neighbour_covariances(sensor, light)]
-        return sum(jnp.sum(part * (1 + 0.1 * i)) for i, part in enumerate(parts))
-
-    value, slopes = jax.jit(jax.value_and_grad(total))(sensor), None
-    value, slopes = value
-    total = jax.jit(total)
-    leaves, tree = jax.tree.flatten(sensor)
-    for place, (leaf, slope) in enumerate(zip(leaves, jax.tree.leaves(slopes), strict=True)):
-        direction = np.random.default_rng(place).normal(size=np.shape(leaf))
-        step = 1e-5 * np.maximum(np.abs(leaf), 1e-3)
-        ends = [
-            total(
-                jax.tree.unflatten(
-                    tree, [*leaves[:place], leaf + d * direction * step, *leaves[place + 1 :]]
-                )
-            )
-            for d in (1, -1)
-        ]
-        wanted = (ends[0] - ends[1]) / 2
-        np.testing.assert_allclose(
-            np.sum(slope * direction * step), wanted, rtol=2e-4, atol=1e-11 * abs(value)
-        )
-
-
 def test_what_is_absent_leaves_the_program_as_it_was():
-    """The jaxpr of a sensor with none of them holds no operation of theirs: mixing, curves and taps
-    of no effect are more than nothing."""
+    """The jaxpr of a sensor with none of them holds no operation of theirs."""
     plain = jv.Sensor(read_noise=2.0, gain=0.5)
     picture = jnp.ones((4, 4, 1))
 

@@ -114,13 +114,6 @@ def test_fast_counts_have_poissons_distribution(mean):
     assert abs(share @ (numbers - average) ** 2 / rounded - 1) < 3e-4 + 100 / STRATA
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_fast_shot_noise_replaces_the_mean(level):
-    sample = shoot(KEY, s.Sensor(shot_noise=s.FastPoissonShotNoise()), flat(level))
-    check_moments(sample, level, level, level + 3 * level**2)
-    np.testing.assert_array_equal(sample, jnp.round(sample))
-
-
 @pytest.mark.slow
 def test_fast_counts_of_one_photon_in_ten_million_frames():
     """The chance of a photon keeps its own digits far below float32's rounding of 1."""
@@ -273,11 +266,7 @@ def test_banding_hums_with_its_period_and_a_phase_of_its_own():
     ],
 )
 def test_electrons_are_left_behind_one_by_one(noise, well):
-    """Against a binomial draw for each electron of each packet, in NumPy: far from the read-out,
-    under light and dark current that vary over the rows, and where the well is often full.
-
-    A Poisson packet stays Poisson: variance and mean are equal, and neighbours are uncorrelated.
-    """
+    """Against a binomial draw for each electron of each packet, in NumPy."""
     eps, rows, packets = 0.005, 80, 20_000
     seen = slice(70, rows)
     light = np.zeros(rows)
@@ -343,9 +332,7 @@ def test_column_amplifiers_differ():
 
 @pytest.mark.slow
 def test_conversion_gains_differ_and_scale_what_was_counted():
-    """Over frames, a pixel of gain g has mean g mu and variance g^2 mu: unlike a pixel of another
-    sensitivity it is no longer Poisson.
-    """
+    """Over frames, a pixel of gain g has mean g mu and variance g^2 mu."""
     sensor = s.Sensor(conversion_prnu=0.1, shot_noise=s.FastPoissonShotNoise())
     take = jax.vmap(lambda key: shoot(key, sensor, flat(400.0, (20, 25, 1)), die_key=DIE))
     frames = np.asarray(take(jax.random.split(KEY, 400)))[..., 0]
@@ -362,9 +349,7 @@ def test_conversion_gains_differ_and_scale_what_was_counted():
 
 
 def test_dead_and_hot_pixels():
-    """Fractions and the exponential law; no pixel is both; the variance of the pattern by its
-    formula.
-    """
+    """Fractions and the exponential law; no pixel is both."""
     sensor = s.Sensor(dead_pixels=0.1, hot_pixels=s.HotPixels(0.05, 400.0), exposure_time=0.5)
     sample = np.asarray(shoot(None, sensor, flat(2000.0), die_key=DIE)).ravel()
     n = sample.size
