@@ -137,11 +137,13 @@ def sampled_estimate(
     method: str = "",
     group: str = "",
     ends: Sequence[float] | Float[np.ndarray, "5"] | None = None,
+    value: float | None = None,
 ) -> Estimate:
-    """Median, standard deviation and equal-tailed quantile intervals of draws, or the intervals
-    with these `ends` at `QUANTILES`."""
+    """Median (or a given value), standard deviation and equal-tailed quantile intervals of draws,
+    or the intervals with these `ends` at `QUANTILES`."""
     ends = np.quantile(draws, QUANTILES) if ends is None else ends
-    return quantile_estimate(what, ends[2], np.std(draws), ends, method=method, group=group)
+    value = ends[2] if value is None else value
+    return quantile_estimate(what, value, np.std(draws), ends, method=method, group=group)
 
 
 def not_determined(what: Named, reason: str, *, method: str = "", group: str = "") -> Estimate:
