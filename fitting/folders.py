@@ -87,7 +87,7 @@ def _attempted(
     known results."""
     import numpy as np
 
-    from .report.section import Section
+    from .report.section import failed_section
 
     try:
         return make()
@@ -95,7 +95,7 @@ def _attempted(
         why = str(error)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         why = f"The fit failed ({error}): the model does not describe these data."
-    return Section(kind=kind, title=title, estimates=(), findings=(why, *known), failure=why)
+    return failed_section(kind, title, why, known)
 
 
 def noise(
@@ -183,6 +183,7 @@ def _release_4(
     from .noise.release_4.section import sections
     from .noise.release_4.sheet import release_4_sheet
     from .noise.release_4.stacks import read_stacks
+    from .report.section import section_of_part
 
     seed, found = draws("noise", lambda done, total: None)["seed"], []
     for site in sites:
@@ -193,16 +194,7 @@ def _release_4(
                 continue  # the section of the site says why
             own = sections(release_4_sheet(stacks, seed=seed))
         if len(sites) > 1:
-            word = site.replace(" ", "_").replace(",", "_")
-            own = [
-                replace(
-                    one,
-                    kind=f"{one.kind}_{word}",
-                    title=f"{one.title}: {site}",
-                    estimates=tuple(replace(known, group=site) for known in one.estimates),
-                )
-                for one in own
-            ]
+            own = [section_of_part(one, site) for one in own]
         found += own
     return found
 
@@ -254,6 +246,7 @@ def predict(
     from .noise.settings import require_one_setting
     from .noise.sites import camera_of_taps, stated_in_words
     from .report.inputs import with_inputs
+    from .report.section import section_of_part
 
     taps = read_with_draws(file)[0].taps
     if rig is not None and taps is not None and rig.camera.layout == (1, 1):
@@ -286,8 +279,7 @@ def predict(
             found = replace(found, findings=(*told, *found.findings))
             found = with_inputs(found, rig, "photon transfer")
         if several:
-            word = site.replace(" ", "_").replace(",", "_")
-            found = replace(found, kind=f"{found.kind}_{word}", title=f"{found.title}: {site}")
+            found = section_of_part(found, site)
         sections.append(found)
     return sections, {}
 
@@ -361,8 +353,9 @@ def _each_site(
 def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "list[Section]":
     """Return, for each site in turn, a section for the camera over all its settings and one for
     each setting."""
-    from .noise.across_settings.section import of_site, records_of_sites
+    from .noise.across_settings.section import records_of_sites
     from .report.inputs import with_inputs
+    from .report.section import section_of_part
 
     sites = (channel,) if channel else rig.camera.sites
     if len(sites) == 1:
@@ -371,7 +364,7 @@ def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "l
     found, calibrations = [], {}
     for i, site in enumerate(sites):
         of_one, calibration = _settings_of_site(rig, step, draws, site, word=f"{i}_" if i else "")
-        found += [of_site(one, site) for one in of_one]
+        found += [section_of_part(one, site) for one in of_one]
         if calibration is not None:
             calibrations[site] = calibration
     records = records_of_sites(calibrations, rig.camera)

@@ -12,7 +12,7 @@ from ..inference.estimates import Estimate, not_determined, quantile_estimate
 from ..inference.formatting import format_value
 from ..inference.parameters import names
 from ..report.left_out import left_out_tables
-from ..report.section import Section, Table
+from ..report.section import Section, Table, section_of_part
 from ..rig import Camera
 from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate, widened
@@ -20,6 +20,7 @@ from .doubts import OF_DARK_NOISE
 from .emva1288 import is_floored, least_dark_variance
 from .figures import noise_pictures
 from .findings import findings, is_no_sensor, processing
+from .levels import PhotonTransfer
 from .pattern import PatternVariance, Spread
 from .prediction import section as prediction
 from .prediction.predict import predict_own_frames
@@ -101,17 +102,8 @@ def sections_of_sites(
     """One section for each site of a mosaic or tap of an amplifier."""
     found = []
     for site, calibration in calibrations.items():
-        own, word = section(calibration), site.replace(" ", "_").replace(",", "_")
-        found.append(
-            replace(
-                own,
-                kind=KIND if not found else f"{KIND}_{word}",
-                title=f"{own.title}: {site}",
-                estimates=tuple(replace(one, group=site) for one in own.estimates),
-                records={},
-                pictures=own.pictures if not found else own.pictures[:1],
-            )
-        )
+        own = section_of_part(section(calibration), site)
+        found.append(replace(own, pictures=own.pictures[:1]) if found else replace(own, kind=KIND))
     shown = ("system_gain", "quantum_efficiency", "read_noise", "black_level", "dsnu", "prnu")
     rows, heads = [], []
     for one in found:
@@ -165,7 +157,7 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
         if name in values:
             value, error = float(values[name]), float(errors[name])
             if floored and name in FROM_DARK_NOISE:
-                reason = _bound(calibration, quantity, value)
+                reason = floor_in_words(calibration.measurement, quantity, value)
                 listed.append(not_determined(quantity, reason, method=STANDARD))
             elif not np.isfinite(value) and name.startswith("linearity"):
                 reason = "too few levels lie between 5 and 95 % of saturation; add flats there"
@@ -199,10 +191,10 @@ def _without_doubted(calibration: NoiseCalibration, listed: Sequence[Estimate]) 
     ]
 
 
-def _bound(calibration: NoiseCalibration, quantity: Quantity, value: float) -> str:
+def floor_in_words(measurement: PhotonTransfer, quantity: Quantity, value: float) -> str:
     """The limit on a figure if the dark noise is at the standard's floor."""
     side = "below" if FROM_DARK_NOISE[quantity.name] else "above"
-    floor = np.sqrt(least_dark_variance(calibration.measurement))
+    floor = np.sqrt(least_dark_variance(measurement))
     return (
         f"{side} {value:.3g} {quantity.unit}: dark noise is under the standard's floor of "
         f"{floor:.2g} DN, where rounding dominates"
@@ -219,17 +211,24 @@ def _missing_method(name: str, standard: bool, likelihood: bool) -> str | None:
 
 
 def _why_missing(calibration: NoiseCalibration, name: str) -> str:
+    measurement = calibration.measurement
     if calibration.likelihood is None and name in calibration.standard.values:
         return "maximum likelihood has no maximum here, as the findings say"
-    if name in NEED_PHOTONS and not calibration.measurement.photons_known:
-        return "the light was not measured; give photons or irradiance for every flat"
-    if name in NEED_SATURATION and calibration.measurement.knee is not None:
+    if name.startswith("linearity"):
+        return "the camera is linear within its noise, so its fitted curve has no linearity error"
+    unlit = name in NEED_PHOTONS and not measurement.photons_known
+    if name in NEED_SATURATION and measurement.knee is not None and not unlit:
         return "the response has a knee, as the findings say, and no level shows its end"
+    return why_missing(measurement, name)
+
+
+def why_missing(measurement: PhotonTransfer, name: str) -> str:
+    """Why frames do not give a figure of the standard."""
+    if name in NEED_PHOTONS and not measurement.photons_known:
+        return "the light was not measured; give photons or irradiance for every flat"
     if name in NEED_SATURATION:
         return "no level saturates the camera; add brighter flats"
-    if name.startswith("dark_current"):
-        return "the darks have fewer than three different exposures; add darks at other exposures"
-    return "the camera is linear within its noise, so its fitted curve has no linearity error"
+    return "the darks have fewer than three different exposures; add darks at other exposures"
 
 
 def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tuple[Estimate, ...]:

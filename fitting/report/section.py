@@ -1,6 +1,6 @@
 """The results of a calibration for a report: estimates, findings, tables and figures."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -139,6 +139,30 @@ class Section:
                 f"there is no picture {name!r} of {self.kind}; {nearest(name, drawn)}."
             )
         return drawn[name]()
+
+
+def word_for_file(label: str) -> str:
+    """A label in the form that a file name allows."""
+    return "_".join(label.lower().replace(",", " ").replace("-", "minus_").split())
+
+
+def section_of_part(section: Section, part: str) -> Section:
+    """The section of one site, tap or setting of a camera, named by its kind, title and estimates,
+    and without a camera file of its own."""
+    return replace(
+        section,
+        kind=f"{section.kind}_{word_for_file(part)}",
+        title=f"{section.title}: {part}",
+        estimates=tuple(
+            replace(one, group=f"{part} {one.group}".strip()) for one in section.estimates
+        ),
+        records={},
+    )
+
+
+def failed_section(kind: str, title: str, why: str, known: Sequence[str] = ()) -> Section:
+    """The section of a calibration that failed, with the reason and what is known without it."""
+    return Section(kind=kind, title=title, estimates=(), findings=(why, *known), failure=why)
 
 
 def describing_nothing(section: Section, headline: str, groups: Collection[str]) -> Section:

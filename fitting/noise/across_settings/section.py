@@ -6,14 +6,19 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 from scipy.special import ndtri
 
 from jaxvision.errors import InputError
 
-from ...inference.estimates import QUANTILES, Estimate, not_determined, quantile_estimate
+from ...inference.estimates import (
+    QUANTILES,
+    Estimate,
+    not_determined,
+    quantile_estimate,
+    sampled_estimate,
+)
 from ...inference.parameters import Parameter, names
-from ...report.section import Section, Table
+from ...report.section import Section, Table, failed_section, section_of_part, word_for_file
 from ...rig import Camera
 from ..calibration import NoiseCalibration
 from ..pattern import SEEN
@@ -53,7 +58,8 @@ def section(calibration: CameraCalibration) -> Section:
     """The section of a camera over its settings: shared parameters, and each gain."""
     gains = dict.fromkeys((s.gain, s.gain_label) for s in calibration.settings)
     writers = {
-        f"sensor_{_word(t)}".rstrip("_"): partial(write_sensor_at, calibration, g) for g, t in gains
+        f"sensor_{word_for_file(t)}".rstrip("_"): partial(write_sensor_at, calibration, g)
+        for g, t in gains
     }
     no_sensor = calibration.is_impossible or calibration.processed
     predicted = () if no_sensor else prediction.predict_settings(calibration)
@@ -94,24 +100,11 @@ def records_of_sites(
         return {}
     gains = dict.fromkeys((s.gain, s.gain_label) for one in each for s in one.settings)
     return {
-        f"sensor_{_word(label)}".rstrip("_"): partial(
+        f"sensor_{word_for_file(label)}".rstrip("_"): partial(
             write_sensor_of_sites_at, calibrations, camera, gain
         )
         for gain, label in gains
     }
-
-
-def of_site(section: Section, site: str) -> Section:
-    """The section of one site, with the site in its name and without a camera file of its own."""
-    return replace(
-        section,
-        kind=f"{section.kind}_{_word(site)}",
-        title=f"{section.title}: {site}",
-        estimates=tuple(
-            replace(one, group=f"{site} {one.group}".strip()) for one in section.estimates
-        ),
-        records={},
-    )
 
 
 def without_whole(
@@ -120,25 +113,15 @@ def without_whole(
     why: str,
 ) -> list[Section]:
     """The sections of the settings if the joint fit failed, with the reason."""
-    whole = Section(kind=KIND, title=TITLE, estimates=(), findings=(why,), failure=why)
-    return [whole, *_of_settings(frames, calibrations)]
+    return [failed_section(KIND, TITLE, why), *_of_settings(frames, calibrations)]
 
 
 def unread(failed: Mapping[Setting, InputError]) -> list[Section]:
     """Return a section for each setting whose frames cannot be used, with the reason."""
     return [
-        Section(
-            *(f"{KIND}_{_word(setting.label)}", f"{TITLE_OF_ONE}: {setting.label}", ()),
-            findings=(str(why),),
-            failure=str(why),
-        )
+        section_of_part(failed_section(KIND, TITLE_OF_ONE, str(why)), setting.label)
         for setting, why in failed.items()
     ]
-
-
-def _word(label: str) -> str:
-    """A label in the form that a file name allows."""
-    return "_".join(label.lower().replace(",", " ").replace("-", "minus_").split())
 
 
 def _of_settings(
@@ -148,17 +131,8 @@ def _of_settings(
     found = []
     for one, own in zip(frames, calibrations, strict=True):
         if isinstance(own, NoiseCalibration):
-            alone, label = section_of_one(own), one.setting.label
-            found.append(
-                replace(
-                    alone,
-                    kind=f"{KIND}_{_word(label)}",
-                    title=f"{alone.title}: {label}",
-                    pictures=alone.pictures[:1],
-                    estimates=tuple(replace(one, group=label) for one in alone.estimates),
-                    records={},
-                )
-            )
+            alone = section_of_part(section_of_one(own), one.setting.label)
+            found.append(replace(alone, pictures=alone.pictures[:1]))
     return found
 
 
@@ -170,11 +144,11 @@ def _about(calibration: CameraCalibration) -> str:
         f"{len(gains)} gains ({', '.join(gains)})" if len(gains) > 1 else "".join(gains),
         f"{len(warmth)} temperatures ({', '.join(warmth)})" if len(warmth) > 1 else warmth[0],
     ]
-    told = ", ".join(part for part in parts if part) + "."
+    about = ", ".join(part for part in parts if part) + "."
     if "activation_energy" not in names(calibration.posterior.space):
-        return told
+        return about
     return (
-        f"{told} Dark current is that at {calibration.fit.reference:g} K; it doubles within ΔT_2 "
+        f"{about} Dark current is that at {calibration.fit.reference:g} K; it doubles within ΔT_2 "
         f"around {_middle(calibration):.4g} K."
     )
 
@@ -201,26 +175,21 @@ def _estimates(calibration: CameraCalibration) -> tuple[Estimate, ...]:
         what, scale = replace(parameter, name=name, transform="identity"), 1.0
         if name == "quantum_efficiency":
             what, scale = EFFICIENCY, 100.0
-        found.append(_drawn(what, scale * best[full], scale * draws[full], group))
+        value = scale * float(best[full])
+        found.append(sampled_estimate(what, scale * draws[full], value=value, group=group))
         if name == "system_gain" and "variance_before_gain" in best:
             ours, theirs = (
                 x["variance_before_gain"] + x["variance_behind_gain"] / x[full] ** 2
                 for x in (best, draws)
             )
             read_noise = np.sqrt(np.maximum(theirs, 0))
-            read_noises.append(_drawn(READ_NOISE, np.sqrt(ours), read_noise, group))
+            value = float(np.sqrt(ours))
+            read_noises.append(sampled_estimate(READ_NOISE, read_noise, value=value, group=group))
     if "activation_energy" in best:
         scale = np.log(2) * BOLTZMANN_EV * _middle(calibration) ** 2
         ours, theirs = (scale / x["activation_energy"] for x in (best, draws))
-        read_noises.append(_drawn(DOUBLING, ours, theirs, ""))
+        read_noises.append(sampled_estimate(DOUBLING, theirs, value=float(ours)))
     return (*found, *read_noises, *_die_estimates(calibration))
-
-
-def _drawn(
-    what: Parameter, value: float, draws: Float[np.ndarray, " draws"], group: str
-) -> Estimate:
-    value = float(value)
-    return quantile_estimate(what, value, np.std(draws), np.quantile(draws, QUANTILES), group=group)
 
 
 def _root(
@@ -258,15 +227,15 @@ def _settings_table(calibration: CameraCalibration) -> Table:
     rows = []
     gains = np.exp(np.asarray(calibration.figures.log_gain))
     of_settings = zip(calibration.fit.by_setting, gains, calibration.calibrations, strict=True)
-    for setting, (told, gain, own) in zip(calibration.settings, of_settings, strict=True):
+    for setting, (estimates, gain, own) in zip(calibration.settings, of_settings, strict=True):
         log_gain, responsivity, log_noise = (
-            told.of(name)[0] for name in ("system_gain", "responsivity", "read_noise")
+            estimates.of(name)[0] for name in ("system_gain", "responsivity", "read_noise")
         )
         numbers = (
             np.exp(log_gain),
             100 * np.exp(responsivity - log_gain),
             np.exp(log_noise),
-            told.dark_current(gain)[0],
+            estimates.dark_current(gain)[0],
         )
         saturation, ends_at = None, None
         if own is not None and own.within.saturation is not None:

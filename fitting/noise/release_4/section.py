@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...inference.estimates import QUANTILES, Estimate, not_determined, quantile_estimate
+from ...inference.estimates import QUANTILES, Estimate, not_determined, sampled_estimate
 from ...inference.formatting import format_number, format_percent
 from ...report.section import Section, Table
 from ..calibration import BY_NAME, sheet_estimate
-from ..emva1288 import is_floored, least_dark_variance
-from ..quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
+from ..emva1288 import is_floored
+from ..quantities import HEADINGS, QUANTITIES, Quantity
 from ..regressions import sampling_errors
+from ..section import FROM_DARK_NOISE, floor_in_words, why_missing
 from .defects import outliers
 from .figures import defect_images, pictures_of_images, signal_to_noise
 from .nonuniformity import BORDER, FEWEST_LINES, Split, loss_of_filter
@@ -39,12 +40,6 @@ OF_PARTS = {
     )
     for kind, unit in (("dsnu", "e⁻"), ("prnu", "%"))
     for part in PARTS
-}
-# Figures that the standard's floor of dark noise bounds, and whether from above.
-BELOW_FLOOR = {
-    **dict.fromkeys(("temporal_dark_noise", "read_noise"), True),
-    **dict.fromkeys(("threshold_photons", "threshold_electrons"), True),
-    **dict.fromkeys(("dynamic_range", "dynamic_range_db", "usable_bits"), False),
 }
 LEAK = 0.1  # share of a part from which retained row and column noise is reported
 
@@ -127,33 +122,20 @@ def _linear(sheet: Release4) -> list[Estimate]:
     values, errors, listed = sheet.linear.values, sheet.linear.errors, []
     measurement = sheet.stacks.measurement
     floored = is_floored(measurement, sheet.within)
-    floor = float(np.sqrt(least_dark_variance(measurement)))
     for quantity in (*QUANTITIES, LINEARITY):
         name = quantity.name
         if name in ("dsnu", "prnu", "linearity_error_min", "linearity_error_max"):
             continue
         if name not in values:
-            listed.append(not_determined(quantity, _why_missing(sheet, name), method=LINEAR))
-        elif floored and name in BELOW_FLOOR:
-            side = "below" if BELOW_FLOOR[name] else "above"
-            reason = (
-                f"{side} {float(values[name]):.3g} {quantity.unit}: dark noise is under the "
-                f"standard's floor of {floor:.2g} DN, where rounding dominates"
-            )
+            listed.append(not_determined(quantity, why_missing(measurement, name), method=LINEAR))
+        elif floored and name in FROM_DARK_NOISE:
+            reason = floor_in_words(measurement, quantity, float(values[name]))
             listed.append(not_determined(quantity, reason, method=LINEAR))
         else:
             listed.append(
                 sheet_estimate(quantity, float(values[name]), float(errors[name]), LINEAR)
             )
     return listed
-
-
-def _why_missing(sheet: Release4, name: str) -> str:
-    if name in NEED_PHOTONS and not sheet.stacks.measurement.photons_known:
-        return "the light was not measured; give photons or irradiance for every flat"
-    if name in NEED_SATURATION:
-        return "no level saturates the camera; add brighter flats"
-    return "the darks have fewer than three different exposures; add darks at other exposures"
 
 
 def _nonuniformities(sheet: Release4) -> list[Estimate]:
@@ -196,29 +178,19 @@ def _deviation(
             reason = f"below {ends[-1]:.3g} {quantity.unit}: not distinguishable from none"
         return not_determined(quantity, reason, method=method)
     value = scale * float(np.sqrt(variance))
-    return quantile_estimate(quantity, value, float(drawn.std()), ends, method=method)
+    return sampled_estimate(quantity, drawn, method=method, ends=ends, value=value)
 
 
 def _general(sheet: Release4) -> list[Estimate]:
     listed = []
     for quantity in GENERAL_QUANTITIES:
         if quantity.name not in sheet.general.values:
-            if quantity.name == "efficiency_bound":
-                reason = _why_missing(sheet, "quantum_efficiency")
-            else:
-                reason = _why_missing(sheet, quantity.name)
+            name = quantity.name.replace("efficiency_bound", "quantum_efficiency")
+            reason = why_missing(sheet.stacks.measurement, name)
             listed.append(not_determined(quantity, reason, method=GENERAL))
             continue
-        draws = sheet.general.draws[quantity.name]
-        listed.append(
-            quantile_estimate(
-                quantity,
-                sheet.general.values[quantity.name],
-                float(draws.std()),
-                np.quantile(draws, QUANTILES),
-                method=GENERAL,
-            )
-        )
+        drawn, value = sheet.general.draws[quantity.name], sheet.general.values[quantity.name]
+        listed.append(sampled_estimate(quantity, drawn, method=GENERAL, value=value))
     return listed
 
 
