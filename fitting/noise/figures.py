@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..inference.formatting import decimals_for, format_number
-from ..report.colours import BLUE
+from ..report.colours import BLUE, GREY, ORANGE
 from ..report.section import Picture
 from .calibration import NoiseCalibration
 from .emva1288 import linearity_deviation
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIZE = (5.4, 4.6)
-ORANGE, GREY = "tab:orange", "0.45"
 POINTS = 300  # points of a drawn curve
 
 

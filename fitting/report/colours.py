@@ -1,6 +1,7 @@
 """Colours of figures that are distinguishable on white and on black."""
 
 RED, GREEN, BLUE = "#d1495b", "#2e9e5b", "#3b82c4"
+ORANGE, GREY = "tab:orange", "0.45"
 OF_CHANNEL = {
     "red": RED,
     "green": GREEN,

@@ -6,19 +6,14 @@ fits. Its sensor at a setting, written to a file and read back, predicts the lev
 
 from dataclasses import replace
 
-import numpy as np
-from jaxtyping import Bool
-
 from ...inference.diagnostics import listed
 from ...inference.formatting import format_p
 from ...inference.precision import double_precision
 from ...report.section import Table
-from ..calibration import NoiseCalibration
-from ..prediction.comparison import Agreement, compare
+from ..prediction.comparison import Agreement
 from ..prediction.missing import missing_effects
-from ..prediction.predict import Prediction, levels_kept_out, reread, scatters
+from ..prediction.predict import Prediction, compared, levels_kept_out, reread, scatters
 from ..prediction.section import explanations
-from ..settings import Setting
 from .calibration import CameraCalibration
 from .sensor import sensor_without
 from .setting import estimates_from_calibration
@@ -30,44 +25,34 @@ SHOWN = 3  # most settings whose missing effects are named
 @double_precision
 def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
     """Predict the levels that were kept out of the fit, by the camera over all settings."""
-    parts = [
-        (setting, own, levels_kept_out(own))
+    lit = {
+        setting: own
         for setting, own in zip(calibration.settings, calibration.calibrations, strict=True)
         if own is not None
-    ]
-    if not parts:
-        return ()
-    lit = {
-        setting: estimates_from_calibration(own, left_out=apart) for setting, own, apart in parts
     }
+    if not lit:
+        return ()
+    left_out = {setting: levels_kept_out(own) for setting, own in lit.items()}
     every = zip(calibration.settings, calibration.fit.by_setting, strict=True)
-    told = [lit.get(setting, before) for setting, before in every]
-    shared = fitted(calibration.settings, told, seed=calibration.posterior.seed)
-    camera = replace(calibration, fit=shared)
-    left_out = {setting: apart for setting, _, apart in parts}
-    return tuple(_predicted(camera, setting, own, left_out) for setting, own, _ in parts)
-
-
-def _predicted(
-    camera: CameraCalibration,
-    setting: Setting,
-    own: NoiseCalibration,
-    left_out: dict[Setting, Bool[np.ndarray, " levels"] | None],
-) -> Prediction:
-    errors, apart = scatters(own), left_out[setting]
-    at = {"gain": setting.gain, "temperature": setting.temperature}
-    best, draws = sensor_without(camera, left_out, **at)
-    best, drawn = reread(best, draws)
-    at = {"shown": apart, "fitted": apart is None, **errors}
-    found = compare(best, drawn, own.measurement, own.usable, **at)
-    return Prediction(
-        camera=setting.label,
-        comparisons=(found,),
-        labels=("levels of its fit" if apart is None else "levels kept out of its fit",),
-        unscaled=not own.measurement.photons_known,
-        missing=missing_effects(found),
-        **errors,
-    )
+    estimates = [
+        estimates_from_calibration(lit[setting], left_out=left_out[setting])
+        if setting in lit
+        else own
+        for setting, own in every
+    ]
+    shared = fitted(calibration.settings, estimates, seed=calibration.posterior.seed)
+    camera, found = replace(calibration, fit=shared), []
+    for setting, own in lit.items():
+        at = {"gain": setting.gain, "temperature": setting.temperature}
+        sensor = reread(*sensor_without(camera, left_out, **at))
+        kept_out = left_out[setting]
+        label = "levels of its fit" if kept_out is None else "levels kept out of its fit"
+        comparison = compared(own, sensor, kept_out)
+        missing = missing_effects(comparison)
+        errors = scatters(own)
+        one = Prediction(setting.label, (comparison,), (label,), missing=missing, **errors)
+        found.append(one)
+    return tuple(found)
 
 
 def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
@@ -80,7 +65,7 @@ def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
         for name, own in one.judged.agreement.items():
             before = sums.get(name, Agreement(0.0, 0.0))
             sums[name] = Agreement(before.chi_square + own.chi_square, before.degrees + own.degrees)
-    told = listed(
+    ratios = listed(
         [f"{one.ratio:.3g} ({format_p(one.p_value)}) for {name}" for name, one in sums.items()]
     )
     levels = sum(one.judged.lit.lit.size for one in predictions)
@@ -90,7 +75,7 @@ def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
         which = "some of them those of its fit, because there are too few to hold some out,"
     words = [
         f"The camera over all settings alone predicts {levels} levels of {len(predictions)} "
-        f"settings, {which} with chi-squares per degree of freedom of {told}."
+        f"settings, {which} with chi-squares per degree of freedom of {ratios}."
     ]
     missed = [one for one in predictions if one.judged.missed]
     missed.sort(key=lambda one: -max(part.ratio for part in one.judged.agreement.values()))

@@ -30,6 +30,7 @@ from .moments import (
     Expected,
     Frames,
     Lit,
+    at_levels,
     charge_and_step,
     clipped,
     expected,
@@ -88,6 +89,8 @@ class Comparison:
         camera: (quantities levels, quantities levels) covariance from the draws of the camera; 0
             for the data to which the camera was fitted.
         agreement: by the names of `PARTS`; for means alone if the camera states no noise.
+        unscaled: whether the rate of the light was fitted to the means, because the camera or the
+            frames state no photons.
         ended: levels that were left out because the camera predicts them at an end of its scale.
     """
 
@@ -97,7 +100,8 @@ class Comparison:
     noise: Float[np.ndarray, "quantities levels"]
     camera: Float[np.ndarray, "values values"]
     agreement: dict[str, Agreement]
-    ended: int = 0
+    unscaled: bool
+    ended: int
 
     @property
     def measured(self) -> Float[np.ndarray, "quantities levels"]:
@@ -140,7 +144,9 @@ def compare(
     shown = np.ones(lit.lit.size, bool) if shown is None else shown
     seen = levels.measured
     unscaled = best.quantum_efficiency is None or not measurement.photons_known
-    every = _every(best, draws)
+    every = jax.tree.map(lambda x: np.asarray(x)[None], best)
+    if draws is not None:
+        every = jax.tree.map(lambda x, own: np.concatenate([x, own]), every, draws)
     if unscaled:
         lit = _scaled(best, every, measurement, lit, seen, shown)
     found, drawn, die = _expected(best, every, measurement, lit, len(seen) == len(QUANTITIES))
@@ -159,8 +165,8 @@ def compare(
         moved = spread[:, 0] @ weight / float(np.sum(weight * found.by_light[0]))
         spread = spread - moved[:, None, None] * found.by_light
     spread = spread[..., shown]
-    levels, found, own = levels.at(shown), found.at(shown), own[:, shown]
-    seen, lit = levels.measured, jax.tree.map(lambda x: x[shown], lit)
+    levels, found, lit = (at_levels(one, shown) for one in (levels, found, lit))
+    seen, own = levels.measured, own[:, shown]
     flat = spread.reshape(len(spread), -1)
     die = die[np.ix_(*2 * (np.tile(shown, len(seen)),))] / levels.pixels
     camera = flat.T @ flat / len(flat)
@@ -179,7 +185,8 @@ def compare(
             agreement[name] = _agreement(missed, scatter, camera[block], taken, free)
             if taken:
                 camera[place] = camera[:, place] = 0.0
-    return Comparison(lit, levels, found, own, camera + die, agreement, int(ended.sum()))
+    count = int(ended.sum())
+    return Comparison(lit, levels, found, own, camera + die, agreement, unscaled, count)
 
 
 def _end_codes(sensor: Sensor, values: np.ndarray, measurement: PhotonTransfer) -> np.ndarray:
@@ -205,13 +212,6 @@ def _agreement(
     return Agreement(chi_square, float(max(len(missed) - free, 1)))
 
 
-def _every(best: Sensor, draws: Sensor | None) -> Sensor:
-    """The best estimate and the draws along one leading axis."""
-    if draws is None:
-        return jax.tree.map(lambda x: np.asarray(x)[None], best)
-    return jax.tree.map(lambda x, own: np.concatenate([np.asarray(x)[None], own]), best, draws)
-
-
 def _expected(
     sensor: Sensor, every: Sensor, measurement: PhotonTransfer, lit: Lit, neighbours: bool
 ) -> tuple[
@@ -220,7 +220,7 @@ def _expected(
     """Return the predictions of the best estimate and of the draws, converted from the sensor's
     codes to the numbers of the file. Without draws there is one row."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
-    of_every = expected(every, lit, neighbours=neighbours)
+    of_every = np.asarray(expected(every, lit, neighbours=neighbours))
     values = of_every[0].copy()
     electrons, slope, by_light = (np.asarray(x) for x in charge_and_step(sensor, lit))
     near, die = near_an_end(sensor, values, electrons), np.zeros((values.size, values.size))
@@ -265,12 +265,12 @@ def _scaled(
         1.0 if one is None else float(one) for one in (sensor.gain, sensor.quantum_efficiency)
     )
     light = np.asarray(lit.light)
-    told = shown & (light > 0)
-    factor = float(np.median(signal[told] / (gain * efficiency * light[told])))
+    bright = shown & (light > 0)
+    factor = float(np.median(signal[bright] / (gain * efficiency * light[bright])))
     for _ in range(REFINEMENTS):
         now = replace(lit, light=light * max(factor, 1e-300))
         found, *_ = _expected(sensor, every, measurement, now, len(seen) == len(QUANTITIES))
-        weight = 1 / np.maximum(found.values[1][told], 1e-300)
-        slope, missed = found.by_light[0][told], (seen[0] - found.values[0])[told]
+        weight = 1 / np.maximum(found.values[1][bright], 1e-300)
+        slope, missed = found.by_light[0][bright], (seen[0] - found.values[0])[bright]
         factor *= float(np.exp(np.sum(weight * slope * missed) / np.sum(weight * slope**2)))
     return replace(lit, light=light * factor)

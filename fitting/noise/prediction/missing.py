@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 
 from ...inference.formatting import format_with_error
 from .comparison import PARTS, Agreement, Comparison
-from .moments import Expected, noise
+from .moments import Expected, Lit, noise
 
 MOST = 4  # most effects that are named
 PRICE = 15.0  # decrease of -2 log likelihood needed for an effect: once in 10,000 by chance
@@ -48,37 +48,6 @@ class Size(NamedTuple):
         return more if self.value > 0 else less
 
 
-class Traces(NamedTuple):
-    """The quantities from which signatures are computed, each (levels,) in DN or DN^2.
-
-    Attributes:
-        lit: 1 with light, 0 without.
-        exposure: s.
-        signal: mean above black.
-        shot: variance by shot noise.
-        total: variance.
-        light: mean from light alone.
-        light_shot: variance from light alone.
-        amount: photons, or electrons where the scale of the light is unknown; 1 in the dark.
-        step: DN per electron.
-    """
-
-    lit: np.ndarray
-    exposure: np.ndarray
-    signal: np.ndarray
-    shot: np.ndarray
-    total: np.ndarray
-    light: np.ndarray
-    light_shot: np.ndarray
-    amount: np.ndarray
-    step: np.ndarray
-
-    @property
-    def share(self) -> np.ndarray:
-        """The relative change of the signal of the brightest level."""
-        return self.signal / max(float(self.signal.max()), 1e-300)
-
-
 class Candidate(NamedTuple):
     """An effect that a camera may lack.
 
@@ -91,14 +60,14 @@ class Candidate(NamedTuple):
     """
 
     key: str
-    shape: Callable[[Traces], tuple[np.ndarray | float | None, ...]]
-    sentence: Callable[[Size, Traces], str]
+    shape: Callable[[Expected, Lit], tuple[np.ndarray | float | None, ...]]
+    sentence: Callable[[Size, Expected], str]
     positive: bool = False
 
 
-def _shared(neighbours: str) -> Callable[[Size, Traces], str]:
+def _shared(neighbours: str) -> Callable[[Size, Expected], str]:
     """The signature of pixel mixing that the fitted gain did not include."""
-    return lambda a, t: (
+    return lambda a, e: (
         f"{neighbours} {a.in_words(100)} % of the signal's variance (mixing of pixels, by "
         "capacitance between them or by interpolation), by which the camera's gain is then too "
         "small"
@@ -108,73 +77,73 @@ def _shared(neighbours: str) -> Callable[[Size, Traces], str]:
 CANDIDATES = (
     Candidate(
         "light",
-        lambda t: (t.light, t.light_shot, None, None),
-        lambda a, t: (
+        lambda e, at: (*e.by_light[:2], None, None),
+        lambda a, e: (
             f"{a.in_words(100)} % {a.word('more', 'less')} light than stated, or a quantum "
             f"efficiency {a.word('larger', 'smaller')} by that"
         ),
     ),
     Candidate(
         "gain",
-        lambda t: (t.signal, 2 * t.total, None, None),
-        lambda a, t: f"a gain {a.word('larger', 'smaller')} by {a.in_words(100)} %",
+        lambda e, at: (e.signal, 2 * e.values[1], None, None),
+        lambda a, e: f"a gain {a.word('larger', 'smaller')} by {a.in_words(100)} %",
     ),
     Candidate(
         "compression",
-        lambda t: (-t.signal * t.share, -4 * t.share * t.shot, None, None),
-        lambda a, t: (
+        lambda e, at: (-e.signal * e.share, -4 * e.share * e.shot, None, None),
+        lambda a, e: (
             f"a response that is not linear: at the brightest level the mean is "
             f"{a.in_words(100)} % {a.word('below', 'above')} the line"
         ),
     ),
     Candidate(
         "light_offset",
-        lambda t: (t.light / t.amount, t.light_shot / t.amount, None, None),
-        lambda a, t: (
+        lambda e, at: (*e.by_light[:2] / np.where(at.light > 0, at.light, 1), None, None),
+        lambda a, e: (
             f"{a.in_words()} photons {a.word('more', 'less')} in every exposure with light, as "
             "with a shutter that is late or light that leaks"
         ),
     ),
     Candidate(
         "black_level",
-        lambda t: (1.0, None, None, None),
-        lambda a, t: f"a black level {a.word('higher', 'lower')} by {a.in_words()} DN",
+        lambda e, at: (1.0, None, None, None),
+        lambda a, e: f"a black level {a.word('higher', 'lower')} by {a.in_words()} DN",
     ),
     Candidate(
         "dark_current",
-        lambda t: (t.step * t.exposure, t.step**2 * t.exposure, None, None),
-        lambda a, t: f"{a.in_words()} e⁻/s {a.word('more', 'less')} dark current",
+        lambda e, at: (e.step * at.exposure, e.step**2 * at.exposure, None, None),
+        lambda a, e: f"{a.in_words()} e⁻/s {a.word('more', 'less')} dark current",
     ),
     Candidate(
         "read_noise",
-        lambda t: (None, 1.0, None, None),
-        lambda a, t: (
+        lambda e, at: (None, 1.0, None, None),
+        lambda a, e: (
             f"noise of {a.root()} DN {a.word('more', 'less')} at every level, light or "
             "dark: read noise"
         ),
     ),
     Candidate(
         "row_noise",
-        lambda t: (None, 1.0, 1.0, None),
-        lambda a, t: (
-            f"noise of {a.root(1 / float(t.step[0]))} e⁻ rms that the pixels of a row "
+        lambda e, at: (None, 1.0, 1.0, None),
+        lambda a, e: (
+            f"noise of {a.root(1 / float(e.step[0]))} e⁻ rms that the pixels of a row "
             "share, new in every frame (row noise)"
         ),
         positive=True,
     ),
     Candidate(
         "column_noise",
-        lambda t: (None, 1.0, None, 1.0),
-        lambda a, t: (
-            f"noise of {a.root(1 / float(t.step[0]))} e⁻ rms that the pixels of a column "
+        lambda e, at: (None, 1.0, None, 1.0),
+        lambda a, e: (
+            f"noise of {a.root(1 / float(e.step[0]))} e⁻ rms that the pixels of a column "
             "share, new in every frame (column noise)"
         ),
         positive=True,
     ),
     Candidate(
         "brighter_fatter",
-        lambda t: (None, -t.share * t.shot, t.share * t.shot / 4, t.share * t.shot / 4),
-        lambda a, t: (
+        lambda e, at: (None, -e.share * e.shot, e.share * e.shot / 4, e.share * e.shot / 4),
+        lambda a, e: (
             "charges that repel each other (the brighter-fatter effect), which removes "
             f"{a.in_words(100)} % of the brightest level's variance"
         ),
@@ -182,8 +151,8 @@ CANDIDATES = (
     ),
     Candidate(
         "mixing",
-        lambda t: (None, -t.shot, t.shot / 4, t.shot / 4),
-        lambda a, t: (
+        lambda e, at: (None, -e.shot, e.shot / 4, e.shot / 4),
+        lambda a, e: (
             f"neighbours that share {a.in_words(100)} % of the signal's variance (mixing of "
             "pixels, as by capacitance between them or by interpolation)"
         ),
@@ -191,26 +160,26 @@ CANDIDATES = (
     ),
     Candidate(
         "sharing",
-        lambda t: (None, None, t.shot / 4, t.shot / 4),
+        lambda e, at: (None, None, e.shot / 4, e.shot / 4),
         _shared("neighbours that share"),
         positive=True,
     ),
     Candidate(
         "sharing_along_rows",
-        lambda t: (None, None, t.shot / 2, None),
+        lambda e, at: (None, None, e.shot / 2, None),
         _shared("neighbours along a row that share"),
         positive=True,
     ),
     Candidate(
         "sharing_along_columns",
-        lambda t: (None, None, None, t.shot / 2),
+        lambda e, at: (None, None, None, e.shot / 2),
         _shared("neighbours along a column that share"),
         positive=True,
     ),
     Candidate(
         "flicker_of_rows",
-        lambda t: (None, t.light**2, t.light**2, None),
-        lambda a, t: (
+        lambda e, at: (None, e.by_light[0] ** 2, e.by_light[0] ** 2, None),
+        lambda a, e: (
             f"light that differs by {a.root(100)} % rms from row to row of a frame, as with a "
             "flickering lamp and a rolling shutter"
         ),
@@ -218,8 +187,8 @@ CANDIDATES = (
     ),
     Candidate(
         "shot_noise",
-        lambda t: (None, t.light_shot, None, None),
-        lambda a, t: (
+        lambda e, at: (None, e.by_light[1], None, None),
+        lambda a, e: (
             f"shot noise whose variance is {a.in_words(100)} % {a.word('larger', 'smaller')} "
             "at the same mean, as if frames were "
             f"{a.word('sharpened, or electrons multiplied', 'averaged, denoised or compressed')}"
@@ -229,20 +198,22 @@ CANDIDATES = (
 SCATTERS = (  # new at every level
     Candidate(
         "light_scatter",
-        lambda t: (t.light, None, None, None),
-        lambda a, t: f"light that scatters by {a.in_words(100)} % rms from level to level",
+        lambda e, at: (e.by_light[0], None, None, None),
+        lambda a, e: f"light that scatters by {a.in_words(100)} % rms from level to level",
     ),
     Candidate(
         "black_scatter",
-        lambda t: (1.0, None, None, None),
-        lambda a, t: f"a black level that varies by {a.in_words()} DN rms from level to level",
+        lambda e, at: (1.0, None, None, None),
+        lambda a, e: f"a black level that varies by {a.in_words()} DN rms from level to level",
     ),
     Candidate(
         "variance_scatter",
-        lambda t: (None, t.total, None, None),
-        lambda a, t: f"variances that scatter by {a.in_words(100)} % rms from level to level",
+        lambda e, at: (None, e.values[1], None, None),
+        lambda a, e: f"variances that scatter by {a.in_words(100)} % rms from level to level",
     ),
-    Candidate("", lambda t: (None, None, t.total, t.total), lambda a, t: ""),  # of unknown cause
+    Candidate(
+        "", lambda e, at: (None, None, e.values[1], e.values[1]), lambda a, e: ""
+    ),  # of unknown cause
 )
 
 
@@ -273,8 +244,7 @@ def missing_effects(comparison: Comparison) -> tuple[Missing, ...]:
     agreement = comparison.agreement
     if all(one.ratio <= 1 for one in agreement.values() if one.is_missed):
         return ()
-    traces, found = traces_of(comparison), []
-    fit = _Fit(comparison, traces)
+    fit, found = _Fit(comparison), []
     while len(found) < MOST and fit.is_missed:
         left = {one.key: one for one in CANDIDATES}
         for named in found:
@@ -302,29 +272,11 @@ def missing_effects(comparison: Comparison) -> tuple[Missing, ...]:
     return tuple(found)
 
 
-def traces_of(comparison: Comparison) -> Traces:
-    """The quantities from which the signatures are computed."""
-    found, lit = comparison.found, np.asarray(comparison.lit.lit)
-    amount = np.asarray(comparison.lit.light)
-    return Traces(
-        lit=lit,
-        exposure=np.asarray(comparison.lit.exposure),
-        signal=found.signal,
-        shot=found.step**2 * found.electrons,
-        total=found.values[1],
-        light=found.by_light[0],
-        light_shot=found.by_light[1],
-        amount=np.where(amount > 0, amount, 1.0),
-        step=found.step,
-    )
-
-
 class _Fit:
     """Residuals of all quantities, and the effects that explain part of them."""
 
-    def __init__(self, comparison: Comparison, traces: Traces) -> None:
-        self._comparison, self._traces = comparison, traces
-        self._found, self._taken = comparison.found, []
+    def __init__(self, comparison: Comparison) -> None:
+        self._comparison, self._found, self._taken = comparison, comparison.found, []
         self._named = np.zeros(len(SCATTERS), bool)
         self._take_noise()
         most = np.log(np.sum(self._missed**2) + 1)
@@ -421,12 +373,14 @@ class _Fit:
         return found
 
     def _missing(self, one: Candidate, size: Size, gain: float) -> Missing:
-        clause = one.sentence(size, self._traces)
+        clause = one.sentence(size, self._comparison.found)
         return Missing(one.key, clause, float(np.sqrt(gain)), self.agreement())
 
     def _shape(self, one: Candidate) -> np.ndarray:
         """The signature divided by the standard deviations of the frames' noise."""
-        rows = one.shape(self._traces)[: len(self._comparison.noise)]
+        rows = one.shape(self._comparison.found, self._comparison.lit)[
+            : len(self._comparison.noise)
+        ]
         none = np.zeros(self._comparison.noise.shape[1])
         shape = np.concatenate([none if row is None else none + row for row in rows])
         return shape / self._unit

@@ -2,6 +2,7 @@
 moments of `jaxvision` alone, and the sampling noise of a few frames about them."""
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -65,15 +66,15 @@ class Expected:
         """Approximate DN above black."""
         return self.step * self.electrons
 
-    def at(self, shown: Bool[np.ndarray, " levels"]) -> "Expected":
-        """The prediction for some levels."""
-        return replace(
-            self,
-            values=self.values[:, shown],
-            by_light=self.by_light[:, shown],
-            electrons=self.electrons[shown],
-            step=self.step[shown],
-        )
+    @property
+    def share(self) -> Float[np.ndarray, " levels"]:
+        """The signal relative to that of the brightest level."""
+        return self.signal / max(float(self.signal.max()), 1e-300)
+
+    @property
+    def shot(self) -> Float[np.ndarray, " levels"]:
+        """Variance by shot noise, DN^2."""
+        return self.step**2 * self.electrons
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,6 @@ class Frames:
     """Statistics of the frames of levels, from `Levels`.
 
     Attributes:
-        light: (levels,) in the unit of the measurement.
         mean: (levels,) DN.
         variance: (levels,) temporal, DN^2.
         neighbours: (2, levels) covariances along rows and along columns, DN^2; None where they are
@@ -94,7 +94,6 @@ class Frames:
         variance_error: relative scatter of the variances for unknown reasons.
     """
 
-    light: Float[np.ndarray, " levels"]
     mean: Float[np.ndarray, " levels"]
     variance: Float[np.ndarray, " levels"]
     neighbours: Float[np.ndarray, "2 levels"] | None
@@ -111,18 +110,14 @@ class Frames:
         around = () if self.neighbours is None else tuple(self.neighbours)
         return np.array([self.mean, self.variance, *around])
 
-    def at(self, shown: Bool[np.ndarray, " levels"]) -> "Frames":
-        """The statistics of some levels."""
-        return replace(
-            self,
-            light=self.light[shown],
-            mean=self.mean[shown],
-            variance=self.variance[shown],
-            neighbours=None if self.neighbours is None else self.neighbours[:, shown],
-            frames=self.frames[shown],
-            unsteady=self.unsteady[shown],
-            light_error=self.light_error[shown],
-        )
+
+OfLevels = TypeVar("OfLevels", Lit, Expected, Frames)
+
+
+def at_levels(found: OfLevels, shown: Bool[np.ndarray, " levels"]) -> OfLevels:
+    """The same for some of the levels, which are the last axis of every array."""
+    arrays = {k: x for k, x in vars(found).items() if isinstance(x, np.ndarray | Array)}
+    return replace(found, **{name: array[..., shown] for name, array in arrays.items()})
 
 
 def levels_of(
@@ -153,7 +148,6 @@ def levels_of(
     rounded = float(measurement.light_step) / np.sqrt(12) if measurement.photons_known else 0.0
     of_light = np.divide(rounded, light, out=np.zeros_like(light), where=light > 0)
     return lit, Frames(
-        light=light,
         mean=row("mean"),
         variance=row("variance"),
         neighbours=neighbours,
@@ -166,15 +160,12 @@ def levels_of(
     )
 
 
+@compiled_briefly
 def expected(
     sensors: Sensor, lit: Lit, *, neighbours: bool
-) -> Float[np.ndarray, "draws quantities levels"]:
-    """The predicted quantities in the sensor's codes, away from the ends of the scale."""
-    return np.asarray(_expected(sensors, lit, neighbours=neighbours))
+) -> Float[Array, "draws quantities levels"]:
+    """The predicted quantities in the sensors' codes, away from the ends of the scale."""
 
-
-@compiled_briefly
-def _expected(sensors: Sensor, lit: Lit, *, neighbours: bool) -> Array:
     def of(sensor: Sensor) -> Array:
         one = jax.vmap(lambda at: _quantities(sensor, at, neighbours=neighbours), out_axes=1)
         return one(lit)

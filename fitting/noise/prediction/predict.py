@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool
 
-from jaxvision import PhotonConversion, Sensor, as_dtype
+from jaxvision import Sensor, as_dtype
 from jaxvision.errors import InputError
 from jaxvision.files.cameras import read_camera, read_sensor, write_sensor
 from jaxvision.files.records import count_draws
@@ -45,7 +45,6 @@ class Prediction(ShownInNotebooks):
         camera: its name in sentences.
         comparisons: of the camera with levels; the verdict is on the first one.
         labels: names of the levels of each comparison.
-        unscaled: whether the rate of the light was fitted to the means.
         light_error: relative error of the light of a level.
         variance_error: relative scatter of the variances for unknown reasons.
         missing: known effects that the camera lacks.
@@ -55,7 +54,6 @@ class Prediction(ShownInNotebooks):
     camera: str
     comparisons: tuple[Comparison, ...]
     labels: tuple[str, ...]
-    unscaled: bool
     light_error: float
     variance_error: float
     missing: tuple[Missing, ...]
@@ -64,6 +62,11 @@ class Prediction(ShownInNotebooks):
     @property
     def judged(self) -> Comparison:
         return self.comparisons[0]
+
+    @property
+    def unscaled(self) -> bool:
+        """Whether the rate of the light was fitted to the means."""
+        return self.judged.unscaled
 
 
 @double_precision
@@ -125,7 +128,7 @@ def predict(
     camera = _channel_sensor(name, camera)
     _require_bits(name, camera, measurement)
     if draws is not None:
-        draws = eqx.tree_at(_conversion, draws, None, is_leaf=lambda leaf: leaf is None)
+        draws = replace(draws, photon_conversion=None)
     measurement = as_dtype(measurement, np.float64)
     usable = linear_levels(measurement)
     unstated = [field for field in NOISES if getattr(camera, field) is None]
@@ -146,12 +149,10 @@ def predict(
             f"{float(measurement.bright.mean[usable].min()):.4g} to "
             f"{float(measurement.bright.mean[usable].max()):.4g} DN; check its gain and offset."
         )
-    unscaled = camera.quantum_efficiency is None or not measurement.photons_known
     return Prediction(
         camera=name,
         comparisons=(found,),
         labels=("all levels below saturation",),
-        unscaled=unscaled,
         light_error=light_error,
         variance_error=0.0,
         missing=missing_effects(found),
@@ -199,22 +200,16 @@ def predict_own_frames(calibration: NoiseCalibration) -> Prediction:
     levels. With enough levels, it also covers levels that a second fit of the same model did not
     use.
     """
-    errors = scatters(calibration)
-    whole = _compared(calibration, None, errors)
+    whole = compared(calibration, written(calibration), None)
     kept_out = levels_kept_out(calibration)
     comparisons, labels = (whole,), ("the levels of its fit",)
     if kept_out is not None:
-        apart = _compared(calibration, kept_out, errors)
-        comparisons = (apart, whole)
+        camera = written(calibration, kept_out=kept_out)
+        comparisons = (compared(calibration, camera, kept_out), whole)
         labels = ("levels kept out of its fit", "all levels, fitted to them")
-    return Prediction(
-        camera="The written camera",
-        comparisons=comparisons,
-        labels=labels,
-        unscaled=not calibration.measurement.photons_known,
-        missing=missing_effects(comparisons[0]),
-        **errors,
-    )
+    missing = missing_effects(comparisons[0])
+    errors = scatters(calibration)
+    return Prediction("The written camera", comparisons, labels, missing=missing, **errors)
 
 
 def scatters(calibration: NoiseCalibration) -> dict[str, Any]:
@@ -245,16 +240,15 @@ def levels_kept_out(calibration: NoiseCalibration) -> Bool[np.ndarray, " levels"
     return np.concatenate([apart, unlit])
 
 
-def _compared(
+def compared(
     calibration: NoiseCalibration,
+    camera: tuple[Sensor, Sensor | None],
     kept_out: Bool[np.ndarray, " levels"] | None,
-    errors: dict[str, float],
 ) -> Comparison:
-    """Return the comparison for the camera as it is read from its file."""
-    camera, drawn = written(calibration, kept_out=kept_out)
-    fitted, usable = kept_out is None, calibration.usable
-    at = {"shown": kept_out, "fitted": fitted, **errors}
-    return compare(camera, drawn, calibration.measurement, usable, **at)
+    """A calibration's own frames compared with a sensor and its draws, which were fitted to all
+    levels or without some."""
+    own = {"shown": kept_out, "fitted": kept_out is None, **scatters(calibration)}
+    return compare(*camera, calibration.measurement, calibration.usable, **own)
 
 
 def written(
@@ -319,7 +313,3 @@ def _channel_sensor(name: str, sensor: Sensor) -> Sensor:
             "as jaxvision-fit noise writes it for each site of a mosaic."
         )
     return replace(sensor, photon_conversion=None)
-
-
-def _conversion(sensor: Sensor) -> PhotonConversion | None:
-    return sensor.photon_conversion

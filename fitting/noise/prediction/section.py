@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...inference.diagnostics import listed
 from ...inference.formatting import format_number, format_p
-from ...report.colours import BLUE
+from ...report.colours import BLUE, ORANGE
 from ...report.section import Picture, Section, Table
 from .comparison import PARTS, Agreement
 from .missing import SCATTERS
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 KIND, TITLE = "prediction", "What the camera predicts of its frames"
 NOTHING_KNOWN = "No effect that is known here explains it."
 REST_UNKNOWN = "No effect that is known here explains the rest."
-ORANGE, GREY = "tab:orange", "0.45"
 BAND = 2  # standard errors
 
 
@@ -49,8 +49,8 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
         kept = ", which are those of its fit, because there are too few to hold some out,"
     predicts = f"{prediction.camera} alone predicts {levels}{kept} with chi-squares per degree of "
     if _scatter_alone(prediction):
-        clauses = _joined([one.clause for one in prediction.missing])
-        falls = _joined([f"{one.strength**2:.0f}" for one in prediction.missing])
+        clauses = listed([one.clause for one in prediction.missing])
+        falls = listed([f"{one.strength**2:.0f}" for one in prediction.missing])
         sentences = [
             f"The frames show {clauses}, which is not part of a camera file. It "
             f"lowers -2 log likelihood by {falls}. With it {predicts[0].lower()}{predicts[1:]}"
@@ -94,13 +94,13 @@ def explanations(prediction: Prediction) -> list[str]:
     more = {name: one for name, one in far.items() if one.ratio > 1}
     if less:
         sentences.append(
-            f"The {_listed(less)} scatter less about the prediction than independent frames do "
+            f"The {listed([*less])} scatter less about the prediction than independent frames do "
             f"({_chances(less)}): frames of a level may be copies or averages of each other, or a "
             "stated error of the light is too large."
         )
     if not more or _scatter_alone(prediction):
         return sentences
-    sentences.append(f"The {_listed(more)} differ significantly ({_chances(more)}).")
+    sentences.append(f"The {listed([*more])} differ significantly ({_chances(more)}).")
     for one in prediction.missing:
         first = one is prediction.missing[0]
         sentences.append(
@@ -125,20 +125,11 @@ def _scatter_alone(prediction: Prediction) -> bool:
 
 
 def _ratios(agreement: dict[str, Agreement]) -> str:
-    return _joined([f"{one.ratio:.3g} for {name}" for name, one in agreement.items()])
-
-
-def _listed(agreement: dict[str, Agreement]) -> str:
-    return _joined(list(agreement))
+    return listed([f"{one.ratio:.3g} for {name}" for name, one in agreement.items()])
 
 
 def _chances(agreement: dict[str, Agreement]) -> str:
     return ", ".join(format_p(one.p_value) for one in agreement.values())
-
-
-def _joined(words: list[str]) -> str:
-    *first, last = words
-    return f"{', '.join(first)} and {last}" if first else last
 
 
 def table(prediction: Prediction) -> Table:
@@ -187,14 +178,7 @@ def levels_table(prediction: Prediction) -> Table:
 
 
 def picture(prediction: Prediction) -> Picture:
-    """The residuals of a prediction, drawn on request.
-
-    Args:
-        prediction: of frames.
-
-    Returns:
-        The picture.
-    """
+    """The residuals of a prediction."""
     return Picture(
         "prediction",
         "Residuals of the prediction",
