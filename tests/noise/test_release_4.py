@@ -18,7 +18,7 @@ from fitting.noise.levels import Levels, PhotonTransfer
 from fitting.noise.release_4.defects import histogram, outliers
 from fitting.noise.release_4.general import slopes
 from fitting.noise.release_4.linear import figures
-from fitting.noise.release_4.lines import profile, spectrogram
+from fitting.noise.release_4.lines import spectrogram
 from fitting.noise.release_4.nonuniformity import high_pass, loss_of_filter, split
 from fitting.noise.release_4.saturation import Numbers, ranges
 from fitting.noise.release_4.section import LINEARITY, _deviation, sections
@@ -215,7 +215,6 @@ def test_a_spectrogram_has_the_variance_and_the_wave():
     found = spectrogram(image + wave, 1)
     assert found.cycles[np.argmax(found.power)] == 1 / 8
     np.testing.assert_allclose(found.power.max(), 64 * 9 / 4, rtol=0.05)
-    assert profile(wave, 0).mean.shape == (400,)
 
 
 @pytest.mark.slow

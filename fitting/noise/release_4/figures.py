@@ -6,20 +6,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...report.colours import BLUE, GREEN, RED
+from ...report.colours import BLUE, GREEN, GREY, ORANGE, RED
 from ...report.section import Picture
 from .defects import histogram
-from .lines import profile, spectrogram
+from .lines import spectrogram
 from .nonuniformity import Split, can_filter, high_pass
 from .sheet import PARTS, Release4
 from .stacks import Averages
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 SIZE = (5.4, 4.6)
-ORANGE, GREY, PURPLE = "tab:orange", "0.45", "tab:purple"
+PURPLE = "tab:purple"
 COLOURS = {"total": "k", "row": BLUE, "col": ORANGE, "pixel": GREEN}
 WIDE = 10  # ratio of amplitudes from which their axis is logarithmic
 NAMES = {"total": "all pixels", "row": "rows", "col": "columns", "pixel": "pixels"}
@@ -58,13 +57,13 @@ def pictures_of_images(sheet: Release4) -> tuple[Picture, ...]:
             "Logarithmic histograms",
             f"Deviations of the pixels from the mean, {how}; dashed, a Gaussian of the same "
             "standard deviation. Pixels off the curve are defects.",
-            partial(histograms_figure, averages),
+            partial(histograms_figure, averages, accumulated=False),
         ),
         Picture(
             "accumulated_histograms",
             "Accumulated histograms",
             f"Share of the pixels that deviate from the mean by at least as much, {how}.",
-            partial(accumulated_figure, averages),
+            partial(histograms_figure, averages, accumulated=True),
         ),
         Picture(
             "spectrograms",
@@ -172,8 +171,8 @@ def defect_images(averages: Averages) -> tuple[tuple[str, str, np.ndarray, float
     )
 
 
-def histograms_figure(averages: Averages) -> "Figure":
-    """Counts for both, logarithmic."""
+def histograms_figure(averages: Averages, *, accumulated: bool) -> "Figure":
+    """Counts of deviations, or the share of the pixels beyond each, for DSNU and PRNU."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=SIZE, layout="constrained")
@@ -181,29 +180,16 @@ def histograms_figure(averages: Averages) -> "Figure":
         figure.subplots(2, 1), defect_images(averages), strict=True
     ):
         found = histogram(image, steps)
-        axis.semilogy(found.centres, np.where(found.counts > 0, found.counts, np.nan), ".-",
-                      color=BLUE, ms=3, lw=0.8, label=name)  # fmt: skip
-        axis.semilogy(found.centres, found.gaussian, "--", color=ORANGE, lw=1, label="Gaussian")
-        axis.set_ylim(0.5, 2 * found.counts.max())
-        axis.set_ylabel("pixels")
-        axis.set_xlabel(f"deviation from the mean [{unit}]")
-        axis.legend(fontsize=9, loc="upper right")
-    return figure
-
-
-def accumulated_figure(averages: Averages) -> "Figure":
-    """Share of the pixels beyond a deviation for both, logarithmic."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=SIZE, layout="constrained")
-    for axis, (name, unit, image, steps) in zip(
-        figure.subplots(2, 1), defect_images(averages), strict=True
-    ):
-        found = histogram(image, steps)
-        axis.semilogy(found.deviations, found.share, color=BLUE, lw=1.2, label=name)
-        axis.set_ylim(50 / image.size, 150)
-        axis.set_ylabel("share of pixels [%]")
-        axis.set_xlabel(f"least deviation from the mean [{unit}]")
+        if accumulated:
+            axis.semilogy(found.deviations, found.share, color=BLUE, lw=1.2, label=name)
+            axis.set(ylim=(50 / image.size, 150), ylabel="share of pixels [%]")
+            axis.set_xlabel(f"least deviation from the mean [{unit}]")
+        else:
+            counts = np.where(found.counts > 0, found.counts, np.nan)
+            axis.semilogy(found.centres, counts, ".-", color=BLUE, ms=3, lw=0.8, label=name)
+            axis.semilogy(found.centres, found.gaussian, "--", color=ORANGE, lw=1, label="Gaussian")
+            axis.set(ylim=(0.5, 2 * found.counts.max()), ylabel="pixels")
+            axis.set_xlabel(f"deviation from the mean [{unit}]")
         axis.legend(fontsize=9, loc="upper right")
     return figure
 
@@ -234,7 +220,7 @@ def spectrograms_figure(averages: Averages) -> "Figure":
 
 
 def profiles_figure(averages: Averages) -> "Figure":
-    """Horizontal profiles on the left, vertical ones on the right."""
+    """Profiles of clause 8.7, (pixels,) DN: horizontal ones on the left, vertical on the right."""
     from matplotlib.figure import Figure
 
     lit, unlit = averages.lit, averages.unlit
@@ -243,8 +229,16 @@ def profiles_figure(averages: Averages) -> "Figure":
     for row, (name, image) in zip(
         axes, (("bright", lit.image - unlit.image), ("dark", unlit.image)), strict=True
     ):
-        for axis, (along, direction) in zip(row, ((1, "horizontal"), (0, "vertical")), strict=True):
-            _draw_profile(axis, image, along)
+        for axis, lines, direction in zip(
+            row, (image, image.T), ("horizontal", "vertical"), strict=True
+        ):
+            for label, y, colour in (
+                ("least", lines.min(axis=0), GREY),
+                ("most", lines.max(axis=0), RED),
+                ("middle line", lines[len(lines) // 2], ORANGE),
+                ("mean", lines.mean(axis=0), BLUE),
+            ):
+                axis.plot(y, color=colour, lw=0.8, label=label)
             axis.set_title(f"{name}, {direction}", fontsize=9)
         row[0].set_ylabel("average frame [DN]")
     axes[1, 0].set_xlabel("column")
@@ -252,14 +246,3 @@ def profiles_figure(averages: Averages) -> "Figure":
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4,
                   fontsize=9)  # fmt: skip
     return figure
-
-
-def _draw_profile(axis: "Axes", image: np.ndarray, along: int) -> None:
-    found = profile(image, along)
-    for label, y, colour in (
-        ("least", found.least, GREY),
-        ("most", found.most, RED),
-        ("middle line", found.middle, ORANGE),
-        ("mean", found.mean, BLUE),
-    ):
-        axis.plot(np.arange(len(y)), y, color=colour, lw=0.8, label=label)

@@ -1,4 +1,4 @@
-"""Spectrograms and profiles of an average frame, clauses 8.6 and 8.7.
+"""Spectrograms of an average frame, clause 8.6.
 
 The horizontal spectrogram is the power of the rows' discrete Fourier transforms divided by sqrt(N),
 averaged over the rows. For independent pixels it is s^2 + sigma^2 / L at every frequency: the mean
@@ -30,15 +30,6 @@ class Spectrogram(NamedTuple):
     band: tuple[float, float]
 
 
-class Profile(NamedTuple):
-    """A profile along one direction over all lines across it, (pixels,) each, DN."""
-
-    middle: Float[np.ndarray, " pixels"]
-    mean: Float[np.ndarray, " pixels"]
-    least: Float[np.ndarray, " pixels"]
-    most: Float[np.ndarray, " pixels"]
-
-
 def spectrogram(image: Float[np.ndarray, "h w"], axis: int) -> Spectrogram:
     """Power along an axis of an image, mean over the other."""
     length = image.shape[axis]
@@ -48,9 +39,3 @@ def spectrogram(image: Float[np.ndarray, "h w"], axis: int) -> Spectrogram:
     white = float(np.median(power[1:]))
     low, high = (white * float(chdtri(degrees, q)) / degrees for q in BAND)
     return Spectrogram(np.arange(len(power)) / length, power, white, (low, high))
-
-
-def profile(image: Float[np.ndarray, "h w"], axis: int) -> Profile:
-    """The middle line along an axis, and the mean, minimum and maximum of all lines."""
-    lines = image if axis == 1 else image.T
-    return Profile(lines[len(lines) // 2], lines.mean(axis=0), lines.min(axis=0), lines.max(axis=0))

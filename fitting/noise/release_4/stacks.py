@@ -129,61 +129,31 @@ def reduce_stacks(rig: Rig, *, channel: str = "", load: Load = read_image) -> St
     def stack(names: Sequence[str]) -> Stack:
         return _averaged(reduced.plane, names, top)
 
-    of_flats, of_darks = (
-        [_summed(stack(names)) for names in files] for files in (reduced.flats, reduced.darks)
-    )
-    levels = [
-        replace(
-            one,
-            mean=jnp.asarray([level.mean for level in own]),
-            variance=jnp.asarray([level.noise for level in own]),
-            pixels=jnp.asarray(float(own[0].pixels)),
-        )
-        for one, own in (
-            (reduced.measurement.bright, of_flats),
-            (reduced.measurement.dark, of_darks),
-        )
-    ]
+    levels, of_levels = [], []
+    for one, files in (
+        (reduced.measurement.bright, reduced.flats),
+        (reduced.measurement.dark, reduced.darks),
+    ):
+        means, noises, at_top, spreads, splits = [], [], [], [], []
+        for average in map(stack, files):
+            image = average.image
+            filtered = high_pass(image) if can_filter(image.shape) else image
+            means.append(image.mean())
+            noises.append(average.noise)
+            at_top.append(average.at_top)
+            about = average.noise + average.drift - average.rest  # of all numbers about the average
+            spreads.append(np.sqrt(image.var() + about))
+            splits.append(split(filtered, average.rest))
+        mean, variance, pixels = map(jnp.asarray, (means, noises, float(image.size)))
+        levels.append(replace(one, mean=mean, variance=variance, pixels=pixels))
+        of_levels.append((Numbers(np.array(at_top), np.array(spreads)), tuple(splits)))
     measurement = replace(reduced.measurement, bright=levels[0], dark=levels[1])
-    numbers = Numbers(
-        np.array([level.at_top for level in of_flats]),
-        np.array([level.spread for level in of_flats]),
-    )
+    (numbers, of_flats), (_, of_darks) = of_levels
     half = standard_pattern(measurement, ranges(measurement, numbers)[0]).level
     assert half is not None
     own_dark = int(measurement.dark_of[half])
-    return Stacks(
-        measurement,
-        numbers,
-        tuple(level.split for level in of_flats),
-        tuple(level.split for level in of_darks),
-        Averages(half, stack(reduced.flats[half]), stack(reduced.darks[own_dark])),
-    )
-
-
-@dataclass(frozen=True)
-class _Summed:
-    mean: float
-    noise: float
-    at_top: float
-    spread: float
-    pixels: int
-    split: Split
-
-
-def _summed(stack: Stack) -> _Summed:
-    """The summary of every level."""
-    image = stack.image
-    filtered = high_pass(image) if can_filter(image.shape) else image
-    kept = stack.noise + stack.drift - stack.rest  # variance of all numbers about the average frame
-    return _Summed(
-        mean=float(image.mean()),
-        noise=stack.noise,
-        at_top=stack.at_top,
-        spread=float(np.sqrt(image.var() + kept)),
-        pixels=image.size,
-        split=split(filtered, stack.rest),
-    )
+    averages = Averages(half, stack(reduced.flats[half]), stack(reduced.darks[own_dark]))
+    return Stacks(measurement, numbers, of_flats, of_darks, averages)
 
 
 def _averaged(plane: Callable[[str], np.ndarray], names: Sequence[str], top: float | None) -> Stack:
