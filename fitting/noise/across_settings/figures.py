@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from ...report.colours import BLUE
+from ...report.colours import BLUE, GREY, ORANGE
 from ...report.section import Picture
-from ..figures import GREY, ORANGE, two_panels
+from ..figures import two_panels
 from .calibration import CameraCalibration
 from .statement import BOLTZMANN_EV, proportional_gain
 
@@ -48,7 +48,7 @@ def camera_pictures(calibration: CameraCalibration) -> tuple[Picture, ...]:
             )
         )
     if len({setting.temperature for setting in calibration.settings}) > 1 and any(
-        {"dark_current", "dark_signal_rate"} & {*told.names} for told in calibration.fit.by_setting
+        {"dark_current", "dark_signal_rate"} & {*one.names} for one in calibration.fit.by_setting
     ):
         found.append(
             Picture(
@@ -81,9 +81,9 @@ def gain_figure(calibration: CameraCalibration) -> "Figure":
     upper.set_ylabel("K [DN/e⁻]")
     _plain_ticks(upper.yaxis)
     upper.legend(fontsize=9)
-    aside = _aside(factor[alone])
+    beside = _beside(factor[alone])
     off = 100 * (np.exp(log_gain) / (scale * factor[alone]) - 1)
-    lower.errorbar(factor[alone] * aside, off, 196 * error, fmt=".", color=BLUE, ms=5, lw=0.8)
+    lower.errorbar(factor[alone] * beside, off, 196 * error, fmt=".", color=BLUE, ms=5, lw=0.8)
     off = 100 * (shared / (scale * factor) - 1)
     lower.errorbar(factor, off, 196 * spread, fmt="o", color=ORANGE, ms=8, mfc="none", lw=1.5)
     lower.axhline(0, color="k", lw=0.8, ls="--")
@@ -101,7 +101,7 @@ def read_noise_figure(calibration: CameraCalibration) -> "Figure":
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
     figure, axis, lower = two_panels(height=1.6)
-    alone, value, error = _alone(calibration, "read_noise")
+    alone, log_value, error = _alone(calibration, "read_noise")
     best, draws = fit.fit.values, fit.fit.draws
     if "variance_before_gain" in best:
         x = np.geomspace(gain.min() / 1.15, 1.15 * gain.max(), POINTS)
@@ -109,26 +109,18 @@ def read_noise_figure(calibration: CameraCalibration) -> "Figure":
         before, behind = (float(best[name]) for name in variances)
         of_draws = (draws[name].reshape(-1, 1) for name in variances)
         drawn = next(of_draws) + next(of_draws) / x**2
-        low, high = np.quantile(np.sqrt(np.maximum(drawn, 0)), HALF_BAND, axis=0)
         curve = np.sqrt(before + behind / x**2)
-        _shade(axis, lower, x, curve, low, high, "law")
+        _draw_law(axis, lower, x, curve, np.sqrt(np.maximum(drawn, 0)), "law")
         if before > 0:
             axis.axhline(np.sqrt(before), color=GREY, lw=0.8, ls="--", label="before the amplifier")
         if behind > 0:
             axis.plot(x, np.sqrt(behind) / x, color=GREY, lw=0.8, ls=":", label="behind it")
-    off = np.exp(value - np.log(np.asarray(calibration.figures.read_variance))[alone] / 2) - 1
-    value = np.exp(value)
+    log_fit = np.log(np.asarray(calibration.figures.read_variance))[alone] / 2
+    value = np.exp(log_value)
     bars = value * (1 - np.exp(-1.96 * error)), value * (np.exp(1.96 * error) - 1)
-    aside = gain[alone] * _aside(gain[alone])
-    axis.errorbar(
-        aside, value, bars, fmt=".", color=BLUE, ms=6, lw=0.8, label="each setting by itself"
-    )
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    axis.set_ylim(0.6 * value.min(), 1.6 * value.max())
-    lower.errorbar(aside, 100 * off, 196 * error, fmt=".", color=BLUE, ms=5, lw=0.8)
-    lower.axhline(0, color=ORANGE, lw=1.0)
-    lower.set_ylabel("off the fit [%]")
+    beside = gain[alone] * _beside(gain[alone])
+    _draw_settings(axis, lower, beside, value, bars, np.exp(log_value - log_fit) - 1, error)
+    axis.set(xscale="log", yscale="log", ylim=(0.6 * value.min(), 1.6 * value.max()))
     lower.set_xlabel("K [DN/e⁻]")
     axis.set_ylabel("read noise [e⁻]")
     _plain_ticks(axis.xaxis)
@@ -141,7 +133,7 @@ def dark_current_figure(calibration: CameraCalibration) -> "Figure":
     """Dark current against the inverse of temperature."""
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
-    points = [told.dark_current(k) for told, k in zip(fit.by_setting, gain, strict=True)]
+    points = [own.dark_current(k) for own, k in zip(fit.by_setting, gain, strict=True)]
     value, error = np.array(points).T
     kelvin = np.array([setting.temperature or ZERO_CELSIUS for setting in fit.settings])
     known = np.isfinite(value)
@@ -157,29 +149,18 @@ def dark_current_figure(calibration: CameraCalibration) -> "Figure":
         curve = best["dark_current"] * np.exp(energy * colder)
         drawn = np.exp(draws["activation_energy"].reshape(-1, 1) * colder)
         drawn = draws["dark_current"].reshape(-1, 1) * drawn
-        low, high = np.quantile(drawn, HALF_BAND, axis=0)
-        _shade(axis, lower, line, curve, low, high, f"Arrhenius' law, E = {energy:.3g} eV")
-        floor = float(low.min())
+        label = f"Arrhenius' law, E = {energy:.3g} eV"
+        floor = _draw_law(axis, lower, line, curve, drawn, label)
     seen = known & (value > 1.96 * error)
-    aside = x * (1 + 0.002 * (_aside(x) - 1) / 0.02)
-    axis.errorbar(
-        *(aside[seen], value[seen], 1.96 * error[seen]),
-        fmt=".",
-        color=BLUE,
-        ms=6,
-        lw=0.8,
-        label="each setting by itself",
-    )
+    beside = x * (1 + 0.002 * (_beside(x) - 1) / 0.02)
+    off, off_error = value / expected - 1, np.abs(error / expected)
+    own = (one[seen] for one in (beside, value, 1.96 * error, off, off_error))
+    _draw_settings(axis, lower, *own)
     hidden = known & ~seen
     upper = value + 1.96 * error
-    axis.plot(aside[hidden], upper[hidden], "v", color=BLUE, ms=5, mfc="none")
-    axis.set_yscale("log")
+    axis.plot(beside[hidden], upper[hidden], "v", color=BLUE, ms=5, mfc="none")
     lowest = min([floor, *(value[seen] - 1.96 * error[seen]), *upper[hidden]])
-    axis.set_ylim(max(lowest, 1e-12) / 1.5, 1.5 * float(np.max(upper[known])))
-    off, bars = 100 * (value / expected - 1)[seen], np.abs(196 * error / expected)[seen]
-    lower.errorbar(aside[seen], off, bars, fmt=".", color=BLUE, ms=5, lw=0.8)
-    lower.axhline(0, color=ORANGE, lw=1.0)
-    lower.set_ylabel("off the fit [%]")
+    axis.set(yscale="log", ylim=(max(lowest, 1e-12) / 1.5, 1.5 * float(np.max(upper[known]))))
     lower.set_xlabel("1000 / temperature [1/K]")
     axis.set_ylabel("dark current [e⁻/s]")
     above = axis.secondary_xaxis(
@@ -191,31 +172,44 @@ def dark_current_figure(calibration: CameraCalibration) -> "Figure":
     return figure
 
 
-def _shade(
+def _draw_law(
+    upper: "Axes", lower: "Axes", x: np.ndarray, curve: np.ndarray, drawn: np.ndarray, label: str
+) -> float:
+    """Draw a law with the 95 % band of its draws; below, the band in per cent of the law. Return
+    the lowest value of the band."""
+    band = np.quantile(drawn, HALF_BAND, axis=0)
+    upper.plot(x, curve, color=ORANGE, lw=1.5, label=label)
+    for axis, (low, high) in ((upper, band), (lower, 100 * (band / curve - 1))):
+        axis.fill_between(x, low, high, color=ORANGE, alpha=0.25, lw=0)
+    return float(band[0].min())
+
+
+def _draw_settings(
     upper: "Axes",
     lower: "Axes",
     x: np.ndarray,
-    curve: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    label: str,
+    value: np.ndarray,
+    bars: np.ndarray | tuple[np.ndarray, np.ndarray],
+    off: np.ndarray,
+    error: np.ndarray,
 ) -> None:
-    """A law with its uncertainty band; below, the band in per cent of the law."""
-    upper.fill_between(x, low, high, color=ORANGE, alpha=0.25, lw=0)
-    upper.plot(x, curve, color=ORANGE, lw=1.5, label=label)
-    lower.fill_between(
-        x, 100 * (low / curve - 1), 100 * (high / curve - 1), color=ORANGE, alpha=0.25, lw=0
-    )
+    """Draw the estimates of single settings with 95 % bars; below, how far they are off the fit,
+    with their relative standard errors."""
+    style = {"fmt": ".", "color": BLUE, "lw": 0.8}
+    upper.errorbar(x, value, bars, ms=6, label="each setting by itself", **style)
+    lower.errorbar(x, 100 * off, 196 * error, ms=5, **style)
+    lower.axhline(0, color=ORANGE, lw=1.0)
+    lower.set_ylabel("off the fit [%]")
 
 
 def _alone(calibration: CameraCalibration, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The settings that determine a quantity separately, with estimates and errors."""
-    value, error = np.array([told.of(name) for told in calibration.fit.by_setting]).T
+    value, error = np.array([one.of(name) for one in calibration.fit.by_setting]).T
     alone = np.flatnonzero(np.isfinite(value))
     return alone, value[alone], error[alone]
 
 
-def _aside(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
+def _beside(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
     """Factors that separate overlapping points horizontally."""
     order = np.zeros(len(x))
     for place in np.unique(x):

@@ -110,14 +110,14 @@ def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
     }
 
 
-def _unknown_dark_law(told: bool, calibration: CameraCalibration) -> bool:
+def _unknown_dark_law(determined: bool, calibration: CameraCalibration) -> bool:
     """Whether dark current at several temperatures has no accepted law."""
     fit = calibration.fit
     free = {parameter.name for parameter in fit.fit.problem.free}
     several = len({setting.temperature for setting in fit.settings}) > 1
     given_up = any(quantity == "dark_current" for quantity, _ in fit.freed)
     lawless = several and "activation_energy" not in free and not given_up
-    return lawless and ("dark_current" in free) == told
+    return lawless and ("dark_current" in free) == determined
 
 
 def _energy(calibration: CameraCalibration) -> Numbers | None:
@@ -149,16 +149,6 @@ def _labels(chosen: Iterable[bool], calibration: CameraCalibration) -> Numbers |
     several = zip(calibration.settings, chosen, strict=True)
     labels = "; ".join(setting.label for setting, is_so in several if is_so)
     return {"labels": labels} if labels else None
-
-
-def _darks_alone(calibration: CameraCalibration) -> Numbers | None:
-    return _labels((isinstance(one.frames, Levels) for one in calibration.frames), calibration)
-
-
-def _curved(calibration: CameraCalibration) -> Numbers | None:
-    own = calibration.calibrations
-    curved = (one is not None and "compression" in one.chosen.values for one in own)
-    return _labels(curved, calibration)
 
 
 _LEFT = "chi-square per degree of freedom {ratio:.2f} over {degrees} ({p})"
@@ -282,10 +272,16 @@ FINDINGS = (
         "At no setting do pixels fill before the ADC's range ends, so the full well is not "
         "determined; add brighter flats at the lowest gain.",
     ),
-    Finding("darks alone", _darks_alone, "These settings have darks but no flats: {labels}."),
+    Finding(
+        "darks alone",
+        lambda c: _labels((isinstance(one.frames, Levels) for one in c.frames), c),
+        "These settings have darks but no flats: {labels}.",
+    ),
     Finding(
         "not linear",
-        _curved,
+        lambda c: _labels(
+            (one is not None and "compression" in one.chosen.values for one in c.calibrations), c
+        ),
         "The camera is not linear at {labels}: gain and quantum efficiency are those at zero "
         "signal.",
     ),
@@ -294,5 +290,5 @@ FINDINGS = (
         lambda c: not c.fit.fit.optimum.stationary,
         "The fit did not converge. Do not use its figures.",
     ),
-    Finding("posterior", lambda c: {"told": convergence_in_words(c.posterior)}, "{told}"),
+    Finding("posterior", lambda c: {"text": convergence_in_words(c.posterior)}, "{text}"),
 )

@@ -118,10 +118,10 @@ def sensor_without(
     else:
         read = np.exp(np.log(at.read_variance) @ weights)
     here = numbers[nearest]
-    told = {"black_level": black, "read_noise": np.sqrt(np.maximum(read, 0))}
+    fitted = {"black_level": black, "read_noise": np.sqrt(np.maximum(read, 0))}
     if at.log_efficiency is not None:
-        told["responsivity"] = here.of("system_gain") * np.exp(at.log_efficiency @ weights)
-    every = sensors_of(here.having(told))
+        fitted["responsivity"] = here.of("system_gain") * np.exp(at.log_efficiency @ weights)
+    every = sensors_of(here.having(fitted))
     same = np.ones_like(black)
     lit = [one.frames for one in calibration.frames if isinstance(one.frames, PhotonTransfer)]
     exposures = np.concatenate([np.asarray(one.bright.exposure) for one in lit])
@@ -186,7 +186,7 @@ def _given_all(
     left_out: Bool[np.ndarray, " levels"] | None,
 ) -> Numbers:
     """Return the parameters of one setting's own fit, conditioned on the shared ones."""
-    own, told = calibration.calibrations[i], calibration.fit.by_setting[i].names
+    own, known = calibration.calibrations[i], calibration.fit.by_setting[i].names
     assert own is not None
     numbers, covariance = drawn_numbers(own, left_out=left_out), own.posterior.covariance
     if left_out is not None:
@@ -199,11 +199,11 @@ def _given_all(
         "dark_current": gain if dark is None else dark[:, i],
     }
     space, count = own.posterior.space, len(gain) - 1
-    place = [numbers.about.labels.index(name) for name in told]
+    place = [numbers.about.labels.index(name) for name in known]
     drawn = 1 + np.linspace(0, len(numbers.natural) - 2, count).astype(int)
     numbers = numbers.at(np.concatenate([[0], drawn]))
     vectors = np.asarray(to_unconstrained(space, jnp.asarray(numbers.natural)))
-    missed = np.stack([shared[name] for name in told], axis=1) - vectors[:, place]
+    missed = np.stack([shared[name] for name in known], axis=1) - vectors[:, place]
     slope = np.linalg.solve(covariance[np.ix_(place, place)], covariance[place])
     natural = np.asarray(to_natural(space, jnp.asarray(vectors + missed @ slope)))
     return replace(numbers, natural=natural)
@@ -251,11 +251,14 @@ def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Pa
     file."""
     warmest = calibration.fit.reference
     best, draws = sensor_at(calibration, gain=gain, temperature=warmest)
-    unit = calibration.settings[0].gain_unit
-    at = Setting(gain, unit, warmest).label
-    about = f"Fitted by photon transfer over gains and temperatures, at {at}; light is photons per "
-    codes = codes_in_words(_nearest(calibration, Setting(gain, unit).gain_factor).converter)
-    write_sensor(best, path, draws=draws, about=f"{about}pixel and second.{codes}")
+    at = Setting(gain, calibration.settings[0].gain_unit, warmest)
+    about = (
+        f"Fitted by photon transfer over gains and temperatures, at {at.label}; light is photons "
+    )
+    lit = [one for one in calibration.frames if isinstance(one.frames, PhotonTransfer)]
+    nearest = min(lit, key=lambda one: _distance(one.setting, at.gain_factor, warmest))
+    codes = codes_in_words(nearest.frames.converter)
+    write_sensor(best, path, draws=draws, about=f"{about}per pixel and second.{codes}")
 
 
 @double_precision
@@ -272,16 +275,6 @@ def write_sensor_of_sites_at(
     write_sensor(best, path, draws=draws, about=f"{about}; light is photons per pixel and second.")
 
 
-def _nearest(calibration: CameraCalibration, factor: float) -> PhotonTransfer:
-    """The flats and darks of the measured gain nearest to a gain factor."""
-    lit = [
-        (abs(np.log(one.setting.gain_factor / factor)), one.frames)
-        for one in calibration.frames
-        if isinstance(one.frames, PhotonTransfer)
-    ]
-    return min(lit, key=lambda pair: pair[0])[1]
-
-
 def _within(known: list[float | None], asked: float | None, word: str) -> float | None:
     stated = sorted({one for one in known if one is not None})
     if asked is None:
@@ -290,7 +283,7 @@ def _within(known: list[float | None], asked: float | None, word: str) -> float 
         return stated[0] if stated else None
     if not stated or not stated[0] <= asked <= stated[-1]:
         told = (
-            f"it was measured from {stated[0]:g} to {stated[-1]:g}" if stated else "none was told"
+            f"it was measured from {stated[0]:g} to {stated[-1]:g}" if stated else "none was stated"
         )
         raise InputError(f"{word} = {asked:g} is out of range: {told}.")
     return asked

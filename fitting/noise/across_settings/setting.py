@@ -19,12 +19,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxvision.errors import InputError
-from jaxvision.files.images import read_image
 
 from ...inference.diagnostics import OPEN
 from ...inference.parameters import names
 from ...inference.precision import double_precision
-from ...observation import Load
 from ...rig import Rig, load_rig
 from ..calibration import NoiseCalibration, finest_read_noise
 from ..levels import Levels, PhotonTransfer
@@ -159,10 +157,9 @@ def reduce_by_setting(
     rig: Rig,
     *,
     channel: str = "",
-    load: Load = read_image,
     failed: dict[Setting, InputError] | None = None,
 ) -> tuple[FramesOfSetting, ...]:
-    """Like `read_by_setting`, for a rig in memory. `failed` collects unusable settings, which are
+    """Like `read_by_setting`, for a loaded rig. `failed` collects unusable settings, which are
     left out, with the reason; if it is None, the rig is refused."""
     rigs = by_setting(rig)
     found: dict[Setting, FramesOfSetting] = {}
@@ -170,7 +167,7 @@ def reduce_by_setting(
     for setting in sorted(rigs, key=lambda one: not rigs[one].flat):  # flats first
         place = Path(rig.folder) / f"({setting.label})" if len(rigs) > 1 else rig.folder
         try:
-            found[setting] = _reduced(place, setting, rigs[setting], lit, channel, load)
+            found[setting] = _reduced(place, setting, rigs[setting], lit, channel)
         except InputError as error:
             if failed is None:
                 raise
@@ -182,16 +179,16 @@ def reduce_by_setting(
 
 
 def _reduced(
-    place: Path, setting: Setting, own: Rig, lit: set[float | None], channel: str, load: Load
+    place: Path, setting: Setting, own: Rig, lit: set[float | None], channel: str
 ) -> FramesOfSetting:
     """One setting; `lit` has the gains for which there are flats."""
     if not own.dark:
         raise InputError(f"{place}: its flats have no darks of their gain and temperature.")
     if own.flat:
-        frames = reduce_rig(own, channel=channel, load=load)
+        frames = reduce_rig(own, channel=channel)
         check(place, frames)
     elif setting.gain in lit:
-        frames = reduce_darks(own, channel=channel, load=load)
+        frames = reduce_darks(own, channel=channel)
     else:
         raise InputError(f"{place}: its darks have no flats of their gain at any temperature.")
     return FramesOfSetting(setting, frames)

@@ -265,7 +265,6 @@ def _stated(
         [[one.of(name) for name in ESTIMATED] for one in estimates]
     )  # (settings, quantities, 2)
     column = dict(zip(ESTIMATED, table[..., 0].T, strict=True))
-    error = dict(zip(ESTIMATED, table[..., 1].T, strict=True))
     gains = [setting.gain_label for setting in settings]
     warmth = [setting.temperature_label for setting in settings]
     both = [setting.label for setting in settings]
@@ -311,10 +310,9 @@ def _stated(
         start["variance_before_gain"] = np.nanmin(half, initial=1e6)
         start["variance_behind_gain"] = np.nanmin(half * gain**2, initial=1e6)
 
-    alone = np.isfinite(column["dark_signal_rate"])
-    current = np.where(alone, column["dark_signal_rate"] / gain, column["dark_current"])
-    weight = np.where(alone, error["dark_signal_rate"] / gain, error["dark_current"]) ** -2.0
-    known = np.isfinite(current)
+    dark = [one.dark_current(k) for one, k in zip(estimates, gain, strict=True)]
+    current, error = np.array(dark).T
+    weight, known = error**-2.0, np.isfinite(current)
     hottest = reference or 1.0
     kelvin = np.array([setting.temperature or hottest for setting in settings])
     warmest = known & (kelvin == np.max(kelvin, where=known, initial=0))
