@@ -61,7 +61,6 @@ from .solve import (
 from .weights import (
     APART,
     NoiseModel,
-    WeightRule,
     cells_of,
     coarsest,
     hat_rule,
@@ -286,7 +285,10 @@ def fit_response_curve(
                 "more; check the times and the black level."
             )
         noise = next(noise for noise in pilot.noises if noise is not None)
-        seen = _expected(rule, found.means)
+        cells = cells_of(rule, found.means, np.zeros(len(found.means), int))
+        assert rule.weight is not None
+        # The other bins contain only pixels scattered in by noise.
+        seen = np.any(rule.weight[:, cells] > 0, axis=0)
         times = exposures[in_use]
         curve = _curve(found, whole, pairs, bins, noise, times, tau, left_out, seen, least_error)
     _require_rising(curve)
@@ -364,8 +366,8 @@ def _shutter_error(found: Solution) -> float | None:
         return None
     pull, information = _image_information(found)
     known, axes = np.linalg.eigh(information)
-    told = known > UNINFORMATIVE * known.max()
-    known, square = known[told], ((pull @ axes)[told] / known[told]) ** 2
+    informed = known > UNINFORMATIVE * known.max()
+    known, square = known[informed], ((pull @ axes)[informed] / known[informed]) ** 2
 
     def beyond(tau: float) -> float:
         return float(np.sum(square / (1 / known + tau**2))) - len(known)
@@ -375,24 +377,11 @@ def _shutter_error(found: Solution) -> float | None:
     return cast(float, brentq(beyond, 0.0, np.sqrt(square.sum())))
 
 
-def _bound(shutter_error: float, free: int) -> float:
-    """Return the 95 % upper limit on tau from the rms of `free` errors."""
-    return shutter_error * float(np.sqrt(free / chdtri(free, SIGNIFICANCE))) if free else np.inf
-
-
 def _image_information(found: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Score and information of the images about free shutter errors, without their prior."""
     precision, size = np.linalg.inv(found.free_covariance), len(found.means)
     information = precision - found.prior[size:, size:]
     return precision @ found.free, information
-
-
-def _expected(rule: WeightRule, means: np.ndarray) -> np.ndarray:
-    """Return the bins with at least one direct observation. The others contain only pixels
-    scattered in by noise."""
-    assert rule.weight is not None
-    cells = cells_of(rule, means, np.zeros(len(means), int))
-    return np.any(rule.weight[:, cells] > 0, axis=0)
 
 
 def _end_errors(
@@ -432,7 +421,8 @@ def _curve(
     hidden = ripple(exposures, found.used.smoothness)
     covariance += np.diag(((UNCORRECTED * noise_variance(noise, g)) ** 2 + hidden**2) * (g != 0))
     covariance += np.outer(g, g) * slope_error(noise) ** 2
-    likely = found.suggested.shutter_error if len(found.free) else 0.0
+    free = len(found.free)
+    likely = found.suggested.shutter_error if free else 0.0
     tau_k, weights = tau_posterior(*_image_information(found), least_error)
     shutter = Shutter(g**2 / spread_of_times(exposures), likely, tau_k, weights)
     by_exposures, held_out = left_out
@@ -456,7 +446,7 @@ def _curve(
         shutter_offsets=found.delta,
         shutter_offset_errors=np.sqrt(np.maximum(np.diagonal(spread), 0)),
         shutter_error=tau,
-        shutter_bound=_bound(likely, len(found.free)),
+        shutter_bound=likely * np.sqrt(free / chdtri(free, SIGNIFICANCE)) if free else np.inf,
         smoothness=found.used.smoothness,
         design_effect=found.used.design_effect,
         clustering=whole.clustering,

@@ -68,8 +68,8 @@ def _draw_curve(axis: "Axes", channel: ChannelResponse, *, width: float) -> None
         z[seen], np.exp((g - band)[seen]), np.exp((g + band)[seen]), color=colour, alpha=0.25
     )
     gamma, (shape,) = channel.gamma.gamma.value or np.nan, shapes([channel])
-    told = f"γ = {format_value(channel.gamma.gamma)}" if shape.pure else f"best γ {gamma:.3g}"
-    label = f"{channel.plane.channel}, {told}"
+    exponent = f"γ = {format_value(channel.gamma.gamma)}" if shape.pure else f"best γ {gamma:.3g}"
+    label = f"{channel.plane.channel}, {exponent}"
     axis.plot(z, np.exp(np.where(seen, g, np.nan)), color=colour, lw=width, label=label)
     axis.plot(z, np.exp(g), color=colour, lw=0.8, ls=":")
     pure = gamma * np.log(z) + np.nanmedian(g[seen] - gamma * np.log(z[seen]))

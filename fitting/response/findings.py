@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import stdtrit
 
+from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_with_error
 from ..inference.trust import convergence_in_words
 from .calibration import ChannelResponse, ResponseCalibration
@@ -76,7 +77,7 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
 def _black_in_words(channels: Sequence[ChannelResponse]) -> str:
     names: dict[str, list[str]] = {}
     for channel in channels:
-        names.setdefault(f"{channel.plane.black:g}", []).append(channel.plane.label or "grey")
+        names.setdefault(f"{channel.plane.black:g}", []).append(channel.plane.name)
     if max(channel.plane.black for channel in channels) < 0.5:
         lowest = _lowest_above_assumed_black(channels)
         if lowest is None:
@@ -87,7 +88,7 @@ def _black_in_words(channels: Sequence[ChannelResponse]) -> str:
             "shape and gamma depend on it: state camera.black_level, or give darks."
         )
     each = [f"{level} ({', '.join(own)})" for level, own in names.items()]
-    levels = next(iter(names)) if len(names) == 1 else f"{', '.join(each[:-1])} and {each[-1]}"
+    levels = listed(each) if len(names) > 1 else next(iter(names))
     return f"The black level is {levels} DN; the curve begins above it."
 
 
@@ -179,10 +180,10 @@ def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
         return ""
     worst = max(shaky, key=lambda c: c.curve.shutter_error or 0.0)
     curve, plane = worst.curve, worst.plane
-    apart = np.abs(curve.shutter_offsets)
-    most = int(np.argmax(apart))
-    clear = apart[most] > APART_ERRORS * curve.shutter_offset_errors[most]
-    if not clear or apart[most] < 2 * np.median(apart):
+    offsets = np.abs(curve.shutter_offsets)
+    most = int(np.argmax(offsets))
+    clear = offsets[most] > APART_ERRORS * curve.shutter_offset_errors[most]
+    if not clear or offsets[most] < 2 * np.median(offsets):
         return "the stated times and the gains"
     place = int(np.argmin(np.abs(plane.exposures - curve.exposures[most])))
     return f"the time and gain of {plane.files[place]}"
@@ -190,30 +191,25 @@ def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
 
 def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
     """A finding on significant larger deviations outside the codes used for the verdict."""
-    beyond = [_outside_of_verdict(channel) for channel in channels]
+    found = []
+    for channel in channels:
+        curve, gap, error = (
+            channel.curve,
+            channel.gamma.departure,
+            error_of_departure(channel.curve),
+        )
+        drawn = curve.seen & (curve.standard_error < DRAWN)
+        limit = stdtrit(curve.freedom, 1 - CHANCE / (2 * max(np.count_nonzero(drawn), 1)))
+        size, code = largest(curve, gap, drawn & (np.abs(gap) > limit * error))
+        if np.isfinite(size):
+            found.append((size, code, error[curve.codes == code][0], channel.plane.label))
     judged = [largest_departure(c.curve, c.gamma.departure)[0] for c in channels]
-    sizes = [size for size, _ in beyond]
-    if not np.isfinite(sizes).any() or not np.nanmax(sizes) > max(PURE, np.nanmax([0, *judged])):
+    size, code, error, name = max(found, key=lambda one: one[0], default=(0.0, 0.0, 0.0, ""))
+    if not size > max(PURE, np.nanmax([0, *judged])):
         return ""
-    worst = int(np.nanargmax(sizes))
-    size, code = beyond[worst]
-    channel = channels[worst]
-    place = int(np.argmin(np.abs(channel.curve.codes - code)))
     return (
-        "Outside these codes the figure shows a departure of "
-        f"{format_percent(np.expm1(size))} "
-        f"({channel.plane.label or 'the grey channel'}, code {code:g}, known to "
-        f"{format_percent(error_of_departure(channel.curve)[place])})."
-    )
-
-
-def _outside_of_verdict(channel: ChannelResponse) -> tuple[float, float]:
-    """The largest significant deviation and its code."""
-    curve, error = channel.curve, error_of_departure(channel.curve)
-    drawn = curve.seen & (curve.standard_error < DRAWN)
-    limit = stdtrit(curve.freedom, 1 - CHANCE / (2 * max(np.count_nonzero(drawn), 1)))
-    return largest(
-        curve, channel.gamma.departure, drawn & (np.abs(channel.gamma.departure) > limit * error)
+        f"Outside these codes the figure shows a departure of {format_percent(np.expm1(size))} "
+        f"({name or 'the grey channel'}, code {code:g}, known to {format_percent(error)})."
     )
 
 
@@ -225,10 +221,10 @@ def _extrapolated_in_words(channels: Sequence[ChannelResponse]) -> str:
         codes = curve.codes[curve.seen]
         if not len(codes) or np.mean(curve.seen) > MOSTLY_SEEN:
             continue
-        low = curve.half_width[np.argmax(curve.codes >= (codes[0] + curve.bins.black) / 2)]
         halfway = (codes[0] + curve.bins.black) / 2
+        low = curve.half_width[np.argmax(curve.codes >= halfway)]
         sentences.append(
-            f"{channel.plane.label or 'grey'} below {codes[0]:g} and above {codes[-1]:g} (95 % "
+            f"{channel.plane.name} below {codes[0]:g} and above {codes[-1]:g} (95 % "
             f"within {format_percent(min(np.expm1(low), 99.0))} at code {halfway:g})"
         )
     if not sentences:
@@ -244,9 +240,7 @@ def _anchor_in_words(channels: Sequence[ChannelResponse]) -> str:
     dim = [c for c in channels if c.curve.bins.anchor is not None]
     if not dim:
         return ""
-    names = ", ".join(
-        f"{c.plane.label or 'grey'}: {c.curve.codes[c.curve.bins.middle]:g}" for c in dim
-    )
+    names = ", ".join(f"{c.plane.name}: {c.curve.codes[c.curve.bins.middle]:g}" for c in dim)
     return (
         "Too few pixels reach mid-scale. Exposures are therefore relative to the middle of the "
         f"observed codes ({names} DN), and the curve above these codes is extrapolated."
@@ -254,22 +248,21 @@ def _anchor_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _held_out_in_words(channels: Sequence[ChannelResponse]) -> str:
-    told = [
+    each = [
         f"{format_with_error(c.curve.held_out.mean, c.curve.held_out.standard_error)} DN"
         f"{f' ({c.plane.label})' if c.plane.label else ''}"
         for c in channels
         if c.curve.held_out is not None and np.isfinite(c.curve.held_out.standard_error)
     ]
-    if not told:
+    if not each:
         return ""
-    return f"A held-out exposure is predicted from the others to {', '.join(told)} rms."
+    return f"A held-out exposure is predicted from the others to {', '.join(each)} rms."
 
 
 def _repeats_in_words(channels: Sequence[ChannelResponse]) -> str:
-    shared = [c for c in channels if c.curve.clustering > CLUSTERED]
-    if not shared:
+    worst = max(channels, key=lambda c: c.curve.clustering)
+    if not worst.curve.clustering > CLUSTERED:
         return ""
-    worst = max(shared, key=lambda c: c.curve.clustering)
     return (
         "The errors of neighbouring pixels are correlated: up to "
         f"{worst.curve.clustering:.0f} pixels count as one "
@@ -283,8 +276,8 @@ def _hidden_in_words(channels: Sequence[ChannelResponse]) -> str:
     blurred = [c for c in channels if c.hidden_peaks]
     if not blurred:
         return ""
-    names = ", ".join(c.plane.label or "grey" for c in blurred)
-    kept = ", ".join(c.plane.label or "grey" for c in blurred if not c.clear_of_hidden)
+    names = ", ".join(c.plane.name for c in blurred)
+    kept = ", ".join(c.plane.name for c in blurred if not c.clear_of_hidden)
     unless = f" They were kept for {kept}, where too few would remain: bright codes may be too low."
     return (
         "Pixels around clipped peaks are darker than other pixels of equal code "
@@ -298,7 +291,7 @@ def _near_clipped_in_words(channels: Sequence[ChannelResponse]) -> str:
     near = [c for c in channels if not c.clear]
     if not near:
         return ""
-    names = ", ".join(c.plane.label or "grey" for c in near)
+    names = ", ".join(c.plane.name for c in near)
     return (
         f"Too few pixels are far from clipped ones ({names}), so those near them count too. If "
         "demosaicking or JPEG mixes neighbours, the curve is too steep near full scale."
@@ -308,7 +301,7 @@ def _near_clipped_in_words(channels: Sequence[ChannelResponse]) -> str:
 def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
     sizes = {}
     for channel in channels:
-        curve, name = channel.curve, channel.plane.label or "grey"
+        curve, name = channel.curve, channel.plane.name
         size = ripple(curve.exposures, curve.smoothness)
         if size**2 > NOTABLE_RIPPLE * np.median(curve.standard_error[curve.seen] ** 2):
             sizes[name] = size
@@ -369,17 +362,17 @@ def _power_of(curve: ResponseCurve, reference: ResponseCurve) -> tuple[float, fl
 
 def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
     each = {
-        c.plane.label or "grey": largest(c.curve, c.curve.busy_places, judged_codes(c.curve))
+        c.plane.name: largest(c.curve, c.curve.busy_places, judged_codes(c.curve))
         for c in channels
         if np.any(c.curve.busy_places)
     }
-    told = {name: (size, code) for name, (size, code) in each.items() if np.isfinite(size)}
-    if not told:
+    known = {name: (size, code) for name, (size, code) in each.items() if np.isfinite(size)}
+    if not known:
         return ""
-    size, code = max(told.values())
+    size, code = max(known.values())
     return (
         "Detailed places of the picture give another curve than flat ones "
-        f"({', '.join(told)}), by up "
+        f"({', '.join(known)}), by up "
         f"to {format_percent(np.expm1(size), decimals=1)} in exposure at code {code:g}, as if the "
         "camera sharpens. The curve uses flat places only, gamma uses all."
     )
@@ -396,7 +389,7 @@ def _rough_in_words(channels: Sequence[ChannelResponse]) -> str:
     ]
     if not rough:
         return ""
-    names = ", ".join(c.plane.label or "grey" for c in rough)
+    names = ", ".join(c.plane.name for c in rough)
     return (
         f"The smoothness is at its lower bound ({names}): the measured curve bends more than "
         "those of cameras do, so part of its detail is misfit."

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.optimize.elementwise import find_root
 from scipy.special import ndtr
 
 from jaxvision.point_ops import srgb_decode
@@ -47,7 +48,7 @@ BLACK_STEP = 0.1  # change of black, DN, for the derivative of gamma
 EDGES = 0.05, 0.95  # shares of the range of codes between which weightings are compared
 FEWEST_CODES = 10
 FEWEST_SHOWN = 3  # visible shutter errors needed for the upper limit on tau
-REACH, HALVINGS = 40.0, 50  # bisection for a quantile: range in standard deviations, steps
+REACH = 40.0  # standard deviations within which a quantile is searched
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
     "shutter_error", symbol="τ", unit="relative", transform="log", prior=SHUTTER_PRIOR
@@ -55,24 +56,19 @@ SHUTTER_ERROR = Parameter(
 SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
 
 
-def space_of(free: int, *, stated: float = 0.0) -> ParameterSpace:
-    """Return the parameters gamma and shutter error (or the error in addition to a stated one), for
-    a number of visible shutter errors."""
-    return GAMMA, replace(SHUTTER_ERROR, prior=prior_of(free, stated=stated))
-
-
 class GammaSums(eqx.Module):
-    """Sums over the pixels for a fit of gamma. The energy of (gamma, visible shutter errors d, 1)
-    is gamma^2 cc / 2 + gamma (ct - score_c) + gamma cd . d + d dd d / 2 + (td - score_d) . d.
+    """Sums over the pixels for a fit of gamma. With d the visible shutter errors along the axes of
+    their information, the energy is
+
+        information gamma^2 / 2 - pull gamma
+        + gamma mixed . d + information_d . d^2 / 2 - pull_d . d.
 
     Attributes:
-        cc: of gamma with itself.
-        ct: of gamma with the log exposure times.
-        cd: (free,) of gamma with d.
-        td: (free,) of the log exposure times with d.
-        dd: (free, free) of d with itself.
-        score_c: of gamma.
-        score_d: (free,) of d.
+        information: about gamma.
+        pull: score of gamma.
+        mixed: (free,) information about gamma and d together.
+        information_d: (free,) about d.
+        pull_d: (free,) score of d.
         spread: sum of squares of the log exposure times about their mean.
         known: stated tau, added in quadrature to the fitted one; None for 0.
         added: variance of gamma from other sources: black level, systematic errors, choice of
@@ -82,13 +78,11 @@ class GammaSums(eqx.Module):
         log_sd: standard deviation of its logarithm in that prior.
     """
 
-    cc: Float[Array, ""]
-    ct: Float[Array, ""]
-    cd: Float[Array, " free"]
-    td: Float[Array, " free"]
-    dd: Float[Array, "free free"]
-    score_c: Float[Array, ""]
-    score_d: Float[Array, " free"]
+    information: Float[Array, ""]
+    pull: Float[Array, ""]
+    mixed: Float[Array, " free"]
+    information_d: Float[Array, " free"]
+    pull_d: Float[Array, " free"]
     spread: Float[Array, ""]
     known: Float[Array, ""] | None
     added: Float[Array, ""]
@@ -131,13 +125,13 @@ class Mixture:
         """The estimate of the parameter, with the quantiles of the mixture."""
         centre = float(self.weights @ self.mean)
         spread = float(np.sqrt(self.weights @ (self.variance + (self.mean - centre) ** 2)))
-        low, high = (centre + side * spread * np.full(len(QUANTILES), REACH) for side in (-1, 1))
-        for _ in range(HALVINGS):
-            middle = (low + high) / 2
-            chances = ndtr((middle[:, None] - self.mean) / np.sqrt(self.variance))
-            below = chances @ self.weights < QUANTILES
-            low, high = np.where(below, middle, low), np.where(below, high, middle)
-        ends = (low + high) / 2
+
+        def excess(at: np.ndarray, quantile: np.ndarray) -> np.ndarray:
+            z = (at[:, None] - self.mean) / np.sqrt(self.variance)
+            return ndtr(z) @ self.weights - quantile
+
+        bracket = centre - REACH * spread, centre + REACH * spread
+        ends = find_root(excess, bracket, args=(np.array(QUANTILES),)).x
         return quantile_estimate(what, centre, spread, ends, method="marginal", group=group)
 
     def tau_estimate(self, what: Parameter, group: str, *, stated: float = 0.0) -> Estimate:
@@ -215,7 +209,8 @@ def fit_gamma(
     weights = np.exp(log_weight - log_weight.max())
     weights /= weights.sum()
     best = int(np.argmax(weights))
-    space = space_of(sums.td.size, stated=exposure_sd)
+    prior_of_tau = prior_of(sums.pull_d.size, stated=exposure_sd)
+    space = GAMMA, replace(SHUTTER_ERROR, prior=prior_of_tau)
     likeliest = jnp.asarray([float(given.mean[best]), float(np.exp(log_tau[best]))])
     mode = to_unconstrained(space, likeliest)
     spread = _spread(given, log_tau, weights)
@@ -284,22 +279,16 @@ def log_code_means(curve: ResponseCurve, *, shift: float = 0.0) -> Float[np.ndar
 
 def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
     """Gamma for a known shutter error."""
-    free = sums.td.size
     if sums.known is not None:
         tau = jnp.hypot(tau, sums.known)
-    precision = sums.dd + jnp.eye(free, dtype=tau.dtype) / tau**2
-    factor = jnp.linalg.cholesky(precision)
-    along = jax.scipy.linalg.solve_triangular(factor, sums.cd, lower=True)
-    pull = jax.scipy.linalg.solve_triangular(factor, sums.score_d - sums.td, lower=True)
-    information = sums.cc - along @ along
-    mean = (sums.score_c - sums.ct - along @ pull) / information
+    precision = sums.information_d + 1 / tau**2
+    information = sums.information - jnp.sum(sums.mixed**2 / precision)
+    mean = (sums.pull - jnp.sum(sums.mixed * sums.pull_d / precision)) / information
     evidence = (
-        pull @ pull / 2
-        + mean**2 * information / 2
-        - jnp.log(information) / 2
-        - jnp.sum(jnp.log(jnp.diagonal(factor)))
-        - free * jnp.log(tau)
-    )
+        jnp.sum(sums.pull_d**2 / precision - jnp.log(precision * tau**2))
+        + mean**2 * information
+        - jnp.log(information)
+    ) / 2
     return GivenShutter(
         mean, 1 / information + (mean * tau) ** 2 / sums.spread + sums.added, evidence
     )
@@ -397,26 +386,27 @@ def _gamma_sums(
     score = curve.statistics.score / overstated
     log_t, basis = np.log(curve.exposures), shutter_basis(np.log(curve.exposures))
     mixed, times = column @ matrix[:size, size:], matrix[size:, size:]
+    information_d, axes = np.linalg.eigh(basis.T @ times @ basis)
+    basis = basis @ axes
     prior = prior_of(basis.shape[1], stated=stated)
     # Without a limit, shutter errors of a half could explain a response that is not a gamma. A few
     # visible errors do not limit the invisible ones.
     few = basis.shape[1] < FEWEST_SHOWN
     most = TABULATED[1] if few else max(BELIEVED, curve.shutter_bound)
-    return GammaSums(
-        cc=jnp.asarray(column @ matrix[:size, :size] @ column, float),
-        ct=jnp.asarray(mixed @ log_t, float),
-        cd=jnp.asarray(mixed @ basis, float),
-        td=jnp.asarray(log_t @ times @ basis, float),
-        dd=jnp.asarray(basis.T @ times @ basis, float),
-        score_c=jnp.asarray(score[:size] @ column, float),
-        score_d=jnp.asarray(score[size:] @ basis, float),
-        spread=jnp.asarray(spread_of_times(curve.exposures), float),
-        known=jnp.asarray(known, float) if known else None,
-        added=jnp.zeros(()),
-        most=jnp.asarray(most, float),
-        median=jnp.asarray(prior.median, float),
-        log_sd=jnp.asarray(prior.log_sd, float),
+    sums = GammaSums(
+        information=column @ matrix[:size, :size] @ column,
+        pull=score[:size] @ column - mixed @ log_t,
+        mixed=mixed @ basis,
+        information_d=information_d,
+        pull_d=(score[size:] - log_t @ times) @ basis,
+        spread=spread_of_times(curve.exposures),
+        known=known or None,
+        added=0.0,
+        most=most,
+        median=prior.median,
+        log_sd=prior.log_sd,
     )
+    return jax.tree.map(lambda x: jnp.asarray(x, float), sums)
 
 
 @jax.jit

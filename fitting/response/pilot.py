@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import median as labelled_median
 from scipy.optimize import nnls
 
 from jaxvision.errors import InputError
@@ -145,11 +146,7 @@ def fit_noise(
     count = np.bincount(cells, free, count_of_cells)
     filled = count > FEWEST_IN_CELL
     square = seen.residuals[used] ** 2 / np.maximum(free, 1e-3)
-    parts = np.split(
-        square[np.argsort(cells, kind="stable")],
-        np.cumsum(np.bincount(cells, minlength=count_of_cells))[:-1],
-    )
-    limit = np.array([np.median(part) if len(part) else 0.0 for part in parts])
+    limit = labelled_median(square, cells, np.arange(count_of_cells))
     square = np.minimum(square, WINSOR * limit[cells])
     measured = np.bincount(cells, square * free, count_of_cells)[filled] / count[filled]
     centre = ((edges[1:] + edges[:-1]) / 2)[filled]

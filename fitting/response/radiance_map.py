@@ -24,7 +24,7 @@ from jaxtyping import Float, Int, Integer
 
 from .code_pairs import CHUNK
 from .curve import ResponseCurve
-from .weights import cells_of, noise_rule, noise_variance, weighted_mean
+from .weights import noise_rule, noise_variance, predicted_weights, weighted_mean, weights_by_code
 
 REWEIGHTED = 3  # iterations that weight a mostly noisy pixel by its own estimate
 
@@ -73,14 +73,10 @@ def _merge(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rising = np.maximum.accumulate(curve.bin_means)
     rule = noise_rule([curve.noise], rising + 1e-9 * np.arange(len(rising)))
-    assert rule.weight is not None
-    binned = curve.bins.lookup[codes]
-    usable = binned >= 0
+    binned, classes = curve.bins.lookup[codes], np.zeros(codes.shape[1], int)
     by_each = curve.log_exposure[binned] - log_t[:, None]
-    rough = np.where(usable, rule.by_bin[0][binned], 0)
-    first = weighted_mean(rough, by_each)
-    cells = cells_of(rule, first + log_t[:, None], np.zeros(codes.shape[1], int))
-    weights = np.where(rough > 0, rule.weight[0][cells], 0)
+    rough = weights_by_code(rule, binned, classes)
+    weights, _ = predicted_weights(rule, rule.weight, rough, by_each, log_t, classes)
     coverage = np.count_nonzero(weights, axis=0)
     total = weights.sum(axis=0)
     merged = weighted_mean(weights, np.exp(by_each))

@@ -21,7 +21,7 @@ from ..frame_checks.heads import Stated, odd_heads
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent
 from ..observation import Load, cropped_to_region, read_frame, read_stack, split_channels
-from ..rig import Camera, Exposure, Rig, SiteCamera, as_rig, require
+from ..rig import Exposure, Rig, SiteCamera, as_rig, require
 from .moved import moved_back, moved_exposures
 
 LONGER = 8.0  # increase of the exposure during which a pixel without light stays constant
@@ -72,6 +72,11 @@ class Plane:
     @property
     def label(self) -> str:
         return f"{self.group} {self.channel}".strip()
+
+    @property
+    def name(self) -> str:
+        """The label, or `grey` where there is none."""
+        return self.label or "grey"
 
 
 @dataclass(frozen=True)
@@ -255,9 +260,13 @@ def _planes(
     )
     masks = split_channels(grid, rig.camera)
     planes = []
-    (step, _), starts = _grid_of(converter), _starts(rig.camera, frames[0].shape)
+    step, _ = _grid_of(converter)
     coarser = 2 if rig.camera.pattern else 1  # of the rows and columns, per colour
     apart = (rig.camera.cell[0] // coarser, rig.camera.cell[1] // coarser)
+    starts = [
+        (rows.start // coarser, columns.start // coarser)
+        for rows, columns in rig.camera.places(*frames[0].shape[:2])
+    ]
     for i, name in enumerate(channels[0]):
         codes = np.stack([frame[name] for frame in channels])
         camera = rig.camera.at(name)
@@ -290,15 +299,6 @@ def _planes(
             )
         )
     return planes
-
-
-def _starts(camera: Camera, shape: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Row and column of the first pixel of each site, among those of its colour."""
-    coarser = 2 if camera.pattern else 1
-    return [
-        (rows.start // coarser, columns.start // coarser)
-        for rows, columns in camera.places(*shape[:2])
-    ]
 
 
 def floor_level(

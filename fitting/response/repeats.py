@@ -23,7 +23,7 @@ from .code_pairs import pair_statistics
 from .pilot import Pilot
 from .shutter import MOST_FREE, Shutter, mix_over_tau
 from .solve import Hyperparameters, Solution, bin_centre_curve, inverse, solve
-from .weights import cells_of, weighted_mean
+from .weights import predicted_weights, weighted_mean, weights_by_code
 
 FEWEST_PREDICTING = 3  # exposures: leaving one out must leave two
 FEWEST_EXPOSURES = 5  # of a jackknife: with fewer, the rest determines another part of the curve
@@ -185,13 +185,10 @@ def _prediction_error(
     kept = np.arange(len(log_t)) != j
     g = np.maximum.accumulate(fit.means) + 1e-9 * np.arange(len(fit.means))
     binned, rule = coarse.lookup[codes], pilot.rule
-    assert rule.weight is not None
     quietest = np.full(codes.shape[1], np.argmax(rule.by_bin.sum(axis=1)))
-    others, by_each = binned[kept], g[binned[kept]] - log_t[kept, None]
-    rough = np.where(others >= 0, rule.by_bin[quietest[0]][np.maximum(others, 0)], 0)
-    first = weighted_mean(rough, by_each)
-    cells = cells_of(rule, first + log_t[kept, None], quietest)
-    weights = np.where(rough > 0, rule.weight.ravel()[cells], 0)
+    rough = weights_by_code(rule, binned[kept], quietest)
+    by_each = g[binned[kept]] - log_t[kept, None]
+    weights, _ = predicted_weights(rule, rule.weight, rough, by_each, log_t[kept], quietest)
     weights = np.where(weights.any(axis=0), weights, rough)
     log_irradiance = weighted_mean(weights, by_each)
     predicted = np.interp(log_irradiance + log_t[j], g, coarse.centres)

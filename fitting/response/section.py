@@ -37,13 +37,11 @@ def section(calibration: ResponseCalibration) -> Section:
             _channel_table(calibration.channels),
             _curve_table(calibration.channels),
             *left_out_tables(
-                (channel.plane.label or "grey", channel.gamma.left_out)
-                for channel in calibration.channels
+                (channel.plane.name, channel.gamma.left_out) for channel in calibration.channels
             ),
         ),
         posteriors={
-            channel.plane.label or "grey": channel.gamma.posterior
-            for channel in calibration.channels
+            channel.plane.name: channel.gamma.posterior for channel in calibration.channels
         },
         settings=_settings(calibration),
         data={"curve": curve_columns(calibration.channels)},
@@ -53,7 +51,7 @@ def section(calibration: ResponseCalibration) -> Section:
 def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
     """The complete curves, one row for each code and channel."""
     curves = [channel.curve for channel in channels]
-    labels = [channel.plane.label or "grey" for channel in channels]
+    labels = [channel.plane.name for channel in channels]
     log_exposure = np.concatenate([curve.log_exposure for curve in curves])
     error = np.concatenate([curve.standard_error for curve in curves])
     exposure, half = np.exp(log_exposure), np.concatenate([c.half_width for c in curves])
@@ -96,7 +94,7 @@ def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
         held = channel.curve.held_out
         rows.append(
             (
-                channel.plane.label or "grey",
+                channel.plane.name,
                 len(channel.curve.exposures),
                 channel.curve.statistics.pixels,
                 f"{channel.plane.black:g}",
@@ -135,7 +133,7 @@ def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
     picks = codes[np.linspace(0, len(codes) - 1, 17).astype(int)]
     return Table(
         "Response curve",
-        ("code (DN)", *(channel.plane.label or "grey" for channel in shown)),
+        ("code (DN)", *(channel.plane.name for channel in shown)),
         tuple((f"{code:g}", *(_exposure_at_code(c.curve, code) for c in shown)) for code in picks),
         "Exposure of each code relative to mid-scale, with its standard error. A dash stands for "
         "codes that the channel does not have above its black.",
@@ -158,7 +156,7 @@ def _settings(calibration: ResponseCalibration) -> dict[str, Any]:
         "bits": calibration.stack.bits,
         "seed": calibration.seed,
         "planes": {
-            channel.plane.label or "grey": {
+            channel.plane.name: {
                 "files": list(channel.plane.files),
                 "exposures": channel.plane.exposures.tolist(),
                 "black": channel.plane.black,

@@ -12,12 +12,12 @@ errors happen to be small. The mixture is represented by the Student's t with th
 intervals.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import gammaln, ndtr, ndtri, stdtr, stdtrit
+from scipy.optimize.elementwise import find_root
+from scipy.special import ndtr, ndtri, stdtr, stdtrit
 
 from ..inference.priors import LogNormal
 from .solve import STEADIEST
@@ -28,7 +28,8 @@ BEYOND = 0.1  # median of the error in addition to a stated one, as a share of t
 BEYOND_LOG_SD = 1.5  # of its logarithm
 TABULATED = (1e-6, 1.0)  # range of tau over which errors are mixed
 GRID = 101  # of ln tau
-MOST_STEPS, NEAR = 100, 1e-6  # Newton steps toward a quantile, and their tolerance
+BESIDE = 0.99, 1.01  # factors that move the ends of a bracket off a quantile
+NEAR = {"xrtol": 1e-7}  # tolerance of quantiles
 UNINFORMATIVE = 1e-9  # share of the information below which the images do not determine an error
 LEAST = 1e-6  # largest weight of a tau that is left out
 MOST_FREE = 1e6  # degrees of freedom from which they count as infinite
@@ -77,13 +78,13 @@ def tau_posterior(
     log_tau = np.linspace(np.log(low), np.log(high), GRID)
     tau = np.hypot(np.exp(log_tau), known)
     known_by, axes = np.linalg.eigh(information)
-    told = known_by > UNINFORMATIVE * known_by.max(initial=0.0)
-    known_by, pull = known_by[told], (score @ axes)[told]
+    informed = known_by > UNINFORMATIVE * known_by.max(initial=0.0)
+    known_by, pull = known_by[informed], (score @ axes)[informed]
     square = tau[:, None] ** 2
     log_weight = (pull**2 * square / (1 + known_by * square) - np.log1p(known_by * square)).sum(
         axis=1
     ) / 2
-    prior = prior_of(int(told.sum()), stated=known)
+    prior = prior_of(int(informed.sum()), stated=known)
     log_weight -= ((log_tau - np.log(prior.median)) / prior.log_sd) ** 2 / 2
     weights = np.exp(log_weight - log_weight.max())
     kept = weights > LEAST * weights.sum()
@@ -99,41 +100,19 @@ def mix_over_tau(
     some = np.where(parts > 0, parts, 1)  # none at mid-scale, where g = 0 by definition
     uncertain = np.where(variance > 0, variance, 1)[:, None]
     free = np.minimum(freedom[:, None] * (some / uncertain) ** 2, MOST_FREE)  # Satterthwaite's
-    gaussian = bool((freedom >= MOST_FREE).all())
+    gaussian, scales = bool((freedom >= MOST_FREE).all()), np.sqrt(some)
 
-    def reached(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The distribution function and the density at one value for each bin."""
-        scales = np.sqrt(some)
-        z = at[:, None] / scales
-        if gaussian:
-            below, density = ndtr(z), np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
-        else:
-            below = stdtr(free, z)
-            height = np.exp(gammaln((free + 1) / 2) - gammaln(free / 2)) / np.sqrt(np.pi * free)
-            density = height * (1 + z**2 / free) ** (-(free + 1) / 2)
-        return below @ shutter.weights, (density / scales) @ shutter.weights
+    def quantile(level: float) -> np.ndarray:
+        def excess(at: np.ndarray, i: np.ndarray) -> np.ndarray:
+            z = at[:, None] / scales[i]
+            return (ndtr(z) if gaussian else stdtr(free[i], z)) @ shutter.weights - level
 
-    inner, outer = (_quantile(reached, some, level) for level in LEVELS)
+        low = BESIDE[0] * ndtri(level) * scales.min(axis=1)
+        high = BESIDE[1] * (stdtrit(free, level) * scales).max(axis=1)
+        return find_root(excess, (low, high), args=(np.arange(len(low)),), tolerances=NEAR).x
+
+    inner, outer = map(quantile, LEVELS)
     ratio = np.clip(outer / inner, RATIOS[-1], RATIOS[0])
     own = np.exp(np.interp(-ratio, -RATIOS, np.log(FREEDOMS)))
     scale = np.where(parts.max(axis=1) > 0, outer / stdtrit(own, LEVELS[1]), 0)
     return scale**2, own
-
-
-def _quantile(
-    reached: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
-    variances: np.ndarray,
-    level: float,
-) -> np.ndarray:
-    """The value at which a mixture's distribution function reaches a level above one half. The
-    function is concave there, and Newton's steps approach from below."""
-    least = np.sqrt(variances.min(axis=1)) * ndtri(level)
-    at = least
-    for _ in range(MOST_STEPS):
-        below, density = reached(at)
-        ahead = np.maximum(at + (level - below) / density, least)
-        settled = np.abs(ahead - at).max() <= NEAR * ahead.max()
-        at = ahead
-        if settled:
-            break
-    return at

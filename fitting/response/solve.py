@@ -1,7 +1,7 @@
 """The most probable curve and shutter errors, from given statistics and a prior.
 
 In the prior, the local exponent dg / d ln(z - black) is a random walk in the variable of
-`roughness`, in which the 201 measured curves of Grossberg & Nayar (2003) have about constant
+`CodeBins.pace`, in which the 201 measured curves of Grossberg & Nayar (2003) have about constant
 roughness. A pure gamma has no cost. If black is uncertain by `black_sd`, the corresponding change
 of a gamma curve has the prior of that error only. The prior's strength and tau maximise the
 marginal likelihood (MacKay's fixed point, Neural Computation 4, 1992).
@@ -104,16 +104,9 @@ class Solution:
         return self.covariance[len(self.means) :, len(self.means) :]
 
 
-def roughness(bins: CodeBins) -> Float[np.ndarray, "bins bins"]:
-    """R of the prior energy smoothness g^T R g: the sum of squared increments of the local exponent
-    dg / d ln(z - black), per tick of the bins' clock."""
-    increments = _increments(bins)
-    return increments.T @ increments
-
-
-def _increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
-    """D of the roughness D^T D: increments of the exponent over square roots of the scale's
-    ticks."""
+def exponent_increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
+    """D of the prior energy smoothness |D g|^2 / 2: increments of the local exponent
+    dg / d ln(z - black), over square roots of the ticks of the bins' clock."""
     z, step = bins.centres, 1 / np.diff(bins.log_codes)
     clock = (z[2:] - z[:-2]) / 2 * bins.pace(z[1:-1])
     rows = np.arange(len(z) - 2)
@@ -144,7 +137,7 @@ def solve(
     equations = tuple(equations_of(tile, log_t, basis) for tile in tiles)
     matrix = np.sum([tile.matrix for tile in equations], axis=0)
     right = np.sum([tile.right for tile in equations], axis=0)
-    increments, size = _increments(bins), len(bins.centres)
+    increments, size = exponent_increments(bins), len(bins.centres)
     rough = increments.T @ increments
     moved = _shift_by_black(bins, matrix[:size, :size], right[:size])
     pull = rough @ moved

@@ -185,16 +185,11 @@ def observe(
     screened: bool = True,
 ) -> Observations:
     """Return weights and residuals of the linked pixels among the given pixels."""
-    by_each = means[binned] - log_t[:, None]
-    rough = rule.by_bin.ravel()[np.maximum(binned, 0) + classes * len(means)]
-    weights = np.where(binned >= 0, rough, 0)
+    by_each, weights = means[binned] - log_t[:, None], weights_by_code(rule, binned, classes)
     cells = np.zeros_like(binned)
     if rule.weight is not None:
-        assert rule.precision is not None
         for table in (rule.precision, rule.weight):
-            predicted = weighted_mean(weights, by_each) + log_t[:, None]
-            cells = cells_of(rule, predicted, classes)
-            weights = np.where(weights > 0, table.ravel()[cells], 0)
+            weights, cells = predicted_weights(rule, table, weights, by_each, log_t, classes)
     linked = np.count_nonzero(weights, axis=0) >= 2
     weights, by_each = weights[:, linked], by_each[:, linked]
     log_irradiance = weighted_mean(weights, by_each)
@@ -210,6 +205,31 @@ def observe(
         total=weights[:, steady].sum(axis=0),
         log_irradiance=log_irradiance[steady],
     )
+
+
+def weights_by_code(
+    rule: WeightRule,
+    binned: Int[np.ndarray, "exposures pixels"],
+    classes: Int[np.ndarray, " pixels"],
+) -> Float[np.ndarray, "exposures pixels"]:
+    """Initial weights of observed codes."""
+    rough = rule.by_bin.ravel()[np.maximum(binned, 0) + classes * rule.by_bin.shape[1]]
+    return np.where(binned >= 0, rough, 0)
+
+
+def predicted_weights(
+    rule: WeightRule,
+    table: Float[np.ndarray, "classes cells"] | None,
+    weights: Float[np.ndarray, "exposures pixels"],
+    by_each: Float[np.ndarray, "exposures pixels"],
+    log_t: Float[np.ndarray, " exposures"],
+    classes: Int[np.ndarray, " pixels"],
+) -> tuple[Float[np.ndarray, "exposures pixels"], Int[np.ndarray, "exposures pixels"]]:
+    """Weights of a rule's table at the exposures that a pixel's weighted mean predicts, and their
+    cells."""
+    assert table is not None
+    cells = cells_of(rule, weighted_mean(weights, by_each) + log_t[:, None], classes)
+    return np.where(weights > 0, table.ravel()[cells], 0), cells
 
 
 def cells_of(

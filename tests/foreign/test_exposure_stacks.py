@@ -550,7 +550,7 @@ def linear_channel(black, codes):
         standard_error=np.full(len(codes), 1e-4),
         seen=np.ones(len(codes), bool),
     )
-    return SimpleNamespace(curve=curve, plane=SimpleNamespace(label=f"black {black:g}"))
+    return SimpleNamespace(curve=curve, plane=SimpleNamespace(name=f"black {black:g}"))
 
 
 def test_the_table_of_the_curve_shows_each_channel_at_the_codes_of_the_first():
@@ -631,7 +631,12 @@ def plane(codes, *, black=0.0, measured=False):
     return [
         SimpleNamespace(
             plane=SimpleNamespace(
-                codes=codes, exposures=exposures, black=black, black_measured=measured, label=""
+                codes=codes,
+                exposures=exposures,
+                black=black,
+                black_measured=measured,
+                label="",
+                name="grey",
             )
         )
     ]

@@ -254,7 +254,7 @@ def test_a_code_far_beyond_all_pixels_has_no_upper_bound():
         half_width=np.array([0.196, 98.0]),
         seen=np.array([True, False]),
     )
-    columns = curve_columns([SimpleNamespace(curve=curve, plane=SimpleNamespace(label=""))])
+    columns = curve_columns([SimpleNamespace(curve=curve, plane=SimpleNamespace(name="grey"))])
     np.testing.assert_allclose(columns["upper_95"], [np.exp(0.196), np.inf], rtol=1e-4)
     np.testing.assert_allclose(columns["lower_95"], [np.exp(-0.196), 0.0], rtol=1e-4)
 
