@@ -42,15 +42,15 @@ def light_of_levels(levels: ComparedLevels) -> None:
     if len(there) < FEWEST_LEVELS:
         return
     signal, light = _signals(levels, there), levels.light[there]
-    told = float(np.median(signal / light)) * light
+    predicted = float(np.median(signal / light)) * light
     noise = np.maximum(levels.noise[there], 1 / np.sqrt(12))
-    for place in np.flatnonzero((signal < HALF * noise) & (told > SURE * noise)):
+    for place in np.flatnonzero((signal < HALF * noise) & (predicted > SURE * noise)):
         frames = levels.frames[there[place]]
         mean = float(np.median([frame.mean for frame in frames]))
         reason = (
             f"the mean is {mean:.5g} DN, {levels.black[there[place]]:.5g} DN without light, where "
-            f"the other levels predict a signal of {told[place]:.3g} DN, as if the lamp was off or "
-            "the shutter closed"
+            f"the other levels predict a signal of {predicted[place]:.3g} DN, as if the lamp was "
+            "off or the shutter closed"
         )
         levels.remove(there[place], range(len(frames)), reason)
     there = _lit(levels)

@@ -60,15 +60,12 @@ class ComparedLevels:
             return 0.0
         known = level, lines, *(frame.name for frame in frames)
         if known not in self._pixel_noise:
-            self._pixel_noise[known] = self._noise_of_pairs(level, lines)
+            black = None if self.black is None else float(self.black[level])
+            fields = [a - b for a, b in pairwise(scaled_to_one_mean(frames, black))]
+            variances = [trimmed_variance(f if lines else without_lines(f)) for f in fields]
+            least = min((v for v in variances if v > 0), default=0.0)
+            self._pixel_noise[known] = float(np.sqrt(least / 2))
         return self._pixel_noise[known]
-
-    def _noise_of_pairs(self, level: int, lines: bool) -> float:
-        frames = self.frames[level]
-        alike = scaled_to_one_mean(frames, None if self.black is None else float(self.black[level]))
-        fields = [a - b for a, b in pairwise(alike)]
-        variances = [trimmed_variance(f if lines else without_lines(f)) for f in fields]
-        return float(np.sqrt(min((v for v in variances if v > 0), default=0.0) / 2))
 
     def chance(self, level: int) -> float:
         """Return the difference, in DN rms, of the means of two frames from pixel noise. The true

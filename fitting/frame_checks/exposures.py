@@ -132,8 +132,8 @@ def _out_of_order(
     alone = [i for i in left if all(i in pair for pair in wrong)]
     out = list(exchanged[0]) if len(exchanged) == 1 else alone[:1]
     out = out or sorted({i for pair in wrong for i in pair})
-    told = " and ".join(f"{frames[j].name} is darker than {frames[i].name}" for i, j in wrong[:2])
-    why = f"{told}, although the stated exposure is longer"
+    pairs = [f"{frames[j].name} is darker than {frames[i].name}" for i, j in wrong[:2]]
+    why = f"{' and '.join(pairs)}, although the stated exposure is longer"
     return dict.fromkeys(
         out, f"{why}; check the order of the times, and that no image is a negative"
     )

@@ -9,6 +9,8 @@ from jaxtyping import Float
 
 from jaxvision.errors import InputError
 
+from ..inference.diagnostics import listed as all_listed
+
 SIDE = 128  # pixels of a frame that are kept, along each side
 ALONE = "it is the only remaining frame of its level"
 COPIED = "{} are equal in every pixel, so at most one of them was taken as stated"
@@ -65,9 +67,7 @@ def frame_sample(name: str, frame: Float[np.ndarray, "h w"], *, top: float) -> F
 
 def listed(names: Sequence[str]) -> str:
     """Names for a sentence; only the first ones if there are many."""
-    if len(names) > 4:
-        return f"{', '.join(names[:3])} and {len(names) - 3} more"
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+    return all_listed([*names] if len(names) <= 4 else [*names[:3], f"{len(names) - 3} more"])
 
 
 def refuse_half(where: str | Path, odd: Sequence[OddFrames], count: int) -> None:

@@ -6,7 +6,7 @@ matter. If two frames disagree, the neighbouring levels show which one is wrong.
 """
 
 from collections.abc import Callable, Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -33,8 +33,8 @@ from .moved import moved_frames
 
 PAIRS = 2.22  # standard deviations per lower quartile of pairwise differences
 LAMP = 0.005  # of the signal; a smaller flicker changes results by at most half of it
+FEWEST_KNOWN = 4  # levels that give the usual distribution of light over a frame
 CLOSER = 3.0  # ratio of distances to the prediction from which the nearer of two frames is right
-BETWEEN = 0.01  # least share of pixels between black and white in a frame that can be a copy
 
 
 def odd_frames(
@@ -65,26 +65,22 @@ def _scatter(distances: Sequence[float]) -> float:
 
 def _pairs(count: int) -> list[tuple[int, int]]:
     """All pairs if there are few frames, neighbouring pairs if there are many."""
-    return (
-        list(combinations(range(count), 2))
-        if count < 24
-        else [(i, i + 1) for i in range(count - 1)]
-    )
+    return list(combinations(range(count), 2) if count < 24 else pairwise(range(count)))
 
 
 def _parted(
     distances: Float[np.ndarray, " frames"],
     limit: float,
-    expected_distances: Callable[[], Float[np.ndarray, " frames"] | None],
+    expected: Float[np.ndarray, " frames"] | None,
 ) -> Bool[np.ndarray, " frames"] | None:
-    """Return the frames that differ; None if this cannot be determined."""
+    """Return the frames that differ, by their distances from the middle of their level or, if half
+    of them are far from it, from what other levels predict; None if this cannot be determined."""
     far = distances > limit
     if 2 * far.sum() < len(far) or not far.any():
         return far
-    known = expected_distances()
-    if known is None:
+    if expected is None:
         return None
-    far = known * CLOSER > max(known.max(), limit)
+    far = expected * CLOSER > max(expected.max(), limit)
     return None if far.all() or not far.any() else far
 
 
@@ -96,15 +92,12 @@ def _copies(levels: ComparedLevels) -> None:
             continue
         if dark and usual**2 * frames[0].sample.size < SURE**2:
             continue  # frames without noise may be equal
-        first: dict[bytes, int] = {}
-        again = []
-        for i, frame in enumerate(frames):
-            between = (frame.sample > frame.sample.min()) & (frame.sample < frame.sample.max())
-            if between.mean() > BETWEEN and first.setdefault(frame.sample.tobytes(), i) != i:
-                again.append(i)
-        if again:
-            copied = frames[first[frames[again[0]].sample.tobytes()]].name
-            levels.remove(level, again, f"equal to {copied} in every pixel, as a copy is")
+        copies = Copies()
+        for frame in frames:
+            copies.add(frame.name, frame.sample)
+        for first, *again in copies.found:
+            places = [i for i, one in enumerate(levels.frames[level]) if one.name in again]
+            levels.remove(level, places, f"equal to {first} in every pixel, as a copy is")
 
 
 def _copies_across(levels: ComparedLevels) -> None:
@@ -144,14 +137,9 @@ def _means(levels: ComparedLevels) -> None:
         limit = max(spread * scale, least)
         middle = np.median(values)
         distances = np.abs(values - middle) * (2 if len(values) == 2 else 1)
-
-        def expected_distances(
-            values: np.ndarray = values, level: int = level
-        ) -> np.ndarray | None:
-            told = levels.expected(level)
-            return None if told is None else np.abs(values - told)
-
-        _take(levels, level, _parted(distances, limit, expected_distances), _mean_in_words)
+        mean = levels.expected(level)
+        expected = None if mean is None else np.abs(values - mean)
+        _take(levels, level, _parted(distances, limit, expected), _mean_in_words)
 
 
 def _take(
@@ -175,11 +163,11 @@ def _take(
 def _mean_in_words(odd: list[FrameSample], rest: list[FrameSample]) -> str:
     mean = float(np.median([frame.mean for frame in rest]))
     others = "the other frame" if len(rest) == 1 else "the other frames"
-    told = f"its mean is {odd[0].mean:.5g} DN, that of {others} of its level {mean:.5g} DN"
+    means = f"its mean is {odd[0].mean:.5g} DN, that of {others} of its level {mean:.5g} DN"
     for share, end in ((odd[0].at_top, "saturated"), (odd[0].at_bottom, "0 DN")):
         if share > MOSTLY:
-            return f"{format_percent(share)} of its pixels are {end}, and {told}"
-    return told
+            return f"{format_percent(share)} of its pixels are {end}, and {means}"
+    return means
 
 
 def _unevenness(levels: ComparedLevels) -> None:
@@ -190,6 +178,9 @@ def _unevenness(levels: ComparedLevels) -> None:
     far = [[rms(own[i] - own[j]) for i, j in _pairs(len(own))] for level, own in enumerate(fields)]
     scatter = _scatter([x for distances in far for x in distances])
     known = [np.median(own, axis=0) for own in fields if len(own) > 1]
+    usual = None
+    if len(known) >= FEWEST_KNOWN and len({own.shape for own in known}) == 1:
+        usual = np.median(known, axis=0)
     uneven = "its distribution of light over the frame differs from that of its level"
     for level, own in enumerate(fields):
         if len(own) < 2:
@@ -200,16 +191,8 @@ def _unevenness(levels: ComparedLevels) -> None:
         middle = np.median(own, axis=0)
         away = 2.0 if len(own) == 2 else 1.0
         distances = np.array([away * rms(field - middle) for field in own])
-
-        def expected_distances(own: list[np.ndarray] = own) -> np.ndarray | None:
-            if len(known) < 4:
-                return None
-            told = np.median(known, axis=0)
-            return np.array([rms(field - told) for field in own])
-
-        _take(
-            levels, level, _parted(distances, limit, expected_distances), lambda odd, rest: uneven
-        )
+        expected = None if usual is None else np.array([rms(field - usual) for field in own])
+        _take(levels, level, _parted(distances, limit, expected), lambda odd, rest: uneven)
 
 
 def _noise(levels: ComparedLevels) -> None:
@@ -225,12 +208,12 @@ def _noise(levels: ComparedLevels) -> None:
         scatter = _scatter([abs(logs[i] - logs[j]) for i, j in _pairs(len(logs))])
         chance = np.sqrt(2 / frames[0].sample.size)
         limit = max(SURE * max(scatter, chance), np.log(OTHER_NOISE))
-        far = _parted(np.abs(logs - np.median(logs)), limit, lambda: None)
+        far = _parted(np.abs(logs - np.median(logs)), limit, None)
         ratios = variances / np.median(variances)
-        told = {
+        reasons = {
             frame.name: "the variance of its difference from the median of its level is "
             f"{ratio:.2g} times that of the others, as with an averaged, smoothed or moved frame"
             for frame, ratio in zip(frames, ratios, strict=True)
         }
         if far is not None:
-            _take(levels, level, far, lambda odd, rest, told=told: told[odd[0].name])
+            _take(levels, level, far, lambda odd, rest, reasons=reasons: reasons[odd[0].name])

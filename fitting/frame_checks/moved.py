@@ -9,10 +9,16 @@ from itertools import combinations
 
 import numpy as np
 
-from .compared import SURE, ComparedLevels, scaled_to_one_mean, trimmed_variance, without_lines
+from .compared import (
+    OTHER_NOISE,
+    SURE,
+    ComparedLevels,
+    scaled_to_one_mean,
+    trimmed_variance,
+    without_lines,
+)
 from .frame import OddFrames, listed
 
-OTHER_NOISE = 1.4  # ratio of variances between pairs of frames from which one pair moved
 FEWEST_LEVELS = 3  # levels at which frames differ by the same pattern
 ALIKE = 0.05  # correlation of differences at two levels below which gain errors are small
 MOST_FRAMES = 24  # frames up to which all pairs are compared

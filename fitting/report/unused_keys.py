@@ -3,6 +3,7 @@ used or listed here."""
 
 from collections.abc import Iterator
 
+from ..inference.diagnostics import listed
 from ..rig import BY_SITE, Rig
 
 Unused = Iterator[tuple[tuple[str, ...], str]]  # keys, and why
@@ -28,8 +29,7 @@ def unused_keys(rig: Rig, kind: str, *, fit_gamma: bool = False) -> tuple[str, .
             if any(not name or getattr(entry, name) is not None for entry in entries):
                 given.append(key)
         if given:
-            listed = " and ".join(filter(None, (", ".join(given[:-1]), given[-1])))
-            sentences.append(f"Not used of the rig: {listed}; {why}.")
+            sentences.append(f"Not used of the rig: {listed(given)}; {why}.")
     return tuple(sentences)
 
 
@@ -93,8 +93,8 @@ def _brdf(rig: Rig) -> Unused:
 
 
 def _joint(rig: Rig) -> Unused:
-    told = "flat.photons", "flat.irradiance", *_camera(OF_PHOTONS)
-    yield told, "flats enter through their means and variances"
+    keys = "flat.photons", "flat.irradiance", *_camera(OF_PHOTONS)
+    yield keys, "flats enter through their means and variances"
     if rig.camera.black_level is None and rig.dark and rig.camera.encoding is None:
         yield _camera(("black_sd",)), "without camera.black_level, the darks give the black level"
 

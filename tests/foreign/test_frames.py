@@ -477,6 +477,21 @@ def test_a_level_without_light_is_called_so(level):
     assert "averaged" not in sentence
 
 
+def test_each_copy_in_a_level_is_compared_with_its_own_original():
+    first, second = FLATS[3]
+    levels = [[first, second, first, second], *FLATS[4:9]]
+    named = [
+        [frame_sample(f"f{i}_{j}", one, top=FULL) for j, one in enumerate(own)]
+        for i, own in enumerate(levels)
+    ]
+    black = np.full(len(levels), BLACK)
+    reasons = {
+        one.names: one.reason for one in odd_frames(named, light=ELECTRONS[3:9], black=black)
+    }
+    assert reasons["f0_2",] == "equal to f0_0 in every pixel, as a copy is"
+    assert reasons["f0_3",] == "equal to f0_1 in every pixel, as a copy is"
+
+
 def test_a_level_of_too_much_variance_is_not_called_copied():
     rng = np.random.default_rng(0)
     loud = [np.round(x + rng.normal(0, 60, (64, 64))).clip(0, FULL) for x in FLATS[7]]
