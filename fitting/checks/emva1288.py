@@ -79,7 +79,8 @@ def places(camera: Camera, seed: int) -> np.ndarray:
         of_kinds = ((one.dsnu, camera.offsets, GAIN), (one.prnu, camera.gains, 1.0))
         for draws, sizes, scale in of_kinds:
             truth = dict(zip(PARTS[1:], scale**2 * np.square(sizes), strict=True))
-            truth = {part: x * _left(loss, part) for part, x in truth.items()}
+            for part in truth:
+                truth[part] *= loss.pixels if part == "pixel" else loss.lines
             truth["total"] = sum(truth.values())
             found += [float(np.mean(draws[part] < truth[part])) for part in PARTS]
     saturated = _saturation(dark, response)
@@ -103,10 +104,6 @@ def _pattern(
         + columns * rng.standard_normal(SHAPE[1])
         + pixels * own
     )
-
-
-def _left(loss: Loss, part: str) -> float:
-    return loss.pixels if part == "pixel" else loss.lines
 
 
 def _saturation(dark: np.ndarray, response: np.ndarray) -> float:

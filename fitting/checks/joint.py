@@ -1,17 +1,16 @@
 """Simulated photographs of a glossy sphere by an uncalibrated camera (NumPy), and the position of
 the truth in joint fits of surface, encoding and sensor."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from jaxvision.errors import InputError
 
 from ..joint.calibration import calibrate
-from ..joint.read import from_photographs
 from ..reflectance.from_images.read import Photographs
-from ..rig import Camera, SphereGeometry
-from .reflectance import BITS, GAIN, RADIUS, SIZE, WHITE, Sphere, directions, electrons
+from ..rig import Camera
+from .reflectance import BITS, GAIN, Sphere, electrons
 from .simulations import places_in
 
 NAMES = ("diffuse", "specular", "exponent", "gamma", "system_gain", "read_noise")
@@ -56,22 +55,12 @@ def photographed(lab: Lab, seed: int) -> Photographs:
     linear = np.maximum(GAIN * electrons(sphere, rng), 0)
     black = BLACK + BLACK_SD * rng.standard_normal()
     encoded = black + full * (linear / full) ** (1 / lab.gamma)
-    observation = from_photographs(
-        list(np.clip(np.round(encoded), 0, 2.0**BITS - 1)),
-        directions(sphere.lights),
-        camera=Camera(
-            bits=BITS,
-            black_level=BLACK,
-            black_sd=BLACK_SD,
-            prnu_sd=sphere.prnu,
-        ),
-        sphere=SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS),
-        intensities=np.full(sphere.lights, WHITE),
+    return sphere.read(
+        np.clip(np.round(encoded), 0, 2.0**BITS - 1),
+        Camera(bits=BITS, black_level=BLACK, black_sd=BLACK_SD, prnu_sd=sphere.prnu),
         intensity_sd=sphere.light_sd or None,
         direction_sd=sphere.direction_sd or None,
     )
-    every = np.zeros(sphere.lights, bool)
-    return replace(observation, held_out=every)
 
 
 def places(lab: Lab, seed: int) -> np.ndarray:

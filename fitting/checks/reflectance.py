@@ -73,27 +73,36 @@ class Sphere:
         parts = np.where(cosine > 0, shaded, 0).reshape(-1, SIZE, len(PARTS), SIZE, len(PARTS))
         return WHITE / 4 * np.einsum("lhiwj,i,j->lhw", parts, WEIGHTS, WEIGHTS)
 
+    def read(self, images: np.ndarray, camera: Camera, **errors: float | None) -> Photographs:
+        """Photographs in the form that a fit takes, with the stated errors."""
+        observation = from_photographs(
+            list(images),
+            directions(self.lights),
+            camera=camera,
+            sphere=SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS),
+            intensities=np.full(self.lights, WHITE),
+            **errors,
+        )
+        return replace(observation, held_out=np.zeros(self.lights, bool))
+
     @cached_property
     def observed(self) -> tuple[Photographs, Selection, Grouping]:
         """Photographs of the first seed with their samples and cells, for their geometry only."""
-        observation = from_photographs(
-            list(photographs(self, 0)),
-            directions(self.lights),
-            camera=Camera(
-                bits=BITS,
-                black_level=self.black,
-                gain=GAIN,
-                read_noise=self.read_noise,
-                saturation=self.clip,
-                black_sd=self.black_sd or None,
-            ),
-            sphere=SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS),
-            intensities=np.full(self.lights, WHITE),
+        camera = Camera(
+            bits=BITS,
+            black_level=self.black,
+            gain=GAIN,
+            read_noise=self.read_noise,
+            saturation=self.clip,
+            black_sd=self.black_sd or None,
+        )
+        observation = self.read(
+            photographs(self, 0),
+            camera,
             intensity_sd=self.light_sd * ("light_sd" in self.stated),
             direction_sd=self.direction_sd * ("direction_sd" in self.stated),
             stray_sd=self.stray_sd,
         )
-        observation = replace(observation, held_out=np.zeros(self.lights, bool))
         chosen = select(observation, held_out=False, form=Form("phong"))
         return observation, chosen, cells_of(observation, chosen)
 
@@ -141,7 +150,10 @@ def electrons(sphere: Sphere, rng: np.random.Generator) -> np.ndarray:
     pixels = 1 + sphere.prnu * rng.standard_normal((SIZE, SIZE))
     signal = sphere.signal
     if sphere.direction_sd:
-        signal = sphere.shaded(_turned(directions(sphere.lights), sphere.direction_sd, rng))
+        wi = directions(sphere.lights)
+        step = sphere.direction_sd * rng.standard_normal(wi.shape)
+        moved = wi + step - np.sum(step * wi, axis=1, keepdims=True) * wi
+        signal = sphere.shaded(moved / np.linalg.norm(moved, axis=1, keepdims=True))
     stray = 0.0
     if sphere.stray_sd:
         stray = WHITE * sphere.stray_sd * rng.standard_normal((sphere.lights, 1, 1))
@@ -168,13 +180,6 @@ def places(sphere: Sphere, seed: int) -> np.ndarray:
     posterior = channel_posterior(found, cells, sampling=None, seed=seed)
     truth: dict[str, float] = dict(zip(NAMES, sphere.truth, strict=True))
     return np.array([places_in(posterior, truth)[name] for name in NAMES])
-
-
-def _turned(wi: np.ndarray, sd: float, rng: np.random.Generator) -> np.ndarray:
-    """Unit vectors rotated by given angles about two axes across them."""
-    step = sd * rng.standard_normal(wi.shape)
-    moved = wi + step - np.sum(step * wi, axis=1, keepdims=True) * wi
-    return moved / np.linalg.norm(moved, axis=1, keepdims=True)
 
 
 def directions(lights: int) -> np.ndarray:
