@@ -52,6 +52,10 @@ def corner_figure(
     )
     beyond = LONGEST_TAIL * (high - low)
     ends = np.stack([np.maximum(lowest, low - beyond), np.minimum(highest, high + beyond)], axis=1)
+    beside = np.where(
+        ends[:, :1] < ends[:, 1:], 0, np.abs(ends) + 1e-9
+    )  # where all draws are equal
+    ends += beside * (-1, 1)
     size = 1.35 + 1.4 * len(space)
     figure = Figure(figsize=(size, size))
     for channel, samples in draws.items():
@@ -62,7 +66,7 @@ def corner_figure(
                 _label(p, in_percent=of_median)
                 for p, of_median in zip(space, relative.tolist(), strict=True)
             ],
-            range=[_around(*pair) for pair in ends],
+            range=[tuple(pair) for pair in ends],
             color=colour,
             levels=(0.68, 0.95),
             smooth=1.0,
@@ -104,11 +108,6 @@ def _relative(posteriors: Mapping[str, Posterior]) -> np.ndarray:
     ends = [np.quantile(one.samples, [0.025, 0.975], axis=0) for one in posteriors.values()]
     clear = [(low * high > 0) & (high - low < np.abs(low + high) / 2) for low, high in ends]
     return np.all(clear, axis=0) & (len(posteriors) > 1)
-
-
-def _around(low: float, high: float) -> tuple[float, float]:
-    """Return the range of the draws, or a range about the common value if all draws are equal."""
-    return (low, high) if high > low else (low - abs(low) - 1e-9, high + abs(high) + 1e-9)
 
 
 def trace_figure(posterior: Posterior) -> "Figure":

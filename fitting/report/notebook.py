@@ -58,8 +58,8 @@ def section_html(section: Section) -> str:
         f"{f'<td>{escape(row.unit)}</td>' if units else ''}</tr>"
         for row in shown
     )
-    told = said_once([one for one in section.findings if one != section.headline])
-    notes = "".join(f"<li>{escape(text)}</li>" for text in told)
+    sentences = said_once([one for one in section.findings if one != section.headline])
+    notes = "".join(f"<li>{escape(text)}</li>" for text in sentences)
     headline = f"<p><b>{escape(section.headline)}</b></p>" if section.headline else ""
     missing = "".join(
         f"<br><sup>{i}</sup> Not determined: {escape(note)}."

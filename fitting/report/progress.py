@@ -22,16 +22,16 @@ class Reporter:
     @contextmanager
     def step(self, description: str) -> Iterator[Progress]:
         """Show `description` while the block runs. Call the yielded function with (done, total)."""
-        begun = told = time.perf_counter()
+        begun = printed = time.perf_counter()
         task = self._progress.add_task(description, total=None)
         terminal = self._progress.console.is_terminal
 
         def advance(done: int, total: int) -> None:
-            nonlocal told
+            nonlocal printed
             self._progress.update(task, completed=done, total=total)
             now = time.perf_counter()
-            if not terminal and (done == 0 or (done < total and now - told > SILENT)):
-                told = now
+            if not terminal and (done == 0 or (done < total and now - printed > SILENT)):
+                printed = now
                 self._progress.console.print(f"{description}: {done} of {total}")
 
         yield advance

@@ -75,7 +75,7 @@ def sheet(section: Section) -> Sheet:
     found = section.estimates
     places = [(one.name, one.group) for one in found]
     several = len(set(places)) < len(places)
-    keys = [_key(one, several) for one in found]
+    keys = [f"{one.group} {one.method}".strip() if several else one.group for one in found]
     columns = tuple(dict.fromkeys(key for key in keys if key)) or ("value",)
     compares = several and len(columns) == 2
     notes: dict[str, int] = {}
@@ -98,10 +98,6 @@ def sheet(section: Section) -> Sheet:
     methods = "" if several else _methods(found)
     kept = tuple(block for block in blocks if block[1])
     return Sheet(columns, kept, tuple(notes), methods, compares)
-
-
-def _key(estimate: Estimate, several: bool) -> str:
-    return f"{estimate.group} {estimate.method}".strip() if several else estimate.group
 
 
 def _cell(estimate: Estimate | None, notes: dict[str, int]) -> Cell:
