@@ -13,7 +13,6 @@ from ..errors import InputError, nearest
 from .records import Knob
 
 _TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-SCENE_KNOBS = tuple(name for name, table in _TABLES.items() if table.pop("of_scene", False))
 KNOBS: Mapping[str, Knob] = {
     name: Knob(name, **{key: tuple(x) if isinstance(x, list) else x for key, x in table.items()})
     for name, table in _TABLES.items()

@@ -29,18 +29,6 @@ from .sampling import oversampling_row, samples_row, times
 from .stages import Arriving, Draft, Ends, OnSensor, Row
 
 _SHARES = 2e-5  # accuracy of the shares of `airy_kernel`
-# Fields of the views that give the position of the camera and the amount of light, which cannot be
-# dropped. Fields of a lens's opening are dropped with `view.defocus`.
-GEOMETRY = {
-    "position": "where the camera stands",
-    "rotation": "where it looks",
-    "pixel_pitch": "how finely it looks",
-    "resolution": "how much it sees",
-    "focal_length": "how much it sees",
-    "f_number": "how bright the picture is; the blur goes with view.defocus",
-    "focus_distance": "goes with view.defocus",
-    "aperture": "goes with view.defocus",
-}
 
 
 def optics_stage(

@@ -30,8 +30,6 @@ BOUNDS: dict[str, BoundOf] = {
     **sensor_charge.BOUNDS,
     **sensor_reading.BOUNDS,
 }
-# Fields whose row is made by another stage.
-ELSEWHERE = {"shutter": "motion", "own": "each of its own, below"}
 # Fields that define the meaning of the numbers, which cannot be dropped.
 SCALES = {"photon_conversion", "colour_filter", "exposure_time", "gain"}
 

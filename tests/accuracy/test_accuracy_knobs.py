@@ -6,8 +6,8 @@ from public_names import arguments_and_fields, ghosts, unknown, words
 import jaxvision
 from jaxvision.accuracy import KNOBS, curve
 from jaxvision.accuracy.examples import example, examples
-from jaxvision.accuracy.knobs import SCENE_KNOBS
 from jaxvision.errors import InputError
+from jaxvision.files.scenes.schema import RenderEntry
 
 # A public argument or field of one of these names trades error for time, and needs a knob ...
 WORDS = words("""
@@ -67,8 +67,9 @@ def test_every_pattern_names_something_that_is_there():
 
 def test_every_knob_turns_something():
     """A key of `[render]`, or an example of its own."""
-    assert set(KNOBS) == set(SCENE_KNOBS) | set(examples())
-    assert not set(SCENE_KNOBS) & set(examples())
+    of_scene = {"light samples", *RenderEntry.model_fields}  # the samples are an order, too
+    assert set(KNOBS) - set(examples()) == set(KNOBS) & of_scene
+    assert set(examples()) <= set(KNOBS)
     with pytest.raises(InputError, match="has no example of its own"):
         example("samples")
 

@@ -11,7 +11,7 @@ from oracles import lenses
 from scipy import integrate, ndimage, special
 
 from jaxvision import scene as s
-from jaxvision.effects.optics import BOUNDS, GEOMETRY, defocus, middle_pixel_share, optics_stage
+from jaxvision.effects.optics import BOUNDS, defocus, middle_pixel_share, optics_stage
 from jaxvision.effects.stages import Arriving, Draft, Ends
 from jaxvision.optics import sensor_irradiance
 from jaxvision.rendering import PixelSamples
@@ -240,10 +240,14 @@ def test_oversampling_and_samples_stay_within_a_pixel():
     assert np.abs(fall).max() * on_sensor.opening <= row.amount[0]
 
 
-def test_every_field_of_a_view_has_its_row_or_says_why_not():
+def test_every_field_of_a_view_has_its_row_or_cannot_be_dropped():
+    """Where the camera stands and looks, how much it sees, how finely and how brightly; what a lens
+    focuses goes with its defocus."""
+    place = {"position", "rotation", "pixel_pitch", "resolution", "focal_length"}
+    kept = place | {"f_number", "focus_distance", "aperture"}
     for view in (s.Pinhole, s.ThinLens, s.Orthographic):
         for field in fields(view):
-            assert (field.name in GEOMETRY) != (field.name in BOUNDS), field.name
+            assert (field.name in kept) != (field.name in BOUNDS), field.name
     assert "defocus" in BOUNDS
 
 
