@@ -423,7 +423,9 @@ def check_range(
     if not inside.all():
         wrong = numbers[~inside].flat[0]
         least = "" if low == -np.inf else f"{'above' if above else 'at least'} {low:g}"
-        most = "" if high == np.inf else f"at most {high:g}"
+        below = np.nextafter(high, np.inf)  # shown as that number, where it is a round one
+        word, shown = ("below", below) if float(f"{high:g}") == below else ("at most", high)
+        most = "" if high == np.inf else f"{word} {shown:g}"
         ends = " and ".join(filter(None, (least, most)))
         wanted = ", ".join(filter(None, ("finite" if finite else "", ends)))
         raise ValueError(f"{name} must be {wanted}, got {wrong}.")

@@ -587,7 +587,8 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
     Args:
         path: the file. uint8 and uint16 are written as PNG or TIFF of the same depth, uint8 with
             one or three channels also as JPEG, floating arrays as EXR or HDR (HDR: three channels
-            of light from 0 to 1.7e38 with a shared exponent, steps of about 1 %).
+            of light from 0 to 1.7e38 with a shared exponent: steps of up to 1 % of a pixel's
+            largest channel, so that a dark channel of a bright pixel keeps no digits).
         pixels: (h, w) or (h, w, channels), codes or any unit.
         quality: of a JPEG, 1 to 100 on libjpeg's scale. Colour has half the resolution below 90,
             and full resolution from 90 on.

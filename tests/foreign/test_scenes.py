@@ -400,6 +400,15 @@ def test_a_number_with_a_unit_is_told_as_such(tmp_path, line, words):
         read_toml(file, "scene")
 
 
+def test_a_field_of_view_of_180_degrees_is_not_said_to_be_allowed(tmp_path):
+    text = '[camera]\nkind = "pinhole"\nposition = [0, 0, 1]\ntarget = [0, 0, 0]\n'
+    text += "field_of_view = 180.0\nresolution = [2, 2]\nup = [0, 1, 0]\n"
+    text += '[[surface]]\nshape = "sphere"\ncentre = [0, 0, 0]\nradius = 0.5\nemission = [1]\n'
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(InputError, match=r"field_of_view must be .* below 180, got 180\.0"):
+        jv.files.scenes.read_scene(tmp_path / "scene.toml")
+
+
 def test_places_in_a_list_are_counted_alike(tmp_path):
     """light[1] is the first; its direction has two numbers of three."""
     text = '[camera]\nkind = "orthographic"\nposition = [0, 0, 1]\ntarget = [0, 0, 0]\nwidth = 1\n'
