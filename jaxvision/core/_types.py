@@ -461,10 +461,10 @@ def check_fields(record: Any, **ranges: Range) -> None:
     equal axis names) and lie in `ranges` (by field), and its records have their annotated types."""
     sizes: dict[int | str, int] = {}
     kind = type(record).__name__
-    for name, (shapes, kinds) in _field_shapes(type(record)).items():
+    for name, (shapes, kinds, optional) in _field_shapes(type(record)).items():
         place, value = f"{kind}.{name}", getattr(record, name)
         if kinds and (isinstance(value, eqx.Module) or not shapes):
-            check_kind(place, value, *kinds)
+            (check_kind if optional else check_given)(place, value, *kinds)
         elif isinstance(value, Varying) and not getattr(record, "takes_maps", False):
             raise ValueError(f"{place} must be plain numbers, got a {type(value).__name__}.")
         elif value is not None:
@@ -485,8 +485,8 @@ def check_fields(record: Any, **ranges: Range) -> None:
 @cache
 def _field_shapes(
     record: type,
-) -> dict[str, tuple[tuple[tuple[int | str, ...], ...], tuple[type, ...]]]:
-    """Return the allowed shapes and record types of each field."""
+) -> dict[str, tuple[tuple[tuple[int | str, ...], ...], tuple[type, ...], bool]]:
+    """Return the allowed shapes and record types of each field, and whether it may be None."""
     hints, found = get_type_hints(record), {}
     for field in fields(record):
         hint = hints[field.name]
@@ -494,5 +494,5 @@ def _field_shapes(
         shapes = tuple(axes_of(part) for part in parts if hasattr(part, "dim_str"))
         kinds = tuple(part for part in parts if is_record(part))
         if shapes or kinds:
-            found[field.name] = shapes, kinds
+            found[field.name] = shapes, kinds, type(None) in parts
     return found

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import in_range, takes_numbers
+from ..core._arguments import in_range, takes_numbers, warn_caller
 from ..core._numerics import divide
-from ..core._types import AMOUNT, Colour, Image, Scalar, Scalars, check_count
+from ..core._types import AMOUNT, Colour, Image, Scalar, Scalars, check_count, is_known
 from ..filters import correlate
 from ..scene import AnnularAperture, Diffraction, ThinLens, Wavefront
 from ._bessel import jinc
@@ -201,6 +201,7 @@ def lens_kernel(
     working = f_number * _reciprocal(sensor_vergence(view) * view.focal_length)
     size, wavelength = diffraction.size, diffraction.wavelength
     if isinstance(diffraction, Diffraction):
+        _warn_of_a_small_window(wavelength, working, pixel_pitch, size)
         return airy_kernel(wavelength, working, pixel_pitch, size=size)
     return wavefront_kernel(
         diffraction.coefficients,
@@ -214,6 +215,21 @@ def lens_kernel(
         order=diffraction.order,
         samples=diffraction.samples,
     )
+
+
+def _warn_of_a_small_window(
+    wavelength: Scalar | Colour, f_number: Scalar, pixel_pitch: Scalar, size: int
+) -> None:
+    """Warn of a kernel that ends within the first dark ring, if the numbers are known."""
+    if not all(map(is_known, (wavelength, f_number, pixel_pitch))):
+        return
+    ring = _FIRST_ZERO * float(np.max(wavelength) * np.max(f_number) / np.min(pixel_pitch))
+    if size / 2 < ring < np.inf:
+        warn_caller(
+            f"Diffraction: a kernel of {size} pixels ends within the first dark ring, whose radius "
+            f"is {ring:.3g} pixels, and keeps the picture too sharp; give size = "
+            f"{2 * int(np.ceil(2 * ring)) + 1} or more."
+        )
 
 
 @takes_numbers

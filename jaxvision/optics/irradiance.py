@@ -13,16 +13,19 @@ Source:
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ..core._arguments import takes_numbers
+from ..core._arguments import takes_numbers, warn_caller
 from ..core._numerics import divide, smallest_divisor
-from ..core._types import Colour, Image, Scalar, as_float
+from ..core._types import Colour, Image, Scalar, as_float, is_known
 from ..scene import Orthographic, ThinLens, View
 from .aperture import aperture_area
 from .diffraction import diffracted
 from .distortion import distortion_area
 from .views import chief_slope, pixel_grid, sensor_vergence
 from .vignetting import clear_fraction
+
+WIDEST = 0.5  # f-number at which a lens in air gathers light from a whole hemisphere
 
 
 @takes_numbers
@@ -95,6 +98,13 @@ def sensor_irradiance(view: View, radiance: Image) -> Image:
         raise ValueError(
             f"radiance must be {view.resolution} and bands, as the view's resolution, got shape "
             f"{radiance.shape}."
+        )
+    number = view.f_number
+    if number is not None and is_known(number) and 0 < float(np.min(number)) < WIDEST:
+        warn_caller(
+            f"sensor_irradiance: a lens in air is at most f/{WIDEST:g}, where it gathers light of "
+            f"a whole hemisphere; at f/{float(np.min(number)):g} the sensor may get more than pi "
+            "times the radiance."
         )
     over_columns = jax.vmap(pixel_irradiance, in_axes=(None, 0, None, 0))
     over_rows = jax.vmap(over_columns, in_axes=(None, 0, 0, None))

@@ -617,3 +617,41 @@ def test_no_sensor_is_in_focus_at_a_virtual_image():
     with pytest.raises(ValueError, match=r"virtual image behind a focal length of -0\.05 m"):
         jv.circle_of_confusion(3.0, 1.0, -0.05, 8.0)
     assert float(jv.image_distance(0.03, 0.05)) == pytest.approx(-0.075)
+
+
+def test_a_lens_that_no_glass_allows_is_named():
+    """Conservation of energy: no sensor gets more than pi times a uniform radiance. In focus at
+    infinity that is f/0.5 (E = pi L / 4 N^2 on the axis)."""
+
+    def on_axis(f_number):
+        lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(1, 1), f_number=f_number)
+        return float(jv.sensor_irradiance(lens, np.ones((1, 1, 1)))[0, 0, 0])
+
+    assert on_axis(0.5) == pytest.approx(np.pi)
+    with pytest.warns(UserWarning, match=r"at most f/0\.5, .* at f/0\.3 the sensor may get more"):
+        assert on_axis(0.3) > np.pi
+
+
+def test_a_record_that_is_missing_is_named():
+    """A lamp without a material has one that reflects nothing; None is no material."""
+    lamp = jv.Sphere([0, 0, 0], 1.0)
+    with pytest.raises(ValueError, match=r"Surface\.material must be .*Material, got None"):
+        jv.Surface(lamp, None, emission=[1.0])
+    with pytest.raises(ValueError, match=r"Surface\.shape must be .*Sphere.*, got None"):
+        jv.Surface(None, GREY)
+
+
+def test_a_kernel_of_diffraction_that_cuts_its_rings_is_named():
+    """f/64 on pixels of 1 um: the first dark ring has a radius of 43 pixels, the default kernel 16.
+    The middle pixel keeps pi / (2 lambda N)^2 of a point's light."""
+    lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-6, resolution=(1, 1), f_number=64.0)
+    true = np.pi / (2 * 550e-9 * 64) ** 2 * 1e-12
+    pitch = jnp.asarray(1e-6)
+    with pytest.warns(
+        UserWarning, match=r"first dark ring, .* 42\.9 pixels, .* size = 173"
+    ) as said:
+        small = jv.optics.lens_kernel(lens, jv.Diffraction(550e-9), pitch)
+    assert len(said) == 1
+    assert float(small[16, 16]) > 1.5 * true
+    wide = jv.optics.lens_kernel(lens, jv.Diffraction(550e-9, size=173), pitch)
+    assert float(wide[86, 86]) == pytest.approx(true, rel=0.12)
