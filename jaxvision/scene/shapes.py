@@ -4,6 +4,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..core._shown import Shown
@@ -14,6 +15,7 @@ from ..core._types import (
     as_optional_float,
     check_direction,
     check_fields,
+    is_known,
     plain_array,
     print_by_name,
     within_integers,
@@ -146,7 +148,7 @@ def _as_indices(x: Any) -> Array:
 class TriangleMesh(Shown):
     """Triangles. The front of each is the side from which its vertices are counterclockwise.
 
-    A triangle without area is never hit, and a vertex index out of range is clipped.
+    A triangle without area is never hit, and a traced vertex index out of range is clipped.
     `geometry.problems` reports both, and faces that vertex normals make black.
 
     Attributes:
@@ -177,6 +179,14 @@ class TriangleMesh(Shown):
         check_fields(self)
         if 0 in (len(self.vertices), len(self.faces)):
             raise ValueError("TriangleMesh must hold at least one triangle, got none.")
+        if is_known(self.faces):
+            faces, count = np.asarray(self.faces), len(self.vertices)
+            outside = (faces < 0) | (faces >= count)
+            if outside.any():
+                raise ValueError(
+                    f"TriangleMesh.faces must be numbers of its {count} vertices, from 0 to "
+                    f"{count - 1}, got {faces[outside][0]}."
+                )
 
 
 Shape = Sphere | Plane | Disc | Quad | Box | TriangleMesh

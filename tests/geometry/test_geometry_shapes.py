@@ -317,7 +317,10 @@ def test_many_shapes_are_found_as_few_are():
         (Box([0, 0, 0], [1, 0, 1]), "half_extents must be positive"),
         (Box([0, 0, 0], [1, 1, 1], rotation=2 * np.eye(3)), "not unit and orthogonal"),
         (TriangleMesh([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]], [[0, 1, 2]]), "not finite: 2 "),
-        (TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 3]]), "outside 0 to 2: 0"),
+        (
+            jax.tree.map(lambda x: 2 * x, TriangleMesh(np.eye(3), [[0, 1, 2]])),
+            "outside 0 to 2: 0",
+        ),
         (TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]), "without area"),
     ],
 )
@@ -337,6 +340,9 @@ def test_shapes_are_checked_where_they_are_made():
         TriangleMesh([[0, 0], [1, 1]], [[0, 1, 1]])
     with pytest.raises(ValueError, match="whole numbers"):
         TriangleMesh([[0, 0, 0.0]], [[0.5, 1, 2]])
+    for last in (3, -1):  # counted from 1, or from the end, as OBJ files do
+        with pytest.raises(ValueError, match=rf"its 3 vertices, from 0 to 2, got {last}\."):
+            TriangleMesh(np.eye(3), [[0, 1, last]])
     with pytest.raises(ValueError, match="at least one triangle"):
         TriangleMesh(np.zeros((3, 3)), np.zeros((0, 3), int))
     with pytest.raises(ValueError, match=r"normals must have shape \(3, 3\)"):
