@@ -124,8 +124,7 @@ def test_samples_follow_their_density(kind):
 @pytest.mark.sweep
 @pytest.mark.parametrize("peak", [5e5, 1e7, 1e9])
 def test_a_sun_in_float32_is_drawn_as_its_density_says(peak):
-    """Every uniform float32, one by one: 2^23 of them, the multiples of 2^-23. The sky about the
-    sun is 1; no pixel of it may be out of reach, and none may weigh more than the whole sky."""
+    """Every uniform float32, one by one: 2^23 of them, the multiples of 2^-23."""
     h, w, row, column = 256, 512, 50, 300
     picture = np.ones((h, w, 1), np.float32)
     picture[row, column] = peak
@@ -152,25 +151,6 @@ def test_a_sun_in_float32_is_drawn_as_its_density_says(peak):
     power = 4 * np.pi + peak * solid_angle[row]
     assert (1 / density).max() < 1.01 * power
     assert (0.75**2 * peak + 1) / density[row, column] < 1.02 * power
-
-
-@pytest.mark.slow
-def test_a_sun_in_float32_is_found_by_random_samples():
-    """The horizontal irradiance of sky and sun: pi, and the bilinear sun in closed form, a product
-    of two tents: its cosines by integrals of tent(theta) cos(theta) sin(theta)."""
-    h, w, row, peak = 64, 128, 10, 1e7
-    picture = np.ones((h, w, 1), np.float32)
-    picture[row, 30] = 1 + peak
-    step, middle = np.pi / h, np.pi * (row + 0.5) / h
-    # sin(2 t) / 2 against a tent of half width `step`
-    tall = np.sin(2 * middle) / 2 * (np.sin(step) ** 2 / step)
-    truth = np.pi + peak * tall * 2 * np.pi / w
-    sky = environment_map(picture)
-    up = jnp.asarray([0, 0, 1], jnp.float32)
-    rule = MonteCarlo(jax.random.key(4), 2**14)
-    drawn = jax.jit(irradiance)(sky, 0 * up, up, rule=rule)
-    assert drawn.dtype == np.float32
-    np.testing.assert_allclose(drawn, truth, rtol=4e-3)
 
 
 @pytest.mark.slow

@@ -8,31 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision import (
-    AmbientLight,
-    Lambert,
-    LightFieldLight,
-    Pinhole,
-    Plane,
-    PointLight,
-    Quadrature,
-    Ray,
-    RectangleLight,
-    Scene,
-    Sphere,
-    Surface,
-    Window,
-    radiance_along,
-    render,
-)
+import jaxvision as jv
 from jaxvision.lights import incident_samples, seen
 from jaxvision.lights.light_field import light_field_radiance, light_field_ray, refocus
 from jaxvision.rendering import render_light_field
 
 # A window of 0.4 x 0.4 m in z = 0 that shines toward -z, where the viewer is; the scene is behind,
 # and its focal window at z = 1 m.
-APERTURE = Window([-0.2, 0.2, 0], [0.4, 0, 0], [0, -0.4, 0])
-FOCAL = Window([-0.8, 0.8, 1], [1.6, 0, 0], [0, -1.6, 0])
+APERTURE = jv.Window([-0.2, 0.2, 0], [0.4, 0, 0], [0, -0.4, 0])
+FOCAL = jv.Window([-0.8, 0.8, 1], [1.6, 0, 0], [0, -1.6, 0])
 RNG = np.random.default_rng(2)
 
 
@@ -45,10 +29,10 @@ def test_between_samples_it_is_linear_in_all_four():
     def truth(s, t, u, v):
         return (1 + s) * (2 - t) * (1 + 3 * u) * (0.5 + v)
 
-    field = LightFieldLight(truth(s, t, u, v)[..., None], APERTURE, FOCAL)
+    field = jv.LightFieldLight(truth(s, t, u, v)[..., None], APERTURE, FOCAL)
     for place in RNG.uniform(size=(5, 4)):
         ray = light_field_ray(APERTURE, FOCAL, jnp.asarray(place))
-        before = Ray(ray.origin - 3.0 * jnp.ones(()) * ray.direction, ray.direction)
+        before = jv.Ray(ray.origin - 3.0 * jnp.ones(()) * ray.direction, ray.direction)
         np.testing.assert_allclose(light_field_radiance(field, before), [truth(*place)], rtol=1e-12)
         np.testing.assert_allclose(seen(field, before).distance, 3.0, rtol=1e-12)
 
@@ -65,9 +49,9 @@ MISSES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MISSES)
 def test_what_it_does_not_hold_is_dark(name):
-    field = LightFieldLight(np.ones((2, 2, 2, 2, 1)), APERTURE, FOCAL)
+    field = jv.LightFieldLight(np.ones((2, 2, 2, 2, 1)), APERTURE, FOCAL)
     origin, direction = (jnp.asarray(x, float) for x in MISSES[name])
-    ray = Ray(origin, direction / jnp.linalg.norm(direction))
+    ray = jv.Ray(origin, direction / jnp.linalg.norm(direction))
     assert (light_field_radiance(field, ray) == 0).all()
     assert all(
         jnp.isfinite(x).all()
@@ -78,11 +62,11 @@ def test_what_it_does_not_hold_is_dark(name):
 @pytest.mark.slow
 def test_the_same_in_all_directions_is_a_rectangle_light():
     """Energy: sample for sample what the uniform rectangle sends, within the field's angles."""
-    wide = Window([-50, 50, 1], [100, 0, 0], [0, -100, 0])
-    field = LightFieldLight(np.full((2, 2, 2, 2, 2), 3.0), APERTURE, wide)
-    lamp = RectangleLight(APERTURE.corner, APERTURE.edge_u, APERTURE.edge_v, [3.0, 3.0])
+    wide = jv.Window([-50, 50, 1], [100, 0, 0], [0, -100, 0])
+    field = jv.LightFieldLight(np.full((2, 2, 2, 2, 2), 3.0), APERTURE, wide)
+    lamp = jv.RectangleLight(APERTURE.corner, APERTURE.edge_u, APERTURE.edge_v, [3.0, 3.0])
     point = jnp.asarray([0.3, -0.1, -0.4])
-    got, expected = (incident_samples(light, point, Quadrature(5)) for light in (field, lamp))
+    got, expected = (incident_samples(light, point, jv.Quadrature(5)) for light in (field, lamp))
     np.testing.assert_array_equal(got.direction, expected.direction)
     np.testing.assert_allclose(got.irradiance, expected.irradiance, rtol=1e-13)
     assert (expected.irradiance > 0).all()
@@ -90,8 +74,10 @@ def test_the_same_in_all_directions_is_a_rectangle_light():
 
 def behind():
     """A great ball just beyond the focal window, lit from nearby: smooth enough for few samples."""
-    ball = Surface(Sphere([0.1, 0, 3], 2), Lambert([0.3, 0.1], ambient=[0.1, 0.2]))
-    return Scene([ball], [PointLight([0.5, 0.3, 0.5], [1.0, 2.0])], AmbientLight([1.0, 1.0]))
+    ball = jv.Surface(jv.Sphere([0.1, 0, 3], 2), jv.Lambert([0.3, 0.1], ambient=[0.1, 0.2]))
+    return jv.Scene(
+        [ball], [jv.PointLight([0.5, 0.3, 0.5], [1.0, 2.0])], jv.AmbientLight([1.0, 1.0])
+    )
 
 
 @pytest.fixture(scope="module")
@@ -101,15 +87,15 @@ def recorded():
 
 
 def camera(z):
-    return Pinhole([0.03, -0.02, z], np.eye(3), 1.0, 0.01, resolution=(12, 14))
+    return jv.Pinhole([0.03, -0.02, z], np.eye(3), 1.0, 0.01, resolution=(12, 14))
 
 
 @pytest.mark.slow
 def test_a_camera_that_looks_through_the_window_sees_the_scene(recorded):
     """Pixel by pixel what it sees with the window away."""
-    elsewhere = Surface(Plane([0, 5, 0], [0, -1, 0]), Lambert([0.0, 0.0]))
-    draw = jax.jit(render)
-    through = draw(Scene([elsewhere], [recorded]), camera(-0.6))
+    elsewhere = jv.Surface(jv.Plane([0, 5, 0], [0, -1, 0]), jv.Lambert([0.0, 0.0]))
+    draw = jax.jit(jv.render)
+    through = draw(jv.Scene([elsewhere], [recorded]), camera(-0.6))
     direct = draw(behind(), camera(-0.6))
     assert direct.std() > 0.1 * direct.mean()
     np.testing.assert_allclose(through, direct, rtol=2e-3)
@@ -118,13 +104,13 @@ def test_a_camera_that_looks_through_the_window_sees_the_scene(recorded):
 @pytest.mark.slow
 def test_the_window_lights_what_is_before_it(recorded):
     """Against the scene itself looked at through the same window, place by place."""
-    point, rule = jnp.asarray([0.1, 0.05, -1.0]), Quadrature(4)
+    point, rule = jnp.asarray([0.1, 0.05, -1.0]), jv.Quadrature(4)
     arriving = incident_samples(recorded, point, rule)
-    lamp = RectangleLight(APERTURE.corner, APERTURE.edge_u, APERTURE.edge_v, [1.0, 1.0])
+    lamp = jv.RectangleLight(APERTURE.corner, APERTURE.edge_u, APERTURE.edge_v, [1.0, 1.0])
     even = incident_samples(lamp, point, rule)
 
     def look(direction):
-        return radiance_along(behind(), Ray(point, direction))
+        return jv.radiance_along(behind(), jv.Ray(point, direction))
 
     expected = jax.jit(jax.vmap(look))(even.direction) * even.irradiance
     np.testing.assert_allclose(arriving.irradiance, expected, rtol=2e-3)
@@ -132,11 +118,10 @@ def test_the_window_lights_what_is_before_it(recorded):
 
 @pytest.mark.slow
 def test_refocusing_keeps_its_plane_sharp_and_blurs_the_others():
-    """A stripe pattern on the focal plane: at that depth the full aperture returns it; in front of
-    it, only a small opening does."""
+    """A stripe pattern on the focal plane: at that depth the full aperture returns it."""
     u = np.linspace(0, 1, 161)
     stripes = np.broadcast_to((1 + np.sin(2 * np.pi * 20 * u))[:, None, None], (161, 2, 1))
-    field = LightFieldLight(np.broadcast_to(stripes, (2, 2, 161, 2, 1)).copy(), APERTURE, FOCAL)
+    field = jv.LightFieldLight(np.broadcast_to(stripes, (2, 2, 161, 2, 1)).copy(), APERTURE, FOCAL)
     x = jnp.linspace(-0.1, 0.1, 41)
 
     def contrast(depth, opening):
@@ -155,24 +140,32 @@ def test_refocusing_keeps_its_plane_sharp_and_blurs_the_others():
 
 def test_wrong_shapes_are_named():
     with pytest.raises(ValueError, match=r"must have shape \(s, t, u, v, bands\), got \(2, 2, 3\)"):
-        LightFieldLight(np.ones((2, 2, 3)), APERTURE, FOCAL)
+        jv.LightFieldLight(np.ones((2, 2, 3)), APERTURE, FOCAL)
     with pytest.raises(ValueError, match=r"Window.edge_u must have shape \(3,\)"):
-        Window([0, 0, 0], [1, 0], [0, 1, 0])
+        jv.Window([0, 0, 0], [1, 0], [0, 1, 0])
 
 
 @pytest.mark.parametrize(
     ("aperture", "focal", "message"),
     [
         (APERTURE, APERTURE, "behind or before the aperture, got a distance of 0 m"),
-        (APERTURE, Window([5, 0, 1e-7], [1, 0, 0], [0, -1, 0]), "behind or before the aperture"),
-        (APERTURE, Window([0, 0, 1], [0.6, 0, 0.8], [0, -1, 0]), "parallel .* got 0.927 rad"),
-        (APERTURE, Window([0, 0, 1], [1, 0, 0], [2, 0, 0]), "focal must be a window with an area"),
-        (Window([0, 0, 0], [0, 0, 0], [0, 1, 0]), FOCAL, "aperture must be a window with an area"),
+        (APERTURE, jv.Window([5, 0, 1e-7], [1, 0, 0], [0, -1, 0]), "behind or before the aperture"),
+        (APERTURE, jv.Window([0, 0, 1], [0.6, 0, 0.8], [0, -1, 0]), "parallel .* got 0.927 rad"),
+        (
+            APERTURE,
+            jv.Window([0, 0, 1], [1, 0, 0], [2, 0, 0]),
+            "focal must be a window with an area",
+        ),
+        (
+            jv.Window([0, 0, 0], [0, 0, 0], [0, 1, 0]),
+            FOCAL,
+            "aperture must be a window with an area",
+        ),
     ],
 )
 def test_windows_that_make_no_light_field_are_named(aperture, focal, message):
     with pytest.raises(ValueError, match=message):
-        LightFieldLight(np.ones((2, 2, 2, 2, 1)), aperture, focal)
+        jv.LightFieldLight(np.ones((2, 2, 2, 2, 1)), aperture, focal)
 
 
 def test_windows_far_out_turned_and_traced_are_taken():
@@ -183,8 +176,8 @@ def test_windows_far_out_turned_and_traced_are_taken():
     corners = [turn @ np.array([699.8, 600.2, 400 + z]) for z in (0, 1)]
     edges = [(0.1 * turn[0], 0.3 * turn[1]), (0.7 * turn[0], -0.9 * turn[1])]
     windows = [
-        Window(*(np.float32(a) for a in (c, *e))) for c, e in zip(corners, edges, strict=True)
+        jv.Window(*(np.float32(a) for a in (c, *e))) for c, e in zip(corners, edges, strict=True)
     ]
-    LightFieldLight(np.ones((2, 2, 2, 2, 1), np.float32), *windows)
-    made = jax.eval_shape(lambda w: LightFieldLight(jnp.ones((2, 2, 2, 2, 1)), w, w), APERTURE)
+    jv.LightFieldLight(np.ones((2, 2, 2, 2, 1), np.float32), *windows)
+    made = jax.eval_shape(lambda w: jv.LightFieldLight(jnp.ones((2, 2, 2, 2, 1)), w, w), APERTURE)
     assert made.radiance.shape == (2, 2, 2, 2, 1)

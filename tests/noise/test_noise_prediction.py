@@ -10,6 +10,7 @@ from commands import called
 from scipy.stats import norm
 
 import fitting.noise.calibration as calibrations
+import jaxvision as jv
 from fitting.cli import app
 from fitting.noise import Camera, calibrate, from_frames, predict
 from fitting.noise.levels import Levels, PhotonTransfer
@@ -19,22 +20,14 @@ from fitting.noise.prediction.predict import levels_kept_out, predict_own_frames
 from fitting.noise.prediction.section import NOTHING_KNOWN, findings, section
 from fitting.noise.sensor import fitted_sensor
 from fitting.noise.shared import SharedVariance
-from jaxvision import (
-    Compression,
-    PoissonShotNoise,
-    Sensor,
-    raw_image,
-    read_sensor,
-    write_sensor,
-)
 from jaxvision.errors import InputError
 
 GAIN, EFFICIENCY, READ, BLACK, CURRENT = 0.25, 0.5, 5.0, 64.0, 100.0
 SIZE, FRAMES = 96, 4
 PHOTONS = np.linspace(240.0, 24_000.0, 12)
 EXPOSURES = np.linspace(0.001, 0.02, 12)
-PLAIN = Sensor(
-    shot_noise=PoissonShotNoise(),
+PLAIN = jv.Sensor(
+    shot_noise=jv.PoissonShotNoise(),
     quantum_efficiency=EFFICIENCY,
     read_noise=READ,
     dark_current=CURRENT,
@@ -98,7 +91,7 @@ def measured(rng, *, chance=1.0, **planted):
 
 def test_a_sensor_predicts_the_closed_form_of_every_quantity():
     top = EFFICIENCY * PHOTONS[-1]
-    sensor = replace(PLAIN, row_noise=6.0, nonlinearity=Compression(0.04, electrons=top))
+    sensor = replace(PLAIN, row_noise=6.0, nonlinearity=jv.Compression(0.04, electrons=top))
     sensor = replace(sensor, light_offset=30.0)
     planted = {"rows": 6.0, "curve": 0.04, "leak": 30.0}
     exact = measured(np.random.default_rng(0), chance=0.0, **planted)
@@ -212,7 +205,7 @@ def frames_of(sensor, key, photons, seconds, count=FRAMES, size=64):
     keys = jax.random.split(jax.random.fold_in(jax.random.key(3), key), count)
     light = jnp.full((size, size, 1), photons / seconds)
     sensor = replace(sensor, exposure_time=seconds)
-    draw = jax.jit(lambda one: raw_image(one, sensor, light, die_key=jax.random.key(8))[..., 0])
+    draw = jax.jit(lambda one: jv.raw_image(one, sensor, light, die_key=jax.random.key(8))[..., 0])
     return [np.asarray(draw(one)) for one in keys]
 
 
@@ -234,9 +227,9 @@ def afternoon():
 def test_every_effect_that_is_found_is_in_the_written_file(afternoon, tmp_path):
     truth, calibration = afternoon
     best, draws = fitted_sensor(calibration)
-    write_sensor(best, tmp_path / "sensor.toml", draws=draws)
-    read = read_sensor(tmp_path / "sensor.toml")
-    many = read_sensor(tmp_path / "sensor.toml", draws=500)
+    jv.write_sensor(best, tmp_path / "sensor.toml", draws=draws)
+    read = jv.read_sensor(tmp_path / "sensor.toml")
+    many = jv.read_sensor(tmp_path / "sensor.toml", draws=500)
     for name in ("row_noise", "column_dsnu", "read_noise", "full_well", "gain"):
         value, drawn = float(getattr(read, name)), np.asarray(getattr(many, name))
         assert abs(value - float(getattr(truth, name))) < 4 * drawn.std(), name
@@ -307,10 +300,9 @@ def test_bad_input_is_named(tmp_path):
 
 @pytest.mark.parametrize(("read", "dsnu"), [(0.3, 1.0), (0.3, 0.25), (0.2, 4.0), (0.3, 0.0)])
 def test_rounded_darks_of_a_die_are_predicted(read, dsnu):
-    """Codes of .8 DN/e- about 64.3 by the Normal distribution function: the mean of all pixels, the
-    temporal variance, and the scatter of both over dies of equal mean and spread of the offsets."""
+    """Codes of .8 DN/e- about 64.3 by the Normal distribution function."""
     gain, black = 0.8, 64.3
-    sensor = Sensor(read_noise=read, dsnu=dsnu, gain=gain, offset=black, bits=12)
+    sensor = jv.Sensor(read_noise=read, dsnu=dsnu, gain=gain, offset=black, bits=12)
     dark = Lit(np.zeros(1), np.full(1, 0.01), np.zeros(1))
     found, die = clipped(sensor, dark)
     codes, places = np.arange(20, 110)[:, None], np.linspace(-6, 6, 4001)

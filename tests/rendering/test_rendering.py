@@ -62,8 +62,7 @@ def blocked_by_ball(point, lamp):
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_hard_shadows_against_a_loop_over_pixels(dtype):
-    """E = I cos / d^2 on the floor, where the segment to the lamp passes the ball 0; the sun's
-    shadow beside it, from the other side."""
+    """E = I cos / d^2 on the floor, where the segment to the lamp passes the ball 0."""
     lamp, sun = np.array([1.5, 1, 3.0]), np.array([-1.0, 0, 2])
     lights = [PointLight(lamp, [5.0, 4]), DirectionalLight(sun, [1.0, 2])]
     scene, view = as_dtype((Scene([FLOOR, Surface(BALL, Lambert(KD))], lights), VIEW), dtype)
@@ -104,8 +103,7 @@ RULES = {
 @pytest.mark.sweep
 @pytest.mark.parametrize("rule", RULES)
 def test_a_soft_shadow_is_the_rectangle_that_the_blocker_leaves(rule):
-    """A long plate at half the height hides x > c of the lamp from each point: what is left is a
-    rectangle, whose irradiance has a closed form."""
+    """A long plate at half the height hides x > c of the lamp from each point."""
     rule, tolerance = RULES[rule]
     plate = Surface(Quad([0.1, -50, 1], [60, 0, 0], [0, 100, 0]), Lambert(KD))
     scene = Scene([FLOOR, plate], [LAMP])
@@ -145,24 +143,6 @@ def operations(jaxpr, call=None):
     jaxprs = [getattr(value, "jaxpr", value) for value in inner]
     own = sum(call in (None, equation.params.get("name")) for equation in jaxpr.eqns)
     return own + sum(operations(x, call) for x in jaxprs if hasattr(x, "eqns"))
-
-
-@pytest.mark.slow
-def test_an_absent_shadow_is_not_traced():
-    """From the jaxpr: without shadows fewer operations, and one shape that cannot shade itself
-    has none to begin with."""
-    light = [PointLight([1.5, 1, 3.0], [5.0, 4])]
-
-    def count(surfaces, occluders=None):
-        scene = Scene(surfaces, light, occluders=occluders)
-        return operations(jax.make_jaxpr(render)(scene, VIEW).jaxpr)
-
-    ball = Surface(BALL, Lambert(KD))
-    assert count([FLOOR, ball]) > count([FLOOR, ball], [1]) > count([FLOOR, ball], ()) + 30
-    for alone in (FLOOR, ball):
-        assert count([alone]) == count([alone], ())
-    both_sides = [Surface(BALL, Lambert(KD), two_sided=True)]
-    assert count(both_sides) > count(both_sides, ()) + 30
 
 
 @pytest.mark.slow
@@ -209,9 +189,7 @@ def test_occluders_are_the_surfaces_that_block():
 
 @pytest.mark.slow
 def test_each_light_by_its_own_rule():
-    """Light adds up: two lamps of two rules are the pictures of each lamp alone, by its rule; a
-    None stands for the rule of the call. As many lights of one kind, and of one place, as need a
-    loop."""
+    """Light adds up: two lamps of two rules are the pictures of each lamp alone, by its rule."""
     fine, drawn = Quadrature(6), MonteCarlo(jax.random.key(3), 7)
     other = RectangleLight([1.0, 1, 3], [0, 0.5, 0], [0.5, 0, 0], [3.0, 2])
     point = PointLight([1.5, 1, 3.0], [5.0, 4])
@@ -289,8 +267,7 @@ def test_a_surface_that_shines_is_seen_shining_from_its_front():
 
 @pytest.mark.slow
 def test_a_mesh_with_normals_looks_like_the_ball_it_stands_for():
-    """3840 triangles with the ball's own normals: radiance within the squared size of a triangle,
-    shadow on the floor included; flat ones are ten times worse."""
+    """3840 triangles with the ball's own normals."""
     ball = trimesh.creation.icosphere(subdivisions=3)
     vertices = ball.vertices * float(BALL.radius) + np.asarray(BALL.centre)
     light = [PointLight([1.5, 1, 3.0], [5.0, 4])]
@@ -307,8 +284,7 @@ def test_a_mesh_with_normals_looks_like_the_ball_it_stands_for():
 
 
 def test_a_mesh_alone_shades_itself():
-    """A floor and a leaf above it as one mesh under a lamp: I cos / d^2 beside the shadow, and
-    nothing in it."""
+    """A floor and a leaf above it as one mesh under a lamp."""
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     vertices = np.concatenate([square, 0.3 * square + [0, 0, 0.5]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
@@ -322,8 +298,7 @@ def test_a_mesh_alone_shades_itself():
 
 @pytest.mark.slow
 def test_gradients_through_shadows():
-    """Radiance is linear in k_d and in the light's intensity, so their gradients are quotients;
-    in the light's place, finite differences where no shadow edge passes."""
+    """Radiance is linear in k_d and in the light's intensity, so their gradients are quotients."""
     light = PointLight([1.5, 1, 3.0], [5.0, 4])
     scene = Scene([FLOOR, Surface(BALL, Lambert(KD))], [light])
     down = ray([-1.0, 0.5, 5.0], [0.0, 0, -1])
@@ -369,8 +344,7 @@ LENS = ThinLens(
 
 @pytest.mark.slow
 def test_pixels_do_not_depend_on_the_cut_nor_samples_on_the_call():
-    """Some pixels alone, in another order, equal those of the whole picture to the last bit; six
-    samples are the mean of the first three and the next three."""
+    """Some pixels alone, in another order, equal those of the whole picture to the last bit."""
     lamps = [PointLight([1.5, 1, 3.0], [5.0, 4]), LAMP]
     scene = Scene([FLOOR, Surface(BALL, Lambert(KD))], lamps)
     rule, key = MonteCarlo(jax.random.key(1), 3), jax.random.key(2)

@@ -44,20 +44,6 @@ def test_a_lamp_in_a_body_is_absorbed_on_the_way_to_it():
 
 
 @pytest.mark.slow
-def test_light_of_a_bulb_in_a_body_is_absorbed_on_its_way_to_a_surface():
-    """albedo I cos / (pi d^2), less what is lost from the rim to the leaf and from the bulb."""
-    bulb = np.array([0.3, -0.1, 0.6])
-    target, start = np.array([0.1, 0.1, -0.5]), np.array([0.1, 0.1, 3.0])
-    away = bulb - target
-    d = np.linalg.norm(away)
-    within = np.sqrt(4 - 0.02) + 0.5
-    expected = 0.5 / np.pi * 3 * away[2] / d**3 * np.exp(-d - within)
-    scene = Scene([BALL, LEAF], [PointLight(bulb, [3.0])])
-    ray = Ray(jnp.asarray(start), jnp.asarray([0, 0, -1.0]))
-    np.testing.assert_allclose(both(scene, ray), expected, rtol=1e-6)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["lights", "surfaces", "balance"])
 def test_every_strategy_finds_what_a_glowing_ball_sends_through_a_body(strategy):
     """Against a sum over the ball's surface, with exp(-d) on the way from each place of it."""

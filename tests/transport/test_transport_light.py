@@ -7,17 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision import (
-    DirectionalLight,
-    Lambert,
-    Mirror,
-    Orthographic,
-    Pinhole,
-    PointLight,
-    RectangleLight,
-    SmallLight,
-    environment_map,
-)
+import jaxvision as jv
 from jaxvision.brdf.glass import Glass
 from jaxvision.core._vector import as_array
 from jaxvision.geometry import Ray, ball_around
@@ -35,7 +25,7 @@ from jaxvision.transport._emitters import emitters_of
 from jaxvision.transport.light_paths import _emitted as emitted
 
 KEY = jax.random.key(2)
-BLACK = Lambert([0.0, 0.0])
+BLACK = jv.Lambert([0.0, 0.0])
 
 # ------------------------------------------------ mirror and glass, ray by ray
 
@@ -110,7 +100,7 @@ def traced_by_numpy(o, d, weight=1.0):
 def spheres():
     surfaces = [Surface(Quad(c, u, v), BLACK, e) for c, u, v, e in WALLS]
     surfaces.append(Surface(Sphere(GLASS[0], GLASS[1]), Glass(GLASS[2])))
-    surfaces.append(Surface(Sphere(*MIRROR), Mirror(REFLECTANCE)))
+    surfaces.append(Surface(Sphere(*MIRROR), jv.Mirror(REFLECTANCE)))
     return Scene(surfaces, [])
 
 
@@ -138,9 +128,9 @@ def test_glass_and_mirror_ray_by_ray():
 @pytest.mark.slow
 def test_trees_that_are_passed_over_change_nothing():
     """More rays than a block, few of them to glass: the same numbers and slopes as one by one."""
-    floor = Surface(Plane([0, 0, -1.0], [0, 0, 1.0]), Lambert([0.2, 0.1]))
+    floor = Surface(Plane([0, 0, -1.0], [0, 0, 1.0]), jv.Lambert([0.2, 0.1]))
     ball = Surface(Sphere([0.1, 0, 0], 0.5), Glass(1.5))
-    scene = Scene([floor, ball], [PointLight([1.0, 0.5, 2], [3.0, 4])])
+    scene = Scene([floor, ball], [jv.PointLight([1.0, 0.5, 2], [3.0, 4])])
     rng = np.random.default_rng(5)
     eyes = np.array([0, 0, 3.0]) + rng.uniform(-1, 1, (700, 3)) * [2, 2, 0.5]
     down = np.broadcast_to([0, 0, -1.0], eyes.shape)
@@ -166,14 +156,13 @@ def test_trees_that_are_passed_over_change_nothing():
 
 @pytest.mark.slow
 def test_ray_tree_is_the_path_tracer_where_nothing_bounces():
-    """Diffuse floor, mirror, a lamp with a soft shadow: quadrature against random paths of direct
-    light; the mirror's own paths have one piece more."""
-    floor = Surface(Plane([0, 0, 0], [0, 0, 1.0]), Lambert([0.2, 0.1]))
+    """Diffuse floor, mirror, a lamp with a soft shadow."""
+    floor = Surface(Plane([0, 0, 0], [0, 0, 1.0]), jv.Lambert([0.2, 0.1]))
     ball = Surface(Sphere([0.3, 0.2, 0.4], 0.3), BLACK)
-    lamp = RectangleLight([-0.3, -0.3, 2.0], [0, 0.6, 0], [0.6, 0, 0], [5.0, 4.0])
+    lamp = jv.RectangleLight([-0.3, -0.3, 2.0], [0, 0.6, 0], [0.6, 0, 0], [5.0, 4.0])
     scene = Scene([floor, ball], [lamp])
     down = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
-    view = Orthographic([0.0, 0, 1.5], down, 0.1, resolution=(6, 8))
+    view = jv.Orthographic([0.0, 0, 1.5], down, 0.1, resolution=(6, 8))
     tree = jax.jit(ray_traced)(scene, view)
     paths = jax.jit(partial(path_traced, method=Paths(400, 2, strategy="lights")))(KEY, scene, view)
     apart = np.abs(tree - paths.radiance)
@@ -238,16 +227,16 @@ PATCH = ([-0.3, -0.2, 1.2], [0.0, 0.4, 0], [0.6, 0.0, 0])
 CORNERS = np.array([PATCH[0], np.add(PATCH[0], PATCH[1]), np.add(PATCH[0], PATCH[2])])
 SOURCES = {
     "point": (
-        {"light": PointLight([0.2, 0, 1.0], [3.0, 3.0])},
+        {"light": jv.PointLight([0.2, 0, 1.0], [3.0, 3.0])},
         lambda p: 3 / ((p - [0.2, 0, 1]) @ (p - [0.2, 0, 1])) ** 1.5,
     ),
     "small": (
-        {"light": SmallLight([0.2, 0, 1.0], [0, 0, -2.0], [3.0, 3.0])},
+        {"light": jv.SmallLight([0.2, 0, 1.0], [0, 0, -2.0], [3.0, 3.0])},
         lambda p: 3 / ((p - [0.2, 0, 1]) @ (p - [0.2, 0, 1])) ** 2,
     ),
-    "directional": ({"light": DirectionalLight([0.6, 0, 0.8], [3.0, 3.0])}, lambda p: 2.4),
-    "sky": ({"light": environment_map(np.full((4, 8, 2), 0.5))}, lambda p: 0.5 * np.pi),
-    "rectangle": ({"light": RectangleLight(*PATCH, [2.0, 2.0])}, from_patch(*PATCH)),
+    "directional": ({"light": jv.DirectionalLight([0.6, 0, 0.8], [3.0, 3.0])}, lambda p: 2.4),
+    "sky": ({"light": jv.environment_map(np.full((4, 8, 2), 0.5))}, lambda p: 0.5 * np.pi),
+    "rectangle": ({"light": jv.RectangleLight(*PATCH, [2.0, 2.0])}, from_patch(*PATCH)),
     "light field": (
         {
             "light": LightFieldLight(
@@ -299,9 +288,10 @@ def test_a_disc_and_a_triangle_have_the_flux_of_their_area():
 @pytest.mark.slow
 def test_infinite_light_needs_a_scene_that_ends():
     scene = Scene(
-        [Surface(Plane([0, 0, 0], [0, 0, 1.0]), BLACK)], [DirectionalLight([0, 0, 1.0], [1.0, 1])]
+        [Surface(Plane([0, 0, 0], [0, 0, 1.0]), BLACK)],
+        [jv.DirectionalLight([0, 0, 1.0], [1.0, 1])],
     )
-    view = Orthographic([0.0, 0, 1], np.eye(3), 0.1, resolution=(2, 2))
+    view = jv.Orthographic([0.0, 0, 1], np.eye(3), 0.1, resolution=(2, 2))
     with pytest.raises(ValueError, match="a scene that ends, got a Plane"):
         light_traced(KEY, scene, view, paths=4)
 
@@ -309,7 +299,7 @@ def test_infinite_light_needs_a_scene_that_ends():
 @pytest.mark.slow
 def test_a_plane_that_shines_is_refused():
     floor = Plane([0, 0, 0], [0, 0, 1.0])
-    view = Orthographic([0.0, 0, 1], np.eye(3), 0.1, resolution=(2, 2))
+    view = jv.Orthographic([0.0, 0, 1], np.eye(3), 0.1, resolution=(2, 2))
     scene = Scene([ROOM[0], Surface(floor, BLACK, [2.0, 2.0])], [])
     with pytest.raises(ValueError, match=r"Scene\.surfaces\[1\] shines without end"):
         light_traced(KEY, scene, view, paths=4)
@@ -318,12 +308,12 @@ def test_a_plane_that_shines_is_refused():
 # ------------------------------------------------ two ways, one picture
 
 ROOM = [
-    Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Lambert([0.2, 0.1])),
-    Surface(Quad([1.0, -1, 0], [0, 0, 1.5], [0, 2.0, 0]), Lambert([0.1, 0.25])),
-    Surface(Box([-0.2, 0.1, 0.2], [0.2, 0.2, 0.2]), Lambert([0.2, 0.2])),
+    Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), jv.Lambert([0.2, 0.1])),
+    Surface(Quad([1.0, -1, 0], [0, 0, 1.5], [0, 2.0, 0]), jv.Lambert([0.1, 0.25])),
+    Surface(Box([-0.2, 0.1, 0.2], [0.2, 0.2, 0.2]), jv.Lambert([0.2, 0.2])),
 ]
 CEILING = ([-0.4, -0.4, 1.4], [0, 0.8, 0], [0.8, 0, 0])
-EYE = Pinhole(
+EYE = jv.Pinhole(
     [-0.6, 0.0, 1.2],
     np.array([[0, -1.0, 0], [-0.6, 0, -0.8], [0.8, 0, -0.6]]),
     1.0,
@@ -343,7 +333,7 @@ def chi_square(a, b):
 @pytest.mark.slow
 def test_light_traced_is_path_traced():
     """A room with a box and shadows, light from a lamp: pixel by pixel within the errors."""
-    scene = Scene(ROOM, [RectangleLight(*CEILING, [3.0, 2.0])])
+    scene = Scene(ROOM, [jv.RectangleLight(*CEILING, [3.0, 2.0])])
     light = jax.jit(partial(light_traced, paths=150000, depth=4))(KEY, scene, EYE)
     path = jax.jit(partial(path_traced, method=Paths(600, 4, strategy="lights")))(KEY, scene, EYE)
     assert float(np.mean(light.error) / np.mean(light.radiance)) < 0.05
@@ -355,15 +345,14 @@ def test_light_traced_is_path_traced():
 
 @pytest.mark.slow
 def test_light_reaches_a_lens_that_distorts():
-    """A wall under a point light, seen through a barrel: k_d I cos / d^2 where each pixel's ray
-    meets it, its slope undistorted by bisection in NumPy; the sum over quarters of the picture."""
+    """A wall under a point light, seen through a barrel."""
     k = -0.2
-    view = Pinhole(
+    view = jv.Pinhole(
         [0.0, 0, 0], np.eye(3), 0.01, 1e-3, resolution=(16, 16), distortion=Distortion([k])
     )
-    wall = Surface(Quad([-9.0, -9, 1], [0, 18.0, 0], [18.0, 0, 0]), Lambert([0.25]))
+    wall = Surface(Quad([-9.0, -9, 1], [0, 18.0, 0], [18.0, 0, 0]), jv.Lambert([0.25]))
     lamp = np.array([0.1, -0.2, 0.4])
-    scene = Scene([wall], [PointLight(lamp, [3.0])])
+    scene = Scene([wall], [jv.PointLight(lamp, [3.0])])
     trace = jax.jit(partial(light_traced, paths=20_000, depth=2, samples=1))
     traced = trace(KEY, scene, view)
     side = (np.arange(16) - 7.5) * 0.1
@@ -391,12 +380,12 @@ def test_light_reaches_a_lens_that_distorts():
 def test_caustic_of_a_glass_ball():
     """Light gathered by glass on the floor: from a lamp large enough that paths meet it by chance,
     both agree; light tracing is the surer by far."""
-    lamp = RectangleLight([-0.4, -0.4, 3.0], [0, 0.8, 0], [0.8, 0, 0], [20.0, 20.0])
-    floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Lambert([0.2, 0.1]))
+    lamp = jv.RectangleLight([-0.4, -0.4, 3.0], [0, 0.8, 0], [0.8, 0, 0], [20.0, 20.0])
+    floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), jv.Lambert([0.2, 0.1]))
     scene = Scene([floor, Surface(Sphere([0.0, 0, 0.7], 0.4), Glass(1.5))], [lamp])
     up = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]])
     # from between ball and floor, so that the glass itself is not in the picture
-    view = Orthographic([0.0, 0, 0.2], up * np.array([[1], [-1], [-1]]), 0.1, resolution=(8, 8))
+    view = jv.Orthographic([0.0, 0, 0.2], up * np.array([[1], [-1], [-1]]), 0.1, resolution=(8, 8))
     light = jax.jit(partial(light_traced, paths=400000, depth=6))(KEY, scene, view)
     path = jax.jit(partial(path_traced, method=Paths(6000, 6)))(KEY, scene, view)
     bright = np.asarray(light.radiance)[..., 0].max()
