@@ -103,3 +103,20 @@ def test_highlights_of_a_few_pixels_have_their_width(top, parts):
             assert value is not None
             assert error is not None
             assert abs(value - true) < 3.5 * error, name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("parts", [1, 8])
+def test_channels_are_fitted_as_each_alone(parts):
+    """The brightest, here the middle one, is fitted before the others."""
+    shares = 0.5, 1.0, 0.7
+    linear = [signal(LIGHTS, parts) * share for share in shares]
+    rng = np.random.default_rng(0)
+    grey = [exposed(rng, one) for one in linear]
+    calibration = reflectance.calibrate(observed(np.stack(grey, axis=-1)), model="phong")
+    assert [fit.channel for fit in calibration.reported] == ["red", "green", "blue"]
+    for images, fit in zip(grey, calibration.reported, strict=True):
+        alone = reflectance.calibrate(observed(images), model="phong").reported[0]
+        np.testing.assert_allclose(
+            fit.vector, alone.vector, atol=0.01 * alone.information[0, 0] ** -0.5
+        )

@@ -1,5 +1,6 @@
 """Fits of reflectance models to the photographs of a rig, and their unidentifiable parameters."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -142,8 +143,10 @@ def calibrate(
         )
     cells = cells_of(observation, fitted)
 
-    def fit_models(observation: Photographs) -> dict[Model, tuple[ChannelFit, ...]]:
-        views = [View(observation, channel, fitted) for channel in range(len(observation.channels))]
+    def fit_models(
+        observation: Photographs, channels: Sequence[int]
+    ) -> dict[Model, tuple[ChannelFit, ...]]:
+        views = [View(observation, channel, fitted) for channel in channels]
 
         def fitted_channels(form: Form) -> tuple[ChannelFit, ...]:
             return tuple(fit_channel(view, form, cells) for view in views)
@@ -154,14 +157,25 @@ def calibrate(
             progress(0, len(pieces))  # the first model may take seconds to compile
         return dict(zip(forms, side_by_side(pieces, progress=progress), strict=True))
 
-    fits = fit_models(observation)
-    if observation.within is not None:
-        likeliest = max(fits, key=lambda name: sum(fit.log_likelihood for fit in fits[name]))
-        fit = max(fits[likeliest], key=lambda fit: fit.samples.dn.mean())
+    every = range(len(observation.channels))
+    if observation.within is None:
+        fits = fit_models(observation, every)
+    else:
+        brightest = int(np.argmax(observation.dn.mean(axis=(1, 2))))
+        first = fit_models(observation, [brightest])
+        fit = max((of_model[0] for of_model in first.values()), key=lambda x: x.log_likelihood)
         exact = predict(fit.vector, fit.samples)
         observation = recognise_points(observation, fit.samples, exact, fitted.light)
         if observation.within is None:
-            fits = fit_models(observation)
+            fits = fit_models(observation, every)
+        elif len(every) == 1:
+            fits = first
+        else:
+            rest = fit_models(observation, [i for i in every if i != brightest])
+            fits = {
+                name: (*others[:brightest], *first[name], *others[brightest:])
+                for name, others in rest.items()
+            }
     reasons = {
         fit.channel: open_parameters(fit, matt)
         for fit, matt in zip(fits[model], fits["lambert"], strict=True)
