@@ -106,10 +106,11 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
                 for i, unit in enumerate(units)
                 if part is None and unit is not image and unit.header.get("NAXIS", 0)
             ]
-    for said in {" ".join(str(one.message).split()) for one in caught}:
-        if "truncated" in said:
-            raise InputError(f"{file}: the file is cut short; copy it again from its source.")
-        warn(f"{file}: {said}")
+    notes = dict.fromkeys(" ".join(str(one.message).split()) for one in caught)
+    if any("truncated" in note for note in notes):
+        raise InputError(f"{file}: the file is cut short; copy it again from its source.")
+    for note in notes:
+        warn(f"{file}: {note}")
     pixels = pixels.astype(pixels.dtype.newbyteorder("="))
     known = isinstance(blank, int) and isinstance(zero, int | float)
     if known and np.issubdtype(pixels.dtype, np.integer):  # floating numbers are already NaN

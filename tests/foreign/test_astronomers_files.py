@@ -102,6 +102,11 @@ def test_a_file_cut_short_is_one_sentence(tmp_path):
     (tmp_path / "a.fits").write_bytes(whole[:20_000])
     with pytest.raises(InputError, match=r"a\.fits: (the file is cut short|not readable as FITS)"):
         read_image(tmp_path / "a.fits")
+    strange = whole.replace(b"conforms", b"c\xf6nforms")  # a header that deserves a warning
+    for data in (whole, strange):
+        (tmp_path / "a.fits").write_bytes(data[:43_000])  # within the padding of the last block
+        with pytest.raises(InputError, match=r"a\.fits: the file is cut short; copy it again"):
+            read_image(tmp_path / "a.fits")
 
 
 @pytest.mark.parametrize("pedestal", [-100, 100])
