@@ -23,9 +23,9 @@ class Quadrature(Shown):
     its side, -1.2e-3 at a tenth, -1.9 % at .03 and -34 % at a hundredth (+47 % at other points).
     Order 32 has -4e-4 at a hundredth. `orders.order_for` gives the order for a distance, and
     `adaptive.adaptive_irradiance` chooses it for many receivers. Structure finer than the distance
-    between nodes is missed without a warning:
+    between nodes is missed:
 
-      * The sun of a sky.
+      * The sun of a sky. `render`, `ray_traced`, `capture` and `outgoing_radiance` warn of it.
       * A glossy lobe. For the highlight of GGX facets in a square light, at a distance equal to its
         side, the error is -.9 % (alpha .1), -16 % (.05) and -67 % (.02) at order 8; 2e-5, -.8 %
         and -27 % at 16; and 0, 0 and -3 % at 32. For Phong's exponent 1000 it is up to 120 % at
