@@ -52,9 +52,14 @@ def refuse_toned(
     """Refuse images of one brightness whatever their exposure: a camera or a converter has toned
     each of them."""
     seconds, rises = np.asarray(times, float), []
+    fixed = np.zeros(frames[0].sample.shape, bool) if frames else np.zeros(0, bool)
+    if len({frame.sample.shape for frame in frames}) == 1:  # bars and overlays
+        fixed = np.all([frame.sample == frames[0].sample for frame in frames], axis=0)
     for i, j in combinations(np.argsort(seconds), 2):
         stops, one, other = np.log2(seconds[j] / seconds[i]), frames[i].sample, frames[j].sample
         middle = (one > 0.05 * full_scale) & (one < 0.95 * full_scale)
+        if one.shape == fixed.shape and not fixed.all():
+            middle &= ~fixed
         if stops >= 1 and one.shape == other.shape and middle.sum() >= FEWEST_CLEAR:
             rises.append(float(np.median((other - one)[middle])) / full_scale / stops)
     if rises and np.median(np.abs(rises)) < LEAST_RISE:

@@ -10,6 +10,7 @@ from ..inference.formatting import format_percent, format_with_error
 from ..inference.trust import convergence_in_words
 from .calibration import ChannelResponse, ResponseCalibration
 from .curve import ResponseCurve, ripple
+from .read import unchanged
 from .shape import (
     CHANCE,
     PURE,
@@ -93,11 +94,15 @@ def _black_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _lowest_above_assumed_black(channels: Sequence[ChannelResponse]) -> int | None:
-    """The lowest code of all images, if a black of 0 DN was only assumed and lies below it."""
+    """The lowest code of all images, without pixels that never change, if a black of 0 DN was only
+    assumed and lies below it."""
     if any(c.plane.black_measured or c.plane.black >= 0.5 for c in channels):
         return None
-    lowest = min(int(c.plane.codes.min()) for c in channels)
-    return lowest if lowest > 1 else None
+    lowest = []
+    for plane in (c.plane for c in channels):
+        seen = plane.mask & ~unchanged(plane.codes, plane.exposures)
+        lowest.append(int((plane.codes[:, seen] if seen.any() else plane.codes).min()))
+    return min(lowest) if min(lowest) > 1 else None
 
 
 def _own_blacks_in_words(channels: Sequence[ChannelResponse]) -> str:

@@ -21,6 +21,7 @@ CUTS = 3  # at most
 WIDEST = 1024  # largest side, in pixels, of the compared part, from the middle
 CLEAR = 0.03, 0.95  # shares of the range of codes between which a threshold must lie
 FARTHEST = 8  # largest shift: the picture's side divided by this number
+MOST_FIXED = 0.9  # share of pixels with one number in all images that may be left out
 LEAST = 2.0  # shift, in pixels, from which an image is left out and not moved back
 SURE = 6.0  # standard deviations by which a shift must increase the agreement
 ALIKE = 0.5  # Cohen's kappa of the agreement needed at the found shift
@@ -38,7 +39,11 @@ def moved_exposures(
     if len({np.shape(frame) for frame in frames}) != 1:
         return [], {}  # sizes differ; refused where frames are read
     size: Any = list(cell)  # SciPy's types know one number for all axes only
-    smooth = [uniform_filter(_middle(frame), size) for frame in frames]
+    middles = [_middle(frame) for frame in frames]
+    smooth = [uniform_filter(frame, size) for frame in middles]
+    fixed = np.all([frame == middles[0] for frame in middles], axis=0)
+    if fixed.mean() < MOST_FIXED:  # bars and overlays do not show the scene
+        smooth = [np.where(fixed, np.nan, frame) for frame in smooth]
     steps = [_shift(one, other, full_scale) for one, other in pairwise(smooth)]
     places = np.concatenate([np.zeros((1, 2)), np.cumsum(np.array(steps).reshape(-1, 2), axis=0)])
     far = np.linalg.norm(places[:, None] - places, axis=-1) >= LEAST
@@ -108,14 +113,14 @@ def _shift(
 def _cut(
     one: np.ndarray, other: np.ndarray, quantile: float, full_scale: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return pixels that are brighter (1) or darker (-1) than a quantile, for two images; None if
-    the quantile is black or saturated in one image."""
+    """Return pixels that are brighter (1) or darker (-1) than a quantile, for two images, 0 where
+    they are NaN; None if the quantile is black or saturated in one image."""
     found = []
     for image in (one, other):
-        level, black = np.quantile(image, quantile), float(image.min())
+        level, black = np.nanquantile(image, quantile), float(np.nanmin(image))
         if not CLEAR[0] * full_scale < level - black or not level < CLEAR[1] * full_scale:
             return None
-        found.append(np.sign(image - level))
+        found.append(np.nan_to_num(np.sign(image - level)))
     return found[0], found[1]
 
 

@@ -28,6 +28,8 @@ LONGER = 8.0  # increase of the exposure during which a pixel without light stay
 BRIGHTER = 1.9
 MOSTLY = 0.5  # share of darker pixels from which a longer exposure counts as darker
 FEWEST_ALIKE = 0.005  # least share of constant pixels that determines a level
+DARKER = 0.01  # share of pixels below a level from which it is not black
+FIXED = 0.001  # share of pixels with one number in all images: reported
 LOWEST_STUCK = 0.01  # quantile of the constant codes
 
 Codes = UInt16[np.ndarray, "exposures h w"]
@@ -140,6 +142,12 @@ def read_exposure_stack(
     for group, entries in groupby(ordered, key=lambda entry: entry.group):
         kept = _without_odd_images(rig, tuple(entries), frames, remarks)
         planes += _planes(rig, group, kept, mask, measured_black, frames, converter)
+    fixed = max(float(np.mean(_painted(p.codes, p.exposures, p.black, p.clip))) for p in planes)
+    if fixed > FIXED:
+        remarks.append(
+            f"{format_percent(fixed)} of the pixels have the same number above black in all "
+            "images, as bars, an overlay or dead pixels have, and were left out."
+        )
     step, origin = _grid_of(converter)
     remarks += _converter_in_words(converter, step)
     return ExposureStack(tuple(planes), rig.camera.bits, step, origin, tuple(remarks))
@@ -288,7 +296,7 @@ def _planes(
                 files,
                 times,
                 codes,
-                masks[name],
+                masks[name] & ~_painted(codes, times, black, clip),
                 black,
                 clip,
                 black_sd=camera.black_sd or 0.0,
@@ -314,6 +322,12 @@ def floor_level(
     if dark.sum() <= FEWEST_ALIKE * dark.size:
         return 0.0
     level = float(np.median(before[dark]))
+    # The bars of a film and overlays are unchanged, too. They are not black where the scene is
+    # darker.
+    fixed = unchanged(codes, exposures)
+    scene = before[~fixed]
+    if fixed[dark].mean() > MOSTLY and scene.size and np.mean(scene < level - step) > DARKER:
+        return 0.0
     # By chance, noise keeps a few pixels of any code constant. Other pixels of that code rise with
     # the light, and these rise too as the exposure grows further.
     at_level = np.abs(before - level) <= step
@@ -321,6 +335,20 @@ def floor_level(
     if longer[0] < len(codes) - 1:
         risen.append(np.mean((codes[-1].astype(int) - before > step)[dark]))
     return level if min(risen) < MOSTLY else 0.0
+
+
+def unchanged(codes: Codes, exposures: Float[np.ndarray, " exposures"]) -> Bool[np.ndarray, "h w"]:
+    """Whether a pixel has one number in all images, while the exposure grows at least eightfold."""
+    if exposures[-1] < LONGER * exposures[0]:
+        return np.zeros(codes.shape[1:], bool)
+    return (codes == codes[0]).all(axis=0)
+
+
+def _painted(
+    codes: Codes, exposures: Float[np.ndarray, " exposures"], black: float, clip: float
+) -> Bool[np.ndarray, "h w"]:
+    """Whether a pixel does not see the scene: it is unchanged, and neither black nor clipped."""
+    return unchanged(codes, exposures) & (codes[0] > black) & (codes[0] < clip)
 
 
 def ceiling_level(

@@ -190,6 +190,32 @@ def test_noise_is_no_black_level():
     assert floor_level(codes, np.array(BRACKET), camera) == pytest.approx(20, abs=1)
 
 
+def framed(bar, black):
+    """A linear stack of 12 bits with bars of a film at the top and the bottom."""
+    rng = np.random.default_rng(9)
+    blocks = np.random.default_rng(0).standard_normal((12, 16))
+    light = 40 * ramp(120, 160, low=1, high=300) * np.exp(0.5 * np.kron(blocks, np.ones((10, 10))))
+    codes = []
+    for t in BRACKET:
+        image = np.clip(np.round(black + rng.poisson(light * t) / 4), 0, 4095).astype(np.uint16)
+        image[:20], image[-20:] = bar, bar
+        codes.append(image)
+    return codes
+
+
+def test_bars_of_a_film_are_neither_black_nor_scene():
+    """Bars at 300 DN were taken for the black level of a camera whose black is 64 DN."""
+    codes = framed(300, 64)
+    camera = Camera(bits=12)
+    assert floor_level(np.array(codes), np.array(BRACKET), camera.at("grey")) == 0
+    stack = from_stack(codes, BRACKET, camera=Camera(bits=12, black_level=64.0))
+    assert not stack.planes[0].mask[:20].any()
+    assert stack.planes[0].mask[20:-20].all()
+    assert "33 % of the pixels have the same number above black" in " ".join(stack.remarks)
+    told = " ".join(calibrate(from_stack(framed(0, 64), BRACKET, camera=camera)).section.findings)
+    assert "so the black level may be as high as that" in told
+
+
 @pytest.mark.parametrize("seed", [12, pytest.param(14, marks=pytest.mark.slow)])
 def test_a_linear_bracket_of_three_exposures_is_linear(seed):
     """One of three such was called no pure gamma."""
@@ -633,10 +659,10 @@ def plane(codes, *, black=0.0, measured=False):
             plane=SimpleNamespace(
                 codes=codes,
                 exposures=exposures,
+                mask=np.ones(codes.shape[1:], bool),
                 black=black,
                 black_measured=measured,
                 label="",
-                name="grey",
             )
         )
     ]
