@@ -29,6 +29,7 @@ BRIGHTER = 1.9
 MOSTLY = 0.5  # share of darker pixels from which a longer exposure counts as darker
 FEWEST_ALIKE = 0.005  # least share of constant pixels that determines a level
 DARKER = 0.01  # share of pixels below a level from which it is not black
+DIM = 0.05  # share of the range above black from which a pixel changes with the exposure
 FIXED = 0.001  # share of pixels with one number in all images: reported
 LOWEST_STUCK = 0.01  # quantile of the constant codes
 
@@ -347,8 +348,10 @@ def unchanged(codes: Codes, exposures: Float[np.ndarray, " exposures"]) -> Bool[
 def _painted(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], black: float, clip: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Whether a pixel does not see the scene: it is unchanged, and neither black nor clipped."""
-    return unchanged(codes, exposures) & (codes[0] > black) & (codes[0] < clip)
+    """Whether a pixel does not see the scene: it is unchanged, and neither dark, where noise alone
+    may leave it so, nor clipped."""
+    lit = codes[0] > black + DIM * (clip - black)
+    return unchanged(codes, exposures) & lit & (codes[0] < clip)
 
 
 def ceiling_level(
