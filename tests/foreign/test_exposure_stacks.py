@@ -663,6 +663,7 @@ def plane(codes, *, black=0.0, measured=False):
                 black=black,
                 black_measured=measured,
                 label="",
+                name="grey",
             )
         )
     ]
