@@ -71,6 +71,11 @@ def load(path):
     return IMAGES[path.name]
 
 
+def flats(rig, *, load):
+    """What a noise calibration fits: it only compares its results with what the rig states."""
+    return dataclasses.replace(reduce_rig(rig, load=load), stated=())
+
+
 def photographs(rig, *, load):
     """What a reflectance calibration takes of them: nothing of the camera's own record."""
     return dataclasses.replace(read_reflectance_observation(rig, load=load), camera=None)
@@ -84,7 +89,7 @@ def joint_photographs(rig, *, load):
 
 
 READ = {
-    "noise": reduce_rig,
+    "noise": flats,
     "response": read_exposure_stack,
     "brdf": photographs,
     "joint": joint_photographs,
