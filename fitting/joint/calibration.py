@@ -1,6 +1,6 @@
 """Joint calibration of surface, response and sensor from the same images."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -9,14 +9,17 @@ import numpy as np
 from ..inference.clustering import Robustness, curvature_stretch
 from ..inference.emcee_run import Emcee
 from ..inference.given import require_kind
+from ..inference.parameters import names
 from ..inference.posterior import Posterior
 from ..inference.precision import double_precision
 from ..reflectance.from_images.fit import Adjusted, adjusted_posterior, robust
-from ..reflectance.from_images.pixel_area import fit_and_recognise_points
+from ..reflectance.from_images.optimum import weighed
+from ..reflectance.from_images.pixel_area import recognise_points
 from ..reflectance.from_images.read import Photographs
+from ..reflectance.from_images.samples import View, select
 from ..reflectance.from_images.shading_check import without_strangers
-from ..reflectance.from_images.signal import Form
-from ..reflectance.models import check_index
+from ..reflectance.from_images.signal import Form, parameter_space
+from ..reflectance.models import check_index, has_lobe
 from ..reflectance.names import INDEX, Model
 from ..report.notebook import ShownInNotebooks
 from ..report.progress import Progress
@@ -92,7 +95,7 @@ def calibrate(
     require_kind("joint.calibrate: measurement", measurement, kind, source=source)
     check_index(index)
     form = Form(model, free_gamma=fit_gamma, index=index)
-    observation = fit_and_recognise_points(without_strangers(measurement), form)
+    observation = without_strangers(measurement)
     channels = len(observation.channels)
     fits, posteriors, robusts, halves = [], {}, {}, {}
 
@@ -100,9 +103,13 @@ def calibrate(
         if progress is not None:
             progress(len(STEPS) * len(fits) + steps, len(STEPS) * channels)
 
+    done(0)
+    brightest = int(np.argmax(observation.dn.mean(axis=(1, 2))))
+    first = fit_turned(observation, brightest, form)
+    observation, as_areas = _recognised(observation, brightest, first), observation
     for channel in range(channels):
-        done(0)
-        fit = fit_turned(observation, channel, form)
+        known = channel == brightest and observation is as_areas
+        fit = first if known else fit_turned(observation, channel, form)
         done(1)
         if is_determined(fit):
             shown = image_sandwich(observation, fit)
@@ -115,8 +122,22 @@ def calibrate(
             done(2)
             posteriors[fit.channel] = _posterior(fit, shown, sampling, seed)
         fits.append(fit)
-    done(0)
+        done(0)
     return JointCalibration(observation, model, tuple(fits), posteriors, robusts, halves)
+
+
+def _recognised(observation: Photographs, channel: int, fit: JointFit) -> Photographs:
+    """Return the photographs, with pixels as points if the highlights of a fitted channel show that
+    they are."""
+    seen, known = fit.grid.observation, names(fit.space)  # with the lights as fitted
+    vector = fit.vector[[known.index(name) for name in names(parameter_space(fit.form))]]
+    judged = has_lobe(fit.form.model) and np.isfinite(vector).all()
+    if observation.within is None or not judged:
+        return observation
+    chosen = select(seen, held_out=False, form=fit.form)
+    samples = View(seen, channel, chosen).samples(fit.form)
+    samples = replace(samples, black=np.float64(fit.values["black_level"]))
+    return recognise_points(observation, vector, weighed(vector, samples, None)[0], chosen.light)
 
 
 def is_determined(fit: JointFit) -> bool:

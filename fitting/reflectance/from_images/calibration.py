@@ -24,7 +24,7 @@ from .comparison import ModelScore, compare
 from .fit import ChannelFit, channel_posterior, fit_channel, lights_as_fitted, predicted_image
 from .pixel_area import recognise_points
 from .read import Photographs
-from .samples import Selection, View, cells_of, predict, select
+from .samples import Selection, View, cells_of, select
 from .shading_check import without_strangers
 from .signal import Form, parameter_space
 
@@ -164,8 +164,7 @@ def calibrate(
         brightest = int(np.argmax(observation.dn.mean(axis=(1, 2))))
         first = fit_models(observation, [brightest])
         fit = max((of_model[0] for of_model in first.values()), key=lambda x: x.log_likelihood)
-        exact = predict(fit.vector, fit.samples)
-        observation = recognise_points(observation, fit.samples, exact, fitted.light)
+        observation = recognise_points(observation, fit.vector, fit.samples, fitted.light)
         if observation.within is None:
             fits = fit_models(observation, every)
         elif len(every) == 1:
