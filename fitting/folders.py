@@ -443,15 +443,28 @@ def response(
 
 
 def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
-    """Reflectance from images of a known shape under known lights."""
+    """Reflectance from images of a known shape under known lights, as one section, or one for each
+    colour of a mosaic. `settings` are arguments of `reflectance.calibrate`."""
     rig = read_rig(path, "a reflectance calibration")
     from .reflectance.from_images.calibration import calibrate
     from .reflectance.from_images.read import read_reflectance_observation
-    from .reflectance.from_images.section import section
 
     words = "brdf", "Reflectance", "compiling and fitting models of reflectance"
-    tools = read_reflectance_observation, calibrate, section
-    return _photographs(rig, step, draws, settings, words, tools), {}
+    return _photographs(
+        rig, step, draws, settings, words, read_reflectance_observation, calibrate
+    ), {}
+
+
+def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
+    """Surface, response and sensor in one posterior, from the same images and from flats and darks.
+    `settings` are arguments of `joint.calibrate`."""
+    rig = read_rig(path, "a reflectance calibration")
+    from .joint.calibration import calibrate
+    from .joint.read import read_joint_measurement
+
+    title = "Surface, response and sensor"
+    words = "joint", title, "fitting surface, response and sensor"
+    return _photographs(rig, step, draws, settings, words, read_joint_measurement, calibrate), {}
 
 
 def _photographs(
@@ -460,14 +473,15 @@ def _photographs(
     draws: Draws,
     settings: dict[str, Any],
     words: tuple[str, str, str],
-    tools: tuple[Callable[..., Any], ...],
+    read: Callable[..., Any],
+    calibrate: Callable[..., Any],
 ) -> "list[Section]":
-    """One section, or one for each colour of a mosaic, by functions that read, calibrate and
-    report; `words` are a section's kind, title and progress text."""
+    """One section, or one for each colour of a mosaic; `words` are a section's kind, title and
+    progress text."""
     from .report.inputs import with_inputs
     from .rig import COLOURS
 
-    (kind, title, doing), (read, calibrate, section) = words, tools
+    kind, title, doing = words
 
     def calibrate_colour(colour: str) -> "Section":
         of = f" of {colour}" if colour else ""
@@ -479,7 +493,7 @@ def _photographs(
             return _attempted(
                 kind,
                 title,
-                lambda: section(calibrate(observation, **settings, **drawn, progress=by_fit)),
+                lambda: calibrate(observation, **settings, **drawn, progress=by_fit).section,
                 known=observation.findings,
             )
 
@@ -546,29 +560,3 @@ def lights(
     root = os.path.relpath(folder, out or Path()).replace(os.sep, "/")
     lines = "\n".join(f"{name} = {value}" for name, value in known.items())
     return [section(found, root=root, camera=lines)], {}
-
-
-def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
-    """Surface, response and sensor in one posterior.
-
-    Args:
-        path: folder of a rig.
-        step: function that reports progress.
-        draws: settings of the sampler.
-        settings: arguments of `joint.calibration.calibrate`: model, index, fit_gamma.
-
-    Returns:
-        One section, without pictures.
-
-    Raises:
-        InputError: for what cannot be calibrated.
-    """
-    rig = read_rig(path, "a reflectance calibration")
-    from .joint.calibration import calibrate
-    from .joint.read import read_joint_measurement
-    from .joint.section import section
-
-    title = "Surface, response and sensor"
-    words = "joint", title, "fitting surface, response and sensor"
-    tools = read_joint_measurement, calibrate, section
-    return _photographs(rig, step, draws, settings, words, tools), {}

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 import numpy as np
 
-from ..reflectance.from_images.figures import draw_lights, shown_lights
+from ..reflectance.from_images.figures import draw_lights
 from ..report.colours import OF_CHANNEL
 from .calibration import JointCalibration
 from .fit import image_errors
@@ -21,16 +21,19 @@ LARGEST = 4.0  # largest difference on the colour scale, standard deviations
 
 def images_figure(calibration: JointCalibration) -> "Figure":
     """Rows: measured, predicted, difference in standard deviations; columns: lights."""
-    observation, columns = calibration.observation, {}
+    observation = calibration.observation
     fit = calibration.fits[len(calibration.fits) // 2]
     channel = observation.channels.index(fit.channel)
-    for light in shown_lights(observation):
-        made = predict(observation, fit, calibration.posteriors[fit.channel].covariance, light)
+    covariance = calibration.posteriors[fit.channel].covariance
+
+    def images_of(light: int) -> tuple[np.ndarray, ...]:
+        made = predict(observation, fit, covariance, light)
         dn = np.where(made.usable, observation.dn[channel, light], np.nan)
         white = np.nanquantile(dn, 0.999) - observation.black
         seen = (np.stack([dn, made.mean])[:, None] - observation.black) / white
-        columns[light] = (*seen, (dn - made.mean) / made.deviation)
-    return draw_lights(observation, columns, LARGEST, "standard deviations")
+        return *seen, (dn - made.mean) / made.deviation
+
+    return draw_lights(observation, images_of, "standard deviations", LARGEST)
 
 
 def noise_figure(calibration: JointCalibration) -> "Figure":

@@ -365,7 +365,7 @@ def score_table(scores: tuple[Score, ...]) -> Table:
         rows=tuple(
             (
                 s.channel,
-                *(_percent(x) for x in (s.fitted_error, s.unseen_error)),
+                *(_percent(x) for x in (s.fitted_error, s.predicted_error)),
                 s.band,
                 *(_percent(x) for x in (s.fitted_share, s.unseen_share)),
             )

@@ -91,7 +91,7 @@ class Score:
     channel: str
     # RMS of predicted minus measured over the RMS signal, on the fitted lights
     fitted_error: float
-    unseen_error: float | None  # on the held-out ones; None without any
+    predicted_error: float | None  # on the held-out ones; None without any
     band: float  # half-width, in predicted standard deviations of a pixel
     fitted_share: float  # of pixels within the predicted 95 % band, on the lights of the fit
     unseen_share: float | None  # on the held-out ones; None without any
@@ -118,7 +118,7 @@ def score(
     return Score(
         channel=fit.channel,
         fitted_error=float(error[0]),
-        unseen_error=float(error[1]) if tested else None,
+        predicted_error=float(error[1]) if tested else None,
         band=band,
         fitted_share=float(np.mean(fitted < band)),
         unseen_share=float(np.mean(unseen < band)) if tested else None,

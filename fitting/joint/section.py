@@ -4,9 +4,7 @@ from functools import partial
 
 from ..inference.estimates import Estimate, not_determined
 from ..inference.posterior import estimates
-from ..reflectance.from_images.comparison import only_if_described
-from ..reflectance.from_images.section import what_was_fitted
-from ..reflectance.models import LABELS
+from ..reflectance.from_images.section import section_of_photographs
 from ..report.left_out import left_out_tables
 from ..report.section import Picture, Section
 from . import figures
@@ -18,32 +16,25 @@ from .prediction import score
 
 def section(calibration: JointCalibration) -> Section:
     """Report a joint calibration: estimates, findings, tables and pictures."""
-    observation = calibration.observation
     scores = tuple(
-        score(observation, fit, calibration.posteriors[fit.channel].covariance)
+        score(calibration.observation, fit, calibration.posteriors[fit.channel].covariance)
         for fit in calibration.fits
         if fit.channel in calibration.posteriors
     )
     known = calibration.fits[0].data.known
     gone = left_out_tables((fit.channel, fit.left_out) for fit in calibration.fits)
-    found = Section(
+    return section_of_photographs(
+        calibration,
+        calibration.fits,
+        scores,
         kind="joint",
-        title=f"Surface, response and sensor: {LABELS[calibration.model]}",
+        title="Surface, response and sensor",
         estimates=_estimates(calibration),
         findings=findings(calibration),
         pictures=_pictures(calibration),
         tables=(score_table(scores), misfit_table(calibration), *gone),
-        **what_was_fitted(
-            calibration,
-            calibration.fits,
-            {f"{name}, taken as exact": float(value) for name, value in known.items()},
-        ),
+        settings={f"{name}, taken as exact": float(value) for name, value in known.items()},
     )
-    errors = {
-        one.channel: one.fitted_error if one.unseen_error is None else one.unseen_error
-        for one in scores
-    }
-    return only_if_described(found, LABELS[calibration.model], errors)
 
 
 def _estimates(calibration: JointCalibration) -> tuple[Estimate, ...]:

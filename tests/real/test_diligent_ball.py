@@ -110,7 +110,7 @@ def test_a_joint_fit_tells_misfit_from_noise(ball):
     assert fit.unexplained is not None
     assert float(fit.values["system_gain"]) < 4
     scored = predicted_images(measurement, fit, np.linalg.inv(fit.information))
-    assert scored.unseen_error is not None
+    assert scored.predicted_error is not None
     assert scored.unseen_share is not None
-    assert scored.unseen_error < 0.1
+    assert scored.predicted_error < 0.1
     assert 0.93 < scored.unseen_share < 0.97

@@ -1,5 +1,6 @@
 """Pictures of a reflectance calibration."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,34 +27,38 @@ MOST_POINTS = 200_000
 
 def images_figure(calibration: ReflectanceCalibration) -> "Figure":
     """Rows: measured, predicted, difference; columns: lights."""
-    observation, columns = calibration.observation, {}
+    observation = calibration.observation
     as_fitted = [(lights_as_fitted(observation, fit), fit) for fit in calibration.reported]
-    for light in shown_lights(observation):
+
+    def images_of(light: int) -> tuple[np.ndarray, ...]:
         measured = observation.dn[:, light] - observation.black
         found = np.stack([predicted_image(seen, fit, light) for seen, fit in as_fitted])
         found -= observation.black
         white = np.quantile(found[:, observation.cosine[light] > 0], 0.995)
         clipped = observation.saturated[:, light].any(axis=0)
         left = np.where(clipped, np.nan, 100 * (measured - found).mean(axis=0) / white)
-        columns[light] = measured / white, found / white, left
-    worst = np.abs([left for _, _, left in columns.values()])
-    return draw_lights(
-        observation, columns, max(float(np.nanquantile(worst, 0.99)), 0.1), "% of white"
-    )
+        return measured / white, found / white, left
+
+    return draw_lights(observation, images_of, "% of white")
 
 
 def draw_lights(
     observation: Photographs,
-    columns: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]],
-    largest: float,
+    images_of: Callable[[int], tuple[np.ndarray, ...]],
     label: str,
+    largest: float | None = None,
 ) -> "Figure":
-    """Draw, for each light, the measured and the predicted image, (channels, pixels) relative to
-    white, and their (pixels,) difference."""
+    """Draw the measured and the predicted image, (channels, pixels) relative to white, and their
+    (pixels,) difference under some of the lights. `largest` ends the scale of differences; None for
+    their 99th percentile."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import TwoSlopeNorm
     from matplotlib.figure import Figure
 
+    columns = {light: images_of(light) for light in shown_lights(observation)}
+    if largest is None:
+        worst = np.abs([left for _, _, left in columns.values()])
+        largest = max(float(np.nanquantile(worst, 0.99)), 0.1)
     figure = Figure(figsize=(1.2 + 2.2 * len(columns), 6.6), layout="constrained")
     axes = figure.subplots(3, len(columns), squeeze=False)
     scale = TwoSlopeNorm(0, -largest, largest)

@@ -4,7 +4,7 @@ Several models are fitted to the same lights and compared on the held-out lights
 is reported in full, with the reasons to doubt it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -29,9 +29,12 @@ def section(calibration: ReflectanceCalibration) -> Section:
     """Report a calibrated reflectance: estimates, findings, tables and pictures."""
     observation = calibration.observation
     held_out, index = int(observation.held_out.sum()), calibration.reported[0].requested.index
-    found = Section(
+    return section_of_photographs(
+        calibration,
+        calibration.reported,
+        [score for score in calibration.scores if score.model == calibration.model],
         kind="brdf",
-        title=f"Reflectance: {LABELS[calibration.model]}",
+        title="Reflectance",
         estimates=_estimates(calibration),
         findings=(verdict(calibration.scores, held_out), *findings(calibration)),
         pictures=_pictures(calibration),
@@ -40,31 +43,29 @@ def section(calibration: ReflectanceCalibration) -> Section:
             misfit_table(calibration),
             *left_out_tables((fit.channel, fit.stated.left_out) for fit in calibration.reported),
         ),
-        **what_was_fitted(
-            calibration,
-            calibration.reported,
-            {
-                "samples per channel": len(calibration.fitted.light),
-                "smallest n.l": calibration.minimum_cosine,
-                "black level [DN]": observation.black,
-                "gamma": observation.gamma or 1.0,
-            }
-            | ({"index of refraction": index} if calibration.model in CLEAR else {}),
-        ),
+        settings={
+            "samples per channel": len(calibration.fitted.light),
+            "smallest n.l": calibration.minimum_cosine,
+            "black level [DN]": observation.black,
+            "gamma": observation.gamma or 1.0,
+        }
+        | ({"index of refraction": index} if calibration.model in CLEAR else {}),
     )
-    errors = {
-        one.channel: one.fitted_error if one.predicted_error is None else one.predicted_error
-        for one in calibration.scores
-        if one.model == calibration.model
-    }
-    return only_if_described(found, LABELS[calibration.model], errors)
 
 
-def what_was_fitted(
-    calibration: Any, fits: Sequence[Any], settings: dict[str, Any]
-) -> dict[str, Any]:
-    """The posteriors, settings and files that the sections of both calibrations have."""
+def section_of_photographs(
+    calibration: Any,
+    fits: Sequence[Any],
+    scores: Iterable[Any],
+    *,
+    title: str,
+    settings: dict[str, Any],
+    **parts: Any,
+) -> Section:
+    """The section of either calibration of photographs, with the fits of its reported model.
+    Channels that the model does not predict, by their scores, get no numbers."""
     observation, posteriors = calibration.observation, calibration.posteriors
+    label = LABELS[calibration.model]
     common = {
         "model": calibration.model,
         "lights fitted": int((~observation.held_out).sum()),
@@ -77,11 +78,18 @@ def what_was_fitted(
         for fit in fits
         if fit.channel in posteriors
     }
-    return {
-        "posteriors": posteriors,
-        "settings": common | settings,
-        "records": material_files(materials),
+    found = Section(
+        title=f"{title}: {label}",
+        posteriors=posteriors,
+        settings=common | settings,
+        records=material_files(materials),
+        **parts,
+    )
+    errors = {
+        one.channel: one.fitted_error if one.predicted_error is None else one.predicted_error
+        for one in scores
     }
+    return only_if_described(found, label, errors)
 
 
 def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:
