@@ -49,6 +49,7 @@ from .model import (
     JointData,
     black_level,
     cost,
+    error_columns,
     parameters,
     predicted_parts,
     scatter_scales,
@@ -276,17 +277,15 @@ def without_small_errors(
         most = parameter.prior.median * np.exp(LARGEST * parameter.prior.log_sd)
         natural = natural.at[data.space.index(parameter)].set(most)
     _, shared = predicted_parts(to_unconstrained(data.space, natural), data)
-    weight, found, at = np.asarray(shared.weight), [], 0
+    weight, found, columns = np.asarray(shared.weight), [], error_columns(data)
     for parameter in scatters:
         name = parameter.name
         if name == "prnu":
             squares = (weight * np.asarray(shared.cell_errors) ** 2).sum(0)
             count = np.asarray(data.cells.count).max(0)  # pixels of each cell
         else:
-            rows = 2 if name == "direction_scatter" else 1
-            errors = np.asarray(shared.image_errors)[:, at : at + rows]
+            errors = np.asarray(shared.image_errors)[:, columns[name]]
             squares, count = (weight[:, None] * errors**2).sum((1, 2)), 1.0
-            at += rows
         found.append(LeftOut(name, parameter.prior.median, distance(squares, parts=count)))
     gone = negligible(found)
     named = {own.name for own in gone}
@@ -351,9 +350,8 @@ def likeliest_turns(
     found = image_errors(fit)
     if "direction_scatter" not in fit.data.relative or not fit.converged or found is None:
         return None
-    first = 1 if "light_scatter" in fit.data.relative else 0
     size = np.asarray(fit.data.relative["direction_scatter"] * fit.values["direction_scatter"])
-    return found[0][:, first : first + 2].T * size, size
+    return found[0][:, error_columns(fit.data)["direction_scatter"]].T * size, size
 
 
 def image_errors(

@@ -55,7 +55,7 @@ from . import marginal
 
 Table = Float[Array, "images cells"]
 MISFIT_AT = 0.1  # of full scale: W_0 / W
-BY_IMAGE = ("light_scatter", "direction_scatter", "stray_scatter")
+BY_IMAGE = {"light_scatter": 1, "direction_scatter": 2, "stray_scatter": 1}  # errors of an image
 TRUST = 1.6  # uncertainty factor (one standard deviation) of a stated error
 
 
@@ -177,6 +177,13 @@ class JointData(eqx.Module):
     turn_precision: Float[Array, "turns turns"] | None = None
 
 
+def error_columns(data: JointData) -> dict[str, slice]:
+    """Return the columns of `image_errors` that each error of images has."""
+    present = [name for name in BY_IMAGE if name in data.relative]
+    ends = np.cumsum([0, *(BY_IMAGE[name] for name in present)])
+    return {name: slice(*ends[i : i + 2]) for i, name in enumerate(present)}
+
+
 def values_at(vector: Float[Array, " parameters"], data: JointData) -> Values:
     """Natural values by name at an unconstrained vector, including the known ones."""
     natural = to_natural(data.space, vector)
@@ -260,10 +267,10 @@ def residuals(model: Prediction, data: JointData) -> marginal.Residuals:
         seen = cells.count > 0
         of_cells = jnp.where(seen, model.gains / jnp.sqrt(jnp.where(seen, cells.count, 1)), 0)
     if data.turn_precision is not None and "direction_scatter" in data.relative:
-        images = len(data.turn_precision) // 2
-        first = 1 if "light_scatter" in data.relative else 0
-        errors = first + 2 + ("stray_scatter" in data.relative)
-        places = (errors * np.arange(images)[:, None] + first + np.arange(2)).ravel()
+        assert model.image_errors is not None
+        images, errors, _ = model.image_errors.shape
+        columns = np.arange(images * errors).reshape(images, errors)
+        places = columns[:, error_columns(data)["direction_scatter"]].ravel()
         precision = jnp.eye(images * errors).at[np.ix_(places, places)].set(data.turn_precision)
     left = cells.mean - model.mean
     errors = model.image_errors, of_cells, precision
