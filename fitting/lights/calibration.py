@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.linalg import block_diag
 
 from jaxvision import ArrayLike
 from jaxvision.core.plain_arrays import plain_array
@@ -197,10 +198,7 @@ def _locate_by_highlights(
         ],
         axis=-1,
     )  # (lights, 3, outlines)
-    size = len(balls) * 3
-    of_outline = np.zeros((size, size))
-    for b, outline in enumerate(outlines):
-        of_outline[3 * b : 3 * b + 3, 3 * b : 3 * b + 3] = outline.covariance
+    of_outline = block_diag(*(outline.covariance for outline in outlines))
     own = np.zeros((len(names), 3, 3))
     for b, of_ball in enumerate(seen):
         for axis in (0, 1):
@@ -211,12 +209,8 @@ def _locate_by_highlights(
             own += slope[:, :, None] * slope[:, None, :]
     shared = np.einsum("lio,op,mjp->limj", by_outline, of_outline, by_outline)
     flux = np.array([one.flux for one in seen[0]])
-    relative = np.array([one.flux_sd for one in seen[0]])
-    covariance = np.zeros((len(names), 4, len(names), 4))
-    covariance[:, :3, :, :3] = shared
-    each = np.arange(len(names))
-    covariance[each, :3, each, :3] += own
-    findings = _outline_findings(outlines)
+    shared, own = np.pad(shared, 2 * ((0, 0), (0, 1))), np.pad(own, ((0, 0), (0, 1), (0, 1)))
+    findings, near = _outline_findings(outlines), len(balls) == 2
     if np.isnan(flux).any():
         flux = np.full_like(flux, np.nan)
         findings += (
@@ -224,22 +218,37 @@ def _locate_by_highlights(
             "ball, or expose less.",
         )
     else:
-        if len(balls) == 2:
+        if near:
             flux = flux * np.sum(found**2, axis=1)  # radiant intensity
-        covariance[each, 3, each, 3] = relative**2
-        covariance = _about_mean(covariance)
-    if len(balls) == 2:
-        _refuse_far(found, covariance, names)
+        own[:, 3, 3] = np.square([one.flux_sd for one in seen[0]])
+    sds = np.sqrt([np.diag(outline.covariance) for outline in outlines])
+    lights = _with_covariance(names, found, flux, shared, own, near, values, sds, findings)
+    if near:
+        _refuse_far(found, lights.covariance, names)
+    return lights
+
+
+def _with_covariance(
+    names: list[str],
+    places: Float[np.ndarray, "lights 3"],
+    strengths: Float[np.ndarray, " lights"],
+    shared: Float[np.ndarray, "lights 4 lights 4"],
+    own: Float[np.ndarray, "lights 4 4"],
+    near: bool,
+    outlines: Float[np.ndarray, "balls 3"],
+    outline_sds: Float[np.ndarray, "balls 3"],
+    findings: tuple[str, ...],
+) -> Lights:
+    """The lights with the sum of two covariances: the part that all share by the outlines, and the
+    part of each."""
+    covariance, each = shared.copy(), np.arange(len(names))
+    covariance[each, :, each, :] += own
+    common, whole = (np.einsum("lili->", c[:, :3, :, :3]) for c in (shared, covariance))
+    relative = strengths / strengths.mean()
+    covariance = _about_mean(covariance)
     return Lights(
-        tuple(names),
-        found,
-        flux / flux.mean(),
-        covariance,
-        near=len(balls) == 2,
-        outlines=values,
-        outline_sds=np.sqrt([np.diag(outline.covariance) for outline in outlines]),
-        common=float(np.einsum("lili->", shared) / np.einsum("lili->", covariance[:, :3, :, :3])),
-        findings=findings,
+        *(tuple(names), places, relative, covariance, near, outlines, outline_sds),
+        *(float(common / whole), findings),
     )
 
 
@@ -288,8 +297,7 @@ def _locate_by_shading(
     to_four = np.concatenate([across, toward[:, None, :]], axis=1) / size[:, None, None]
     by_outline = to_four @ found.by_outline
     shared = np.einsum("lio,op,mjp->limj", by_outline, found.outline_covariance, by_outline)
-    covariance, each = shared.copy(), np.arange(len(names))
-    covariance[each, :, each, :] += to_four @ found.own @ np.swapaxes(to_four, 1, 2)
+    own = to_four @ found.own @ np.swapaxes(to_four, 1, 2)
     findings = _outline_findings([outline])
     if found.floor:
         findings += (
@@ -312,20 +320,8 @@ def _locate_by_shading(
             "highlights, roughness, a gamma or shadows. Directions may be further off than their "
             "standard deviations say.",
         )
-    return Lights(
-        tuple(names),
-        toward,
-        size / size.mean(),
-        _about_mean(covariance),
-        near=False,
-        outlines=found.values[None],
-        outline_sds=np.sqrt(np.diag(found.outline_covariance))[None],
-        common=float(
-            np.einsum("lili->", shared[:, :3, :, :3])
-            / np.einsum("lili->", covariance[:, :3, :, :3])
-        ),
-        findings=findings,
-    )
+    values, sds = found.values[None], np.sqrt(np.diag(found.outline_covariance))[None]
+    return _with_covariance(names, toward, size, shared, own, False, values, sds, findings)
 
 
 def _about_mean(

@@ -1,7 +1,7 @@
 """Lights and their covariance: the record, and the `lights.npz` that a rig names."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +83,9 @@ class Lights:
         return record_html(HEADS, self.rows(), title=self.heading(), notes=self.findings)
 
 
+STORED = tuple(part.name for part in fields(Lights) if part.name != "findings")
+
+
 def write_lights(lights: Lights, path: str | os.PathLike[str]) -> None:
     """Write places, intensities and covariance as `.npz`.
 
@@ -91,17 +94,7 @@ def write_lights(lights: Lights, path: str | os.PathLike[str]) -> None:
         path: of the file.
     """
     with Path(path).open("wb") as stream:
-        np.savez(
-            stream,
-            files=np.array(lights.files),
-            places=lights.places,
-            intensities=lights.intensities,
-            covariance=lights.covariance,
-            near=lights.near,
-            outlines=lights.outlines,
-            outline_sds=lights.outline_sds,
-            common=lights.common,
-        )
+        np.savez(stream, **{name: np.asarray(getattr(lights, name)) for name in STORED})
 
 
 def read_lights(path: str | os.PathLike[str]) -> Lights:
@@ -121,14 +114,9 @@ def read_lights(path: str | os.PathLike[str]) -> Lights:
     try:
         with np.load(path, allow_pickle=False) as stored:
             found = Lights(
-                tuple(str(name) for name in stored["files"]),
-                stored["places"],
-                stored["intensities"],
-                stored["covariance"],
-                bool(stored["near"]),
-                stored["outlines"],
-                stored["outline_sds"],
-                float(stored["common"]),
+                **{name: stored[name] for name in STORED}
+                | {"files": tuple(str(name) for name in stored["files"])}
+                | {"near": bool(stored["near"]), "common": float(stored["common"])}
             )
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise InputError(f"{path}: is no file of lights ({error}).") from error
