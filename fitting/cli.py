@@ -287,8 +287,9 @@ def plan(
         from .reflectance.from_images.calibration import calibrate
         from .reflectance.from_images.plan import check_target, plan_section
         from .reflectance.from_images.read import read_reflectance_observation
+        from .reflectance.from_images.signal import Form
 
-        check_target(target, model)
+        check_target(target, Form(model))
         with reporter.step("reading images"):
             observation = read_reflectance_observation(
                 rig, channel="green" if rig.camera.pattern else ""

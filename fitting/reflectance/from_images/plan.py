@@ -17,7 +17,6 @@ from ...inference.formatting import format_with_error
 from ...inference.parameters import names
 from ...report.section import Section, Table
 from ..models import LABELS
-from ..names import Model
 from .calibration import ReflectanceCalibration
 from .fit import ChannelFit
 from .optimum import weighted
@@ -34,6 +33,7 @@ def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
     """Rank lights by how much each would reduce the error of a parameter of the reported model, in
     each channel whose parameters are all determined. Raises `InputError` if the model has no such
     parameter, and if no channel is determined."""
+    check_target(target, calibration.reported[0].requested)
     rigs = calibration.observation
     new, described = _all_around(rigs)
     lights = [(f"{file} again", rigs, i) for i, file in enumerate(rigs.files)]
@@ -41,8 +41,6 @@ def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
     plans = {}
     for fit in calibration.reported:
         known = names(fit.space)
-        if target not in known:
-            raise InputError(f"target = {target!r} is no parameter; {nearest(target, known)}.")
         if fit.channel not in calibration.posteriors or fit.robustness is None:
             continue
         covariance = fit.robustness.gaussian_covariance
@@ -60,9 +58,9 @@ def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
     return plans
 
 
-def check_target(target: str, model: Model) -> None:
-    """Raise `InputError` for a parameter that a model does not have."""
-    known = names(parameter_space(Form(model)))
+def check_target(target: str, form: Form) -> None:
+    """Raise `InputError` for a parameter that a form does not have."""
+    known = names(parameter_space(form))
     if target not in known:
         raise InputError(f"target = {target!r} is no parameter; {nearest(target, known)}.")
 

@@ -746,11 +746,7 @@ CALLED = {
     "light.direction": "lights",
     "light.position": "lights",
     "light.intensity": "intensities",
-    "light.intensity_sd": "intensity_sd",
-    "light.direction_sd": "direction_sd",
-    "light.exposure_sd": "exposure_sd",
-    "light.stray_sd": "stray_sd",
-}
+} | {f"light.{name}": name for name in OF_LIGHTS}
 
 
 def from_photographs(
@@ -828,13 +824,8 @@ def from_photographs(
                 f"direction_sd: a covariance of {len(lights)} lights is ({len(lights)}, 4, "
                 f"{len(lights)}, 4), got {together.shape}."
             )
-    uncertain = {
-        "intensity_sd": intensity_sd,
-        "direction_sd": direction_sd,
-        "exposure_sd": exposure_sd,
-        "stray_sd": stray_sd,
-    }
-    sizes = {name: _each(name, sd, images) for name, sd in uncertain.items() if sd is not None}
+    stated = zip(OF_LIGHTS, (intensity_sd, direction_sd, exposure_sd, stray_sd), strict=True)
+    sizes = {name: _each(name, sd, images) for name, sd in stated if sd is not None}
     entries: dict[str, Any] = {"geometry": {} if sphere is None else {"sphere": sphere}}
     entries["light"] = [
         {
