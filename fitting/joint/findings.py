@@ -13,8 +13,8 @@ from ..reflectance.from_images.findings import (
     CONTRADICTED,
     IDENTIFIABLE,
     NOT_CONVERGED,
+    quoted,
     said_of_channels,
-    told,
 )
 from ..reflectance.from_images.read import ASSUMED_BLACK, Photographs
 from ..report.section import Table
@@ -178,8 +178,8 @@ def _disagree(of: OfChannel) -> Numbers | None:
     if _posterior(of) is None or robust is None or robust.design_effect <= 1:
         return None
     wider = robust.gaussian_covariance.diagonal() / np.linalg.inv(fit.information).diagonal()
-    told = {"larger": np.sqrt(robust.design_effect), "wider": np.sqrt(np.median(wider))}
-    return None if max(told.values()) < LITTLE else told
+    sizes = {"larger": np.sqrt(robust.design_effect), "wider": np.sqrt(np.median(wider))}
+    return None if max(sizes.values()) < LITTLE else sizes
 
 
 def _halves(of: OfChannel, *, agree: bool | None) -> Numbers | None:
@@ -230,7 +230,7 @@ GIVEN = (
     CONTRADICTED,
     Finding(
         "assumed",
-        lambda c: told(
+        lambda c: quoted(
             sentence
             for sentence in c.observation.findings
             if sentence != ASSUMED_BLACK or "black_level" in c.fits[0].data.known
@@ -344,7 +344,7 @@ OF_CHANNEL = (
     ),
     Finding(
         "convergence",
-        lambda of: told(convergence_in_words(p) for p in [_posterior(of)] if p is not None),
+        lambda of: quoted(convergence_in_words(p) for p in [_posterior(of)] if p is not None),
         "{sentence}",
     ),
 )

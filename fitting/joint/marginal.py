@@ -60,7 +60,7 @@ def _parts(of: Residuals) -> tuple[Array, Array]:
         log_volume = log_volume + jnp.sum(jnp.log(stiffness))
     if of.image_errors is None:
         return square, log_volume
-    factor, pull = _of_images(of, of.image_errors)
+    factor, pull = _image_error_system(of, of.image_errors)
     explained = jax.vmap(lambda L, b: solve_triangular(L, b, lower=True))(factor, pull)
     log_volume = log_volume + 2 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=1, axis2=2)))
     return square - jnp.sum(explained**2), log_volume
@@ -69,7 +69,7 @@ def _parts(of: Residuals) -> tuple[Array, Array]:
 def image_error_means(of: Residuals) -> tuple[OfImages, OfImages]:
     """Posterior means and standard deviations of u given r, in units of the prior's."""
     assert of.image_errors is not None
-    factor, pull = _of_images(of, of.image_errors)
+    factor, pull = _image_error_system(of, of.image_errors)
     shape = of.image_errors.shape[:2]
     mean = jax.vmap(lambda L, b: cho_solve((L, True), b))(factor, pull)
     unit = jnp.eye(factor.shape[1], dtype=factor.dtype)
@@ -84,7 +84,7 @@ def _cell_sums(of: Residuals, errors: Table) -> tuple[Array, Array]:
     return pull, 1 + jnp.sum(of.weight * errors**2, axis=0)
 
 
-def _of_images(of: Residuals, image_errors: Array) -> tuple[Array, Array]:
+def _image_error_system(of: Residuals, image_errors: Array) -> tuple[Array, Array]:
     """Cholesky factor of M, and the right hand side H'W r minus the part that g explains: (blocks,
     n, n) and (blocks, n). A block is an image; if g couples the images there is one block."""
     images, errors, cells = image_errors.shape

@@ -69,8 +69,8 @@ from .model import (
     log_likelihood,
     log_likelihood_by_image,
     log_posterior,
-    of_surface,
     predicted,
+    surface_mask,
     values_at,
 )
 
@@ -98,8 +98,8 @@ def image_sandwich(observation: Photographs, fit: JointFit) -> Robustness | None
     """
     vector = jnp.asarray(fit.vector)
     scores, information = (np.asarray(x, np.float64) for x in _image_scores(vector, fit.data))
-    prior = fit.information - np.asarray(_of_images(vector, fit.data), np.float64)
-    own = of_surface(fit.space)
+    prior = fit.information - np.asarray(_information_of_images(vector, fit.data), np.float64)
+    own = surface_mask(fit.space)
     if fit.data.cells.products is None:
         own |= np.array([p.name == MISFIT.name for p in fit.space])
     among = np.ix_(own, own)
@@ -162,7 +162,7 @@ def _at_least(covariance: Matrix, information: Matrix) -> Matrix:
 
 
 @eqx.filter_jit
-def _of_images(vector: Array, data: JointData) -> Float[Array, "parameters parameters"]:
+def _information_of_images(vector: Array, data: JointData) -> Float[Array, "parameters parameters"]:
     """The information from the images, without priors and uniform frames."""
     alone = replace(data, levels=None)
     return second_derivatives(lambda v, d: -log_likelihood(v, d), vector, alone)[2]
@@ -242,7 +242,7 @@ def fit_halves(
         names(fit.space),
         np.asarray(to_natural(fit.space, jnp.asarray(vectors))),
         difference,
-        of_surface(fit.space) * difference / (2 * np.sqrt(robust.gaussian_covariance.diagonal())),
+        surface_mask(fit.space) * difference / (2 * np.sqrt(robust.gaussian_covariance.diagonal())),
     )
 
 
@@ -334,7 +334,7 @@ def unequal_pixels(fit: JointFit) -> UnequalPixels:
     freedom = count - 1
     used = freedom > 0
     variance, relative, slopes = (
-        np.asarray(x, np.float64) for x in _of_pixels(jnp.asarray(fit.vector), fit.data)
+        np.asarray(x, np.float64) for x in _pixel_variance(jnp.asarray(fit.vector), fit.data)
     )
     weight = np.sqrt(freedom[used] / 2) / variance[used]
     beyond = (np.asarray(cells.scatter, np.float64)[used] / freedom[used] - variance[used]) * weight
@@ -355,7 +355,7 @@ def unequal_pixels(fit: JointFit) -> UnequalPixels:
 
 
 @eqx.filter_jit
-def _of_pixels(vector: Array, data: JointData) -> tuple[Array, Array, Array]:
+def _pixel_variance(vector: Array, data: JointData) -> tuple[Array, Array, Array]:
     """Variance of a pixel, R, and the derivatives of the variance, (parameters, images, cells)."""
 
     def variance(v: Array) -> Array:

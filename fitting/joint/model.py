@@ -70,7 +70,7 @@ SCATTERS = {
 }
 
 
-def of_surface(space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
+def surface_mask(space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
     """Which parameters describe surface and encoding. Only these enter the comparison of images,
     since gain and read noise follow from the scatter of pixels within cells."""
     others = {GAIN.name, READ_NOISE.name, BLACK.name, *SCATTERS, "misfit"}

@@ -215,8 +215,8 @@ def _generalisation(calibration: BRDFCalibration) -> Numbers | None:
     return {"model": LABELS[model], "times": unseen / seen, "angle": angle}
 
 
-def told(parts: Iterable[str]) -> Numbers | None:
-    """A finding that lists some parts, if there are any."""
+def _listing(parts: Iterable[str]) -> Numbers | None:
+    """The numbers of a finding that lists some parts; None without parts."""
     listing = ", ".join(parts)
     return {"told": listing} if listing else None
 
@@ -386,35 +386,19 @@ RELATIONS = (  # of a lobe about the half vector to that about the mirror direct
     ),
     Finding("open", lambda pair: True, "does not differ significantly from"),
 )
-VERDICT = (
-    Finding(
-        "best",
-        lambda numbers: numbers,
-        "At held-out angles of incidence, {winner} predicts best: {metric} {error}{unit}{against}.",
-    ),
-    Finding(
-        "equal",
-        lambda numbers: numbers if numbers["equal"] else None,
-        "Not significantly worse, by leaving out each incidence in turn: {equal}.",
-    ),
-    Finding(
-        "far",
-        lambda numbers: numbers if numbers["far"] else None,
-        "Some of these have a far larger error here, but its size depends on single incidences: "
-        "{far}.",
-    ),
-    Finding(
-        "worse",
-        lambda numbers: numbers if numbers["worse"] else None,
-        "Worse at significantly more incidences (p up to {likely:g}), although the size of the "
-        "difference depends on single incidences: {worse}.",
-    ),
-    Finding(
-        "useless",
-        lambda numbers: numbers if numbers["useless"] else None,
-        "With errors larger than the signal, and thus no description of it, although the ratio to "
-        "the best model depends on which incidence is left out: {useless}.",
-    ),
+VERDICT = tuple(
+    Finding(key, lambda numbers, key=key: numbers if numbers[key] else None, sentence)
+    for key, sentence in {
+        "winner": "At held-out angles of incidence, {winner} predicts best: {metric} "
+        "{error}{unit}{against}.",
+        "equal": "Not significantly worse, by leaving out each incidence in turn: {equal}.",
+        "far": "Some of these have a far larger error here, but its size depends on single "
+        "incidences: {far}.",
+        "worse": "Worse at significantly more incidences (p up to {likely:g}), although the size "
+        "of the difference depends on single incidences: {worse}.",
+        "useless": "With errors larger than the signal, and thus no description of it, although "
+        "the ratio to the best model depends on which incidence is left out: {useless}.",
+    }.items()
 )
 FINDINGS = (
     Finding("verdict", _verdict, "{verdict}"),
@@ -473,7 +457,7 @@ FINDINGS = (
     ),
     Finding(
         "end of range",
-        lambda c: told(
+        lambda c: _listing(
             f"{LABELS[m]} ({shape_of(m).name} {c.fits[m].whole.shape:.3g})" for m in _ends(c)[1]
         ),
         "The shape parameter is at the end of its range, so the description is poor: {told}.",

@@ -58,8 +58,8 @@ def said_of_channels(
     )
 
 
-def told(sentences: Iterable[str]) -> list[Numbers]:
-    """Findings that other modules make."""
+def quoted(sentences: Iterable[str]) -> list[Numbers]:
+    """The numbers of a finding that quotes whole sentences of other modules."""
     return [{"sentence": sentence} for sentence in sentences]
 
 
@@ -184,8 +184,8 @@ def _not_compared(calibration: ReflectanceCalibration) -> Numbers | None:
 def _sampling(calibration: ReflectanceCalibration) -> list[Numbers]:
     sampled = {n: p for n, p in calibration.posteriors.items() if p.sampled}
     if sampled:
-        return told(f"{name}: {convergence_in_words(p)}" for name, p in sampled.items())
-    return told(convergence_in_words(p) for p in list(calibration.posteriors.values())[:1])
+        return quoted(f"{name}: {convergence_in_words(p)}" for name, p in sampled.items())
+    return quoted(convergence_in_words(p) for p in list(calibration.posteriors.values())[:1])
 
 
 def _coloured(calibration: ReflectanceCalibration, *, by_all: bool) -> Numbers | None:
@@ -326,11 +326,11 @@ def _shadows(calibration: ReflectanceCalibration) -> Numbers | None:
 
 
 CONTRADICTED = Finding(
-    "contradicted", lambda c: told(contradictions(c.observation, gamma=c.gamma)), "{sentence}"
+    "contradicted", lambda c: quoted(contradictions(c.observation, gamma=c.gamma)), "{sentence}"
 )
 GIVEN = (
     CONTRADICTED,
-    Finding("assumed", lambda c: told(c.observation.findings), "{sentence}"),
+    Finding("assumed", lambda c: quoted(c.observation.findings), "{sentence}"),
     Finding(
         "unused levels",
         lambda c: c.observation.levels is not None,
@@ -344,7 +344,7 @@ NOT_CONVERGED = Finding(
     "The fit did not converge; do not use its numbers.",
 )
 IDENTIFIABLE = Finding(
-    "identifiability", lambda of: told(of[1].identifiability.sentences), "{sentence}"
+    "identifiability", lambda of: quoted(of[1].identifiability.sentences), "{sentence}"
 )
 OF_CHANNEL = (
     NOT_CONVERGED,
@@ -435,7 +435,7 @@ OF_ALL = (
     ),
     Finding(
         "clear facets",
-        lambda c: told([facet_sentence(c.reported[0].requested.index)] * (c.model in CLEAR)),
+        lambda c: quoted([facet_sentence(c.reported[0].requested.index)] * (c.model in CLEAR)),
         "{sentence}",
     ),
     Finding(
