@@ -3,8 +3,7 @@
 from functools import partial
 
 from ..inference.estimates import Estimate, not_determined
-from ..inference.posterior import estimates
-from ..reflectance.from_images.section import section_of_photographs
+from ..reflectance.from_images.section import determined_estimates, section_of_photographs
 from ..report.left_out import left_out_tables
 from ..report.section import Picture, Section
 from . import figures
@@ -50,12 +49,7 @@ def _estimates(calibration: JointCalibration) -> tuple[Estimate, ...]:
             reasons = dict.fromkeys(NOISE, "the model misses the surface (see the findings)")
         elif (judged := hiding_pixels((calibration, fit))) is not None and judged[1]:
             reasons = dict.fromkeys(NOISE, "pixels may be unequal (see the findings)")
-        if posterior.endless:
-            reasons[posterior.endless] = "the data bound it on one side only (see the findings)"
-        rows += [
-            not_determined(e, reasons[e.name], group=group) if e.name in reasons else e
-            for e in estimates(posterior, group=group)
-        ]
+        rows += determined_estimates(posterior, group, reasons)
     return tuple(rows)
 
 

@@ -23,6 +23,7 @@ from scipy.stats import norm
 
 from fitting.inference.emcee_run import Emcee
 from fitting.inference.estimates import find
+from fitting.inference.posterior import Posterior
 from fitting.reflectance.from_images.calibration import (
     USUAL,
     ReflectanceCalibration,
@@ -53,8 +54,9 @@ from fitting.reflectance.from_images.samples import (
     predict,
     select,
 )
+from fitting.reflectance.from_images.section import determined_estimates
 from fitting.reflectance.from_images.section import section as reflectance_section
-from fitting.reflectance.from_images.signal import Form
+from fitting.reflectance.from_images.signal import Form, parameter_space
 from fitting.report.page import as_json
 from jaxvision.errors import InputError
 
@@ -559,3 +561,12 @@ def test_a_setting_without_its_name_is_told_its_name():
     said = "calibrate takes 1 of its arguments by their place; write model='torrance-sparrow'."
     with pytest.raises(TypeError, match=re.escape(said)):
         calibrate_reflectance(None, "torrance-sparrow")
+
+
+def test_a_parameter_that_data_bound_on_one_side_only_gets_no_number():
+    space, mode = parameter_space(Form("phong")), np.array([0.4, 0.3, 30.0])
+    draws = mode * np.exp(0.1 * np.random.default_rng(0).standard_normal((1, 400, 3)))
+    known = (space, "Laplace", draws, mode, np.log(mode), 0.01 * np.eye(3), 0)
+    for endless, missing in (("", []), ("exponent", ["exponent"])):
+        rows = determined_estimates(Posterior(*known, endless=endless), "grey", {})
+        assert [row.name for row in rows if row.value is None] == missing

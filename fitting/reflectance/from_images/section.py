@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...inference.estimates import Estimate, gaussian_estimate, not_determined
-from ...inference.posterior import estimates
+from ...inference.posterior import Posterior, estimates
 from ...report.left_out import left_out_tables
 from ...report.section import Picture, Section
 from ..material import material_files
@@ -96,10 +96,24 @@ def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:
     rows: list[Estimate] = []
     for fit in calibration.reported:
         if fit.channel in calibration.posteriors:
-            rows += estimates(calibration.posteriors[fit.channel], group=fit.channel)
+            rows += determined_estimates(calibration.posteriors[fit.channel], fit.channel, {})
             continue
         rows += _partial_estimates(fit, calibration.open_parameters[fit.channel])
     return tuple(rows)
+
+
+def determined_estimates(
+    posterior: Posterior, channel: str, reasons: dict[str, str]
+) -> list[Estimate]:
+    """The estimates of one channel, without numbers for parameters that have a reason for it, or
+    that the data bound on one side only."""
+    if posterior.endless:
+        one_sided = "the data bound it on one side only (see the findings)"
+        reasons = reasons | {posterior.endless: one_sided}
+    return [
+        not_determined(e, reasons[e.name], group=channel) if e.name in reasons else e
+        for e in estimates(posterior, group=channel)
+    ]
 
 
 def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimate]:
