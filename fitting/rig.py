@@ -12,7 +12,7 @@ from collections import Counter
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
@@ -85,16 +85,10 @@ def _tag(value: Any) -> str:
     return "several" if isinstance(value, list | tuple) or getattr(value, "ndim", 0) else "one"
 
 
-# One number, or one for each site of the repeating cell.
-PositiveBySite = Annotated[
-    Annotated[Positive, Tag("one")]
-    | Annotated[tuple[Positive, ...], Field(min_length=1), Tag("several")],
-    Discriminator(_tag),
-    BeforeValidator(_plain),
-]
-NonNegativeBySite = Annotated[
-    Annotated[NonNegative, Tag("one")]
-    | Annotated[tuple[NonNegative, ...], Field(min_length=1), Tag("several")],
+Number = TypeVar("Number")
+BySite = Annotated[  # one number, or one for each site of the repeating cell
+    Annotated[Number, Tag("one")]
+    | Annotated[tuple[Number, ...], Field(min_length=1), Tag("several")],
     Discriminator(_tag),
     BeforeValidator(_plain),
 ]
@@ -224,10 +218,10 @@ class Camera(_Known):
             deviations from its draws. Its codes must be those of the images.
     """
 
-    black_level: NonNegativeBySite | None = None
-    saturation: PositiveBySite | None = None
-    gain: PositiveBySite | None = None
-    read_noise: NonNegativeBySite | None = None
+    black_level: BySite[NonNegative] | None = None
+    saturation: BySite[Positive] | None = None
+    gain: BySite[Positive] | None = None
+    read_noise: BySite[NonNegative] | None = None
     pattern: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
     taps: Taps | None = None
     region: tuple[Index, Index, Count, Count] | None = None

@@ -31,6 +31,7 @@ from .stereo_axes import axes_findings
 from .stereo_lights import (
     EXPLAINED,
     FLAT,
+    NORMAL_MAD,
     Common,
     Counted,
     Images,
@@ -50,7 +51,6 @@ from .stereo_model import Surface, fitted_surface
 
 ROUNDS = 30  # reweightings toward the least sum of absolute residuals
 FAR = 2.5  # standard deviations at which a reading is left out (Rousseeuw & Leroy, 1987)
-NORMAL_MAD = 1.4826  # the standard deviation of a Gaussian over its median absolute deviation
 CHANCE = 0.01  # probability that a pixel without wrong readings leaves one out
 RETURNS = 5  # rounds that accept excluded readings again, by the scatter of the accepted ones
 CLEAR = 3.0  # standard deviations of a reading between its prediction and a limit
