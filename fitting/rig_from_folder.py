@@ -89,13 +89,16 @@ class _Image:
         name: path relative to the folder.
         settings: from its metadata.
         exposure: s, from the metadata or the name.
-        doubt: a sentence, where the name contradicts itself.
+        kind: dark, flat, light (of a known shape under a lamp), or "" for an exposure stack.
+        doubts: sentences, or "", on a time that the name leaves open, and on a kind that name and
+            metadata contradict.
     """
 
     name: str
     settings: ImageSettings
     exposure: float | None
-    doubt: str = ""
+    kind: str = ""
+    doubts: tuple[str, str] = ("", "")
 
 
 def write_rig(folder: Path) -> tuple[Path, FoundRig]:
@@ -140,8 +143,7 @@ def rig_of(folder: Path) -> FoundRig:
     merged = floating if len(floating) < len(pictures) else []
     images = [_image(folder, name, counted=counted) for name in pictures if name not in merged]
     dark, flat, light, stack = (
-        [image for image in images if _kind(image) == kind]
-        for kind in ("dark", "flat", "light", "")
+        [image for image in images if image.kind == kind] for kind in ("dark", "flat", "light", "")
     )
     found = FoundRig(
         kind="noise" if flat else "brdf" if light else "response" if stack else "",
@@ -163,9 +165,8 @@ def rig_of(folder: Path) -> FoundRig:
     lines += _exposures(stack, found) + _lights(light, found)
     if light or shape:
         lines += _geometry(shape, found)
-    for doubts in ([image.doubt for image in images], [_doubt_of_kind(image) for image in images]):
-        doubts = [doubt for doubt in doubts if doubt]
-        if doubts:
+    for i in (0, 1):
+        if doubts := [image.doubts[i] for image in images if image.doubts[i]]:
             others = f" {len(doubts) - 1} more names are like this." if len(doubts) > 1 else ""
             found.missing.append(doubts[0] + others)
     if not found.kind:
@@ -185,44 +186,30 @@ def _natural(name: str) -> list[tuple[int, float | str]]:
     return [(0, float(part)) if part.isdigit() else (1, part) for part in parts]
 
 
-def _kind_in_name(image: _Image) -> str:
+def _kind(name: str, said: str) -> tuple[str, str]:
+    """The kind of an image by its name and the IMAGETYP of its header, and a doubt, or "", if the
+    two disagree."""
     words = {"dark": _DARK, "flat": _FLAT, "light": _LIGHT}
-    return next((kind for kind, word in words.items() if word.search(image.name)), "")
-
-
-def _kind_in_head(image: _Image) -> str:
-    said = image.settings.kind or ""
-    return next((kind for kind, word in _TYPES.items() if word.search(said)), "")
-
-
-def _kind(image: _Image) -> str:
-    """The kind of an image: dark, flat, light (of a known shape under a lamp), or "" for an
-    exposure stack."""
-    named, typed = _kind_in_name(image), _kind_in_head(image)
-    if typed in ("dark", "flat"):
-        return typed
-    return "" if typed and named != "light" else named
-
-
-def _doubt_of_kind(image: _Image) -> str:
-    """A finding if name and metadata disagree."""
-    named = _kind_in_name(image)
-    if not _kind_in_head(image) or named in ("", _kind(image)):
-        return ""
-    return (
-        f"{image.name}: taken by its IMAGETYP, {image.settings.kind}; correct that if it is a "
-        f"{named}, as its name says."
+    named = next((kind for kind, word in words.items() if word.search(name)), "")
+    kind = typed = next((kind for kind, word in _TYPES.items() if word.search(said)), "")
+    if typed not in ("dark", "flat"):
+        kind = "" if typed and named != "light" else named
+    if not typed or named in ("", kind):
+        return kind, ""
+    return kind, (
+        f"{name}: taken by its IMAGETYP, {said}; correct that if it is a {named}, as its name says."
     )
 
 
 def _image(folder: Path, name: str, *, counted: bool) -> _Image:
     settings = read_settings(folder / name)
-    if settings.exposure:
-        return _Image(name, settings, settings.exposure)
-    seconds, doubt = _time_in(name, counted=counted)
+    kind, doubt_of_kind = _kind(name, settings.kind or "")
+    seconds, doubt = settings.exposure or None, ""
+    if seconds is None:
+        seconds, doubt = _time_in(name, counted=counted)
     if seconds is None and _BIAS.search(settings.kind or Path(name).stem):
         seconds = 0.0
-    return _Image(name, settings, seconds, doubt)
+    return _Image(name, settings, seconds, kind, (doubt, doubt_of_kind))
 
 
 def _time_in(name: str, *, counted: bool) -> tuple[float | None, str]:
