@@ -20,6 +20,11 @@ Model = Literal[
 # torrance-sparrow has GGX facets, the default of `jaxvision.TorranceSparrow`.
 MODELS: tuple[Model, ...] = get_args(Model)
 Axis = Literal["mirror", "half", "none"]  # direction about which a lobe is centred
+AXIS_NAMES: dict[Axis, str | None] = {
+    "mirror": "mirror direction",
+    "half": "half vector",
+    "none": None,
+}
 Objective = Literal["cosine", "cube-root"]  # what a fit of measured reflectance minimises
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
 

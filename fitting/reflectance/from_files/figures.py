@@ -11,7 +11,7 @@ from jaxvision import Vec
 
 from ...report.colours import OF_CHANNEL
 from ..models import LABELS, REFLECTANCES, has_lobe
-from ..names import MODELS, Axis, Model
+from ..names import AXIS_NAMES, MODELS, Axis, Model
 from .calibration import BRDFCalibration
 from .errors import best, best_about_axis, metric
 from .findings import AXES
@@ -23,11 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 AXIS_COLOURS: dict[Axis, str] = {"mirror": "tab:orange", "half": "tab:blue", "none": "0.55"}
-AXIS_LABELS: dict[Axis, str] = {
-    "mirror": "lobe about the mirror direction",
-    "half": "lobe about the half vector",
-    "none": "no lobe",
-}
 IN_PLANE = 0.6  # largest angle out of the plane of incidence, degrees
 HEADROOM = 3.0  # top of the axis, relative to the brightest measured dot
 SHOWN_INCIDENCES = 4
@@ -90,15 +85,8 @@ def _draw_slice(axis: "Axes", calibration: BRDFCalibration, incidence: int) -> N
 
 
 def in_plane_angles(measured: MeasuredBRDF) -> tuple[np.ndarray, np.ndarray]:
-    """Angles of the viewer in the plane of incidence, and out of it.
-
-    Args:
-        measured: n samples.
-
-    Returns:
-        (n,) angle from the normal within the plane, positive away from the light, and (n,) angle
-        out of the plane, rad.
-    """
+    """Return the (n,) angles of the viewer from the normal within the plane of incidence, positive
+    away from the light, and out of that plane, rad."""
     sine = np.sin(measured.elevation)
     along = np.arctan2(-sine * np.cos(measured.azimuth), np.cos(measured.elevation))
     return along, np.arcsin(sine * np.sin(measured.azimuth))
@@ -107,17 +95,8 @@ def in_plane_angles(measured: MeasuredBRDF) -> tuple[np.ndarray, np.ndarray]:
 def predicted(
     fit: LobeFit, theta_i: float, theta_o: Float[np.ndarray, " n"], index: float
 ) -> Float[np.ndarray, " n"]:
-    """f_r, mean of the bands, toward viewers in the plane of incidence.
-
-    Args:
-        fit: of one model.
-        theta_i: of the light from the normal, rad.
-        theta_o: (n,) of the viewers, positive away from the light, rad.
-        index: of refraction of dielectric facets.
-
-    Returns:
-        (n,) sr^-1.
-    """
+    """Return the (n,) f_r in sr^-1, mean of the bands, for a light at theta_i and viewers in the
+    plane of incidence at theta_o from the normal, positive away from the light, rad."""
     flat, light = np.zeros(len(theta_o)), np.full(len(theta_o), theta_i)
     wi = Vec(*(jnp.asarray(c) for c in (np.sin(light), flat, np.cos(light))))
     wo = Vec(*(jnp.asarray(c) for c in (-np.sin(theta_o), flat, np.cos(theta_o))))
@@ -163,9 +142,8 @@ def errors_figure(calibration: BRDFCalibration) -> "Figure":
     cosine.set_xlabel("cosine-weighted RMS [% of the signal's]")
     root.set_xlabel("RMS of the cube root [sr$^{-1/3}$]")
     kinds = [Rectangle((0, 0), 1, 1, color=colour) for colour in AXIS_COLOURS.values()]
-    figure.legend(
-        kinds, list(AXIS_LABELS.values()), loc="outside upper center", ncols=3, fontsize=9
-    )
+    labels = [f"lobe about the {name}" if name else "no lobe" for name in AXIS_NAMES.values()]
+    figure.legend(kinds, labels, loc="outside upper center", ncols=3, fontsize=9)
     return figure
 
 

@@ -12,7 +12,7 @@ from ...inference.formatting import format_percent
 from ...inference.trust import convergence_in_words
 from ...report.sentences import Finding, Numbers, said
 from ..models import LABELS, REFLECTANCES, facet_sentence, has_lobe, shape_of, shape_range
-from ..names import CLEAR, DESCRIBES, Axis, Model, Objective
+from ..names import AXIS_NAMES, CLEAR, DESCRIBES, Axis, Model, Objective
 from .calibration import BRDFCalibration, albedo
 from .errors import (
     LIKELY,
@@ -176,7 +176,7 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
 
 
 def _described(model: Model) -> str:
-    where = {"mirror": "mirror direction", "half": "half vector"}.get(REFLECTANCES[model].axis)
+    where = AXIS_NAMES[REFLECTANCES[model].axis]
     return f"the best lobe about the {where} ({LABELS[model]})" if where else LABELS[model]
 
 

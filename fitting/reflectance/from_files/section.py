@@ -11,13 +11,11 @@ from ...inference.formatting import format_unit, format_with_error
 from ...inference.posterior import estimates
 from ...report.section import Picture, Section, Table, describing_nothing
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
-from ..names import MODELS, OBJECTIVES, Model, Objective
+from ..names import AXIS_NAMES, MODELS, OBJECTIVES, Model, Objective
 from . import figures
 from .calibration import BRDFCalibration
 from .errors import METRICS, best, metric
 from .findings import findings, no_description, readable, which_axis_wins
-
-AXES = {"mirror": "mirror direction", "half": "half vector", "none": None}
 
 
 def section(calibration: BRDFCalibration) -> Section:
@@ -48,16 +46,7 @@ def section(calibration: BRDFCalibration) -> Section:
 
 
 def materials_section(calibrations: Sequence[BRDFCalibration]) -> Section:
-    """The comparison of several materials: held-out errors of every model, and the winning kind of
-    lobe.
-
-    Args:
-        calibrations: one per material.
-
-    Returns:
-        Findings, tables and a picture.
-    """
-
+    """Compare several materials: held-out errors of every model, and the winning kind of lobe."""
     objective = calibrations[0].objective
     return Section(
         kind="brdf_materials",
@@ -92,7 +81,7 @@ def materials_table(calibrations: Sequence[BRDFCalibration], which: Objective) -
         title=f"Held-out {METRICS[which]} [{unit}]",
         columns=("model", "lobe about", *(readable(c.measured.name) for c in calibrations)),
         rows=tuple(
-            (LABELS[m], AXES[REFLECTANCES[m].axis], *(cell(c, m) for c in calibrations))
+            (LABELS[m], AXIS_NAMES[REFLECTANCES[m].axis], *(cell(c, m) for c in calibrations))
             for m in MODELS
         ),
         caption=f"Fits of the {calibrations[0].objective} objective; each incidence predicted by "
@@ -120,7 +109,7 @@ def error_table(calibration: BRDFCalibration) -> Table:
         rows=tuple(
             (
                 LABELS[model],
-                AXES[REFLECTANCES[model].axis],
+                AXIS_NAMES[REFLECTANCES[model].axis],
                 _shape_in_words(calibration, model),
                 calibration.held_out[model].rms,
                 f"{100 * calibration.held_out[model].relative:.1f}",
@@ -154,16 +143,18 @@ def amplitude_table(calibration: BRDFCalibration) -> Table:
         title=f"Amplitudes by band, {LABELS[calibration.model]}",
         columns=("band", *heads),
         rows=tuple(
-            (band, *(_with_error(values[i], errors[i]) for values, errors in columns))
+            (
+                band,
+                *(
+                    format_with_error(values[i], errors[i]) if errors[i] else "0"
+                    for values, errors in columns
+                ),
+            )
             for i, band in enumerate(calibration.measured.bands)
         ),
         caption="With jackknife standard errors; the estimates of the amplitudes are the means of "
         "these columns.",
     )
-
-
-def _with_error(value: float, error: float) -> str:
-    return format_with_error(value, error) if error else "0"
 
 
 def _shape_in_words(calibration: BRDFCalibration, model: Model) -> str | None:
