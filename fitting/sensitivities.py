@@ -278,8 +278,9 @@ def from_patches(
         if stated is not None and np.exp(best[2]) > _LOUDER:
             told.append(
                 f"{name}: readings differ from any smooth sensitivity by {np.exp(best[2]):.2g} "
-                "times their standard deviation; intervals allow for it. Uneven light, a gamma, "
-                "stray light or wrong spectra do this."
+                "times their standard deviation; intervals allow for it. Causes are uneven light, "
+                "a gamma, a black level, stray light, clipped patches, or spectra that are wrong "
+                "or in another order."
             )
     return Sensitivities(
         at, names, np.stack(found, axis=-1), np.array(lengths), np.array(noises), tuple(told)
