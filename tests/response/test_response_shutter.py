@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import integrate, stats
+from scipy import integrate, optimize, stats
 
 from fitting.response.shutter import Shutter, mix_over_tau, tau_posterior
 
@@ -73,6 +73,27 @@ def test_what_is_stated_of_the_times_is_believed_unless_images_show_more():
     assert np.sqrt(square) * stats.t.ppf(0.975, freedom) < 1.2 * 1.96 * 0.01 / np.sqrt(SPREAD)
     square, freedom = posterior_of_exponent(0.1, known=0.01)
     assert np.sqrt(square) * stats.t.ppf(0.975, freedom) > 1.96 * 0.1 / np.sqrt(SPREAD) / 2
+
+
+def test_a_code_of_small_error_beside_an_uncertain_one_has_its_own_quantile():
+    """The errors of codes differ by many orders of magnitude where some are extrapolated."""
+    tau, variances, per_square = np.geomspace(1e-6, 1, 101), np.array([1e8, 1e-8]), [1.0, 1e-2]
+    weights = stats.norm.pdf(np.log(tau), np.log(0.01), 1.5)
+    weights /= weights.sum()
+    shutter = Shutter(np.array(per_square), 0.01, tau, weights)
+    squares, freedoms = mix_over_tau(variances, np.full(2, 1e6), shutter)
+    for variance, per, square, freedom in zip(
+        variances, per_square, squares, freedoms, strict=True
+    ):
+        scales = np.sqrt(variance + per * tau**2)
+        expected = optimize.brentq(
+            lambda x, scales=scales: weights @ stats.norm.cdf(x / scales) - 0.975,
+            0,
+            1e5,
+            xtol=1e-14,
+        )
+        found = np.sqrt(square) * stats.t.ppf(0.975, freedom)
+        np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
 def test_nothing_is_uncertain_at_mid_scale():
