@@ -335,6 +335,18 @@ def test_a_camera_without_a_noise_predicts_means_alone(left_out):
     assert "2.00" in more.clause or "1.99" in more.clause or "2.01" in more.clause
 
 
+@pytest.mark.parametrize("read_noise", [READ, None])
+def test_draws_of_a_sensor_widen_its_errors_with_and_without_a_read_noise(read_noise):
+    sensor, made = replace(PLAIN, read_noise=read_noise), measured(np.random.default_rng(3))
+    factors = jnp.exp(1e-3 * np.random.default_rng(4).standard_normal(50))
+    draws = jax.tree.map(lambda number: number * factors, sensor)
+    exact, drawn = (predict(sensor, made, draws=own).judged for own in (None, draws))
+    brightest = int(np.argmax(exact.found.electrons))
+    added = np.sqrt(drawn.errors[0] ** 2 - exact.errors[0] ** 2)[brightest]
+    scatter = float(np.std(np.asarray(factors) ** 2)) * exact.found.signal[brightest]
+    np.testing.assert_allclose(added, scatter, rtol=0.05)
+
+
 @pytest.mark.slow
 def test_a_gain_that_saturates_every_level_is_refused_and_a_missing_one_is_said():
     made = measured(np.random.default_rng(3))

@@ -128,7 +128,9 @@ def predict(
     camera = _channel_sensor(name, camera)
     _require_bits(name, camera, measurement)
     if draws is not None:
-        draws = replace(draws, photon_conversion=None)
+        draws = eqx.tree_at(
+            lambda sensor: sensor.photon_conversion, draws, None, is_leaf=lambda leaf: leaf is None
+        )
     measurement = as_dtype(measurement, np.float64)
     usable = linear_levels(measurement)
     unstated = [field for field in NOISES if getattr(camera, field) is None]
@@ -138,7 +140,10 @@ def predict(
         read = np.sqrt(np.asarray(measurement.dark.variance).mean()) / step
         dithered = replace(camera, read_noise=read)
         if draws is not None:
-            draws = replace(draws, read_noise=np.full(len(jax.tree.leaves(draws)[0]), read))
+            every = np.full(len(jax.tree.leaves(draws)[0]), read)
+            draws = eqx.tree_at(
+                lambda sensor: sensor.read_noise, draws, every, is_leaf=lambda leaf: leaf is None
+            )
     found = compare(
         dithered, draws, measurement, usable, noise_known=not unstated, light_error=light_error
     )
