@@ -69,7 +69,8 @@ class _Command(TyperCommand):
     """A sub-command whose usage line names its arguments without braces."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
+        pieces = super().collect_usage_pieces(ctx)  # "{PATH}..." of several
+        return [piece.replace("{", "").replace("}", "") for piece in pieces]
 
     def get_params(self, ctx: Any) -> Any:
         return _described_parameters(super().get_params(ctx), ctx)

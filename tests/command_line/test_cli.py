@@ -359,6 +359,7 @@ def test_help_says_in_words_what_options_take(program):
         status, shown, _ = called(program, name, "--help")
         assert status == 0
         assert not re.search(r"<[\w| -]+>", shown), name
+        assert "}" not in shown, name
         assert "SECONDS" in shown or "--seconds" not in shown
 
 
