@@ -95,7 +95,7 @@ def _attempted(
         why = str(error)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         why = f"The fit failed ({error}): the model does not describe these data."
-    return failed_section(kind, title, why, known)
+    return failed_section(kind, title, why, known=known)
 
 
 def noise(

@@ -160,7 +160,7 @@ def section_of_part(section: Section, part: str) -> Section:
     )
 
 
-def failed_section(kind: str, title: str, why: str, known: Sequence[str] = ()) -> Section:
+def failed_section(kind: str, title: str, why: str, *, known: Sequence[str] = ()) -> Section:
     """The section of a calibration that failed, with the reason and what is known without it."""
     return Section(kind=kind, title=title, estimates=(), findings=(why, *known), failure=why)
 

@@ -180,6 +180,15 @@ def best(scores: Mapping[Model, Errors], objective: Objective) -> Model:
 
 
 def best_about_axis(scores: Mapping[Model, Errors], axis: Axis, objective: Objective) -> Model:
-    """The best model with a lobe about one axis, in the metric of an objective."""
+    """The best model with a lobe about one axis.
+
+    Args:
+        scores: errors by model.
+        axis: of the lobe.
+        objective: whose metric decides.
+
+    Returns:
+        The name of the best model.
+    """
     own: dict[Model, Errors] = {m: e for m, e in scores.items() if REFLECTANCES[m].axis == axis}
     return best(own, objective)

@@ -85,8 +85,15 @@ def _draw_slice(axis: "Axes", calibration: BRDFCalibration, incidence: int) -> N
 
 
 def in_plane_angles(measured: MeasuredBRDF) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (n,) angles of the viewer from the normal within the plane of incidence, positive
-    away from the light, and out of that plane, rad."""
+    """Angles of the viewer in the plane of incidence, and out of it.
+
+    Args:
+        measured: n samples.
+
+    Returns:
+        (n,) angle from the normal within the plane, positive away from the light, and (n,) angle
+        out of the plane, rad.
+    """
     sine = np.sin(measured.elevation)
     along = np.arctan2(-sine * np.cos(measured.azimuth), np.cos(measured.elevation))
     return along, np.arcsin(sine * np.sin(measured.azimuth))
@@ -95,8 +102,17 @@ def in_plane_angles(measured: MeasuredBRDF) -> tuple[np.ndarray, np.ndarray]:
 def predicted(
     fit: LobeFit, theta_i: float, theta_o: Float[np.ndarray, " n"], index: float
 ) -> Float[np.ndarray, " n"]:
-    """Return the (n,) f_r in sr^-1, mean of the bands, for a light at theta_i and viewers in the
-    plane of incidence at theta_o from the normal, positive away from the light, rad."""
+    """f_r, mean of the bands, toward viewers in the plane of incidence.
+
+    Args:
+        fit: of one model.
+        theta_i: of the light from the normal, rad.
+        theta_o: (n,) of the viewers, positive away from the light, rad.
+        index: of refraction of dielectric facets.
+
+    Returns:
+        (n,) sr^-1.
+    """
     flat, light = np.zeros(len(theta_o)), np.full(len(theta_o), theta_i)
     wi = Vec(*(jnp.asarray(c) for c in (np.sin(light), flat, np.cos(light))))
     wo = Vec(*(jnp.asarray(c) for c in (-np.sin(theta_o), flat, np.cos(theta_o))))

@@ -46,7 +46,15 @@ def section(calibration: BRDFCalibration) -> Section:
 
 
 def materials_section(calibrations: Sequence[BRDFCalibration]) -> Section:
-    """Compare several materials: held-out errors of every model, and the winning kind of lobe."""
+    """The comparison of several materials: held-out errors of every model, and the winning kind of
+    lobe.
+
+    Args:
+        calibrations: one per material.
+
+    Returns:
+        Findings, tables and a picture.
+    """
     objective = calibrations[0].objective
     return Section(
         kind="brdf_materials",
