@@ -33,7 +33,7 @@ def images_figure(calibration: JointCalibration) -> "Figure":
         seen = (np.stack([dn, made.mean])[:, None] - observation.black) / white
         return *seen, (dn - made.mean) / made.deviation
 
-    return draw_lights(observation, images_of, "standard deviations", LARGEST)
+    return draw_lights(observation, images_of, "standard deviations", largest=LARGEST)
 
 
 def noise_figure(calibration: JointCalibration) -> "Figure":

@@ -46,6 +46,7 @@ def draw_lights(
     observation: Photographs,
     images_of: Callable[[int], tuple[np.ndarray, ...]],
     label: str,
+    *,
     largest: float | None = None,
 ) -> "Figure":
     """Draw the measured and the predicted image, (channels, pixels) relative to white, and their
