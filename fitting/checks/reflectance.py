@@ -3,6 +3,7 @@ truth in their fits."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -73,7 +74,7 @@ class Sphere:
         parts = np.where(cosine > 0, shaded, 0).reshape(-1, SIZE, len(PARTS), SIZE, len(PARTS))
         return WHITE / 4 * np.einsum("lhiwj,i,j->lhw", parts, WEIGHTS, WEIGHTS)
 
-    def read(self, images: np.ndarray, camera: Camera, **errors: float | None) -> Photographs:
+    def read(self, images: np.ndarray, camera: Camera, **errors: Any) -> Photographs:
         """Photographs in the form that a fit takes, with the stated errors."""
         observation = from_photographs(
             list(images),

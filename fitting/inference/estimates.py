@@ -142,8 +142,10 @@ def sampled_estimate(
     """Median (or a given value), standard deviation and equal-tailed quantile intervals of draws,
     or the intervals with these `ends` at `QUANTILES`."""
     ends = np.quantile(draws, QUANTILES) if ends is None else ends
-    value = ends[2] if value is None else value
-    return quantile_estimate(what, value, np.std(draws), ends, method=method, group=group)
+    value = float(ends[2]) if value is None else value
+    return quantile_estimate(
+        what, value, float(np.std(draws)), np.asarray(ends), method=method, group=group
+    )
 
 
 def not_determined(what: Named, reason: str, *, method: str = "", group: str = "") -> Estimate:

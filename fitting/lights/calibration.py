@@ -198,7 +198,7 @@ def _locate_by_highlights(
         ],
         axis=-1,
     )  # (lights, 3, outlines)
-    of_outline = block_diag(*(outline.covariance for outline in outlines))
+    of_outline = np.asarray(block_diag(*(outline.covariance for outline in outlines)))
     own = np.zeros((len(names), 3, 3))
     for b, of_ball in enumerate(seen):
         for axis in (0, 1):

@@ -3,6 +3,7 @@
 import os
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -94,7 +95,8 @@ def write_lights(lights: Lights, path: str | os.PathLike[str]) -> None:
         path: of the file.
     """
     with Path(path).open("wb") as stream:
-        np.savez(stream, **{name: np.asarray(getattr(lights, name)) for name in STORED})
+        parts: dict[str, Any] = {name: np.asarray(getattr(lights, name)) for name in STORED}
+        np.savez(stream, **parts)
 
 
 def read_lights(path: str | os.PathLike[str]) -> Lights:
@@ -113,10 +115,10 @@ def read_lights(path: str | os.PathLike[str]) -> Lights:
         raise InputError(f"{path}: no such file of lights; `jaxvision-fit lights` writes one.")
     try:
         with np.load(path, allow_pickle=False) as stored:
+            parts: dict[str, Any] = {name: stored[name] for name in STORED}
+            parts["files"] = tuple(str(name) for name in parts["files"])
             found = Lights(
-                **{name: stored[name] for name in STORED}
-                | {"files": tuple(str(name) for name in stored["files"])}
-                | {"near": bool(stored["near"]), "common": float(stored["common"])}
+                **parts | {"near": bool(parts["near"]), "common": float(parts["common"])}
             )
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise InputError(f"{path}: is no file of lights ({error}).") from error

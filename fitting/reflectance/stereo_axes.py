@@ -24,7 +24,7 @@ def axes_findings(
     """Return sentences on normals that point away from the camera, and on slopes with a curl."""
     facing = normals @ viewer
     known = np.isfinite(facing)
-    away = np.mean(facing[known] < 0) if known.any() else 0.0
+    away = float(np.mean(facing[known] < 0)) if known.any() else 0.0
     if away > AWAY:
         return (
             f"{format_percent(away)} of the normals point away from the camera, which lies at "
@@ -37,7 +37,7 @@ def axes_findings(
     across, along = _derivatives(normals, float(np.sign(viewer[2])))
     if len(across) < FEWEST:
         return ()
-    curl = float((across.imag**2).sum() / (np.abs(across) ** 2).sum())
+    curl = float((np.imag(across) ** 2).sum() / (np.abs(across) ** 2).sum())
     if curl < TURNING:
         return ()
     up = "up" if viewer[2] > 0 else "down"

@@ -18,6 +18,7 @@ follows the prior on tau if they are few.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -393,20 +394,20 @@ def _gamma_sums(
     # visible errors do not limit the invisible ones.
     few = basis.shape[1] < FEWEST_SHOWN
     most = TABULATED[1] if few else max(BELIEVED, curve.shutter_bound)
-    sums = GammaSums(
-        information=column @ matrix[:size, :size] @ column,
-        pull=score[:size] @ column - mixed @ log_t,
-        mixed=mixed @ basis,
-        information_d=information_d,
-        pull_d=(score[size:] - log_t @ times) @ basis,
-        spread=spread_of_times(curve.exposures),
-        known=known or None,
-        added=0.0,
-        most=most,
-        median=prior.median,
-        log_sd=prior.log_sd,
-    )
-    return jax.tree.map(lambda x: jnp.asarray(x, float), sums)
+    sums: dict[str, Any] = {
+        "information": column @ matrix[:size, :size] @ column,
+        "pull": score[:size] @ column - mixed @ log_t,
+        "mixed": mixed @ basis,
+        "information_d": information_d,
+        "pull_d": (score[size:] - log_t @ times) @ basis,
+        "spread": spread_of_times(curve.exposures),
+        "known": known or None,
+        "added": 0.0,
+        "most": most,
+        "median": prior.median,
+        "log_sd": prior.log_sd,
+    }
+    return GammaSums(**jax.tree.map(lambda x: jnp.asarray(x, float), sums))
 
 
 @jax.jit

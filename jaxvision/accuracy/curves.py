@@ -277,8 +277,8 @@ def _trial(
     names: tuple[str, ...],
 ) -> Trial:
     problem, knob = session.problem, session.knob
-    same = dict.fromkeys(point.results, exact)
-    truth: Mapping[int, np.ndarray] = exact if isinstance(exact, dict) else same
+    same: dict[int, Any] = dict.fromkeys(point.results, exact)
+    truth: Mapping[int, Any] = exact if isinstance(exact, dict) else same
     seeds = [seed for seed in point.results if seed in truth]
     found = {seed: session.compared(point.results[seed]) for seed in seeds}
     norms_named = (*names, "rms")
@@ -301,10 +301,10 @@ def _trial(
         low, high = max(low - SURE * own, 0.0), high + SURE * own
     high += own if hollow and own > 0 else 0.0
     times = whole_seconds(problem, np.array(point.warm or [point.first]), point.once)
-    seconds = np.quantile(times, [0.5, 0.25, 0.75]).tolist()
+    middle, low_time, high_time = np.quantile(times, [0.5, 0.25, 0.75]).tolist()
     kept = {name: norms[name] for name in names if name in norms}
-    last = point.first, len(seeds), kept, hollow, point.beside
-    return Trial(point.setting, error, low, high, *seconds, *last)
+    seconds = middle, low_time, high_time, point.first
+    return Trial(point.setting, error, low, high, *seconds, len(seeds), kept, hollow, point.beside)
 
 
 def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:

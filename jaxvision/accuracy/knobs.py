@@ -8,15 +8,24 @@ example (`examples`).
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from ..errors import InputError, nearest
 from .records import Knob
 
-_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-KNOBS: Mapping[str, Knob] = {
-    name: Knob(name, **{key: tuple(x) if isinstance(x, list) else x for key, x in table.items()})
-    for name, table in _TABLES.items()
-}
+_TABLES: dict[str, dict[str, Any]] = tomllib.loads(
+    Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+)
+
+
+def _knob(name: str, table: dict[str, Any]) -> Knob:
+    entries: dict[str, Any] = {
+        key: tuple(x) if isinstance(x, list) else x for key, x in table.items()
+    }
+    return Knob(name, **entries)
+
+
+KNOBS: Mapping[str, Knob] = {name: _knob(name, table) for name, table in _TABLES.items()}
 
 
 def knob_named(name: str) -> Knob:

@@ -163,8 +163,8 @@ def shadows(sums: Sums, onward: Onward, k: int) -> Row:
         return replace(draft, shadowless=draft.shadowless | {k})
 
     saves = _SAVES["shadows"] if sums.searched else _OWN
-    party = {"part_of": f"lights[{k}]", "together": "shadows"}
-    return Row(f"shadows[{k}]", amount, why, drop, saves=saves, **party)
+    owner = f"lights[{k}]"
+    return Row(f"shadows[{k}]", amount, why, drop, saves=saves, part_of=owner, together="shadows")
 
 
 def extent(sums: Sums, onward: Onward, k: int) -> Row:

@@ -165,7 +165,7 @@ def compare(
         moved = spread[:, 0] @ weight / float(np.sum(weight * found.by_light[0]))
         spread = spread - moved[:, None, None] * found.by_light
     spread = spread[..., shown]
-    levels, found, lit = (at_levels(one, shown) for one in (levels, found, lit))
+    levels, found, lit = at_levels(levels, shown), at_levels(found, shown), at_levels(lit, shown)
     seen, own = levels.measured, own[:, shown]
     flat = spread.reshape(len(spread), -1)
     die = die[np.ix_(*2 * (np.tile(shown, len(seen)),))] / levels.pixels

@@ -134,17 +134,18 @@ def reduce_stacks(rig: Rig, *, channel: str = "", load: Load = read_image) -> St
         (reduced.measurement.bright, reduced.flats),
         (reduced.measurement.dark, reduced.darks),
     ):
-        means, noises, at_top, spreads, splits = [], [], [], [], []
+        means, noises, at_top, spreads, splits, size = [], [], [], [], [], 0
         for average in map(stack, files):
             image = average.image
             filtered = high_pass(image) if can_filter(image.shape) else image
+            size = image.size
             means.append(image.mean())
             noises.append(average.noise)
             at_top.append(average.at_top)
             about = average.noise + average.drift - average.rest  # of all numbers about the average
             spreads.append(np.sqrt(image.var() + about))
             splits.append(split(filtered, average.rest))
-        mean, variance, pixels = map(jnp.asarray, (means, noises, float(image.size)))
+        mean, variance, pixels = map(jnp.asarray, (means, noises, float(size)))
         levels.append(replace(one, mean=mean, variance=variance, pixels=pixels))
         of_levels.append((Numbers(np.array(at_top), np.array(spreads)), tuple(splits)))
     measurement = replace(reduced.measurement, bright=levels[0], dark=levels[1])

@@ -158,6 +158,7 @@ def calibrate(
         return dict(zip(forms, side_by_side(pieces, progress=progress), strict=True))
 
     every = range(len(observation.channels))
+    fits: dict[Model, tuple[ChannelFit, ...]]
     if observation.within is None:
         fits = fit_models(observation, every)
     else:

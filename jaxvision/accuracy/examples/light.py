@@ -109,8 +109,10 @@ def _hemisphere() -> Problem:
         return (1 + wi[2] + 0.5 * wi[0])[None]
 
     def make(polar: int) -> Callable[[jax.Array], jax.Array]:
-        nodes = {"polar": polar, "azimuths": 2 * polar}
-        return lambda wo: hemisphere_radiance(_gloss(0.3), sky, jnp.asarray(UP), wo, **nodes).value
+        gloss, up = _gloss(0.3), jnp.asarray(UP)
+        return lambda wo: (
+            hemisphere_radiance(gloss, sky, up, wo, polar=polar, azimuths=2 * polar).value
+        )
 
     return problem_of("gloss under a sky", "hemisphere", make, jnp.asarray(VIEWER))
 
