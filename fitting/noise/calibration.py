@@ -45,7 +45,7 @@ from .periodic import Periodic, periodic_structure, unequal_gains_of
 from .quantised import FINEST_READ_NOISE
 from .quantities import OFFSET_SPREAD, ON_GAIN, QUANTITIES, READ_NOISE, Quantity
 from .regressions import Part, through_origin
-from .shared import Found, extra_lines, shared_noise, temporal_lines
+from .shared import LINES, Found, extra_lines, shared_noise, temporal_lines
 from .statement import (
     LikelihoodFit,
     base_space,
@@ -64,33 +64,23 @@ def extra_in_flats(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> dict[str, Found]:
     """Noise that rows or columns share in flats beyond that of the darks."""
-    bright, dark = measurement.bright, measurement.dark
-    if bright.shared is None or dark.shared is None:
-        return {}
-    own = bright.shared
-    lit = replace(own, rows=own.rows[usable], columns=own.columns[usable])
-    of_bright = np.asarray(bright.variance)[usable], np.asarray(bright.frames)[usable]
-    of_dark = np.asarray(dark.variance), np.asarray(dark.frames)
     found = {
-        name: extra_lines(lit, dark.shared, of_bright, of_dark, axis)
-        for axis, name in enumerate(("rows", "columns"))
+        name: extra_lines(measurement.bright, measurement.dark, usable, axis)
+        for axis, name in enumerate(LINES)
     }
     return {name: one for name, one in found.items() if one.believed}
 
 
 def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> PhotonTransfer:
     """The measurement with flats whose row and column noise is reduced to that of the darks."""
-    bright, dark = measurement.bright, measurement.dark
-    if not flicker or bright.shared is None or dark.shared is None:
+    bright = measurement.bright
+    if not flicker or bright.shared is None:
         return measurement
-    of_dark = np.asarray(dark.variance), np.asarray(dark.frames)
     extra = np.zeros((2, bright.mean.size))
-    for axis, (name, own) in enumerate(
-        (("rows", bright.shared.rows), ("columns", bright.shared.columns))
-    ):
+    for axis, name in enumerate(LINES):
         if name in flicker:
-            unlit = temporal_lines(dark.shared, *of_dark, axis)
-            extra[axis] = np.asarray(own) - (unlit.variance if unlit.believed else 0.0)
+            unlit = temporal_lines(measurement.dark, axis)
+            extra[axis] = bright.shared.lines[axis] - (unlit.variance if unlit.believed else 0.0)
     variance = np.maximum(np.asarray(bright.variance) - extra.sum(axis=0), 0.0)
     steady: Levels = replace(
         bright, variance=jnp.asarray(variance), flicker=jnp.asarray(np.maximum(extra, 0.0))
@@ -239,11 +229,9 @@ def calibrate(
     measurement = without_flicker(measurement, flicker)
     within = ranges(measurement)
     usable = linear_levels(measurement)
-    dark = measurement.dark
-    shared = shared_noise(dark.shared, dark.variance, dark.frames)
     # Taps that differ only in remarks share one compiled program.
     bare = replace(measurement, remarks=(), lossy=(), doubts=(), site=None, pattern=None)
-    standard = _evaluated(bare, within, shared=shared)
+    standard = _evaluated(bare, within, shared=shared_noise(measurement.dark))
     window, gone = needed_window(measurement, usable)
     offsets = None if window is None else offset_data(measurement, usable)
     counted = fitted_tables(measurement)

@@ -99,10 +99,7 @@ def code_tables(
     """Count the codes of some levels, which reads their frames and darks again."""
     bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
     matched = np.asarray(measurement.dark_of)[levels]
-    wander = 0.0
-    if dark.shared is not None:
-        found = drift(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames))
-        wander = found.variance / converter.step**2 if found.believed else 0.0
+    wander = drift(dark).variance / converter.step**2 if drift(dark).believed else 0.0
 
     def codes_of(name: str) -> np.ndarray:
         frame = (plane(name) - converter.origin) / converter.step

@@ -23,7 +23,7 @@ from .pattern import pattern_variance, unequal_gains, unequal_offsets
 from .periodic import Periodic, periodic_in_words, taps_of
 from .raw_frames import BLOCK, is_compressed, processing_in_words
 from .regressions import MISFIT, Part, deviation_quantiles
-from .shared import Found, drift, temporal_lines
+from .shared import LINES, Found, drift, temporal_lines
 from .statement import gain_drop
 
 LEAST_EFFICIENCY = 1e-4  # least efficiency of any sensor in its design spectrum
@@ -138,13 +138,11 @@ def _has(name: str, calibration: NoiseCalibration) -> bool:
 
 def _flicker(calibration: NoiseCalibration) -> list[Numbers]:
     bright, found = calibration.measurement.bright, []
-    for axis, name in enumerate(("rows", "columns")):
-        if name not in calibration.flicker or bright.flicker is None:
-            continue
-        one, out = calibration.flicker[name], np.asarray(bright.flicker)[axis]
-        share = float(np.max(out / np.maximum(np.asarray(bright.variance) + out, 1e-300)))
-        size = format_with_error(one.deviation, one.error / (2 * one.deviation))
-        found.append({"lines": name, "line": name[:-1], "size": size, "share": 100 * share})
+    for axis, name in enumerate(LINES):
+        if name in calibration.flicker and bright.flicker is not None:
+            out, size = np.asarray(bright.flicker)[axis], _of_lines(calibration.flicker[name], 1)
+            share = float(np.max(out / np.maximum(np.asarray(bright.variance) + out, 1e-300)))
+            found.append({"lines": name, "line": name[:-1], "size": size, "share": 100 * share})
     return found
 
 
@@ -455,43 +453,34 @@ def _bounds_alone(calibration: NoiseCalibration) -> bool:
 def _shared_noise(calibration: NoiseCalibration) -> list[Numbers]:
     """Temporal noise that rows and columns of the darks share, in electrons."""
     dark, scale, found = calibration.measurement.dark, calibration.gain, []
-    if dark.shared is None:
-        return []
-    variance, frames = np.asarray(dark.variance), np.asarray(dark.frames)
-    for axis, name in enumerate(("rows", "columns")):
-        one = temporal_lines(dark.shared, variance, frames, axis)
+    whole = float(np.mean(np.asarray(dark.variance)))
+    for axis, name in enumerate(LINES):
+        one = temporal_lines(dark, axis)
         if one.believed:
-            rest = float(np.sqrt(max(np.mean(variance) - one.variance, 0)))
-            error = one.error / (2 * one.deviation)
-            found.append(
-                {
-                    "lines": name,
-                    "size": format_with_error(one.deviation / scale, error / scale),
-                    "read": float(np.sqrt(np.mean(variance))) / scale,
-                    "rest": rest / scale,
-                }
-            )
+            rest = float(np.sqrt(max(whole - one.variance, 0)))
+            read = {"read": np.sqrt(whole) / scale, "rest": rest / scale}
+            found.append({"lines": name, "size": _of_lines(one, 1 / scale), **read})
     return found
 
 
 def _banding(calibration: NoiseCalibration) -> list[Numbers]:
     """Fixed differences of rows and columns of the darks, in electrons."""
-    scale, kind, found = calibration.gain, "" if _glow(calibration) else "banding, ", []
-    for one, name in zip(
-        unequal_offsets(calibration.measurement.dark), ("rows", "columns"), strict=False
-    ):
-        if one.believed:
-            error = one.error / (2 * one.deviation)
-            size = format_with_error(one.deviation / scale, error / scale)
-            found.append({"lines": name, "size": size, "kind": kind})
-    return found
+    kind, scale = "" if _glow(calibration) else "banding, ", 1 / calibration.gain
+    return [
+        {"lines": name, "size": _of_lines(one, scale), "kind": kind}
+        for one, name in zip(unequal_offsets(calibration.measurement.dark), LINES, strict=True)
+        if one.believed
+    ]
+
+
+def _of_lines(found: Found, scale: float) -> str:
+    """The standard deviation of lines with its error, times a scale."""
+    size = found.deviation
+    return format_with_error(scale * size, scale * found.error / (2 * size))
 
 
 def _drift(calibration: NoiseCalibration) -> Numbers | None:
-    dark = calibration.measurement.dark
-    if dark.shared is None:
-        return None
-    wander = drift(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames))
+    wander = drift(calibration.measurement.dark)
     fades = any("dark_current_mean" in doubt.of for doubt in calibration.measurement.doubts)
     return None if not wander.believed or fades else {"size": _with_interval(wander)}
 
@@ -512,15 +501,14 @@ def _prnu(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _unequal_gains(calibration: NoiseCalibration) -> list[Numbers]:
-    measurement, found = calibration.measurement, []
-    if calibration.patterns is None or not measurement.bright.shared:
+    if calibration.patterns is None:
         return []
-    for axis, name in enumerate(("rows", "columns")):
-        one = unequal_gains(measurement, calibration.usable, axis)
-        if one.believed:
-            size = format_with_error(100 * one.deviation, 50 * one.error / one.deviation)
-            found.append({"lines": name, "size": size})
-    return found
+    found = unequal_gains(calibration.measurement, calibration.usable)
+    return [
+        {"lines": name, "size": _of_lines(one, 100)}
+        for one, name in zip(found, LINES, strict=True)
+        if one.believed
+    ]
 
 
 def _pattern_misfit(calibration: NoiseCalibration) -> Numbers | None:

@@ -30,7 +30,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..codes import Converter
-from .shared import SharedVariance
 
 FEWEST = 3  # fewest levels on either side
 BENT = 0.85  # r above which a bend may be a smooth curve
@@ -83,6 +82,19 @@ SATURATED_DROP = 5.0  # standard errors by which the variance decreases above th
 LINEAR_TOP = 0.95  # of the saturation signal: the upper end of the standard's linearity range
 CLEAR_OF_CLIPPING = 4.0  # standard deviations
 FEWEST_OF_ONE = 4  # fewest levels read by one of two converters
+
+
+class SharedVariance(eqx.Module):
+    """The variance that the pixels of a line share at each level, of rows and of columns. Without
+    shared noise the estimates scatter about 0.
+    """
+
+    lines: Float[Array, "2 levels"]  # temporal variance that the pixels of a line share, DN^2
+    # variance of the lines' means that is the same in all frames, DN^2
+    fixed: Float[Array, "2 levels"]
+    # variance of the frames' means beyond what pixels, rows and columns explain, DN^2
+    frames: Float[Array, " levels"]
+    shape: Float[Array, "2"]  # rows and columns of a frame
 
 
 class Levels(eqx.Module):

@@ -106,8 +106,7 @@ def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray, np
     assert dark.shared is not None
     shape = np.asarray(bright.shared.shape)
     size, reach = pairs(shape, float(bright.pixels)), np.arange(REACH + 1)
-    of_dark = dark.shared, np.asarray(dark.variance), np.asarray(dark.frames)
-    lines = [temporal_lines(*of_dark, axis) for axis in (0, 1)]
+    lines = [temporal_lines(dark, axis) for axis in (0, 1)]
 
     def chance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
         freedom = np.asarray(levels.frames) - 1

@@ -18,10 +18,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from .emva1288 import Ranges
-from .levels import LINEAR_TOP, Levels, PhotonTransfer
+from .levels import LINEAR_TOP, Levels, PhotonTransfer, signal_of
 from .regressions import Part, p_value, sampling_variance
 from .shared import NOTHING, Found, fixed_lines, one_pattern
 
@@ -120,13 +120,9 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
     return pattern, by_noise
 
 
-def unequal_offsets(dark: Levels) -> tuple[Found, ...]:
-    """The inequality of rows and columns of the darks, from all levels together."""
-    shared, spatial = dark.shared, dark.spatial_variance
-    if shared is None or spatial is None:
-        return ()
-    levels = np.asarray(spatial), np.asarray(dark.variance), np.asarray(dark.frames)
-    return tuple(fixed_lines(shared, *levels, axis) for axis in (0, 1))
+def unequal_offsets(dark: Levels) -> tuple[Found, Found]:
+    """The inequality of rows and of columns of the darks, from all levels together."""
+    return fixed_lines(dark, 0), fixed_lines(dark, 1)
 
 
 def _population_spread(
@@ -155,56 +151,49 @@ def _chance_covariance(dark: Spread, response: Spread, pixels: float) -> float:
 
 
 def unequal_gains(
-    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"], axis: int
-) -> Found:
-    """The inequality of the gains of rows (axis 0) or columns (axis 1), from all levels
-    together."""
-    bright, dark = measurement.bright, measurement.dark
-    assert bright.shared is not None
-    lines, across = np.asarray(bright.shared.shape)[[axis, 1 - axis]]
-    signal = _signal(measurement)
-    usable = usable[signal[usable] > 0]  # flats without light hold no information on gains
-    matched, square = np.asarray(measurement.dark_of)[usable], signal[usable] ** 2
-    if not len(usable):
-        return NOTHING
-    pattern, dark_pattern = pattern_variance(bright)[0], pattern_variance(dark)[0]
-    own = np.maximum(pattern[usable] - dark_pattern[matched], 0) / square / across
-
-    def of_lines(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
-        """The fixed part of the lines, and its share in the average frame."""
-        fixed, varying, _ = _lines(levels)[axis]
-        passing = np.maximum(varying, 0) + np.asarray(levels.variance) / across
-        return fixed, passing / np.asarray(levels.frames)
-
-    fixed, passing = (x[usable] for x in of_lines(bright))
-    dark_fixed, dark_passing = (x[matched] for x in of_lines(dark))
-    return one_pattern(
-        (fixed - dark_fixed) / square,
-        float(np.median(own)),
-        (passing + dark_passing) / square,
-        np.asarray(bright.frames)[usable],
-        float(lines),
-    )
-
-
-def _all_unequal_gains(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
-) -> tuple[Found, ...]:
-    if measurement.bright.shared is None or measurement.dark.shared is None:
-        return ()
-    return tuple(unequal_gains(measurement, usable, axis) for axis in (0, 1))
+) -> tuple[Found, Found]:
+    """The inequality of the gains of rows and of columns, from all levels together."""
+    bright, dark = measurement.bright, measurement.dark
+    signal = signal_of(measurement)
+    usable = usable[signal[usable] > 0]  # flats without light hold no information on gains
+    if bright.shared is None or dark.shared is None or not len(usable):
+        return NOTHING, NOTHING
+    matched, square = np.asarray(measurement.dark_of)[usable], signal[usable] ** 2
+    pattern, dark_pattern = pattern_variance(bright)[0], pattern_variance(dark)[0]
+    own = np.maximum(pattern[usable] - dark_pattern[matched], 0) / square
+    lit, unlit = _lines(bright), _lines(dark)
+
+    def one(axis: int) -> Found:
+        across = lit[1 - axis][2]
+
+        def of(levels: Levels, lines: list) -> tuple[np.ndarray, np.ndarray]:
+            """The fixed part of the lines, and its share in the average frame."""
+            fixed, varying, _ = lines[axis]
+            passing = np.maximum(varying, 0) + np.asarray(levels.variance) / across
+            return fixed, passing / np.asarray(levels.frames)
+
+        fixed, passing = (x[usable] for x in of(bright, lit))
+        dark_fixed, dark_passing = (x[matched] for x in of(dark, unlit))
+        return one_pattern(
+            (fixed - dark_fixed) / square,
+            float(np.median(own)) / across,
+            (passing + dark_passing) / square,
+            np.asarray(bright.frames)[usable],
+            lit[axis][2],
+        )
+
+    return one(0), one(1)
 
 
 def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """(fixed variance, temporal variance, count) of rows and of columns."""
-    shared = levels.shared
-    if shared is None:
+    if levels.shared is None:
         return []
-    rows, columns = (float(count) for count in shared.shape)
-    return [
-        (np.asarray(shared.fixed_rows), np.asarray(shared.rows), rows),
-        (np.asarray(shared.fixed_columns), np.asarray(shared.columns), columns),
-    ]
+    fixed, varying, counts = (
+        np.asarray(x) for x in (levels.shared.fixed, levels.shared.lines, levels.shared.shape)
+    )
+    return list(zip(fixed, varying, counts.tolist(), strict=True))
 
 
 def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVariance:
@@ -214,7 +203,7 @@ def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVari
     pattern, by_noise = pattern_variance(bright)
     dark_pattern, dark_by_noise = pattern_variance(dark)
     matched = np.asarray(measurement.dark_of)
-    signal = _signal(measurement)
+    signal = signal_of(measurement)
     linear = np.flatnonzero(np.asarray(within.linearity))
     half = HALF * signal[linear].max() / LINEAR_TOP
     frames = np.minimum(np.asarray(bright.frames), np.asarray(dark.frames)[matched])[linear]
@@ -223,7 +212,7 @@ def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVari
     noise = float(np.sqrt(dark_by_noise[own]))
     offsets = _population_spread(dark, float(dark_pattern[own]), noise, unequal_offsets(dark))
     of_die = float(pattern[level] - dark_pattern[own]) / signal[level] ** 2
-    gains = _all_unequal_gains(measurement, linear)
+    gains = unequal_gains(measurement, linear)
     response = _population_spread(bright, of_die, 0.0, gains)
     chance = 4 * signal[level] ** 2 * _chance_covariance(offsets, response, float(bright.pixels))
     temporal = by_noise[level] + dark_by_noise[own]
@@ -240,12 +229,12 @@ def fitted_pattern(
     bright, dark = measurement.bright, measurement.dark
     pattern, by_noise = pattern_variance(bright)
     dark_pattern, dark_by_noise = pattern_variance(dark)
-    signal = np.concatenate([_signal(measurement)[usable], np.zeros(len(dark_pattern))])
+    signal = np.concatenate([signal_of(measurement)[usable], np.zeros(len(dark_pattern))])
     observed = np.concatenate([pattern[usable], dark_pattern])
     by_noise = np.concatenate([by_noise[usable], dark_by_noise])
     told = by_noise > 0  # levels whose frames are not identical
     signal, observed, by_noise = signal[told], observed[told], by_noise[told]
-    unequal = unequal_offsets(dark), _all_unequal_gains(measurement, usable)
+    unequal = unequal_offsets(dark), unequal_gains(measurement, usable)
     design = np.stack([np.ones_like(signal), signal**2], axis=1)
     degrees = max(len(observed) - 2, 1)
 
@@ -278,8 +267,3 @@ def fitted_pattern(
         chi_square_per_dof=chi_square / degrees,
         p_value=p_value(chi_square, degrees),
     )
-
-
-def _signal(measurement: PhotonTransfer) -> Float[np.ndarray, " levels"]:
-    dark = np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)]
-    return np.asarray(measurement.bright.mean) - dark

@@ -18,13 +18,12 @@ from scipy.special import fdtrc, ndtr, stdtr
 from ..inference.formatting import format_number
 from .levels import PhotonTransfer
 from .live_pixels import LivePixels
-from .shared import believed_lines
+from .shared import LINES, believed_lines
 
 RESIDUES = 16  # rows or columns modulo it; also places in a cell of 4 x 4
 LONGER = 30  # modulus that reveals periods of 3, 5 and 6
 CELL = 4
 PERIODS = (2, 4, 8)
-LINES = ("rows", "columns")
 CENTRE, QUARTERS = "centre and border", "quadrants"
 HALVES = ("left and right", "top and bottom")
 PARTS_OF = {  # quarters of a frame in each part
@@ -301,14 +300,14 @@ def _gains_of_parts(
 ) -> tuple[np.ndarray, list[str]]:
     """Return the system gain K of each quarter, the centre and the border of the frame, and which
     of `CONTRASTS` are significant."""
-    bright, dark = measurement.bright, measurement.dark
+    bright = measurement.bright
     signal, shot = np.moveaxis(lit - unlit, 1, 0)  # (levels, places) each
     variance, frames = np.asarray(bright.variance)[usable], np.asarray(bright.frames)[usable]
     weight = ((frames - 1) / variance**2)[:, None]
     squares = np.sum(weight * signal**2, axis=0)
     gains = np.sum(weight * signal * shot, axis=0) / squares
     # Noise shared by rows or columns increases the error of the variances of halves.
-    if bright.flicker is not None or believed_lines(dark.shared, dark.variance, dark.frames):
+    if bright.flicker is not None or believed_lines(measurement.dark):
         return gains, []
     pixels = float(bright.pixels) / np.array([4, 4, 4, 4, 2, 2])
     errors = np.sqrt(2 / (squares * pixels))

@@ -28,11 +28,18 @@ from ..rig import Camera, Dark, Flat, Rig, load_rig, require
 from .counted import code_tables, dim_levels
 from .doubts import doubts
 from .level_sums import LevelStatistics, LevelSums, Unlit
-from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, finer, rounding_step
+from .levels import (
+    FEWEST_PIXELS,
+    REACH,
+    Levels,
+    PhotonTransfer,
+    SharedVariance,
+    finer,
+    rounding_step,
+)
 from .levels_table import read_table
 from .live_pixels import BULK, DeadPixels, LivePixels, dead_pixels
 from .settings import require_one_setting
-from .shared import shared_variance
 from .usable import check
 
 DARK_MATCH = 0.05  # relative difference in exposure up to which a dark is a flat's own
@@ -375,7 +382,7 @@ def _reduced(
     if not there:
         raise InputError(f"{rig.folder}: no level has two frames; {gone[0].sentence}")
     rows = [level for level in found if level is not None]
-    live, of_lines = rows[0].live, np.array([row.lines for row in rows]).T
+    live, of_lines = rows[0].live, _array([row.lines for row in rows]).T
     shape = live.shape
     mean, variance, spatial, frames, trend = np.array([row[:5] for row in rows], float).T
     # In a mosaic the nearest sites of one colour are two pixels apart.
@@ -389,7 +396,7 @@ def _reduced(
         frames=jnp.asarray(frames),
         pixels=_array(float(live.count)),
         spatial_variance=jnp.asarray(spatial),
-        shared=shared_variance(of_lines, shape),
+        shared=SharedVariance(of_lines[:2], of_lines[2:4], of_lines[4], _array(shape) * 1.0),
         covariances=covariances,
         residues=_array([row.residues for row in rows]),
         quarters=_array([row.quarters for row in rows]),

@@ -245,21 +245,18 @@ def _beside_the_likelihood(
         drawn = np.maximum(drawn + noise * rng.standard_normal(count), 0.0)
         found[name] = np.concatenate([[max(variance, 0.0)], drawn])
 
-    measurement = calibration.measurement
-    dark = measurement.dark
-    if dark.shared is not None:
-        of = np.asarray(dark.variance), np.asarray(dark.frames)
-        passing = {
-            "row_noise": temporal_lines(dark.shared, *of, 0),
-            "column_noise": temporal_lines(dark.shared, *of, 1),
-            "frame_noise": drift(dark.shared, *of),
-        }
-        for name, one in passing.items():
-            if one.believed:
-                add(name, one.variance, 2 * (one.variance / one.error) ** 2)
-            elif name in asked:
-                drawn = one.variance + one.error * rng.standard_normal(count)
-                found[name] = np.maximum(np.concatenate([[one.variance], drawn]), 0.0)
+    dark = calibration.measurement.dark
+    passing = {
+        "row_noise": temporal_lines(dark, 0),
+        "column_noise": temporal_lines(dark, 1),
+        "frame_noise": drift(dark),
+    }
+    for name, one in passing.items():
+        if one.believed:
+            add(name, one.variance, 2 * (one.variance / one.error) ** 2)
+        elif name in asked:
+            drawn = one.variance + one.error * rng.standard_normal(count)
+            found[name] = np.maximum(np.concatenate([[one.variance], drawn]), 0.0)
     labels = names(calibration.posterior.space)
     if "frame_noise" not in found and "black_scatter" in labels:
         # Drift of the black level between levels of this many frames.

@@ -16,38 +16,16 @@ from dataclasses import dataclass
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.special import chdtri, fdtrc, ndtri
 
+from .levels import Levels
+
+LINES = ("rows", "columns")  # of a frame; axis 0 and axis 1
 SURE = 4.0  # normal deviate, exceeded once in 30,000 cameras without shared noise
 LOWEST = 0.05  # probability of so small an estimate in the darks if they have the noise
 RAREST, EPSILON = 1e-300, 1e-16  # least probability, and least distance from 1
 MOST_DEGREES, TINY = 1e9, 1e-300  # degrees that count as infinite; ratio that counts as 0
-
-
-class SharedVariance(eqx.Module):
-    """The variance that rows and columns share at each level. Without shared noise the estimates
-    scatter about 0.
-    """
-
-    rows: Float[Array, " levels"]  # temporal variance that the pixels of a row share, DN^2
-    columns: Float[Array, " levels"]  # the same of columns
-    # variance of the rows' means that is the same in all frames, DN^2
-    fixed_rows: Float[Array, " levels"]
-    fixed_columns: Float[Array, " levels"]  # the same of columns
-    # variance of the frames' means beyond what pixels, rows and columns explain, DN^2
-    frames: Float[Array, " levels"]
-    shape: Float[Array, "2"]  # rows and columns of a frame
-
-
-def shared_variance(
-    of_levels: Float[np.ndarray, "5 levels"], shape: tuple[int, ...]
-) -> SharedVariance:
-    """The record of the shared variances from `Moments` at each level."""
-    rows, columns, fixed_rows, fixed_columns, frames = (jnp.asarray(row) for row in of_levels)
-    size = jnp.asarray(np.asarray(shape, float))
-    return SharedVariance(rows, columns, fixed_rows, fixed_columns, frames, size)
 
 
 class SharedNoise(eqx.Module):
@@ -87,88 +65,76 @@ def _deviate(ratio: float, degrees: float, beneath: float = MOST_DEGREES) -> flo
     return -float(ndtri(np.clip(fdtrc(degrees, beneath, max(ratio, 0.0)), RAREST, 1 - EPSILON)))
 
 
-def temporal_lines(
-    shared: SharedVariance, variance: Float[np.ndarray, " levels"], frames: np.ndarray, axis: int
-) -> Found:
+def temporal_lines(levels: Levels, axis: int) -> Found:
     """The temporal noise of rows (axis 0) or columns (axis 1), from all levels together."""
-    lines, across = np.asarray(shared.shape)[[axis, 1 - axis]]
-    values = np.asarray(shared.rows if axis == 0 else shared.columns)
-    expected, degrees = variance / across, (frames - 1) * max(lines - 1, 1.0)
+    if levels.shared is None:
+        return NOTHING
+    lines, across = np.asarray(levels.shared.shape)[[axis, 1 - axis]]
+    degrees = (np.asarray(levels.frames) - 1) * max(lines - 1, 1.0)
+    expected = np.asarray(levels.variance) / across
+    values = np.asarray(levels.shared.lines)[axis]
     return _pooled(values, expected, degrees, degrees * max(across - 1, 1.0))
 
 
 def extra_lines(
-    bright: SharedVariance,
-    dark: SharedVariance,
-    of_bright: tuple[np.ndarray, np.ndarray],
-    of_dark: tuple[np.ndarray, np.ndarray],
-    axis: int,
+    bright: Levels, dark: Levels, usable: Int[np.ndarray, " usable"], axis: int
 ) -> Found:
-    """Temporal noise of rows (axis 0) or columns (axis 1) that flats have beyond darks."""
-    unlit = temporal_lines(dark, *of_dark, axis)
-    if not unlit.error:
+    """Temporal noise of rows (axis 0) or columns (axis 1) that usable flats have beyond darks."""
+    unlit = temporal_lines(dark, axis)
+    if bright.shared is None or not unlit.error:
         return NOTHING
-    lines, across = np.asarray(bright.shape)[[axis, 1 - axis]]
-    alike, by_pixels = max(unlit.variance, 0.0), of_bright[0] / across
-    of_darks = float(np.mean(of_dark[0])) / across
+    lines, across = np.asarray(bright.shared.shape)[[axis, 1 - axis]]
+    alike, by_pixels = max(unlit.variance, 0.0), np.asarray(bright.variance)[usable] / across
+    of_darks = float(np.mean(np.asarray(dark.variance))) / across
     own = unlit.variance + of_darks
     known = 2 * (own / unlit.error) ** 2
     more = max(float(np.mean(by_pixels)) - of_darks, 0.0)  # of pixels
     beneath = known * (1 + more / (own * known / chdtri(known, 1 - LOWEST))) ** 2
-    values = np.asarray(bright.rows if axis == 0 else bright.columns) - alike
-    expected, degrees = by_pixels + alike, (of_bright[1] - 1) * max(lines - 1, 1.0)
-    told = _pooled(values, expected, degrees, np.full(len(values), beneath / len(values)))
+    values = np.asarray(bright.shared.lines)[axis, usable] - alike
+    degrees = (np.asarray(bright.frames)[usable] - 1) * max(lines - 1, 1.0)
+    expected = by_pixels + alike
+    pooled = _pooled(values, expected, degrees, np.full(len(values), beneath / len(values)))
     ratio = np.divide(values, expected, out=np.full(len(values), -np.inf), where=expected > 0)
     plainest = int(np.argmax(ratio * np.sqrt(degrees)))
     error = (expected + values)[plainest] * np.sqrt(2 / degrees[plainest])
     error = float(np.hypot(error, unlit.error))
-    return Found(float(values[plainest]), error, told.significance)
+    return Found(float(values[plainest]), error, pooled.significance)
 
 
-def believed_lines(
-    shared: SharedVariance | None, variance: ArrayLike, frames: ArrayLike
-) -> list[tuple[float, float]]:
-    """The temporal noise that rows or columns share, if it is significant."""
-    if shared is None:
+def believed_lines(levels: Levels) -> list[tuple[float, float]]:
+    """The variance that rows or columns share, DN^2, if it is significant, and their number."""
+    if levels.shared is None:
         return []
-    of = np.asarray(variance), np.asarray(frames)
-    found = [temporal_lines(shared, *of, axis) for axis in (0, 1)]
-    counts = (float(count) for count in shared.shape)
+    found = [temporal_lines(levels, axis) for axis in (0, 1)]
+    counts = (float(count) for count in levels.shared.shape)
     return [(one.variance, n) for one, n in zip(found, counts, strict=True) if one.believed]
 
 
-def shared_noise(
-    shared: SharedVariance | None, variance: ArrayLike, frames: ArrayLike
-) -> SharedNoise | None:
+def shared_noise(levels: Levels) -> SharedNoise | None:
     """The significant noise that rows, columns or frames share."""
-    if shared is None:
-        return None
-    lines = believed_lines(shared, variance, frames)
-    wander = drift(shared, np.asarray(variance), np.asarray(frames))
+    lines, wander = believed_lines(levels), drift(levels)
     if not lines and not wander.believed:
         return None
     of_mean = sum(one / count for one, count in lines)
     if wander.believed:
-        degrees = float(np.sum(np.asarray(frames) - 1))
+        degrees = float(np.sum(np.asarray(levels.frames) - 1))
         of_mean += wander.variance * degrees / max(degrees - 2, 1)  # variance of Student's t
     of_variance = sum(2 * one**2 / count for one, count in lines)
     return SharedNoise(jnp.asarray(of_mean, float), jnp.asarray(of_variance, float))
 
 
-def fixed_lines(
-    shared: SharedVariance,
-    spatial: Float[np.ndarray, " levels"],
-    variance: Float[np.ndarray, " levels"],
-    frames: np.ndarray,
-    axis: int,
-) -> Found:
-    """The fixed inequality of rows or columns, from all levels together."""
-    lines, across = np.asarray(shared.shape)[[axis, 1 - axis]]
-    values = np.asarray(shared.fixed_rows if axis == 0 else shared.fixed_columns)
-    of_lines = max(temporal_lines(shared, variance, frames, axis).variance, 0.0)
+def fixed_lines(levels: Levels, axis: int) -> Found:
+    """The fixed inequality of rows (axis 0) or columns (axis 1), from all levels together."""
+    if levels.shared is None or levels.spatial_variance is None:
+        return NOTHING
+    spatial, variance, frames = (
+        np.asarray(x) for x in (levels.spatial_variance, levels.variance, levels.frames)
+    )
+    lines, across = np.asarray(levels.shared.shape)[[axis, 1 - axis]]
+    of_lines = max(temporal_lines(levels, axis).variance, 0.0)
     passing = (of_lines + variance / across) / frames
     own = float(np.median(np.maximum(spatial - variance / frames, 0))) / across
-    return one_pattern(values, own, passing, frames, lines)
+    return one_pattern(np.asarray(levels.shared.fixed)[axis], own, passing, frames, lines)
 
 
 def one_pattern(
@@ -204,21 +170,16 @@ def one_pattern(
     return Found(found, error(own + max(found, 0.0)), significance)
 
 
-def drift(
-    shared: SharedVariance, variance: Float[np.ndarray, " levels"], frames: np.ndarray
-) -> Found:
+def drift(levels: Levels) -> Found:
     """The drift of whole frames, from all levels together."""
-    shape, degrees = np.asarray(shared.shape), frames - 1
-    lines = [
-        np.maximum(np.asarray(values), 0) / count
-        for values, count in zip((shared.rows, shared.columns), shape, strict=True)
-    ]
-    expected = variance / shape.prod() + sum(lines)
-    unsure = [
-        line**2 / (degrees * max(count - 1, 1.0)) for line, count in zip(lines, shape, strict=True)
-    ]
-    beneath = np.minimum(expected**2 / np.maximum(sum(unsure), TINY), MOST_DEGREES)
-    return _pooled(np.asarray(shared.frames), expected, degrees, beneath)
+    if levels.shared is None:
+        return NOTHING
+    degrees, shape = np.asarray(levels.frames) - 1, np.asarray(levels.shared.shape)[:, None]
+    lines = np.maximum(np.asarray(levels.shared.lines), 0) / shape
+    expected = np.asarray(levels.variance) / shape.prod() + lines.sum(axis=0)
+    unsure = np.sum(lines**2 / (degrees * np.maximum(shape - 1, 1.0)), axis=0)
+    beneath = np.minimum(expected**2 / np.maximum(unsure, TINY), MOST_DEGREES)
+    return _pooled(np.asarray(levels.shared.frames), expected, degrees, beneath)
 
 
 def _pooled(

@@ -112,7 +112,7 @@ def noise_data(
         light_step=measurement.light_step,
         window=window,
         photons_known=measurement.photons_known,
-        shared=shared_noise(dark.shared, dark.variance, dark.frames),
+        shared=shared_noise(dark),
         neighbours=around,
         offsets=offsets,
         unsteady=unsteady,
@@ -377,7 +377,7 @@ def dark_scatter(measurement: PhotonTransfer) -> ParameterSpace:
         dark,
         jnp.zeros_like(dark.mean),
         jnp.ones_like(dark.pixels),
-        shared=shared_noise(dark.shared, dark.variance, dark.frames),
+        shared=shared_noise(dark),
     )
     found = []
     for effect, values, variances in (
@@ -404,10 +404,7 @@ def candidates_for(
     found.append(Candidate(BRIGHTER_FATTER, chance=by_chance, side="above"))  # charges repel
     if are_known(inputs.neighbours):
         found.append(Candidate(PIXEL_MIXING, chance=by_chance))
-    dark = measurement.dark
-    if BLACK_SCATTER in always or dark.shared is None:
-        return tuple(found)
-    if drift(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames)).believed:
+    if BLACK_SCATTER not in always and drift(measurement.dark).believed:
         found.append(Candidate(BLACK_SCATTER, chance=1))
     return tuple(found)
 

@@ -135,11 +135,8 @@ def _known_spread(
 ) -> np.ndarray:
     """Other shifts of pixels relative to the code grid, DN^2: their own gains, in proportion to the
     signal, and a black level that drifts between frames."""
-    dark = measurement.dark
     response = fitted_pattern(measurement, usable).response
     signal = measurement.converter.step * np.maximum(mean - mean[lit == 0].min(), 0)
     found = lit * signal**2 * (response.variance if response.significant else 0.0)
-    if dark.shared is not None:
-        wander = drift(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames))
-        found = found + (wander.variance if wander.believed else 0.0)
-    return found
+    wander = drift(measurement.dark)
+    return found + (wander.variance if wander.believed else 0.0)

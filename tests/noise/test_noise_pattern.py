@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from noise_findings import told
-from oracles.frames import level_of
+from oracles.frames import level_of, shared_variance
 from scipy import stats
 
 from fitting import noise
@@ -17,7 +17,6 @@ from fitting.noise.pattern import PatternVariance, Spread, fitted_pattern
 from fitting.noise.quantities import QUANTITIES
 from fitting.noise.regressions import Part, deviation_quantiles, sampling_variance
 from fitting.noise.section import _pattern_estimates
-from fitting.noise.shared import shared_variance
 from fitting.rig import Camera
 
 ENDS = np.array([0.025, 0.16, 0.5, 0.84, 0.975])

@@ -13,13 +13,12 @@ import fitting.noise.calibration as calibrations
 import jaxvision as jv
 from fitting.cli import app
 from fitting.noise import Camera, calibrate, from_frames, predict
-from fitting.noise.levels import Levels, PhotonTransfer
+from fitting.noise.levels import Levels, PhotonTransfer, SharedVariance
 from fitting.noise.prediction.comparison import compare
 from fitting.noise.prediction.moments import Lit, clipped
 from fitting.noise.prediction.predict import levels_kept_out, predict_own_frames
 from fitting.noise.prediction.section import NOTHING_KNOWN, findings, section
 from fitting.noise.sensor import fitted_sensor
-from fitting.noise.shared import SharedVariance
 from jaxvision.errors import InputError
 
 GAIN, EFFICIENCY, READ, BLACK, CURRENT = 0.25, 0.5, 5.0, 64.0, 100.0
@@ -76,7 +75,12 @@ def measured(rng, *, chance=1.0, **planted):
             variance=jnp.asarray(found[1]),
             frames=jnp.full(count, float(FRAMES)),
             pixels=jnp.asarray(float(n)),
-            shared=SharedVariance(of_rows, none, none, none, none, jnp.full(2, float(SIZE))),
+            shared=SharedVariance(
+                jnp.stack([of_rows, none]),
+                jnp.zeros((2, none.size)),
+                none,
+                jnp.full(2, float(SIZE)),
+            ),
             covariances=jnp.asarray(covariances),
         )
 

@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from noise_findings import told
-from oracles.frames import level_of
+from oracles.frames import level_of, levels_sharing, shared_variance
 
 from fitting import noise
 from fitting.noise.calibration import calibrate, extra_in_flats, without_flicker
 from fitting.noise.emva1288 import ranges, sheet, statistics
 from fitting.noise.level_sums import Moments
-from fitting.noise.levels import Levels, linear_levels
+from fitting.noise.levels import linear_levels
 from fitting.noise.live_pixels import LivePixels
 from fitting.noise.pattern import fitted_pattern, pattern_variance, unequal_gains
 from fitting.noise.regressions import sampling_errors
@@ -21,7 +21,6 @@ from fitting.noise.shared import (
     extra_lines,
     fixed_lines,
     shared_noise,
-    shared_variance,
     temporal_lines,
 )
 from fitting.noise.statement import base_space, fitted, noise_data, stated
@@ -31,7 +30,7 @@ H, W, FRAMES, LEVELS = 24, 40, 3, 4
 
 
 def dark_levels(rng, *, rows=0.0, columns=0.0, fixed=0.0, fixed_rows=0.0, frames=0.0):
-    """Four levels of dark frames: (shared, variances, spatial variances), of pixel noise 2 DN."""
+    """Four levels of dark frames, of pixel noise 2 DN."""
     banding = fixed * rng.standard_normal(W)
     if fixed_rows:
         banding = banding + fixed_rows * rng.standard_normal((H, 1))
@@ -48,18 +47,17 @@ def dark_levels(rng, *, rows=0.0, columns=0.0, fixed=0.0, fixed_rows=0.0, frames
         average, variance, lines = level_of(stack)
         kept.append((variance, average.var(ddof=1), *lines))
     variance, spatial, *lines = np.array(kept).T
-    return shared_variance(np.array(lines), (H, W)), variance, spatial
+    return levels_sharing(shared_variance(np.array(lines), (H, W)), variance, FRAMES, spatial)
 
 
 def judged(rng, **planted):
-    shared, variance, spatial = dark_levels(rng, **planted)
-    frames = np.full(LEVELS, FRAMES)
+    darks = dark_levels(rng, **planted)
     return {
-        "rows": temporal_lines(shared, variance, frames, 0),
-        "columns": temporal_lines(shared, variance, frames, 1),
-        "fixed": fixed_lines(shared, spatial, variance, frames, 1),
-        "fixed rows": fixed_lines(shared, spatial, variance, frames, 0),
-        "frames": drift(shared, variance, frames),
+        "rows": temporal_lines(darks, 0),
+        "columns": temporal_lines(darks, 1),
+        "fixed": fixed_lines(darks, 1),
+        "fixed rows": fixed_lines(darks, 0),
+        "frames": drift(darks),
     }
 
 
@@ -109,11 +107,7 @@ def test_row_noise_widens_the_pattern():
     """DSNU's variance, less what temporal noise leaves, is known as well as rows let it be."""
     rng, z = np.random.default_rng(3), []
     for _ in range(200):
-        shared, variance, spatial = dark_levels(rng, rows=2.0)
-        one, pixels = jnp.ones(LEVELS), jnp.asarray(float(H * W))
-        of = jnp.asarray(variance), FRAMES * one, pixels, jnp.asarray(spatial), shared
-        levels = Levels(0 * one, one, 100 * one, *of)
-        pattern, by_noise = pattern_variance(levels)
+        pattern, by_noise = pattern_variance(dark_levels(rng, rows=2.0))
         z += list(pattern / np.sqrt(by_noise))
     assert abs(np.mean(z)) < 0.1
     assert 0.8 < np.std(z) < 1.2
@@ -137,10 +131,8 @@ def test_errors_of_a_level_know_of_shared_noise():
         average, variance, lines = level_of(stack)
         kept.append((variance, average.mean(), *lines))
     variance, mean, *lines = np.array(kept).T
-    one, shared = np.ones(400), shared_variance(np.array(lines), (H, W))
-    levels = Levels(0 * one, one, mean, variance, FRAMES * one, jnp.asarray(float(H * W)))
-    noise_of_all = shared_noise(shared, variance, FRAMES * one)
-    errors = sampling_errors(levels, 0 * one, jnp.asarray(1.0), shared=noise_of_all)
+    levels = levels_sharing(shared_variance(np.array(lines), (H, W)), variance, FRAMES)
+    errors = sampling_errors(levels, np.zeros(400), jnp.asarray(1.0), shared=shared_noise(levels))
     # The scatter of 400 has a relative error of 3.5 %: four of them.
     for found, claimed in ((mean, errors.mean), (variance, errors.variance)):
         assert abs(np.sqrt(np.mean(claimed)) / found.std(ddof=1) - 1) < 0.14
@@ -189,7 +181,7 @@ def test_unequal_columns_of_gain_are_known_as_well_as_columns_let_them_be():
         usable = np.arange(4)
         pattern = fitted_pattern(measured, usable)
         z.append((pattern.response.variance - 1e-4) / pattern.response.error)
-        found.append([unequal_gains(measured, usable, axis) for axis in (0, 1)])
+        found.append(unequal_gains(measured, usable))
     assert np.mean(np.abs(z) < 1.96) > 0.85
     assert 0.7 < np.std(z) < 1.4
     assert not any(rows.believed for rows, _ in found)
@@ -211,10 +203,10 @@ def test_a_flat_of_no_light_hides_no_unequal_gains():
         )
 
     lit, whole = of(flats, photons), of([darks[0], *flats], [0.0, *photons])
-    columns = unequal_gains(whole, np.arange(5), 1)
+    _, columns = unequal_gains(whole, np.arange(5))
     assert columns.believed
-    assert columns == unequal_gains(lit, np.arange(4), 1)
-    assert not unequal_gains(whole, np.arange(1), 1).believed
+    assert columns == unequal_gains(lit, np.arange(4))[1]
+    assert not unequal_gains(whole, np.arange(1))[1].believed
 
 
 @pytest.mark.slow
@@ -280,19 +272,18 @@ def test_few_frames_of_few_rows_raise_no_alarm():
         stacks = sigma * rng.standard_normal((count, 2, *shape))
         stacks += rng.standard_normal((count, 2, shape[0], 1))  # of rows, flats and darks alike
         _, variance, lines = zip(*map(level_of, stacks), strict=True)
-        return shared_variance(np.array(lines).T, shape), np.array(variance), np.full(count, 2)
+        return levels_sharing(shared_variance(np.array(lines).T, shape), np.array(variance), 2)
 
     def quiet():
         _, variance, lines = level_of(rng.standard_normal((2, *shape)))
-        shared = shared_variance(np.array([lines]).T, shape)
-        return shared, np.array([variance]), np.array([2])
+        return levels_sharing(shared_variance(np.array([lines]).T, shape), np.array([variance]), 2)
 
     for _ in range(500):
-        (dark, *of_dark), (flat, *of_flat), one = told(1.0, 1), told(2.0, 5), quiet()
+        dark, flat, one = told(1.0, 1), told(2.0, 5), quiet()
         alarms += [
-            extra_lines(flat, dark, tuple(of_flat), tuple(of_dark), 0).believed,
-            drift(*one).believed,
-            temporal_lines(*one, 0).believed,
+            extra_lines(flat, dark, np.arange(5), 0).believed,
+            drift(one).believed,
+            temporal_lines(one, 0).believed,
         ]
     assert (alarms <= 1).all(), alarms
 
@@ -332,10 +323,12 @@ def test_levels_whose_frames_are_alike_tell_nothing():
     def found(levels):
         _, variance, lines = zip(*map(level_of, levels), strict=True)
         shared, variance = shared_variance(np.array(lines).T, (H, W)), np.array(variance)
-        frames = np.full(len(levels), FRAMES)
-        lines = [temporal_lines(shared, variance, frames, axis) for axis in (0, 1)]
-        banding = fixed_lines(shared, variance / FRAMES, variance, frames, 0)
-        return [*lines, banding, drift(shared, variance, frames)]
+        darks = levels_sharing(shared, variance, FRAMES, variance / FRAMES)
+        return [
+            *(temporal_lines(darks, axis) for axis in (0, 1)),
+            fixed_lines(darks, 0),
+            drift(darks),
+        ]
 
     for one, other in zip(found(stacks), found([still, *stacks]), strict=True):
         assert one.variance == pytest.approx(other.variance)
@@ -392,6 +385,5 @@ def test_a_line_sensor_has_no_lines(shape):
         *(flats, darks, [0.01] * 4, light), camera=Camera(bits=12), dark_exposures=[0.01]
     )
     for levels in (measured.bright, measured.dark):
-        assert not np.any(levels.shared.rows)
-        assert not np.any(levels.shared.columns)
+        assert not np.any(levels.shared.lines)
     assert calibrate(measured).shown["system_gain"].value == pytest.approx(0.5, rel=0.2)

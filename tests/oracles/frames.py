@@ -1,8 +1,10 @@
 """Frames of one level, summed up as the reader of a rig does."""
 
+import jax.numpy as jnp
 import numpy as np
 
 from fitting.noise.level_sums import Moments
+from fitting.noise.levels import Levels, SharedVariance
 from fitting.noise.live_pixels import LivePixels
 
 
@@ -20,3 +22,22 @@ def level_of(
     parts = moments.temporal(total, variance, shifts.var(ddof=1), count)
     lines = parts.rows, parts.columns, *moments.fixed(average, parts, count), parts.frames
     return average, parts.of_a_pixel, lines
+
+
+def shared_variance(of_levels: np.ndarray, shape: tuple[int, ...]) -> SharedVariance:
+    """The shared variances from the lines of each level, as `level_of` gives them, (5, levels)."""
+    return SharedVariance(
+        *map(jnp.asarray, (of_levels[:2], of_levels[2:4], of_levels[4], np.array(shape, float)))
+    )
+
+
+def levels_sharing(
+    shared: SharedVariance, variance: np.ndarray, frames: int, spatial: np.ndarray | None = None
+) -> Levels:
+    """Dark levels of these shared, temporal and spatial variances."""
+    one = jnp.ones(len(variance))
+    return Levels(
+        *(0 * one, one, 100 * one, jnp.asarray(variance), frames * one, jnp.prod(shared.shape)),
+        spatial_variance=None if spatial is None else jnp.asarray(spatial),
+        shared=shared,
+    )

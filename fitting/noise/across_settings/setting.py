@@ -109,7 +109,7 @@ def estimates_from_darks(setting: Setting, darks: Levels) -> SettingEstimates:
         )
     pixels = float(darks.pixels)
     of_mean, of_variance = variance / pixels, 2 * variance**2 / pixels
-    shared = shared_noise(darks.shared, variance, frames)
+    shared = shared_noise(darks)
     if shared is not None:
         of_mean = of_mean + float(shared.of_mean)
         of_variance = of_variance + float(shared.of_variance)

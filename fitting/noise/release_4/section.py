@@ -266,7 +266,7 @@ def _leaks(sheet: Release4, averages: Averages) -> list[str]:
     shared, own = measurement.dark.shared, int(measurement.dark_of[averages.level])
     split: Split = sheet.nonuniformity[PLAIN].dark
     if shared is not None:
-        of_lines = ("rows", shared.rows, split.row), ("columns", shared.columns, split.col)
+        of_lines = ("rows", shared.lines[0], split.row), ("columns", shared.lines[1], split.col)
         for name, varying, fixed in of_lines:
             kept = float(varying[own]) / unlit.frames
             if fixed > 0 and kept > LEAK * fixed:

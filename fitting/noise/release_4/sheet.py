@@ -108,7 +108,7 @@ def release_4_sheet(stacks: Stacks, *, seed: int = 0) -> Release4:
     measurement = as_dtype(stacks.measurement, np.float64)
     within, clipped = ranges(measurement, stacks.numbers)
     dark = measurement.dark
-    shared = shared_noise(dark.shared, dark.variance, dark.frames)
+    shared = shared_noise(dark)
     linear = _evaluated(measurement, within, shared=shared, figures=figures)
     found = {}
     if stacks.averages is not None:
