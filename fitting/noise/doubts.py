@@ -285,10 +285,8 @@ def _step(values: Float[np.ndarray, " levels"], errors: np.ndarray) -> _Step | N
 def _two_gains(measurement: PhotonTransfer, flats: Sequence[Sequence[FrameSample]]) -> Doubt | None:
     bright, usable = measurement.bright, linear_levels(measurement)
     signal, shot = signal_of(measurement)[usable], shot_of(measurement)[usable]
-    variance = np.asarray(bright.variance)[usable]
-    degrees = float(bright.pixels) * (np.asarray(bright.frames)[usable] - 1)
-    errors = variance * np.sqrt(2 / degrees) / np.maximum(shot, 1e-9)
-    dithered = variance > DITHERED * measurement.converter.width**2
+    errors = bright.variance_error[usable] / np.maximum(shot, 1e-9)
+    dithered = np.asarray(bright.variance)[usable] > DITHERED * measurement.converter.width**2
     told = (signal > 0) & (shot > 0) & (errors < KNOWN) & dithered
     usable, errors = usable[told], errors[told]
     found = _step(np.log(shot[told] / signal[told]), errors)
@@ -312,8 +310,7 @@ def _two_modes(measurement: PhotonTransfer, darks: Sequence[Sequence[FrameSample
     variance = np.asarray(dark.variance)[order]
     if not (variance > least_dark_variance(measurement)).all():
         return None
-    degrees = float(dark.pixels) * (np.asarray(dark.frames)[order] - 1)
-    found = _step(np.log(variance), np.sqrt(2 / degrees))
+    found = _step(np.log(variance), dark.variance_error[order] / variance)
     if found is None:
         return None
     before, after = (darks[order[i]][0].name for i in (found.place - 1, found.place))

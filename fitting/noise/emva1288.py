@@ -30,7 +30,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..codes import Converter
-from .levels import PhotonTransfer, linear_levels, saturated_level
+from .levels import PhotonTransfer, linear_levels, signal_of
 from .quantities import NEED_PHOTONS
 from .regressions import (
     SamplingErrors,
@@ -103,8 +103,8 @@ def ranges(measurement: PhotonTransfer) -> Ranges:
     saturation are not given.
     """
     bright = measurement.bright
-    signal = np.asarray(_signal(statistics(measurement, None), measurement))
-    saturated = saturated_level(measurement)
+    signal = signal_of(measurement)
+    saturated = measurement.saturated
     top = saturated if saturated is not None else int(linear_levels(measurement)[-1])
     below = np.arange(len(signal)) <= top
     low, high = LINEARITY_RANGE

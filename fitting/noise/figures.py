@@ -114,10 +114,8 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> "Figure":
     upper.set_ylim(floor, 6 * np.nanmax(shot))  # with room for the legend
     upper.legend(fontsize=9, loc="upper left")
 
-    bright = measurement.bright
     expected = gain * signal[used]
-    error = np.sqrt(2 / (float(bright.pixels) * (np.asarray(bright.frames)[used] - 1)))
-    error = 100 * error * np.asarray(bright.variance)[used] / np.abs(expected)
+    error = 100 * measurement.bright.variance_error[used] / np.abs(expected)
     lower.errorbar(
         signal[used], 100 * (shot[used] / expected - 1), error, fmt=".", color=BLUE, ms=6, lw=0.8
     )
@@ -208,12 +206,11 @@ def dark_signal_figure(calibration: NoiseCalibration) -> "Figure":
     exposure = 1e3 * np.asarray(dark.exposure)
     count = np.asarray(dark.pixels * dark.frames)
     mean, variance = np.asarray(dark.mean), np.asarray(dark.variance)
-    of_variance = variance * np.sqrt(2 / np.asarray(dark.pixels * (dark.frames - 1)))
     figure = Figure(figsize=SIZE, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     panels = (
         (upper, mean, np.sqrt(variance / count), "dark mean [DN]", "mean"),
-        (lower, variance, of_variance, "dark variance [DN²]", "variance"),
+        (lower, variance, dark.variance_error, "dark variance [DN²]", "variance"),
     )
     values, errors = calibration.standard.values, calibration.standard.errors
     for axis, y, error, label, way in panels:

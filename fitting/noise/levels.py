@@ -27,7 +27,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..codes import Converter
 
@@ -152,6 +152,12 @@ class Levels(eqx.Module):
     trend: Float[Array, " levels"] | None = None
 
     @property
+    def variance_error(self) -> Float[np.ndarray, " levels"]:
+        """Standard error of `variance` for independent Gaussian pixels, DN^2."""
+        degrees = float(self.pixels) * (np.asarray(self.frames) - 1)
+        return np.asarray(self.variance) * np.sqrt(2 / degrees)
+
+    @property
     def unsteady(self) -> Float[Array, " levels"] | None:
         """Variance of a frame's mean because of `flicker`, DN^2."""
         if self.flicker is None or self.shared is None:
@@ -228,14 +234,23 @@ class PhotonTransfer(eqx.Module):
         return finer(self.bright, self.dark)
 
     @property
+    def clear(self) -> Bool[np.ndarray, " levels"]:
+        """The bright levels at least four standard deviations below full scale."""
+        return reached(self.bright) <= (np.inf if self.full_scale is None else self.full_scale)
+
+    @property
+    def saturated(self) -> int | None:
+        """The index of the standard's saturation point; None without one, or above a knee."""
+        return None if self.knee is not None else saturation_index(self.bright)
+
+    @property
     def knee(self) -> Knee | None:
         """The knee at which the response changes to a second slope, below full scale; None if there
         is none."""
-        bright, clear = self.bright, _clear_of_clipping(self)
-        degrees = float(bright.pixels) * (np.asarray(bright.frames) - 1)
-        error = np.asarray(bright.variance) * np.sqrt(2 / degrees)
+        clear = self.clear
         end = len(clear) if clear.all() else int(np.argmin(clear))
-        return knee_of(signal_of(self)[:end], shot_of(self)[:end], error[:end])
+        levels = signal_of(self), shot_of(self), self.bright.variance_error
+        return knee_of(*(x[:end] for x in levels))
 
 
 def signal_of(measurement: PhotonTransfer) -> Float[np.ndarray, " levels"]:
@@ -255,52 +270,33 @@ def finer(bright: Levels, dark: Levels) -> Converter:
     return min(bright.converter, dark.converter, key=lambda one: one.step)
 
 
-def _clear_of_clipping(measurement: PhotonTransfer) -> np.ndarray:
-    """Levels at least four standard deviations below full scale."""
-    mean, variance = np.asarray(measurement.bright.mean), np.asarray(measurement.bright.variance)
-    if measurement.full_scale is None:
-        return np.ones(mean.shape, bool)
-    return mean + CLEAR_OF_CLIPPING * np.sqrt(variance) <= measurement.full_scale
-
-
-def saturated_level(measurement: PhotonTransfer) -> int | None:
-    """The standard's saturation point, if the decrease of the variance is not a knee."""
-    return None if measurement.knee is not None else saturation_index(measurement.bright)
+def reached(levels: Levels) -> Float[np.ndarray, " levels"]:
+    """The number four standard deviations above the mean of each level, DN."""
+    return np.asarray(levels.mean) + CLEAR_OF_CLIPPING * np.sqrt(np.asarray(levels.variance))
 
 
 def saturation_index(levels: Levels) -> int | None:
     """The standard's saturation point."""
     variance = np.asarray(levels.variance)
-    degrees = float(levels.pixels) * (np.asarray(levels.frames) - 1)
     peak = int(np.argmax(variance))
-    behind = variance[peak + 1 :]
-    if not behind.size:
-        return None
-    drop = SATURATED_DROP * variance[peak] * np.sqrt(2 / degrees[peak])
-    return peak if behind.min() < variance[peak] - drop else None
+    least = variance[peak] - SATURATED_DROP * levels.variance_error[peak]
+    return peak if (variance[peak + 1 :] < least).any() else None
 
 
 def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
     """Bright levels below the effects of full well and ADC range."""
     bright = measurement.bright
-    usable = (np.asarray(bright.variance) > 0) & _clear_of_clipping(measurement)
-    knee = measurement.knee
+    usable = (np.asarray(bright.variance) > 0) & measurement.clear
+    knee, saturated = measurement.knee, measurement.saturated
     if knee is not None:
         usable &= np.arange(len(usable)) < knee.level
-    saturated = None if knee is not None else saturation_index(bright)
     if saturated is not None:
         signal = signal_of(measurement)
         usable &= signal <= LINEAR_TOP * signal[saturated]
-    below = np.flatnonzero(usable & _first_converter(measurement))
+    # Levels below the number at which another converter takes over, if there are enough.
+    top = measurement.converter.coarse_from
+    below = np.flatnonzero(usable & (reached(bright) < (np.inf if top is None else top)))
     return below if len(below) >= FEWEST_OF_ONE else np.flatnonzero(usable)
-
-
-def _first_converter(measurement: PhotonTransfer) -> np.ndarray:
-    """Levels below the number at which another converter takes over."""
-    bright, top = measurement.bright, measurement.converter.coarse_from
-    if top is None:
-        return np.ones(bright.mean.shape, bool)
-    return np.asarray(bright.mean) + CLEAR_OF_CLIPPING * np.sqrt(np.asarray(bright.variance)) < top
 
 
 def rounding_step(amounts: np.ndarray) -> float:

@@ -234,17 +234,15 @@ def tone_curve(measurement: PhotonTransfer) -> float | None:
     """
     bright, dark = measurement.bright, measurement.dark
     light, variance = np.asarray(bright.light), np.asarray(bright.variance)
-    degrees = float(bright.pixels) * (np.asarray(bright.frames) - 1)
-    signal = signal_of(measurement)
+    signal, errors = signal_of(measurement), bright.variance_error
     seen = (light > 0) & (variance > 0) & (signal <= BELOW_SATURATION * signal.max())
     seen &= signal > SURE * np.sqrt(variance / float(bright.pixels))
     if seen.sum() < FEWEST_FOR_CURVE or np.ptp(np.log(light[seen])) < np.log(2):
         return None
-    light, signal, variance, degrees = (x[seen] for x in (light, signal, variance, degrees))
+    light, signal, variance, errors = (x[seen] for x in (light, signal, variance, errors))
     exponent = float(np.polyfit(np.log(light), np.log(signal), 1)[0])
     if exponent >= STRAIGHT:
         return None
-    errors = variance * np.sqrt(2 / degrees)
     (slope, _), covariance = np.polyfit(signal, variance, 1, w=1 / errors, cov="unscaled")
     top = int(np.argmax(light))
     gained = float(variance[top] - np.median(np.asarray(dark.variance)))

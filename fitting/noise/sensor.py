@@ -26,7 +26,7 @@ from .brighter_fatter import (
     mixed_shares,
 )
 from .calibration import NoiseCalibration
-from .levels import CLEAR_OF_CLIPPING, shot_of
+from .levels import reached, shot_of
 from .model import compressed
 from .pattern import SEEN
 from .shared import drift, temporal_lines
@@ -41,9 +41,7 @@ def ends_at_full_scale(calibration: NoiseCalibration) -> bool:
     measurement = calibration.measurement
     if measurement.full_scale is None:
         return False
-    bright = measurement.bright
-    reached = np.asarray(bright.mean) + CLEAR_OF_CLIPPING * np.sqrt(np.asarray(bright.variance))
-    return float(reached.max()) >= AT_FULL_SCALE * measurement.full_scale
+    return float(reached(measurement.bright).max()) >= AT_FULL_SCALE * measurement.full_scale
 
 
 def full_well(calibration: NoiseCalibration) -> tuple[float, float] | None:

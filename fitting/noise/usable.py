@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxvision.errors import InputError
 
-from .levels import PhotonTransfer, linear_levels, signal_of
+from .levels import PhotonTransfer, linear_levels, shot_of, signal_of
 from .raw_frames import tone_curve
 
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
@@ -106,12 +106,12 @@ def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndar
     levels = usable[np.asarray(bright.light)[usable] > 0]
     if len(levels) < FEWEST_FOR_BLACK:
         return
-    mean, variance, light, frames = (
-        np.asarray(x)[levels] for x in (bright.mean, bright.variance, bright.light, bright.frames)
+    mean, variance, light, errors = (
+        np.asarray(x)[levels]
+        for x in (bright.mean, bright.variance, bright.light, bright.variance_error)
     )
     there = np.asarray(measurement.dark_of)[levels]
     black, noise = float(np.mean(dark.mean[there])), float(np.mean(dark.variance[there]))
-    errors = variance * np.sqrt(2 / (float(bright.pixels) * (frames - 1)))
     by_variance, slope, error = _extrapolated_zero(mean, variance - noise, errors)
     by_variance, error = -by_variance / slope, np.hypot(error, noise) / abs(slope)
     by_light, _, light_error = _extrapolated_zero(light, mean, np.sqrt(variance))
@@ -142,10 +142,6 @@ def _extrapolated_zero(
 
 def _most_shot_noise(measurement: PhotonTransfer) -> float:
     """The largest excess of a level's variance over that of its darks, in standard errors."""
-    bright, dark = measurement.bright, measurement.dark
-    there = dark.variance[measurement.dark_of]
-    errors = np.hypot(
-        bright.variance * np.sqrt(2 / (bright.pixels * (bright.frames - 1))),
-        there * np.sqrt(2 / (dark.pixels * (dark.frames - 1)))[measurement.dark_of],
-    )
-    return float(np.max((bright.variance - there) / errors))
+    of_dark = measurement.dark.variance_error[measurement.dark_of]
+    errors = np.hypot(measurement.bright.variance_error, of_dark)
+    return float(np.max(shot_of(measurement) / errors))
