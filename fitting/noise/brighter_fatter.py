@@ -17,17 +17,9 @@ from jaxtyping import Array, Float
 from jaxvision import BrighterFatter, Mixing
 from jaxvision.sensor import area_changes, flat_covariances
 
-from .levels import REACH, PhotonTransfer, signal_of
+from .levels import REACH, PhotonTransfer
 from .model import compressed, expected_electrons
-from .neighbours import (
-    PERIOD,
-    Lags,
-    above_dark,
-    copies,
-    measured_shape,
-    shares_of,
-    tell_of_neighbours,
-)
+from .neighbours import COPIES, PERIOD, Lags, above_dark, area_shape
 from .statement import LikelihoodFit
 
 STEPS = 6  # Gauss-Newton steps; the model is nearly linear
@@ -56,9 +48,10 @@ def fitted_area_changes(
     measurement: PhotonTransfer, usable: np.ndarray, fit: LikelihoodFit
 ) -> AreaChanges | None:
     """The closed form of Astier et al. (2019) fitted to the covariances of all levels."""
-    if not tell_of_neighbours(measurement):
+    above = above_dark(measurement)
+    if above is None:
         return None
-    found, variances, _ = above_dark(measurement.bright, measurement.dark)
+    found, variances, _ = above
     bright = slice(0, len(usable))
     mu, step = electrons_and_steps(fit)
     scale = step[bright, None, None] ** 2
@@ -113,12 +106,10 @@ def fitted_kernel(
     measurement: PhotonTransfer, usable: np.ndarray
 ) -> Float[np.ndarray, "rows columns"]:
     """Return the kernel with a_00 = -1 whose area changes best fit the measured ones."""
-    around = copies()
-    around[0, 0] = 1
-    weight = np.sqrt(around)
+    weight = np.sqrt(np.maximum(COPIES, 1))
     of_kernel = np.asarray(jax.jacfwd(area_changes)(jnp.zeros((REACH, REACH))))
     design = (weight[:, :, None, None] * of_kernel).reshape(weight.size, -1)
-    wanted = -(weight * measured_shape(measurement, usable)).ravel()
+    wanted = -(weight * area_shape(measurement, usable)).ravel()
     kernel = np.linalg.lstsq(design, wanted, rcond=None)[0].reshape(REACH, REACH)
     return kernel / -np.asarray(area_changes(jnp.asarray(kernel)))[0, 0]
 
@@ -133,14 +124,6 @@ def fitted_effect(
         return None
     change = jnp.maximum(values["brighter_fatter"], 0) * values["system_gain"] / top
     return BrighterFatter(jnp.asarray(kernel) * change)
-
-
-def mixed_shares(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
-    """Return how the variance that a pixel loses by mixing is distributed over the covariances."""
-    if not tell_of_neighbours(measurement):
-        return shares_of(np.zeros(0), np.zeros((0,) * 3), np.zeros((0,) * 3))
-    found, variances, _ = above_dark(measurement.bright, measurement.dark)
-    return shares_of(signal_of(measurement)[usable], found[usable], variances[usable])
 
 
 def fitted_mixing(

@@ -81,12 +81,9 @@ class Neighbours:
         return found
 
 
-def copies() -> Lags:
-    """The number of offsets of either sign for each size; 0 at the pixel itself."""
-    along = np.where(np.arange(REACH + 1) == 0, 1.0, 2.0)
-    found = np.outer(along, along)
-    found[0, 0] = 0
-    return found
+# The number of offsets of either sign for each size; 0 at the pixel itself.
+COPIES: Lags = np.outer(*2 * [np.where(np.arange(REACH + 1) == 0, 1.0, 2.0)])
+COPIES[0, 0] = 0
 
 
 def pairs(shape: Float[np.ndarray, "2"], pixels: float) -> Lags:
@@ -97,13 +94,15 @@ def pairs(shape: Float[np.ndarray, "2"], pixels: float) -> Lags:
     return np.outer(rows, columns) * np.where(both, 2, 1) * live**2
 
 
-def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def above_dark(measurement: PhotonTransfer) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Covariances of bright levels minus those of the darks, the sampling variances of each, and
-    those of their sums over all neighbours."""
-    assert bright.covariances is not None
+    those of their sums over all neighbours. None without frames of adjacent pixels, or where the
+    light flickers: this also makes pixels covary, more strongly than charges do, and differs
+    between frames."""
+    bright, dark = measurement.bright, measurement.dark
+    if bright.covariances is None or dark.covariances is None or bright.flicker is not None:
+        return None
     assert bright.shared is not None
-    assert dark.covariances is not None
-    assert dark.shared is not None
     shape = np.asarray(bright.shared.shape)
     size, reach = pairs(shape, float(bright.pixels)), np.arange(REACH + 1)
     lines = [temporal_lines(dark, axis) for axis in (0, 1)]
@@ -111,9 +110,9 @@ def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray, np
     def chance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
         freedom = np.asarray(levels.frames) - 1
         covariances, own = np.asarray(levels.covariances), np.asarray(levels.variance)
-        widest = np.maximum(own, own + np.sum(covariances * copies(), axis=(1, 2)))
+        widest = np.maximum(own, own + np.sum(covariances * COPIES, axis=(1, 2)))
         each = (widest**2 / freedom)[:, None, None] / size
-        total = np.sum(each * copies() ** 2, axis=(1, 2))
+        total = np.sum(each * COPIES**2, axis=(1, 2))
         for axis, line in enumerate(lines):
             if not line.believed:
                 continue
@@ -134,23 +133,15 @@ def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray, np
     return above, each + 1 / unlit.sum(axis=0), total + 1 / unlit_total.sum()
 
 
-def tell_of_neighbours(measurement: PhotonTransfer) -> bool:
-    """Return whether covariances are known and come from pixels. Flicker also makes pixels covary,
-    more strongly than charges do, and differs between frames.
-    """
-    bright, dark = measurement.bright, measurement.dark
-    known = bright.covariances is not None and dark.covariances is not None
-    return known and bright.flicker is None
-
-
 def are_significant(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
     """Whether nearest neighbours covary significantly along rows, along columns or along both, in
     proportion to the signal's variance (mixing) or to its square (repulsion). The sum over all
     neighbours, which a fit explains, is less precise.
     """
-    if not tell_of_neighbours(measurement):
+    above = above_dark(measurement)
+    if above is None:
         return False
-    found, variances, _ = above_dark(measurement.bright, measurement.dark)
+    found, variances, _ = above
     shot = shot_of(measurement)[usable]
     shapes = np.array([shot, shot**2])[:, None]
     along, errors = (np.array([x[usable, 0, 1], x[usable, 1, 0]]) for x in (found, variances))
@@ -162,14 +153,15 @@ def are_significant(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
 
 def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> NeighbourData:
     """The covariances of a measurement in the form that a fit needs."""
-    bright, dark = measurement.bright, measurement.dark
-    terms = jnp.asarray(variance_terms(measured_shape(measurement, usable)))
-    if not tell_of_neighbours(measurement):
+    terms = jnp.asarray(variance_terms(area_shape(measurement, usable)))
+    above = above_dark(measurement)
+    if above is None:
         return NeighbourData(terms)
-    found, _, variances = above_dark(bright, dark)
-    total = np.sum(found * copies(), axis=(1, 2))[usable]
-    spread = variances[usable] / (np.asarray(bright.variance)[usable] + np.maximum(total, 0)) ** 2
-    darks = np.zeros(dark.mean.size)
+    found, _, variances = above
+    total = np.sum(found * COPIES, axis=(1, 2))[usable]
+    own = np.asarray(measurement.bright.variance)[usable]
+    spread = variances[usable] / (own + np.maximum(total, 0)) ** 2
+    darks = np.zeros(measurement.dark.mean.size)
     return NeighbourData(
         terms,
         jnp.asarray(np.concatenate([total, darks])),
@@ -188,54 +180,33 @@ def own_variance(
     return own * (1 - values["pixel_mixing"]) if "pixel_mixing" in values else own
 
 
-def measured_shape(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
-    """a_ij / a_00 of a camera."""
-    if not tell_of_neighbours(measurement):
-        return nearest()
-    found, variances, _ = above_dark(measurement.bright, measurement.dark)
-    return shape_of(signal_of(measurement)[usable], found[usable], variances[usable])
-
-
-def shape_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> Lags:
-    """a_ij / a_00, (lags, lags), from covariances above dark (DN^2) that grow with the square of
-    the signal (DN), and their sampling variances (DN^4).
-
-    Each covariance is shrunk by the part of its square that chance explains. If none is
-    significant, the four nearest neighbours share equally. The shape matters only at second order
-    in a_00.
-    """
-    slopes, errors = _powers_of(signal, found, variances)[1]
-    square = np.maximum(slopes**2, np.finfo(float).tiny)
-    kept = slopes * np.maximum(1 - errors**2 / square, 0)
-    total = np.sum(kept * copies())
-    if total <= 3 * np.sqrt(np.sum(errors**2 * copies() ** 2)):
-        return nearest()
-    shape = -kept / total
+def area_shape(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
+    """a_ij / a_00 of a camera. The areas of all pixels together do not change."""
+    shape = -shares(measurement, usable, power=2)
     shape[0, 0] = 1
     return shape
 
 
-def nearest() -> Lags:
-    """Return a_ij / a_00 for an effect on the four nearest neighbours alone."""
-    shape = np.zeros((REACH + 1, REACH + 1))
-    shape[0, 0], shape[0, 1], shape[1, 0] = 1, -0.25, -0.25
-    return shape
+def shares(measurement: PhotonTransfer, usable: np.ndarray, *, power: int) -> Lags:
+    """How the covariances above dark that grow with a power (1 or 2) of the signal are distributed
+    over the neighbours, with the sum 1; 0 for the pixel itself.
 
-
-def shares_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> Lags:
-    """The shape of the covariances that grow in proportion to the signal, shrunk as in
-    `shape_of`."""
-    even = -nearest()
-    even[0, 0] = 0
-    if not signal.size:
+    Each covariance is shrunk by the part of its square that chance explains. If none is
+    significant, or none is known, the four nearest neighbours share equally. For repulsion, the
+    distribution matters only at second order in a_00.
+    """
+    even = np.zeros((REACH + 1, REACH + 1))
+    even[0, 1] = even[1, 0] = 0.25
+    above = above_dark(measurement)
+    if above is None:
         return even
-    slopes, errors = _powers_of(signal, found, variances)[0]
+    found, variances, _ = above
+    both = _powers_of(signal_of(measurement)[usable], found[usable], variances[usable])
+    slopes, errors = both[power - 1]
     square = np.maximum(slopes**2, np.finfo(float).tiny)
-    kept = slopes * np.maximum(1 - errors**2 / square, 0)
-    total = np.sum(kept * copies())
-    if total <= 3 * np.sqrt(np.sum(errors**2 * copies() ** 2)):
-        return even
-    return kept * (copies() > 0) / total
+    kept = slopes * np.maximum(1 - errors**2 / square, 0) * (COPIES > 0)
+    total = np.sum(kept * COPIES)
+    return kept / total if total > 3 * np.sqrt(np.sum(errors**2 * COPIES**2)) else even
 
 
 def _powers_of(

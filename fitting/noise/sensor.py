@@ -18,16 +18,11 @@ from ..codes import Converter
 from ..inference.compiled import compiled_briefly
 from ..inference.parameters import names, to_natural
 from ..inference.precision import double_precision
-from .brighter_fatter import (
-    electrons_and_steps,
-    fitted_effect,
-    fitted_kernel,
-    fitted_mixing,
-    mixed_shares,
-)
+from .brighter_fatter import electrons_and_steps, fitted_effect, fitted_kernel, fitted_mixing
 from .calibration import NoiseCalibration
 from .levels import reached, shot_of
 from .model import compressed
+from .neighbours import shares
 from .pattern import SEEN
 from .shared import drift, temporal_lines
 from .statement import fitted_without
@@ -162,8 +157,6 @@ def drawn_numbers(
         mode, natural = _fitted_without(calibration, left_out, len(rows))
         usable = usable[~left_out[: len(usable)]]
     labels, measurement = names(posterior.space), calibration.measurement
-    kernel = fitted_kernel(measurement, usable) if "brighter_fatter" in labels else None
-    shares = mixed_shares(measurement, usable) if "pixel_mixing" in labels else None
     about = About(
         labels=labels,
         converter=measurement.converter,
@@ -172,8 +165,8 @@ def drawn_numbers(
         fades=any("dark_current" in doubt.of for doubt in measurement.doubts),
         exposure=np.median(np.asarray(measurement.bright.exposure)),
         top=np.asarray(calibration.chosen.data.top_signal),
-        kernel=kernel,
-        shares=shares,
+        kernel=fitted_kernel(measurement, usable) if "brighter_fatter" in labels else None,
+        shares=shares(measurement, usable, power=1) if "pixel_mixing" in labels else None,
     )
     beside = _beside_the_likelihood(calibration, len(rows), asked)
     return Numbers(about, np.concatenate([mode[None], natural]), beside)

@@ -19,7 +19,7 @@ from fitting.noise.findings import _dimmest_alone, _glow, _light_offset
 from fitting.noise.level_sums import LevelSums, Unlit
 from fitting.noise.levels import knee_of, linear_levels
 from fitting.noise.live_pixels import LivePixels, hits
-from fitting.noise.neighbours import above_dark, copies
+from fitting.noise.neighbours import COPIES, above_dark
 from fitting.noise.periodic import periodic_in_words, periodic_structure
 from fitting.noise.quantised import quantised_moments, window_for
 from fitting.noise.raw_frames import combs, processing_in_words
@@ -358,9 +358,9 @@ def test_a_lamp_that_flickers_between_frames_is_no_capacitance_and_no_amplifier(
     )
     assert measured.bright.left_out == ()
     assert periodic_structure(measured, linear_levels(measured)) == ()
-    found, variances, _ = above_dark(measured.bright, measured.dark)
-    shares = np.sum(found * copies(), axis=(1, 2))
-    errors = np.sqrt(np.sum(variances * copies() ** 2, axis=(1, 2)))
+    found, variances, _ = above_dark(measured)
+    shares = np.sum(found * COPIES, axis=(1, 2))
+    errors = np.sqrt(np.sum(variances * COPIES**2, axis=(1, 2)))
     assert np.abs(shares / errors).max() < 4
     gains = (measured.bright.quarters - measured.dark.quarters)[:, 1, :6]
     own = measured.bright.variance - measured.dark.variance.mean()
