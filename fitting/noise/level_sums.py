@@ -106,23 +106,13 @@ class Unlit(NamedTuple):
 
 
 class LevelStatistics(NamedTuple):
-    """The fields of `Levels` for one level, and a summary of each frame."""
+    """The statistics of one level."""
 
-    mean: float
-    variance: float
-    spatial: float
-    frames: float
-    trend: float
-    lines: tuple[float, ...]
-    covariances: np.ndarray
+    numbers: dict[str, float | np.ndarray]  # fields of `Levels`
+    lines: tuple[float, ...]  # variances of rows, columns, fixed rows, fixed columns, frames, DN^2
     live: LivePixels
     shown: tuple[FrameSample, ...]
-    residues: np.ndarray
-    quarters: np.ndarray
-    local_pattern: float
-    blocks: np.ndarray
-    combs: np.ndarray
-    hits: int
+    hits: int  # pixels of single frames that were replaced
 
 
 class LevelSums:
@@ -230,23 +220,25 @@ class LevelSums:
         passing = variance - (covariances[0, 1] + covariances[1, 0]) / 2
         products = count * self._blocks - block_products(total, live)
         return LevelStatistics(
-            mean=live.mean(average),
-            variance=variance,
-            spatial=float(average[live.mask].var(ddof=1)),
-            frames=float(count),
-            trend=float(np.polyfit(np.arange(count), self._shifts, 1)[0]),
+            {
+                "mean": live.mean(average),
+                "variance": variance,
+                "spatial_variance": float(average[live.mask].var(ddof=1)),
+                "frames": float(count),
+                "trend": float(np.polyfit(np.arange(count), self._shifts, 1)[0]),
+                "covariances": covariances,
+                "residues": residues(average, temporal, live),
+                "quarters": quarters(average, temporal, live),
+                "local_pattern": local_variance(average, live) - passing / count,
+                "blocks": products / (count * (count - 1)) + lost,
+                "combs": combs(self.first, corner=self._corner),
+            },
             lines=(
                 *(parts.rows, parts.columns),
                 *self._lines.fixed(average, parts, count),
                 parts.frames,
             ),
-            covariances=covariances,
             live=live,
             shown=tuple(self.shown),
-            residues=residues(average, temporal, live),
-            quarters=quarters(average, temporal, live),
-            local_pattern=local_variance(average, live) - passing / count,
-            blocks=products / (count * (count - 1)) + lost,
-            combs=combs(self.first, corner=self._corner),
             hits=self.hits,
         )

@@ -125,19 +125,13 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
     dead = _dead(rig, flats, darks, channel, load)
     if dead is not None:
         remarks.append(_dead_in_words(rig, dead, channel))
-    source = _Source(rig, channel, load, None if dead is None else ~dead.all, Codes())
-    dark, of_darks = _reduced(source, darks, odd=odd["dark"])
-    lit = replace(source, codes=Codes())
+    source = _Source(rig, channel, load, None if dead is None else ~dead.all)
+    dark, of_darks, unlit = _reduced(source, darks, odd=odd["dark"])
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
-    bright, of_flats = _reduced(lit, flats, odd=odd["flat"], light=amounts, dark=dark)
-    if bright.left_out:  # their values contain no information on the ADC
-        lit = _recounted(lit, of_flats)
-    if dark.left_out:
-        source = _recounted(source, of_darks)
-    of_all = (lit.codes + source.codes).converter()
-    of_each = [of_all, of_all]
-    if {lit.codes.whole, source.codes.whole} == {True, False}:  # some were averaged or divided
-        of_each = [lit.codes.converter(), source.codes.converter()]
+    bright, of_flats, lit = _reduced(source, flats, odd=odd["flat"], light=amounts, dark=dark)
+    of_each = 2 * [(lit + unlit).converter()]
+    if {lit.whole, unlit.whole} == {True, False}:  # some were averaged or divided
+        of_each = [lit.converter(), unlit.converter()]
     bright, dark = (replace(x, converter=y) for x, y in zip((bright, dark), of_each, strict=True))
     converter = finer(bright, dark)
     if float(bright.pixels) != float(dark.pixels):
@@ -179,7 +173,12 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
         photons_known=all(known),
         full_scale=_full_scale(stated, converter),
         remarks=tuple(remarks),
-        lossy=tuple(name for one in (*flats, *darks) for name in one.files if _is_jpeg(name)),
+        lossy=tuple(
+            name
+            for one in (*flats, *darks)
+            for name in one.files
+            if Path(name).suffix.lower() in (".jpg", ".jpeg")
+        ),
         site=channel if len(rig.camera.sites) > 1 else None,
         pattern=rig.camera.pattern,
         stated=tuple((key, of, x, sd or 0.0) for key, of, x, sd in known_too if x is not None),
@@ -205,10 +204,10 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
     channel = channel or _first_site(rig.camera)
     entries = _pooled(rig.dark)
     dead = _dead(rig, [], entries, channel, load)
-    source = _Source(rig, channel, load, None if dead is None else ~dead.all, Codes())
-    darks, _ = _reduced(source, entries, odd=odd["dark"])
+    source = _Source(rig, channel, load, None if dead is None else ~dead.all)
+    darks, _, codes = _reduced(source, entries, odd=odd["dark"])
     told = () if dead is None else (_dead_in_words(rig, dead, channel),)
-    return replace(darks, converter=source.codes.converter(), left_out=(*told, *darks.left_out))
+    return replace(darks, converter=codes.converter(), left_out=(*told, *darks.left_out))
 
 
 @dataclass(frozen=True)
@@ -220,7 +219,6 @@ class _Source:
         channel: mosaic site or amplifier tap.
         load: function that reads an image from its path.
         live: (h, w) true where a pixel is used; None for all.
-        codes: collects the values that occur.
         live_of: the valid pixels of frames of each size.
     """
 
@@ -228,12 +226,16 @@ class _Source:
     channel: str
     load: Load
     live: np.ndarray | None
-    codes: Codes
     live_of: dict[tuple[int, ...], LivePixels] = field(default_factory=dict)
 
     def plane(self, name: str) -> np.ndarray:
         """(h, w) DN of a frame."""
         return _plane(self.rig, name, self.channel, self.load)
+
+    def count(self, codes: Codes, frame: np.ndarray) -> None:
+        """Add the numbers of a frame to the counts, without dead pixels."""
+        live = self.pixels(frame.shape)
+        codes.add(np.where(live.mask, frame, np.nan) if live.count < frame.size else frame)
 
     def pixels(self, shape: tuple[int, ...]) -> LivePixels:
         """The valid pixels of a frame of this size."""
@@ -269,10 +271,6 @@ def _dead_in_words(rig: Rig, dead: DeadPixels, channel: str) -> str:
     if rig.camera.region is not None:
         told += " They begin at the corner of camera.region."
     return told
-
-
-def _is_jpeg(name: str) -> bool:
-    return Path(name).suffix.lower() in (".jpg", ".jpeg")
 
 
 def _full_scale(stated: float, converter: Converter) -> float:
@@ -352,10 +350,10 @@ def _reduced(
     odd: Sequence[OddFrames],
     light: Float[np.ndarray, " levels"] | None = None,
     dark: Levels | None = None,
-) -> tuple[Levels, list[tuple[FrameSample, ...]]]:
-    """Levels of matching frames, and a summary of each; `odd` collects the frames dropped
-    before."""
-    rig, gone = source.rig, list(odd)
+) -> tuple[Levels, list[tuple[FrameSample, ...]], Codes]:
+    """Levels of matching frames, a summary of each frame, and the counts of their codes; `odd` has
+    the frames dropped before."""
+    rig, gone, codes = source.rig, list(odd), Codes()
     count = sum(len(entry.files) for entry in entries)
     times = np.array([entry.exposure for entry in entries])
     black, unlit = None, [None] * len(entries)
@@ -365,7 +363,8 @@ def _reduced(
         noise = np.asarray(dark.variance)[nearest]
         unlit = [Unlit(*map(float, own)) for own in zip(black, noise, strict=True)]
     found = [
-        _level(source, entry.files, own, gone) for entry, own in zip(entries, unlit, strict=True)
+        _level(source, codes, entry.files, own, gone)
+        for entry, own in zip(entries, unlit, strict=True)
     ]
     _leave_out_sizes(rig, found, gone)
     shows = [() if level is None else level.shown for level in found]
@@ -377,36 +376,29 @@ def _reduced(
     for i in range(len(entries)):
         kept = [frame.name for frame in shows[i] if frame.name not in names]
         if len(kept) < len(shows[i]):
-            found[i] = _level(source, kept, unlit[i], [], again=True) if kept else None
+            found[i] = _level(source, codes, kept, unlit[i], []) if kept else None
     there = [i for i, level in enumerate(found) if level is not None]
     if not there:
         raise InputError(f"{rig.folder}: no level has two frames; {gone[0].sentence}")
     rows = [level for level in found if level is not None]
     live, of_lines = rows[0].live, _array([row.lines for row in rows]).T
     shape = live.shape
-    mean, variance, spatial, frames, trend = np.array([row[:5] for row in rows], float).T
+    numbers = {name: _array([row.numbers[name] for row in rows]) for name in rows[0].numbers}
     # In a mosaic the nearest sites of one colour are two pixels apart.
     adjacent = rig.camera.cell == (1, 1) and min(shape) > 2 * REACH
-    covariances = _array([row.covariances for row in rows]) if adjacent else None
     levels = Levels(
         light=jnp.asarray(amounts[there]),
         exposure=jnp.asarray(times[there]),
-        mean=jnp.asarray(mean),
-        variance=jnp.asarray(variance),
-        frames=jnp.asarray(frames),
         pixels=_array(float(live.count)),
-        spatial_variance=jnp.asarray(spatial),
         shared=SharedVariance(of_lines[:2], of_lines[2:4], of_lines[4], _array(shape) * 1.0),
-        covariances=covariances,
-        residues=_array([row.residues for row in rows]),
-        quarters=_array([row.quarters for row in rows]),
-        local_pattern=_array([row.local_pattern for row in rows]),
-        blocks=_array([row.blocks for row in rows]) if adjacent else None,
-        combs=_array([row.combs for row in rows]) if adjacent else None,
         left_out=(*(one.sentence for one in gone), *_hits_in_words(rows, dark is None)),
-        trend=jnp.asarray(trend),
+        **numbers | ({} if adjacent else dict.fromkeys(("covariances", "blocks", "combs"))),
     )
-    return levels, [row.shown for row in rows]
+    if levels.left_out:  # the values of these frames contain no information on the ADC
+        codes = Codes()
+        for name in (frame.name for row in rows for frame in row.shown):
+            source.count(codes, source.plane(name))
+    return levels, [row.shown for row in rows], codes
 
 
 def _array(values: Any) -> Array:
@@ -420,8 +412,8 @@ def _hits_in_words(levels: Sequence[LevelStatistics], unlit: bool) -> list[str]:
     count = sum(level.hits for level in levels)
     if not count:
         return []
-    most = max(levels, key=lambda level: level.hits / level.frames)
-    share = most.hits / (most.frames * most.live.count)
+    most = max(levels, key=lambda level: level.hits / len(level.shown))
+    share = most.hits / (len(most.shown) * most.live.count)
     return [
         f"{count} pixels of single {what}s, up to {format_percent(share, decimals=2)} of a frame "
         f"({most.shown[0].name} and others of its level), jump by more than {BULK:g} standard "
@@ -445,31 +437,12 @@ def _leave_out_sizes(rig: Rig, found: list[LevelStatistics | None], gone: list[O
             found[i] = None
 
 
-def _recounted(source: _Source, levels: Sequence[Sequence[FrameSample]]) -> _Source:
-    """The measurement with code counts from these frames only."""
-    found = replace(source, codes=Codes())
-    for frame in (one for level in levels for one in level):
-        _count(found, found.plane(frame.name))
-    return found
-
-
-def _count(source: _Source, frame: np.ndarray) -> None:
-    """Add the numbers of a frame to the counts, without dead pixels."""
-    live = source.pixels(frame.shape)
-    source.codes.add(np.where(live.mask, frame, np.nan) if live.count < frame.size else frame)
-
-
 def _level(
-    source: _Source,
-    files: Sequence[str],
-    unlit: Unlit | None,
-    odd: list[OddFrames],
-    *,
-    again: bool = False,
+    source: _Source, codes: Codes, files: Sequence[str], unlit: Unlit | None, odd: list[OddFrames]
 ) -> LevelStatistics | None:
-    """The statistics of a level, or None if fewer than two frames remain. Unusable frames are added
-    to `odd`. With `again`, its numbers were counted before."""
-    rig, sums, others = source.rig, None, {}
+    """The statistics of a level, from the frames of the most frequent size; None if fewer than two
+    frames remain. Unusable frames are added to `odd`, the numbers of all frames to the codes."""
+    rig, of_size = source.rig, {}
     for name in files:
         try:
             frame = source.plane(name)
@@ -477,22 +450,26 @@ def _level(
             reason = str(error).removeprefix(f"{rig.path(name)}: ").removesuffix(".")
             odd.append(OddFrames((name,), f"it cannot be read ({reason})"))
             continue
-        live = source.pixels(frame.shape)
-        if not again:
-            _count(source, frame)
-        if sums is None:
+        source.count(codes, frame)
+        if frame.shape not in of_size:
             top, corner = rig.camera.at(source.channel).clip_level, rig.camera.region
-            sums = LevelSums(frame, top, live, unlit, corner=(corner or (0, 0))[:2])
-        if frame.shape != sums.first.shape:
-            others[name] = frame.shape
-        else:
-            sums.add(name, frame)
-    if sums is None:
+            own = source.pixels(frame.shape), unlit
+            of_size[frame.shape] = LevelSums(frame, top, *own, corner=(corner or (0, 0))[:2])
+        of_size[frame.shape].add(name, frame)
+    if not of_size:
         return None
-    if 2 * len(others) >= len(sums.shown) + len(others):
-        return _of_most(source, files, sums, others, unlit, odd)
-    for name, shape in others.items():
-        odd.append(OddFrames((name,), f"it is {shape}, the others of its level {sums.first.shape}"))
+    first, *others = of_size.values()
+    sums = max(of_size.values(), key=lambda own: len(own.shown))
+    if others and 2 * len(sums.shown) <= sum(len(own.shown) for own in of_size.values()):
+        raise InputError(
+            f"{rig.path(others[0].shown[0].name)}: is {others[0].first.shape}, but "
+            f"{first.shown[0].name} is {first.first.shape}; all frames of one level need the same "
+            "size."
+        )
+    for shape, own in of_size.items():
+        if own is not sums:
+            why = f"it is {shape}, the others of its level {sums.first.shape}"
+            odd.extend(OddFrames((frame.name,), why) for frame in own.shown)
     if len(sums.shown) < 2:
         odd.append(OddFrames((sums.shown[0].name,), ALONE))
         return None
@@ -502,31 +479,6 @@ def _level(
             f"{FEWEST_PIXELS}."
         )
     return sums.level()
-
-
-def _of_most(
-    source: _Source,
-    files: Sequence[str],
-    sums: LevelSums,
-    others: dict[str, tuple[int, ...]],
-    unlit: Unlit | None,
-    odd: list[OddFrames],
-) -> LevelStatistics | None:
-    """The level with the size of most of its frames, if the first frame differs."""
-    rig = source.rig
-    shape, count = Counter(others.values()).most_common(1)[0]
-    if 2 * count <= len(others) + len(sums.shown):
-        name = next(iter(others))
-        raise InputError(
-            f"{rig.path(name)}: is {others[name]}, but {sums.shown[0].name} is "
-            f"{sums.first.shape}; all frames of one level need the same size."
-        )
-    for name in files:
-        if name in {one.name for one in sums.shown} or others.get(name, shape) != shape:
-            size = others.get(name, sums.first.shape)
-            odd.append(OddFrames((name,), f"it is {size}, the others of its level {shape}"))
-    kept = [name for name in files if others.get(name) == shape]
-    return _level(source, kept, unlit, odd, again=True)
 
 
 class _Unreadable(InputError):
