@@ -326,15 +326,14 @@ def _likelihood_estimates(
     if posterior.sampled:
         return _drawn_estimates(posterior, within, args)
     vector = jnp.asarray(fit.optimum.vector)
-    values, slopes, at_saturation = _sheet_and_slopes(vector, within.saturation, args)
+    values, slopes = _sheet_and_slopes(vector, within.saturation, args)
     found = []
     for name, value in values.items():
-        slope = np.asarray(slopes[name])
-        variance = slope @ posterior.covariance @ slope
+        slope, at_saturation = slopes[name]
+        variance = float(slope @ posterior.covariance @ slope)
         if at_saturation is not None and within.saturation_width is not None:
-            variance += float(at_saturation[name] * within.saturation_width) ** 2 / 24
-        error = float(np.sqrt(variance))
-        found.append(sheet_estimate(BY_NAME[name], float(value), error, LIKELIHOOD))
+            variance += float(at_saturation * within.saturation_width) ** 2 / 24
+        found.append(sheet_estimate(BY_NAME[name], float(value), variance**0.5, LIKELIHOOD))
     return tuple(found)
 
 
@@ -369,14 +368,10 @@ def _with_limits(sheet: tuple[Estimate, ...], fit: LikelihoodFit) -> tuple[Estim
 
 
 @compiled_briefly
-def _sheet_and_slopes(
-    mode: Array, saturation: Array | None, args: tuple
-) -> tuple[dict, dict, dict | None]:
-    values = likelihood_sheet(mode, saturation, args)
-    slopes = jax.jacfwd(likelihood_sheet)(mode, saturation, args)
-    if saturation is None:
-        return values, slopes, None
-    return values, slopes, jax.jacfwd(likelihood_sheet, argnums=1)(mode, saturation, args)
+def _sheet_and_slopes(mode: Array, saturation: Array | None, args: tuple) -> tuple[dict, dict]:
+    """The sheet, and for each figure its slopes in the parameters and in the saturation point."""
+    slopes = jax.jacfwd(likelihood_sheet, argnums=(0, 1))(mode, saturation, args)
+    return likelihood_sheet(mode, saturation, args), slopes
 
 
 def _drawn_estimates(posterior: Posterior, within: Ranges, args: tuple) -> tuple[Estimate, ...]:

@@ -77,23 +77,14 @@ class Statistics(eqx.Module):
     saturation: Float[Array, ""] | None  # light at saturation; None without
 
 
-class Misfit(eqx.Module):
-    """Scatter about the four regressions, chi-square per degree of freedom against pixel noise."""
-
-    dark_mean: Float[Array, ""]  # about the line of the dark means over exposure
-    dark_variance: Float[Array, ""]  # about the line of the dark variances over exposure
-    responsivity: Float[Array, ""]  # about R
-    gain: Float[Array, ""]  # about K
-    # factors on the variances because of the misfit; 1 where chance explains the scatter
-    factors: Float[Array, "4"]
-
-
 class Evaluation(eqx.Module):
     """The sheet with its errors."""
 
     values: Sheet  # figures by name
     errors: Sheet  # their standard errors
-    misfit: Misfit  # scatter about the regressions
+    # factors on the variances of dark means, dark variances, bright means and bright variances,
+    # because these scatter about their regressions; 1 where chance explains the scatter
+    factors: Float[Array, "4"]
 
 
 def ranges(measurement: PhotonTransfer) -> Ranges:
@@ -257,8 +248,7 @@ def evaluate(
     """The sheet, or that of another release, and its standard errors by the delta method."""
     stats = statistics(measurement, within.saturation)
     values = figures(stats, measurement, within)
-    errors, misfit = _sampling(stats, measurement, within, values["system_gain"], shared)
-    bright, dark = errors
+    bright, dark, factors = _sampling(stats, measurement, within, values["system_gain"], shared)
     slopes = jax.jacrev(lambda stats: figures(stats, measurement, within))(stats)
 
     def standard_error(slope: Statistics) -> Array:
@@ -269,9 +259,8 @@ def evaluate(
             total = total + slope.saturation**2 * within.saturation_width**2 / 24
         return jnp.sqrt(total)
 
-    return Evaluation(
-        values, {name: standard_error(slope) for name, slope in slopes.items()}, misfit
-    )
+    errors = {name: standard_error(slope) for name, slope in slopes.items()}
+    return Evaluation(values, errors, factors)
 
 
 def _signal(stats: Statistics, measurement: PhotonTransfer) -> Array:
@@ -296,41 +285,36 @@ def _sampling(
     within: Ranges,
     gain: Array,
     shared: SharedNoise | None,
-) -> tuple[tuple[SamplingErrors, SamplingErrors], Misfit]:
-    """Sampling errors of (bright, dark), inflated for each block whose regression has a significant
-    misfit."""
+) -> tuple[SamplingErrors, SamplingErrors, Float[Array, "4"]]:
+    """Sampling errors of bright and dark levels, inflated for each block whose regression has a
+    significant misfit, and the factors."""
     shot = _shot_variance(stats, measurement)
     bright = sampling_errors(measurement.bright, shot, gain, shared=shared)
     unlit = jnp.zeros_like(stats.dark_mean)
     dark = sampling_errors(measurement.dark, unlit, gain, shared=shared)
-    ratios, factors = [], []
 
-    def judge(chi2: Array, degrees: Array) -> Array:
-        ratio = chi2 / jnp.maximum(degrees, 1)
-        factor = jnp.where(surprise(chi2, degrees) < UNLIKELY, jnp.maximum(ratio, 1), 1)
-        ratios.append(ratio)
-        factors.append(factor)
-        return factor
+    def factor(chi2: Array, degrees: Array) -> Array:
+        unlikely = surprise(chi2, degrees) < UNLIKELY
+        return jnp.where(unlikely, jnp.maximum(chi2 / jnp.maximum(degrees, 1), 1), 1)
 
-    exposure = measurement.dark.exposure
+    def widened(errors: SamplingErrors, of_mean: Array, of_variance: Array) -> SamplingErrors:
+        return SamplingErrors(of_mean * errors.mean, of_variance * errors.variance, errors.both)
+
+    exposure, of_dark = measurement.dark.exposure, 2 * [jnp.ones_like(gain)]
     if within.dark_exposures > 2:
-        mean_factor = judge(*line_misfit(exposure, stats.dark_mean, dark.mean))
-        variance_factor = judge(*line_misfit(exposure, stats.dark_variance, dark.variance))
-    else:
-        nothing = jnp.zeros_like(gain)
-        mean_factor, variance_factor = judge(nothing, nothing), judge(nothing, nothing)
-    dark = SamplingErrors(mean_factor * dark.mean, variance_factor * dark.variance, dark.both)
-
+        of_dark = [
+            factor(*line_misfit(exposure, stats.dark_mean, dark.mean)),
+            factor(*line_misfit(exposure, stats.dark_variance, dark.variance)),
+        ]
+    dark = widened(dark, *of_dark)
     own_dark = jax.tree.map(lambda error: error[measurement.dark_of], dark)
     signal, used = _signal(stats, measurement), within.sensitivity
     degrees = jnp.sum(used, dtype=gain.dtype) - 1
     responsivity = through_origin(measurement.bright.light, signal, used)
     missed = signal - responsivity * measurement.bright.light
-    mean_factor = judge(chi_square(missed, bright.mean + own_dark.mean, used), degrees)
+    of_mean = factor(chi_square(missed, bright.mean + own_dark.mean, used), degrees)
     missed = shot - gain * signal
     spread = bright.variance + own_dark.variance + gain**2 * (bright.mean + own_dark.mean)
-    variance_factor = judge(chi_square(missed, spread - 2 * gain * bright.both, used), degrees)
-    bright = SamplingErrors(
-        mean_factor * bright.mean, variance_factor * bright.variance, bright.both
-    )
-    return (bright, dark), Misfit(*ratios, factors=jnp.stack(factors))
+    of_variance = factor(chi_square(missed, spread - 2 * gain * bright.both, used), degrees)
+    factors = jnp.stack([*of_dark, of_mean, of_variance])
+    return widened(bright, of_mean, of_variance), dark, factors

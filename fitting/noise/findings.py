@@ -350,7 +350,7 @@ def _counted(failed: bool, calibration: NoiseCalibration) -> Numbers | None:
 
 def _standard_scatter(calibration: NoiseCalibration) -> Numbers | None:
     names = ("dark means", "dark variances", "responsivity", "gain")
-    factors = np.sqrt(np.asarray(calibration.standard.misfit.factors))
+    factors = np.sqrt(np.asarray(calibration.standard.factors))
     larger = [f"{name} {x:.3g}" for name, x in zip(names, factors, strict=True) if x > 1]
     return {"larger": ", ".join(larger)} if larger else None
 
@@ -437,7 +437,7 @@ def _dark_currents(kind: str, calibration: NoiseCalibration) -> Numbers | None:
     error = float(np.hypot(errors["dark_current_mean"], errors["dark_current_variance"]))
     if abs(mean - variance) < FAR * error or calibration.measurement.doubts:
         return None
-    scattered = float(np.asarray(calibration.standard.misfit.factors)[1]) > 1
+    scattered = float(calibration.standard.factors[1]) > 1
     own = "scattered" if scattered else "biased" if _exact(calibration) else "plain"
     numbers = {"mean": mean, "variance": variance, "ratio": abs(mean - variance) / error}
     return numbers if own == kind else None

@@ -1,6 +1,7 @@
 """Photon transfer from frames in memory: the same measurement as from a rig with these frames."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from jaxvision import ArrayLike
 from jaxvision.errors import InputError
@@ -115,26 +116,28 @@ def _rig_of(
         )
     times = exposures if dark_exposures is None else each("dark_exposures", dark_exposures)
     require_as_many("dark_exposures", times, "sets of darks", darks)
-    images = {
-        f"{kind}[{i}][{j}]": frame
-        for kind, levels in (("flats", flats), ("darks", darks))
-        for i, level in enumerate(levels)
-        for j, frame in enumerate(level)
-    }
-    flat = [
-        {"files": _names("flats", i, level), "exposure": exposures[i]}
-        | ({} if photons is None else {"photons": photons[i]})
-        for i, level in enumerate(flats)
-    ]
-    dark = [
-        {"files": _names("darks", i, level), "exposure": times[i]} for i, level in enumerate(darks)
-    ]
+    flat, images = _entries("flats", flats, exposures)
+    if photons is not None:
+        flat = [entry | {"photons": x} for entry, x in zip(flat, photons, strict=True)]
+    dark, unlit = _entries("darks", darks, times)
     called = {
         "flat.exposure": "exposures",
         "flat.photons": "photons",
         "dark.exposure": "exposures" if dark_exposures is None else "dark_exposures",
     }
-    return in_memory(images, called=called, camera=camera, flat=flat, dark=dark)
+    return in_memory(images | unlit, called=called, camera=camera, flat=flat, dark=dark)
+
+
+def _entries(
+    kind: str, levels: Sequence[Sequence[ArrayLike]], exposures: Sequence[float]
+) -> tuple[list[dict[str, Any]], dict[str, ArrayLike]]:
+    """The entries of a rig for levels of one kind, and the frames by name."""
+    named = [
+        {f"{kind}[{i}][{j}]": frame for j, frame in enumerate(level)}
+        for i, level in enumerate(levels)
+    ]
+    entries = [{"files": [*own], "exposure": t} for own, t in zip(named, exposures, strict=True)]
+    return entries, {name: frame for own in named for name, frame in own.items()}
 
 
 @double_precision
@@ -169,15 +172,6 @@ def darks_from_frames(
     require_frames("darks", darks)
     exposures = each("exposures", exposures)
     require_as_many("exposures", exposures, "sets of darks", darks)
-    images = {f"darks[{i}][{j}]": frame for i, s in enumerate(darks) for j, frame in enumerate(s)}
-    dark = [
-        {"files": _names("darks", i, level), "exposure": exposures[i]}
-        for i, level in enumerate(darks)
-    ]
-    called = {"dark.exposure": "exposures"}
-    rig, load = in_memory(images, called=called, camera=camera, dark=dark)
+    dark, images = _entries("darks", darks, exposures)
+    rig, load = in_memory(images, called={"dark.exposure": "exposures"}, camera=camera, dark=dark)
     return reduce_darks(rig, channel=channel, load=load)
-
-
-def _names(kind: str, i: int, level: Sequence[ArrayLike]) -> list[str]:
-    return [f"{kind}[{i}][{j}]" for j in range(len(level))]

@@ -45,44 +45,39 @@ KIND, TITLE = "noise", "Camera noise by photon transfer"
 def section(calibration: NoiseCalibration) -> Section:
     """The section of a calibrated camera."""
     likelihood = calibration.likelihood
-    predicted, failed = None, ()
-    if not is_no_sensor(calibration):
-        try:
-            predicted = predict_own_frames(calibration)
-        except (InputError, ArithmeticError, ValueError) as error:
-            failed = (f"The fit does not predict its own frames, so no sensor is written: {error}",)
-    of_fit = {}
+    found, pictures = [*findings(calibration)], [*noise_pictures(calibration)]
+    tables, records, of_fit = [], {}, {}
     if likelihood is not None:
         chosen = likelihood.chosen
+        counted = chosen.data.counted
         of_fit = {
             "parameters": ", ".join(names(chosen.space)),
             "exact moments of clipping and rounding": chosen.data.window is not None,
             "covariance inflated by": chosen.inflation,
-            "levels by the histogram of codes": 0
-            if chosen.data.counted is None
-            else chosen.data.counted.levels.size,
+            "levels by the histogram of codes": 0 if counted is None else counted.levels.size,
         }
+        tables += [_models_table(calibration), *_area_changes_table(calibration)]
+    if not is_no_sensor(calibration):
+        try:
+            predicted = predict_own_frames(calibration)
+        except (InputError, ArithmeticError, ValueError) as error:
+            found.append(
+                f"The fit does not predict its own frames, so no sensor is written: {error}"
+            )
+        else:
+            found += prediction.findings(predicted)
+            pictures.append(prediction.picture(predicted))
+            tables.append(prediction.table(predicted))
+            records = {"sensor": partial(write_fitted_sensor, calibration)}
     return Section(
         kind=KIND,
         title=TITLE,
         estimates=_sheet_estimates(calibration),
-        findings=(
-            *findings(calibration),
-            *failed,
-            *(() if predicted is None else prediction.findings(predicted)),
-        ),
-        pictures=(
-            *noise_pictures(calibration),
-            *(() if predicted is None else (prediction.picture(predicted),)),
-        ),
-        tables=(
-            *(() if likelihood is None else (_models_table(calibration),)),
-            *(() if likelihood is None else _area_changes_table(calibration)),
-            *(() if predicted is None else (prediction.table(predicted),)),
-            *left_out_tables([("", calibration.left_out)]),
-        ),
+        findings=tuple(found),
+        pictures=tuple(pictures),
+        tables=(*tables, *left_out_tables([("", calibration.left_out)])),
         posteriors={} if likelihood is None else {"": likelihood.posterior},
-        records={} if predicted is None else {"sensor": partial(write_fitted_sensor, calibration)},
+        records=records,
         about=_operating_point(calibration),
         headline=next(iter(processing(calibration)), ""),
         headings=HEADINGS,
@@ -167,10 +162,10 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
                 listed.append(widened(one, calibration.unequal))
         if name in by_likelihood:
             listed.append(by_likelihood[name])
-        missing = _missing_method(name, name in values, name in by_likelihood)
-        if missing is not None:
-            reason = _why_missing(calibration, name)
-            listed.append(not_determined(quantity, reason, method=missing))
+        # The likelihood has one dark current, from means and variances together.
+        elif name not in values or not name.startswith("dark_current"):
+            method, reason = LIKELIHOOD if name in values else "", _why_missing(calibration, name)
+            listed.append(not_determined(quantity, reason, method=method))
     own = [found for name, found in calibration.shown.items() if name not in by_likelihood]
     listed += [replace(found, method=LIKELIHOOD) for found in own]
     return tuple(_without_doubted(calibration, listed))
@@ -199,15 +194,6 @@ def floor_in_words(measurement: PhotonTransfer, quantity: Quantity, value: float
         f"{side} {value:.3g} {quantity.unit}: dark noise is under the standard's floor of "
         f"{floor:.2g} DN, where rounding dominates"
     )
-
-
-def _missing_method(name: str, standard: bool, likelihood: bool) -> str | None:
-    """Return the method that has no figure for a quantity: "" if both lack it, None if both have
-    it. The likelihood has one dark current, from means and variances together, and no separate
-    lines."""
-    if not standard and not likelihood:
-        return ""
-    return None if likelihood or name.startswith("dark_current") else LIKELIHOOD
 
 
 def _why_missing(calibration: NoiseCalibration, name: str) -> str:

@@ -483,8 +483,9 @@ def levels_of(count, *, flicker=0.0, vignette=0.0, dead=0.0, frames=2, electrons
         for i, frame in enumerate(stack):
             sums.add(str(i), frame * live.mask)
         level = sums.level()
-        lines = np.array(level.lines[:2]) / level.variance
-        found.append([level.variance / (K * (level.mean - 64)), *lines, live.count])
+        mean, variance = level.numbers["mean"], level.numbers["variance"]
+        lines = np.array(level.lines[:2]) / variance
+        found.append([variance / (K * (mean - 64)), *lines, live.count])
     return np.array(found).T
 
 

@@ -172,7 +172,7 @@ def test_standard_errors_are_the_scatter_of_repetitions(repeated, name):
 
 @pytest.mark.slow
 def test_no_scatter_beyond_pixel_noise_is_rarely_believed(repeated):
-    found = np.asarray(repeated.misfit.factors) > 1
+    found = np.asarray(repeated.factors) > 1
     # 600 tests at 1 %: 6 expected, 99.9 % of binomial draws below 15.
     assert found.sum() < 15
 
