@@ -73,33 +73,15 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> "Figure":
     used = _mask(calibration)
     drawable = (signal > 0) & (shot > 0)
     floor = shot[used & drawable].min() / 3
-    upper.loglog(
-        signal[used & drawable],
-        shot[used & drawable],
-        ".",
-        color=BLUE,
-        label="levels used by the likelihood",
-        ms=6,
-    )
-    beyond = ~used & (signal > 0)
-    below = shot < floor
-    upper.plot(
-        signal[beyond & ~below],
-        shot[beyond & ~below],
-        ".",
-        color=GREY,
-        label="beyond the linear range",
-        ms=6,
-    )
-    # A clipped level has almost no variance: draw an arrow on the edge instead of two more decades.
-    upper.plot(
-        signal[beyond & below],
-        np.full((beyond & below).sum(), 1.15 * floor),
-        "v",
-        color=GREY,
-        label="clipped, below the axis" if (beyond & below).any() else None,
-        ms=6,
-    )
+    beyond, below = ~used & (signal > 0), shot < floor
+    for mask, height, mark, colour, label in (
+        (used & drawable, shot, ".", BLUE, "levels used by the likelihood"),
+        (beyond & ~below, shot, ".", GREY, "beyond the linear range"),
+        # A clipped level has almost no variance: draw an arrow on the edge, not two more decades.
+        (beyond & below, 1.15 * floor + 0 * shot, "v", GREY, "clipped, below the axis"),
+    ):
+        if mask.any():
+            upper.loglog(signal[mask], height[mask], mark, color=colour, label=label, ms=6)
     curve_x = curve_y = np.zeros(0)
     if calibration.likelihood is not None:
         _, moments, unlit = _model_curve(calibration)

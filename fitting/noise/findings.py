@@ -21,7 +21,7 @@ from .levels import PhotonTransfer, signal_of
 from .neighbours import are_known
 from .pattern import pattern_variance, unequal_gains, unequal_offsets
 from .periodic import Periodic, periodic_in_words, taps_of
-from .raw_frames import BLOCK, is_compressed, processing_in_words
+from .raw_frames import BLOCK, compressed_in_words, processing_in_words
 from .regressions import MISFIT, Part, deviation_quantiles
 from .shared import LINES, Found, drift, temporal_lines
 from .statement import gain_drop
@@ -64,17 +64,19 @@ def processing(calibration: NoiseCalibration) -> list[str]:
     return [*told, no_sensor] if told else []
 
 
-def _within_error(calibration: NoiseCalibration) -> Numbers | None:
-    """Return an efficiency that exceeds 1 by no more than its error."""
+def _efficiency(kind: str, calibration: NoiseCalibration) -> Numbers | None:
+    """An efficiency that is too low for a sensor, impossibly high, or above 1 within its error."""
     value = calibration.efficiency
-    if value is None or value <= 1 or is_impossible(calibration):
+    if value is None:
         return None
-    return {"efficiency": 100 * value}
+    high = "high" if is_impossible(calibration) else "one"
+    own = high if value > 1 else "low" if value < LEAST_EFFICIENCY else ""
+    return {"efficiency": 100 * value} if own == kind else None
 
 
 def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
     """The periodic structure without the blocks of a compression and the repeats of resizing."""
-    blocks = is_compressed(calibration.measurement, calibration.usable)
+    blocks = compressed_in_words(calibration.measurement, calibration.usable)
     return tuple(
         one for one in calibration.periodic if not (blocks and BLOCK % (one.period or 3) == 0)
     )
@@ -557,17 +559,13 @@ FINDINGS = (
     _as_they_are("processing", processing),
     Finding(
         "low efficiency",
-        lambda c: (
-            {"efficiency": 100 * c.efficiency}
-            if c.efficiency is not None and c.efficiency < LEAST_EFFICIENCY
-            else None
-        ),
+        partial(_efficiency, "low"),
         "The quantum efficiency is {efficiency:.3g} %, less than that of any sensor for light that "
         "it is made for: photons are stated too high (give photons per pixel and exposure).",
     ),
     Finding(
         "high efficiency",
-        lambda c: {"efficiency": 100 * c.efficiency} if is_impossible(c) else None,
+        partial(_efficiency, "high"),
         "The quantum efficiency is {efficiency:.3g} %, which no sensor has. Either photons are "
         "stated too low (give photons per pixel and exposure, not per area or second). Or the "
         "images were averaged, denoised, compressed, smoothed or interpolated, which lowers their "
@@ -575,7 +573,7 @@ FINDINGS = (
     ),
     Finding(
         "efficiency of one",
-        _within_error,
+        partial(_efficiency, "one"),
         "The quantum efficiency, {efficiency:.4g} %, is 100 % within its error. The sensor file "
         "has 100 %, and a gain with the same signal.",
     ),

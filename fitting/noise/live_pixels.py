@@ -11,13 +11,13 @@ pixels, while a noise distribution with a tail (few electrons, multiplied electr
 continuous.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 WIDE = 0.5  # noise of a pixel over a bit's value from which both states of the bit occur
 FEWEST = 64  # pixels of a line in which both states must then occur
@@ -60,20 +60,12 @@ def stuck_bits(frames: Sequence[np.ndarray]) -> list[StuckBit]:
     whole = [one.astype(np.int64) for one in frames if one.min() >= 0]
     if highest < 0 or len(whole) < 2:
         return []
-    found: list[StuckBit] = []
-    for lines in _groups(whole[0].shape):
-        found += _stuck(whole, *lines, highest)
-        if found:
-            break
-    return found
-
-
-def _groups(shape: tuple[int, ...]) -> Iterator[tuple[str, Int[np.ndarray, "h w"]]]:
-    """For each pixel, the name and number of its line."""
-    rows, columns = np.indices(shape)
-    yield "column", columns
-    yield "row", rows
-    yield "site", SITES * (rows % SITES) + columns % SITES
+    rows, columns = np.indices(whole[0].shape)
+    sites = SITES * (rows % SITES) + columns % SITES
+    for name, line in (("column", columns), ("row", rows), ("site", sites)):
+        if found := _stuck(whole, name, line, highest):
+            return found
+    return []
 
 
 def _stuck(
@@ -241,19 +233,18 @@ def dead_pixels(flats: Sequence[np.ndarray], darks: Sequence[np.ndarray]) -> Dea
         [[3 4]]
     """
     shape = darks[0].shape
-    low = np.min([one for one in darks if one.shape == shape], axis=0)
-    high = np.max([one for one in darks if one.shape == shape], axis=0)
+    flats, darks = ([one for one in own if one.shape == shape] for own in (flats, darks))
+    low, high = np.min(darks, axis=0), np.max(darks, axis=0)
     hot = _far(low, 1) | _far(high, -1)
     still = np.zeros(shape, bool)
-    alike = [one for one in flats if one.shape == shape]
-    if alike:
-        gained = np.max(alike, axis=0) - low
+    if flats:
+        gained = np.max(flats, axis=0) - low
         usual = float(np.median(gained))
         noise = float(np.median(high - low))
         if usual > LIT * max(noise, _step(low)):
             still = gained < FOLLOWS * usual
             hot &= ~still
-    stuck = tuple(stuck_bits([*alike, *(one for one in darks if one.shape == shape)]))
+    stuck = tuple(stuck_bits([*flats, *darks]))
     covered = _covered_border(still)
     if covered.mean() > MOST_COVERED:
         covered = np.zeros(shape, bool)

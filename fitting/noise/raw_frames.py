@@ -103,7 +103,7 @@ def processing_in_words(
     """The evidence that frames are not raw."""
     lossy = measurement.lossy
     if not lossy:
-        return [*_compressed(measurement, usable), *_denoised(measurement, usable)]
+        return [*compressed_in_words(measurement, usable), *_denoised(measurement, usable)]
     named = (
         f"{listed(lossy)} {'is' if len(lossy) == 1 else 'are'} JPEG, which removes noise and "
         f"usually has a tone curve: {NOT_THE_CAMERAS}"
@@ -111,13 +111,11 @@ def processing_in_words(
     return [named, *_denoised(measurement, usable)]
 
 
-def is_compressed(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> bool:
-    """Whether correlated noise ends at the borders of blocks, or block coefficients are
-    quantised."""
-    return bool(_compressed(measurement, usable))
-
-
-def _compressed(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
+def compressed_in_words(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> list[str]:
+    """The evidence of compression or resizing: coefficients of blocks are quantised, or correlated
+    noise ends at the borders of blocks."""
     return _rounded_blocks(measurement, usable) or _parted_blocks(measurement, usable)
 
 

@@ -154,7 +154,10 @@ def drawn_numbers(
     if left_out is None:
         mode, natural = posterior.mode, posterior.samples[rows.astype(int)]
     else:
-        mode, natural = _fitted_without(calibration, left_out, len(rows))
+        mode, covariance = mode_without(calibration, left_out)
+        rng = np.random.default_rng(posterior.seed)
+        every = [mode, *rng.multivariate_normal(mode, covariance, len(rows))]
+        mode, *natural = np.asarray(to_natural(posterior.space, jnp.asarray(np.array(every))))
         usable = usable[~left_out[: len(usable)]]
     labels, measurement = names(posterior.space), calibration.measurement
     about = About(
@@ -169,7 +172,7 @@ def drawn_numbers(
         shares=shares(measurement, usable, power=1) if "pixel_mixing" in labels else None,
     )
     beside = _beside_the_likelihood(calibration, len(rows), asked)
-    return Numbers(about, np.concatenate([mode[None], natural]), beside)
+    return Numbers(about, np.stack([mode, *natural]), beside)
 
 
 def bits_of(full_scale: float, converter: Converter) -> float:
@@ -200,17 +203,6 @@ def codes_in_words(converter: Converter) -> str:
     if converter.step in (0.0, 1.0):
         return ""
     return f" Its codes are the file's numbers divided by {converter.step:.5g}."
-
-
-def _fitted_without(
-    calibration: NoiseCalibration, left_out: Bool[np.ndarray, " levels"], count: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """The mode of a fit without some levels, and Laplace's draws about it."""
-    mode, covariance = mode_without(calibration, left_out)
-    rng = np.random.default_rng(calibration.posterior.seed)
-    every = np.concatenate([mode[None], rng.multivariate_normal(mode, covariance, count)])
-    natural = np.asarray(to_natural(calibration.chosen.space, jnp.asarray(every)))
-    return natural[0], natural[1:]
 
 
 def mode_without(
