@@ -17,7 +17,8 @@ from jaxtyping import Array, Float
 from jaxvision import BrighterFatter, Mixing
 from jaxvision.sensor import area_changes, flat_covariances
 
-from .levels import REACH, PhotonTransfer
+from .levels import PhotonTransfer
+from .live_pixels import REACH
 from .model import compressed, expected_electrons
 from .neighbours import COPIES, PERIOD, Lags, above_dark, area_shape
 from .statement import LikelihoodFit

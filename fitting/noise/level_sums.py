@@ -1,15 +1,15 @@
 """Statistics of the frames of one level, one frame in memory at a time."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ..frame_checks.frame import FrameSample, frame_sample
-from .live_pixels import LivePixels, hits
-from .neighbours import Neighbours
+from .live_pixels import LivePixels, hits, neighbour_products
 from .periodic import quarters, residues
-from .raw_frames import BLOCK, block_products, combs, local_variance
+from .raw_frames import block_products, combs, local_variance
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,12 @@ class TemporalVariance:
         return max(self.pixels + self.rows + self.columns, 0.0)
 
 
-class Moments:
-    """Sums over the frames of a level, from which its shared variances follow.
-
-    T is the temporal variance of a pixel. Q_rows and Q_columns are the mean variances of the lines'
-    means about the frame's mean, and W is the variance of the frames' means. The parts solve
+def temporal_variance(
+    live: LivePixels, pixels: float, rows: float, columns: float, frames: float
+) -> TemporalVariance:
+    """The variances of pixels, rows, columns and whole frames between frames, DN^2, from those of a
+    pixel, T, of the lines' means about the frame's mean, Q_rows and Q_columns, and of the frames'
+    means, W. The parts solve
 
         (T, Q_rows, Q_columns) = A (pixels, rows, columns),
         frames = W - b (pixels, rows, columns),
@@ -43,55 +44,59 @@ class Moments:
         frames = W - rows / h - columns / w - pixels / (h w).
 
     Each part is unbiased, whatever the others are. Without row and column effects the expected sum
-    of the three is T (h w) / (h w - 1).
+    of the three is T (h w) / (h w - 1). If a frame is a single row or column, its lines are single
+    pixels.
     """
+    parts = _parted(live, pixels, rows, columns)
+    return TemporalVariance(*parts.tolist(), frames - float(live.variance_shares[3] @ parts))
+
+
+def fixed_variance(
+    live: LivePixels, average: np.ndarray, temporal: TemporalVariance, count: int
+) -> tuple[float, float]:
+    """The fixed variances of rows and of columns, DN^2, from the average of `count` frames, which
+    retains a share of the temporal parts; 0 where a frame is a single row or column."""
+    if min(live.shape) == 1:
+        return 0.0, 0.0
+    away = average - live.mean(average)
+    lines = (float(np.nanmean(live.line_means(away, axis) ** 2)) for axis in (0, 1))
+    _, rows, columns = _parted(live, live.mean(away**2), *lines)
+    return float(rows - temporal.rows / count), float(columns - temporal.columns / count)
+
+
+def _parted(live: LivePixels, total: float, of_rows: float, of_columns: float) -> np.ndarray:
+    """The parts for pixels, rows and columns."""
+    if min(live.shape) == 1:
+        return np.array([total / live.variance_shares[0, 0], 0.0, 0.0])
+    return np.linalg.solve(live.variance_shares[:3], [total, of_rows, of_columns])
+
+
+class SquareSums:
+    """Sums over frames of functions that are quadratic in a frame, and the variances and
+    covariances between the frames that follow from them."""
 
     def __init__(self, live: LivePixels) -> None:
-        self._live = live
-        self._squares = [np.zeros(size) for size in live.mask.shape]
-        self._shares = live.variance_shares()
+        self._of: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+            "pixels": np.square,
+            "rows": lambda frame: live.line_means(frame, 0) ** 2,
+            "columns": lambda frame: live.line_means(frame, 1) ** 2,
+            "neighbours": neighbour_products,
+            "blocks": lambda frame: block_products(frame, live),
+        }
+        self._sums: dict[str, np.ndarray] = {}
 
     def add(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
-        """Add the squares of a further frame, after subtracting the first frame and the shift of
-        the mean."""
-        for axis, squares in enumerate(self._squares):
-            squares += weight * self._live.line_means(deviation, axis) ** 2
+        """Add a further frame, after subtracting the first frame and the shift of the mean."""
+        for name, square in self._of.items():
+            self._sums[name] = self._sums.get(name, 0.0) + weight * square(deviation)
 
-    def temporal(
-        self, total: np.ndarray, variance: float, wandering: float, count: int
-    ) -> TemporalVariance:
-        """The variances of pixels, rows, columns and whole frames between `count` frames, DN^2.
-
-        `total` is the sum of the frames (DN), `variance` T averaged over the pixels, and
-        `wandering` W. If a frame is a single row or column, its lines are single pixels."""
-        of_rows, of_columns = (
-            float(np.nanmean(count * squares - self._live.line_means(total, axis) ** 2))
-            / (count * (count - 1))
-            for axis, squares in enumerate(self._squares)
-        )
-        parts = self._parted(variance, of_rows, of_columns)
-        pixels, rows, columns = parts.tolist()
-        return TemporalVariance(pixels, rows, columns, wandering - float(self._shares[3] @ parts))
-
-    def fixed(
-        self, average: np.ndarray, temporal: TemporalVariance, count: int
-    ) -> tuple[float, float]:
-        """The fixed variances of rows and of columns, DN^2, from the average of `count` frames,
-        which retains a share of the temporal parts; 0 where a frame is a single row or column."""
-        if min(self._live.shape) == 1:
-            return 0.0, 0.0
-        away = average - self._live.mean(average)
-        of_rows, of_columns = (
-            float(np.nanmean(self._live.line_means(away, axis) ** 2)) for axis in (0, 1)
-        )
-        _, rows, columns = self._parted(self._live.mean(away**2), of_rows, of_columns)
-        return float(rows - temporal.rows / count), float(columns - temporal.columns / count)
-
-    def _parted(self, total: float, of_rows: float, of_columns: float) -> np.ndarray:
-        """The parts for pixels, rows and columns."""
-        if min(self._live.shape) == 1:
-            return np.array([total / self._shares[0, 0], 0.0, 0.0])
-        return np.linalg.solve(self._shares[:3], [total, of_rows, of_columns])
+    def variances(self, total: np.ndarray, count: int) -> dict[str, np.ndarray]:
+        """Each function's mean over the deviations of `count` frames, by L - 1; `total` is the sum
+        of the frames that were added."""
+        return {
+            name: (count * self._sums[name] - square(total)) / (count * (count - 1))
+            for name, square in self._of.items()
+        }
 
 
 UNEVEN = 3.0  # standard errors from which light counts as uneven
@@ -134,11 +139,9 @@ class LevelSums:
         self.first, self.live = first, live
         self.shown: list[FrameSample] = []
         self._top, self._unlit, self._corner = top, unlit, corner
-        self._total, self._squares = np.zeros_like(first), np.zeros_like(first)
-        self._shifted = np.zeros_like(first)
+        self._total, self._shifted = np.zeros_like(first), np.zeros_like(first)
         self._shifts: list[float] = []
-        self._lines, self._neighbours = Moments(live), Neighbours(live)
-        self._blocks = np.zeros((2, BLOCK))
+        self._squares = SquareSums(live)
         self.hits = 0
 
     def add(self, name: str, frame: np.ndarray) -> None:
@@ -161,16 +164,10 @@ class LevelSums:
         self._total += deviation
         if self._unlit is not None:
             self._shifted += self._shifts[-1] * deviation
-        self._add_squares(deviation)
+        self._squares.add(deviation)
 
     def _sample_of(self, name: str, frame: np.ndarray) -> FrameSample:
         return frame_sample(name, self.live.filled(frame), top=self._top)
-
-    def _add_squares(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
-        self._squares += weight * deviation**2
-        self._lines.add(deviation, weight=weight)
-        self._neighbours.add(deviation, weight=weight)
-        self._blocks += weight * block_products(deviation, self.live)
 
     def _without_flicker(self, average: np.ndarray) -> float:
         """Remove the effect of a flickering lamp on the unevenness of its light.
@@ -189,7 +186,7 @@ class LevelSums:
         if size == 0 or signal <= 0:
             return 1.0
         pattern = self.live.only(average - mean)
-        temporal = (self._squares.sum() - (self._total**2).sum() / count) / (count - 1)
+        temporal = float(self._squares.variances(self._total, count)["pixels"].sum())
         noise = temporal / count
         uneven = float(np.sum(pattern**2)) - noise
         share = size / signal**2
@@ -198,8 +195,8 @@ class LevelSums:
             return 1.0
         pattern *= np.sqrt(share)
         along = (self._shifted - shifts.mean() * self._total) / np.sqrt(size)
-        self._add_squares(along - pattern)
-        self._add_squares(along, weight=-1.0)
+        self._squares.add(along - pattern)
+        self._squares.add(along, weight=-1.0)
         # `along` has more shot noise than the mean frame, because shot noise grows with the light.
         shot = 1 - self._unlit.variance * self.live.count / max(temporal, 1e-300)
         return 1 + (1 - 2 * shot) * share / (count * (count - 1))
@@ -209,16 +206,18 @@ class LevelSums:
         count, total, live = len(self.shown), self._total, self.live
         average = self.first + total / count + np.mean(self._shifts)
         excess = self._without_flicker(average)
-        temporal = (count * self._squares - total**2) / (count * (count - 1) * excess)
+        of = self._squares.variances(total, count)
+        temporal = of["pixels"] / excess
         wandering = float(np.var(self._shifts, ddof=1))
-        parts = self._lines.temporal(total, live.mean(temporal), wandering, count)
+        lines = (float(np.nanmean(of[name])) for name in ("rows", "columns"))
+        parts = temporal_variance(live, live.mean(temporal), *lines, wandering)
         variance = parts.of_a_pixel
         # The mean of a frame includes the noise of its own pixels, which was subtracted with it.
         lost = wandering - parts.frames
         temporal += lost
-        covariances = self._neighbours.covariances(total, variance, lost, count)
+        covariances = of["neighbours"] / np.maximum(live.neighbours, 1.0) + lost
+        covariances[0, 0] = variance
         passing = variance - (covariances[0, 1] + covariances[1, 0]) / 2
-        products = count * self._blocks - block_products(total, live)
         return LevelStatistics(
             {
                 "mean": live.mean(average),
@@ -230,12 +229,12 @@ class LevelSums:
                 "residues": residues(average, temporal, live),
                 "quarters": quarters(average, temporal, live),
                 "local_pattern": local_variance(average, live) - passing / count,
-                "blocks": products / (count * (count - 1)) + lost,
+                "blocks": of["blocks"] + lost,
                 "combs": combs(self.first, corner=self._corner),
             },
             lines=(
                 *(parts.rows, parts.columns),
-                *self._lines.fixed(average, parts, count),
+                *fixed_variance(live, average, parts, count),
                 parts.frames,
             ),
             live=live,

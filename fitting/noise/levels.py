@@ -77,7 +77,6 @@ def knee_of(
 
 
 FEWEST_PIXELS = 100
-REACH = 3  # rows and columns up to which pixels count as neighbours
 SATURATED_DROP = 5.0  # standard errors by which the variance decreases above the saturation point
 LINEAR_TOP = 0.95  # of the saturation signal: the upper end of the standard's linearity range
 CLEAR_OF_CLIPPING = 4.0  # standard deviations

@@ -14,6 +14,7 @@ continuous.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ FEWEST = 64  # pixels of a line in which both states must then occur
 MOST_LINES = 0.75  # of the lines; a bit stuck in more of them makes the converter's own grid
 SHOWN_LINES = 4  # lines that are listed
 SITES = 2  # rows and columns of a cell
+REACH = 3  # rows and columns up to which pixels count as neighbours
 
 
 class StuckBit(NamedTuple):
@@ -119,6 +121,18 @@ def line_products(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
     return below, beside
 
 
+def neighbour_products(x: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "lags lags"]:
+    """Sum of x_p x_q over the pairs of pixels at each offset of 0 to `REACH` rows and columns, of
+    either sign; 0 beyond a small frame."""
+    rows, columns = (min(REACH, size - 1) for size in x.shape)
+    width, found = x.shape[1] + columns, np.zeros((REACH + 1, REACH + 1))
+    flat = np.pad(x, ((0, 0), (0, columns))).ravel()  # zeros beside the frame
+    for i, j in product(range(rows + 1), range(columns + 1)):
+        for apart in {i * width + j, abs(i * width - j)}:
+            found[i, j] += flat[: flat.size - apart] @ flat[apart:]
+    return found
+
+
 class LivePixels:
     """The mask of valid pixels of a frame, (h, w), and means over them."""
 
@@ -131,6 +145,11 @@ class LivePixels:
     def pairs_by_line(self) -> tuple[np.ndarray, np.ndarray]:
         """Neighbouring pixels that are both valid, as `line_products` sums them."""
         return line_products(self.mask.astype(float))
+
+    @cached_property
+    def neighbours(self) -> Float[np.ndarray, "lags lags"]:
+        """Pairs of valid pixels, as `neighbour_products` sums them."""
+        return neighbour_products(self.mask.astype(float))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -156,6 +175,7 @@ class LivePixels:
         """The plane with its mean in place of invalid pixels."""
         return plane if self._all else np.where(self.mask, plane, self.mean(plane))
 
+    @cached_property
     def variance_shares(self) -> Float[np.ndarray, "4 3"]:
         """The contributions of independent pixels, rows and columns of variance 1 to the variances
         of a frame."""

@@ -12,7 +12,6 @@ with the darks. The noise r^2 of h rows adds r^2 (r^2 + 2 s^2 / w) / (h (L - 1))
 variance of C_ij, and twice that of C_0j.
 """
 
-from itertools import product
 from math import factorial
 
 import equinox as eqx
@@ -20,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .levels import REACH, Levels, PhotonTransfer, shot_of, signal_of
-from .live_pixels import LivePixels
+from .levels import Levels, PhotonTransfer, shot_of, signal_of
+from .live_pixels import REACH
 from .shared import temporal_lines
 
 PERIOD = 32  # period, in pixels, of the sensor for which the series is computed
@@ -46,39 +45,6 @@ class NeighbourData(eqx.Module):
 def are_known(around: NeighbourData | None) -> bool:
     """Whether covariances of neighbouring pixels are among the data of a fit."""
     return around is not None and around.total is not None
-
-
-class Neighbours:
-    """Sums over the frames of a level, from which the covariances of its neighbours follow."""
-
-    def __init__(self, live: LivePixels) -> None:
-        self._reach = tuple(min(REACH, size - 1) for size in live.mask.shape)
-        self._pairs = self._sums(live.mask.astype(float))
-        self._products = np.zeros_like(self._pairs)
-
-    def add(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
-        """Add the products of a further frame, after subtracting the first frame and the shift of
-        the mean; 0 for invalid pixels."""
-        self._products += weight * self._sums(deviation)
-
-    def covariances(self, total: np.ndarray, variance: float, lost: float, count: int) -> Lags:
-        """Covariances, with the variance at offset (0, 0)."""
-        found = (count * self._products - self._sums(total)) / (count * (count - 1))
-        found = found / np.maximum(self._pairs, 1.0) + lost
-        found[0, 0] = variance
-        return found
-
-    def _sums(self, x: np.ndarray) -> Lags:
-        """Sum of x_p x_q over the pairs of pixels at each offset; 0 beyond a small frame."""
-        rows, columns = self._reach
-        width, found = x.shape[1] + columns, np.zeros((REACH + 1, REACH + 1))
-        beside = np.zeros((len(x), width))  # zeros beside the frame
-        beside[:, : x.shape[1]] = x
-        flat = beside.ravel()
-        for i, j in product(range(rows + 1), range(columns + 1)):
-            for apart in {i * width + j, abs(i * width - j)}:
-                found[i, j] += flat[: flat.size - apart] @ flat[apart:]
-        return found
 
 
 # The number of offsets of either sign for each size; 0 at the pixel itself.

@@ -30,7 +30,6 @@ from .doubts import doubts
 from .level_sums import LevelStatistics, LevelSums, Unlit
 from .levels import (
     FEWEST_PIXELS,
-    REACH,
     Levels,
     PhotonTransfer,
     SharedVariance,
@@ -38,7 +37,7 @@ from .levels import (
     rounding_step,
 )
 from .levels_table import read_table
-from .live_pixels import BULK, DeadPixels, LivePixels, dead_pixels
+from .live_pixels import BULK, REACH, DeadPixels, LivePixels, dead_pixels
 from .settings import require_one_setting
 from .usable import check
 

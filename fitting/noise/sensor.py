@@ -1,6 +1,7 @@
 """A calibrated camera as a sensor for predictions: the best fit, and draws."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -183,9 +184,11 @@ def bits_of(full_scale: float, converter: Converter) -> float:
     )
 
 
+@compiled_briefly
 def sensors_of(numbers: Numbers) -> Sensor:
     """Sensors with a leading axis at every field: the best estimate, then draws."""
-    return _sensors(numbers.about, numbers.natural, numbers.beside)
+    one = partial(_sensor, numbers.about)
+    return eqx.filter_vmap(one)(numbers.natural, numbers.beside)
 
 
 @double_precision
@@ -280,12 +283,6 @@ class About(eqx.Module):
     top: np.ndarray
     kernel: np.ndarray | None
     shares: np.ndarray | None
-
-
-@compiled_briefly
-def _sensors(about: About, natural: np.ndarray, known: dict[str, np.ndarray]) -> Sensor:
-    """A sensor for each draw."""
-    return eqx.filter_vmap(lambda values, beside: _sensor(about, values, beside))(natural, known)
 
 
 def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str, Array]) -> Sensor:

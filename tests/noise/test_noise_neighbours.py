@@ -12,9 +12,9 @@ from fitting import noise
 from fitting.noise.brighter_fatter import fitted_area_changes, own_area_change
 from fitting.noise.calibration import calibrate
 from fitting.noise.findings import findings
-from fitting.noise.levels import REACH
-from fitting.noise.live_pixels import LivePixels
-from fitting.noise.neighbours import Neighbours, nearest, variance_terms
+from fitting.noise.level_sums import SquareSums
+from fitting.noise.live_pixels import REACH, LivePixels
+from fitting.noise.neighbours import variance_terms
 from fitting.noise.section import section
 from fitting.noise.sensor import fitted_sensor
 from fitting.rig import Camera
@@ -62,12 +62,12 @@ def test_sums_over_frames_are_those_of_plain_loops():
     rng = np.random.default_rng(0)
     stack = rng.standard_normal((5, 7, 9))
     stack -= stack.mean(axis=(1, 2), keepdims=True)
-    neighbours = Neighbours(LivePixels(np.ones((7, 9), bool)))
+    live = LivePixels(np.ones((7, 9), bool))
+    sums = SquareSums(live)
     for frame in stack[1:]:
-        neighbours.add(frame - stack[0])
-    variance = stack.var(axis=0, ddof=1).mean() * 63 / 62
-    lost = variance / 63
-    got = neighbours.covariances((stack - stack[0]).sum(axis=0), variance, lost, 5)
+        sums.add(frame - stack[0])
+    products = sums.variances((stack - stack[0]).sum(axis=0), 5)["neighbours"]
+    got = products / live.neighbours
     away = stack - stack.mean(axis=0)
     for i in range(REACH + 1):
         for j in range(REACH + 1):
@@ -78,12 +78,13 @@ def test_sums_over_frames_are_those_of_plain_loops():
                 for q in range(9)
                 if 0 <= q + k < 9
             ]
-            expected = variance if i == j == 0 else np.mean(found) + lost
-            assert got[i, j] == pytest.approx(expected, abs=1e-12), (i, j)
+            assert got[i, j] == pytest.approx(np.mean(found), abs=1e-12), (i, j)
 
 
 def test_the_series_is_that_of_the_sensor():
-    for shape in (nearest(), CHANGES / CHANGES[0, 0]):
+    nearest = np.zeros((REACH + 1, REACH + 1))
+    nearest[0, 0], nearest[0, 1], nearest[1, 0] = 1.0, -0.25, -0.25
+    for shape in (nearest, CHANGES / CHANGES[0, 0]):
         a, mu = -1.5e-6 * shape, 1e5
         expected = float(flat_covariances(jnp.asarray(a), jnp.asarray(mu))[0, 0]) / mu
         assert np.polyval(variance_terms(shape), -1.5e-6 * mu) == pytest.approx(expected, rel=1e-12)

@@ -11,7 +11,7 @@ from oracles.frames import level_of, levels_sharing, shared_variance
 from fitting import noise
 from fitting.noise.calibration import calibrate, extra_in_flats, without_flicker
 from fitting.noise.emva1288 import ranges, sheet, statistics
-from fitting.noise.level_sums import Moments
+from fitting.noise.level_sums import SquareSums, fixed_variance, temporal_variance
 from fitting.noise.levels import linear_levels
 from fitting.noise.live_pixels import LivePixels
 from fitting.noise.pattern import fitted_pattern, pattern_variance, unequal_gains
@@ -356,16 +356,16 @@ def test_parts_of_the_variance_add_up_in_the_mean(size, dead):
         )
         live = rng.permuted(np.arange(h * w)).reshape(h, w) >= dead * h * w
         live[:, 2] &= dead == 0
-        moments = Moments(LivePixels(live))
+        pixels, sums = LivePixels(live), SquareSums(LivePixels(live))
         shifts = stack[:, live].mean(axis=1)
         still = (stack - shifts[:, None, None]) * live
         for frame in still[1:]:
-            moments.add(frame - still[0])
-        variance = still.var(axis=0, ddof=1)[live].mean()
-        total = (still - still[0]).sum(axis=0)
-        parts = moments.temporal(total, variance, shifts.var(ddof=1), frames)
+            sums.add(frame - still[0])
+        of = sums.variances((still - still[0]).sum(axis=0), frames)
+        lines = (np.nanmean(of[name]) for name in ("rows", "columns"))
+        parts = temporal_variance(pixels, of["pixels"][live].mean(), *lines, shifts.var(ddof=1))
         found.append([getattr(parts, name) for name in truth] + [parts.of_a_pixel])
-        fixed.append(moments.fixed(stack.mean(axis=0), parts, frames))
+        fixed.append(fixed_variance(pixels, stack.mean(axis=0), parts, frames))
     for values, true in (
         (found, [*truth.values(), 14.0]),
         (fixed, list(stays.values())),
