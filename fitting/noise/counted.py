@@ -29,7 +29,6 @@ from jaxvision import PoissonShotNoise, Sensor
 from jaxvision.errors import InputError
 
 from ..fits.solve import fit
-from ..inference.misfit import Misfit
 from ..inference.parameters import Parameter, names
 from ..inference.priors import Normal
 from ..inference.problem import Problem, Tied, Values
@@ -158,7 +157,6 @@ class CodeFit:
     covariance: Float[np.ndarray, "logs logs"]
     numbers: int  # number of counted values, over pixels and frames
     failures: tuple[str, ...]  # why the fit is not used, in sentences; empty where it is used
-    misfit: Misfit | None = None  # of the counts in the tables; None where no search began
 
     def among(self, usable: Int[np.ndarray, " usable"]) -> CountedLevels | None:
         """The result in the form for the likelihood of photon transfer with the bright levels
@@ -262,7 +260,7 @@ def fitted_tables(measurement: PhotonTransfer) -> CodeFit | None:
             "Poisson's electrons with Gaussian read noise do not describe it (chi-square per "
             f"degree of freedom is {ratio:.3g})."
         )
-    return CodeFit(levels, logs, covariance, numbers, tuple(failures), found.misfit)
+    return CodeFit(levels, logs, covariance, numbers, tuple(failures))
 
 
 def _dark_signal(measurement: PhotonTransfer) -> np.ndarray:

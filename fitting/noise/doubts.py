@@ -175,9 +175,10 @@ OF_DARK_NOISE = (
 class _Step(NamedTuple):
     """A level at which a quantity changes from one constant to another."""
 
-    place: int  # index of the first level after the step
-    low: float  # mean logarithm before the step
-    high: float  # mean logarithm after it
+    low: float  # geometric mean before the step
+    high: float  # geometric mean from the step on
+    before: int  # index of the last level before the step
+    after: int  # index of the first level after it
 
 
 def doubts(
@@ -258,28 +259,33 @@ def _averaged(measurement: PhotonTransfer) -> Doubt | None:
     )
 
 
-def _step(values: Float[np.ndarray, " levels"], errors: np.ndarray) -> _Step | None:
-    """Two groups of neighbouring levels with one value each; None if there are none."""
-    best, found = np.inf, None
-    for place in range(2, len(values) - 1):
-        parts = values[:place], values[place:]
-        left = float(sum(np.sum((part - part.mean()) ** 2) for part in parts))
+def _step(
+    values: Float[np.ndarray, " levels"],
+    errors: Float[np.ndarray, " levels"],
+    levels: Int[np.ndarray, " levels"],
+) -> _Step | None:
+    """Two groups of neighbouring levels with one positive value each; None if there are none.
+    `errors` are relative, and `levels` are the indices of the levels."""
+    best, place, logs = np.inf, None, np.log(values)
+    for i in range(2, len(logs) - 1):
+        left = float(sum(np.sum((part - part.mean()) ** 2) for part in (logs[:i], logs[i:])))
         if left < best:
-            best, found = left, place
-    if len(values) < FEWEST_LEVELS or found is None:
+            best, place = left, i
+    if len(logs) < FEWEST_LEVELS or place is None:
         return None
-    low, high = values[:found], values[found:]
-    apart = float(high.mean() - low.mean())
-    scatter = np.sqrt(best / (len(values) - 2) + np.mean(errors**2))
+    low, high = logs[:place], logs[place:]
+    size = float(high.mean() - low.mean())
+    scatter = np.sqrt(best / (len(logs) - 2) + np.mean(errors**2))
     within = max(np.abs(part - part.mean()).max() for part in (low, high))
-    sudden = np.sign(apart) * (values[found] - values[found - 1])
+    sudden = np.sign(size) * (logs[place] - logs[place - 1])
     if (
-        abs(apart) < max(STEP, SURE * scatter * np.sqrt(1 / len(low) + 1 / len(high)))
-        or within > ALIKE * abs(apart)
-        or sudden < SUDDEN * abs(apart)
+        abs(size) < max(STEP, SURE * scatter * np.sqrt(1 / len(low) + 1 / len(high)))
+        or within > ALIKE * abs(size)
+        or sudden < SUDDEN * abs(size)
     ):
         return None
-    return _Step(found, float(low.mean()), float(high.mean()))
+    means = (float(np.exp(part.mean())) for part in (low, high))
+    return _Step(*means, *levels[place - 1 : place + 1].tolist())
 
 
 def _two_gains(measurement: PhotonTransfer, flats: Sequence[Sequence[FrameSample]]) -> Doubt | None:
@@ -287,18 +293,16 @@ def _two_gains(measurement: PhotonTransfer, flats: Sequence[Sequence[FrameSample
     signal, shot = signal_of(measurement)[usable], shot_of(measurement)[usable]
     errors = bright.variance_error[usable] / np.maximum(shot, 1e-9)
     dithered = np.asarray(bright.variance)[usable] > DITHERED * measurement.converter.width**2
-    told = (signal > 0) & (shot > 0) & (errors < KNOWN) & dithered
-    usable, errors = usable[told], errors[told]
-    found = _step(np.log(shot[told] / signal[told]), errors)
+    known = (signal > 0) & (shot > 0) & (errors < KNOWN) & dithered
+    found = _step(shot[known] / signal[known], errors[known], usable[known])
     if found is None:
         return None
-    before, after = (flats[usable[i]][0].name for i in (found.place - 1, found.place))
-    low, high = np.exp(found.low), np.exp(found.high)
     return Doubt(
         ON_GAIN,
         "the flats have two gains, as the findings say",
-        f"Variance over signal is {low:.3g} DN in the levels up to that of {before}, and "
-        f"{high:.3g} DN from that of {after} on, as if the gain was changed or some frames were "
+        f"Variance over signal is {found.low:.3g} DN in the levels up to that of "
+        f"{flats[found.before][0].name}, and {found.high:.3g} DN from that of "
+        f"{flats[found.after][0].name} on, as if the gain was changed or some frames were "
         "averaged or denoised. The gain and the figures that depend on it are not determined. "
         "Calibrate the two ranges separately, or state iso or gain_db of every flat and dark.",
     )
@@ -310,18 +314,16 @@ def _two_modes(measurement: PhotonTransfer, darks: Sequence[Sequence[FrameSample
     variance = np.asarray(dark.variance)[order]
     if not (variance > least_dark_variance(measurement)).all():
         return None
-    found = _step(np.log(variance), dark.variance_error[order] / variance)
+    found = _step(variance, dark.variance_error[order] / variance, order)
     if found is None:
         return None
-    before, after = (darks[order[i]][0].name for i in (found.place - 1, found.place))
-    seconds = float(np.asarray(dark.exposure)[order[found.place]])
-    low, high = np.exp(found.low), np.exp(found.high)
     return Doubt(
         OF_DARK_NOISE,
         "the darks have two read-out modes, as the findings say",
-        f"The variance of the darks is {low:.3g} DN² up to the level of {before}, and "
-        f"{high:.3g} DN² from that of {after} ({seconds:.3g} s) on: the camera changes its "
-        "read-out there, for example its gain, or it subtracts a dark frame at long exposures "
-        "(noise reduction, which doubles the variance). Dark noise is not determined; calibrate "
-        "the two ranges separately.",
+        f"The variance of the darks is {found.low:.3g} DN² up to the level of "
+        f"{darks[found.before][0].name}, and {found.high:.3g} DN² from that of "
+        f"{darks[found.after][0].name} ({float(dark.exposure[found.after]):.3g} s) on: the camera "
+        "changes its read-out there, for example its gain, or it subtracts a dark frame at long "
+        "exposures (noise reduction, which doubles the variance). Dark noise is not determined; "
+        "calibrate the two ranges separately.",
     )

@@ -91,7 +91,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> "Figure":
     upper.loglog(
         ends, gain * ends, color="k", lw=0.8, ls="--", label=f"EMVA 1288: K = {gain:.4g} DN/e⁻"
     )
-    _mark_saturation(calibration, (upper,), signal)
+    _mark_saturation(calibration, upper, signal)
     upper.set_ylabel("variance above dark [DN²]")
     upper.set_ylim(floor, 6 * np.nanmax(shot))  # with room for the legend
     upper.legend(fontsize=9, loc="upper left")
@@ -122,7 +122,7 @@ def responsivity_figure(calibration: NoiseCalibration) -> "Figure":
     if calibration.likelihood is not None:
         x, moments, unlit = _model_curve(calibration, spacing="even")
         upper.plot(x, moments.mean - unlit.mean, color=ORANGE, lw=1.5, label="fitted camera")
-    _mark_saturation(calibration, (upper,), light)
+    _mark_saturation(calibration, upper, light)
     upper.set_ylabel("mean signal above dark [DN]")
     upper.legend(fontsize=9)
 
@@ -153,7 +153,12 @@ def signal_to_noise_figure(calibration: NoiseCalibration) -> "Figure":
     axis.loglog(light[shown], signal[shown] / noise[shown], ".", color=BLUE, ms=6, label="levels")
     x = light[shown]
     if calibration.likelihood is not None:
-        x, moments, unlit = _model_curve(calibration, faintest=_faintest(calibration))
+        # From the light at an SNR of about one half.
+        values = calibration.standard.values
+        threshold = float(values["threshold_electrons"] * values["system_gain"])
+        x, moments, unlit = _model_curve(calibration, spacing="even")
+        faintest = 0.5 * threshold / float(np.max(moments.mean - unlit.mean)) * float(x.max())
+        x, moments, unlit = _model_curve(calibration, faintest=faintest)
         ratio = (moments.mean - unlit.mean) / np.sqrt(moments.variance)
         axis.loglog(x, ratio, color=ORANGE, lw=1.5, label="fitted camera")
     if measurement.photons_known:
@@ -227,15 +232,6 @@ def _mask(calibration: NoiseCalibration) -> np.ndarray:
     return used
 
 
-def _faintest(calibration: NoiseCalibration) -> float:
-    """Light at an SNR of about one half."""
-    values = calibration.standard.values
-    threshold = float(values["threshold_electrons"] * values["system_gain"])
-    _, moments, unlit = _model_curve(calibration, spacing="even")
-    top = float(np.max(moments.mean - unlit.mean))
-    return 0.5 * threshold / top * float(calibration.chosen.data.light.max())
-
-
 def _model_curve(
     calibration: NoiseCalibration, *, spacing: str = "log", faintest: float | None = None
 ) -> tuple[np.ndarray, Moments, Moments]:
@@ -265,15 +261,10 @@ def _model_curve(
     return light, lit, unlit
 
 
-def _mark_saturation(
-    calibration: NoiseCalibration, axes: "tuple[Axes, ...]", x: np.ndarray
-) -> None:
-    saturation = calibration.within.saturation
-    if saturation is None:
-        return
-    index = int(np.argmin(np.abs(np.asarray(calibration.measurement.bright.light - saturation))))
-    for axis in axes:
-        axis.axvline(x[index], color="k", lw=0.8, ls=":", label="saturation point")
+def _mark_saturation(calibration: NoiseCalibration, axis: "Axes", x: np.ndarray) -> None:
+    saturated = calibration.measurement.saturated
+    if saturated is not None:
+        axis.axvline(x[saturated], color="k", lw=0.8, ls=":", label="saturation point")
 
 
 def _light_label(calibration: NoiseCalibration) -> str:

@@ -484,15 +484,11 @@ def _of_lines(found: Found, scale: float) -> str:
 def _drift(calibration: NoiseCalibration) -> Numbers | None:
     wander = drift(calibration.measurement.dark)
     fades = any("dark_current_mean" in doubt.of for doubt in calibration.measurement.doubts)
-    return None if not wander.believed or fades else {"size": _with_interval(wander)}
-
-
-def _with_interval(found: Found) -> str:
-    """The square root of a variance from a few frames, with an interval from its degrees of
-    freedom."""
-    part = Part(found.variance, 2 * (found.variance / found.error) ** 2)
-    low, _, value, _, high = deviation_quantiles(found.variance, 0.0, [part])
-    return f"{value:.3g} (95 %: {low:.3g} to {high:.3g})"
+    if not wander.believed or fades:
+        return None
+    part = Part(wander.variance, 2 * (wander.variance / wander.error) ** 2)
+    low, _, value, _, high = deviation_quantiles(wander.variance, 0.0, [part])
+    return {"size": f"{value:.3g} (95 %: {low:.3g} to {high:.3g})"}
 
 
 def _prnu(calibration: NoiseCalibration) -> Numbers | None:

@@ -52,14 +52,6 @@ COPIES: Lags = np.outer(*2 * [np.where(np.arange(REACH + 1) == 0, 1.0, 2.0)])
 COPIES[0, 0] = 0
 
 
-def pairs(shape: Float[np.ndarray, "2"], pixels: float) -> Lags:
-    """The number of pixel pairs in each averaged covariance."""
-    rows, columns = (float(size) - np.arange(REACH + 1) for size in shape)
-    both = np.outer(np.arange(REACH + 1) > 0, np.arange(REACH + 1) > 0)
-    live = pixels / float(np.prod(shape))
-    return np.outer(rows, columns) * np.where(both, 2, 1) * live**2
-
-
 def above_dark(measurement: PhotonTransfer) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Covariances of bright levels minus those of the darks, the sampling variances of each, and
     those of their sums over all neighbours. None without frames of adjacent pixels, or where the
@@ -70,7 +62,11 @@ def above_dark(measurement: PhotonTransfer) -> tuple[np.ndarray, np.ndarray, np.
         return None
     assert bright.shared is not None
     shape = np.asarray(bright.shared.shape)
-    size, reach = pairs(shape, float(bright.pixels)), np.arange(REACH + 1)
+    reach = np.arange(REACH + 1)
+    # The number of pairs in each averaged covariance.
+    along = [size - reach for size in shape]
+    both = np.where(np.outer(reach, reach), 2, 1)
+    size = np.outer(*along) * both * (float(bright.pixels) / np.prod(shape)) ** 2
     lines = [temporal_lines(dark, axis) for axis in (0, 1)]
 
     def chance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:

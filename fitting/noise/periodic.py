@@ -52,6 +52,13 @@ WORDS = {
 }
 
 
+WHOLES = {
+    "mosaic": "The four sites of a cell of 2 x 2 pixels",
+    CENTRE: "The centre and the border of the frame",
+    QUARTERS: "The quarters of the frame",
+}
+
+
 def residues(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
 ) -> Float[np.ndarray, "2 5 residues"]:
@@ -353,16 +360,9 @@ def periodic_in_words(
     the frame."""
     sentences = []
     for one in found:
-        if one.where == "mosaic":
-            who = "The four sites of a cell of 2 x 2 pixels"
-        elif one.period:
+        who = WHOLES.get(one.where, f"The {one.where} halves")
+        if one.where in LINES:
             who = WORDS[one.period].format(one.where)
-        elif one.where == CENTRE:
-            who = "The centre and the border of the frame"
-        elif one.where == QUARTERS:
-            who = "The quarters of the frame"
-        else:
-            who = f"The {one.where} halves"
         parts = []
         if one.gains:
             span = 100 * (max(one.gains) / min(one.gains) - 1)

@@ -158,7 +158,9 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
             f"it counts as the end of the scale instead of {stated:g}. Correct camera.bits, or "
             "give saturation."
         )
-    gap = _gaps(bright, dark)
+    lit_for, unlit_for = np.asarray(bright.exposure), np.asarray(dark.exposure)
+    scale = np.where(lit_for > 0, lit_for, max(lit_for.max(), unlit_for.max()) or 1.0)
+    gap = np.abs(unlit_for - lit_for[:, None]) / scale[:, None]  # relative, of darks from flats
     if float(gap.min(axis=1).max()) > DARK_MATCH:
         remarks.append(
             "Some flats have no dark frames of their own exposure; the nearest were subtracted, so "
@@ -306,13 +308,6 @@ def _light(rig: Rig, flat: Flat) -> float | None:
     irradiance = jnp.asarray([flat.irradiance])
     wavelength, area = jnp.asarray(camera.wavelength), jnp.asarray(camera.pixel_pitch**2)
     return float(photon_rate(irradiance, wavelength, area)[0]) * flat.exposure
-
-
-def _gaps(bright: Levels, dark: Levels) -> Float[np.ndarray, "levels darks"]:
-    """The relative difference of each dark's exposure from each flat's."""
-    lit, unlit = np.asarray(bright.exposure), np.asarray(dark.exposure)
-    scale = np.where(lit > 0, lit, max(lit.max(), unlit.max()) or 1.0)
-    return np.abs(unlit[None, :] - lit[:, None]) / scale[:, None]
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[OddFrames]], list[str]]:

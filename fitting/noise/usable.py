@@ -78,7 +78,8 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
         )
     if signal_of(measurement).max() < 3 * float(np.sqrt(dark.variance.max() / bright.pixels)):
         raise InputError(f"{file}: the flats are as dark as the darks; give more light.")
-    if _most_shot_noise(measurement) < SEEN:
+    of_dark = dark.variance_error[measurement.dark_of]
+    if np.max(shot_of(measurement) / np.hypot(bright.variance_error, of_dark)) < SEEN:
         raise InputError(
             f"{file}: the flats vary no more from frame to frame than the darks do. The gain needs "
             "visible shot noise; give raw frames, neither averaged, smoothed nor compressed, and "
@@ -138,10 +139,3 @@ def _extrapolated_zero(
     misfit = max(float(rest[0]) / (len(x) - 3), 1.0) if rest.size else 1.0
     value, slope, _ = found / scale
     return float(value), float(slope), float(np.sqrt(covariance[0, 0] * misfit) / scale[0])
-
-
-def _most_shot_noise(measurement: PhotonTransfer) -> float:
-    """The largest excess of a level's variance over that of its darks, in standard errors."""
-    of_dark = measurement.dark.variance_error[measurement.dark_of]
-    errors = np.hypot(measurement.bright.variance_error, of_dark)
-    return float(np.max(shot_of(measurement) / errors))
