@@ -187,11 +187,12 @@ def doubts(
     darks: Sequence[Sequence[FrameSample]],
 ) -> tuple[Doubt, ...]:
     """Return the doubts about figures that use all levels of a series."""
-    found = [_fading(measurement, darks), multiplied(measurement, flats, darks)]
-    found.append(_averaged(measurement))
-    found.append(_two_gains(measurement, flats))
-    if found[-1] is None:
-        found.append(_two_modes(measurement, darks))
+    found = (
+        _fading(measurement, darks),
+        multiplied(measurement, flats, darks),
+        _averaged(measurement),
+        _two_gains(measurement, flats) or _two_modes(measurement, darks),
+    )
     return tuple(one for one in found if one is not None)
 
 

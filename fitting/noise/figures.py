@@ -70,7 +70,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> "Figure":
     signal, shot = signal_of(measurement), shot_of(measurement)
     gain = float(calibration.standard.values["system_gain"])
     figure, upper, lower = two_panels()
-    used = _mask(calibration)
+    used = np.isin(np.arange(len(signal)), calibration.usable)
     drawable = (signal > 0) & (shot > 0)
     floor = shot[used & drawable].min() / 3
     beyond, below = ~used & (signal > 0), shot < floor
@@ -224,12 +224,6 @@ def two_panels(*, height: float = 1.4) -> "tuple[Figure, Axes, Axes]":
     figure = Figure(figsize=SIZE, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, height))
     return figure, upper, lower
-
-
-def _mask(calibration: NoiseCalibration) -> np.ndarray:
-    used = np.zeros(calibration.measurement.bright.mean.size, bool)
-    used[calibration.usable] = True
-    return used
 
 
 def _model_curve(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -90,13 +91,10 @@ class SquareSums:
         for name, square in self._of.items():
             self._sums[name] = self._sums.get(name, 0.0) + weight * square(deviation)
 
-    def variances(self, total: np.ndarray, count: int) -> dict[str, np.ndarray]:
-        """Each function's mean over the deviations of `count` frames, by L - 1; `total` is the sum
-        of the frames that were added."""
-        return {
-            name: (count * self._sums[name] - square(total)) / (count * (count - 1))
-            for name, square in self._of.items()
-        }
+    def variance(self, name: str, total: np.ndarray, count: int) -> np.ndarray:
+        """The sum of a function over the deviations of `count` frames from their mean, over L - 1;
+        `total` is the sum of the frames that were added."""
+        return (count * self._sums[name] - self._of[name](total)) / (count * (count - 1))
 
 
 UNEVEN = 3.0  # standard errors from which light counts as uneven
@@ -110,7 +108,7 @@ class Unlit(NamedTuple):
     variance: float  # temporal variance, DN^2
 
 
-class LevelStatistics(NamedTuple):
+class ReducedLevel(NamedTuple):
     """The statistics of one level."""
 
     numbers: dict[str, float | np.ndarray]  # fields of `Levels`
@@ -186,7 +184,7 @@ class LevelSums:
         if size == 0 or signal <= 0:
             return 1.0
         pattern = self.live.only(average - mean)
-        temporal = float(self._squares.variances(self._total, count)["pixels"].sum())
+        temporal = float(self._squares.variance("pixels", self._total, count).sum())
         noise = temporal / count
         uneven = float(np.sum(pattern**2)) - noise
         share = size / signal**2
@@ -201,24 +199,24 @@ class LevelSums:
         shot = 1 - self._unlit.variance * self.live.count / max(temporal, 1e-300)
         return 1 + (1 - 2 * shot) * share / (count * (count - 1))
 
-    def level(self) -> LevelStatistics:
+    def level(self) -> ReducedLevel:
         """The statistics of two frames or more."""
         count, total, live = len(self.shown), self._total, self.live
         average = self.first + total / count + np.mean(self._shifts)
         excess = self._without_flicker(average)
-        of = self._squares.variances(total, count)
-        temporal = of["pixels"] / excess
+        variance_of = partial(self._squares.variance, total=total, count=count)
+        temporal = variance_of("pixels") / excess
         wandering = float(np.var(self._shifts, ddof=1))
-        lines = (float(np.nanmean(of[name])) for name in ("rows", "columns"))
+        lines = (float(np.nanmean(variance_of(name))) for name in ("rows", "columns"))
         parts = temporal_variance(live, live.mean(temporal), *lines, wandering)
         variance = parts.of_a_pixel
         # The mean of a frame includes the noise of its own pixels, which was subtracted with it.
         lost = wandering - parts.frames
         temporal += lost
-        covariances = of["neighbours"] / np.maximum(live.neighbours, 1.0) + lost
+        covariances = variance_of("neighbours") / np.maximum(live.neighbours, 1.0) + lost
         covariances[0, 0] = variance
         passing = variance - (covariances[0, 1] + covariances[1, 0]) / 2
-        return LevelStatistics(
+        return ReducedLevel(
             {
                 "mean": live.mean(average),
                 "variance": variance,
@@ -229,7 +227,7 @@ class LevelSums:
                 "residues": residues(average, temporal, live),
                 "quarters": quarters(average, temporal, live),
                 "local_pattern": local_variance(average, live) - passing / count,
-                "blocks": of["blocks"] + lost,
+                "blocks": variance_of("blocks") + lost,
                 "combs": combs(self.first, corner=self._corner),
             },
             lines=(

@@ -27,7 +27,7 @@ from ..observation import Load, read_frame, split_channels
 from ..rig import Camera, Dark, Flat, Rig, load_rig, require
 from .counted import code_tables, dim_levels
 from .doubts import doubts
-from .level_sums import LevelStatistics, LevelSums, Unlit
+from .level_sums import LevelSums, ReducedLevel, Unlit
 from .levels import (
     FEWEST_PIXELS,
     Levels,
@@ -375,16 +375,16 @@ def _reduced(
     if not there:
         raise InputError(f"{rig.folder}: no level has two frames; {gone[0].sentence}")
     rows = [level for level in found if level is not None]
-    live, of_lines = rows[0].live, _array([row.lines for row in rows]).T
-    shape = live.shape
+    live, of_lines = rows[0].live, np.array([row.lines for row in rows]).T
+    shared = of_lines[:2], of_lines[2:4], of_lines[4], np.array(live.shape, float)
     numbers = {name: _array([row.numbers[name] for row in rows]) for name in rows[0].numbers}
     # In a mosaic the nearest sites of one colour are two pixels apart.
-    adjacent = rig.camera.cell == (1, 1) and min(shape) > 2 * REACH
+    adjacent = rig.camera.cell == (1, 1) and min(live.shape) > 2 * REACH
     levels = Levels(
         light=jnp.asarray(amounts[there]),
         exposure=jnp.asarray(times[there]),
         pixels=_array(float(live.count)),
-        shared=SharedVariance(of_lines[:2], of_lines[2:4], of_lines[4], _array(shape) * 1.0),
+        shared=SharedVariance(*map(_array, shared)),
         left_out=(*(one.sentence for one in gone), *_hits_in_words(rows, dark is None)),
         **numbers | ({} if adjacent else dict.fromkeys(("covariances", "blocks", "combs"))),
     )
@@ -400,7 +400,7 @@ def _array(values: Any) -> Array:
     return jnp.asarray(np.asarray(values))
 
 
-def _hits_in_words(levels: Sequence[LevelStatistics], unlit: bool) -> list[str]:
+def _hits_in_words(levels: Sequence[ReducedLevel], unlit: bool) -> list[str]:
     """A finding if pixels of single frames were left out."""
     what = "dark" if unlit else "flat"
     count = sum(level.hits for level in levels)
@@ -416,7 +416,7 @@ def _hits_in_words(levels: Sequence[LevelStatistics], unlit: bool) -> list[str]:
     ]
 
 
-def _leave_out_sizes(rig: Rig, found: list[LevelStatistics | None], gone: list[OddFrames]) -> None:
+def _leave_out_sizes(rig: Rig, found: list[ReducedLevel | None], gone: list[OddFrames]) -> None:
     """Drop levels of another size than the majority."""
     sizes = Counter(level.live.mask.shape for level in found if level is not None)
     if len(sizes) < 2:
@@ -433,7 +433,7 @@ def _leave_out_sizes(rig: Rig, found: list[LevelStatistics | None], gone: list[O
 
 def _level(
     source: _Source, codes: Codes, files: Sequence[str], unlit: Unlit | None, odd: list[OddFrames]
-) -> LevelStatistics | None:
+) -> ReducedLevel | None:
     """The statistics of a level, from the frames of the most frequent size; None if fewer than two
     frames remain. Unusable frames are added to `odd`, the numbers of all frames to the codes."""
     rig, of_size = source.rig, {}

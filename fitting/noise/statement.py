@@ -250,23 +250,20 @@ def _best_start(problem: Problem, start: Array) -> Array:
     darks have several optima: a large noise about the middle of a code, and a small one near its
     edge."""
     labels, data = names(problem.space), problem.inputs
-    noise, black = labels.index(READ_NOISE.name), labels.index(OFFSET.name)
     largest = 2 * jnp.sqrt(jnp.max(jnp.where(data.lit == 0, problem.data[:, 1], 0)))
     shares = jnp.linspace(0, 1, START_NOISES, dtype=start.dtype)
     step = data.converter.step
-    finest = jnp.log(FINEST_READ_NOISE * step)
-    log_noise = finest * (1 - shares) + jnp.log(largest + step) * shares
+    log_noise = jnp.log(FINEST_READ_NOISE * step) * (1 - shares) + jnp.log(largest + step) * shares
     log_gain = start[labels.index(SYSTEM_GAIN.name)]
-    starts = start[None].at[:, noise].set(-log_gain)
-
-    def moved(starts: Array, place: int, by: Array) -> Array:
-        return jax.vmap(lambda x: starts.at[:, place].add(x))(by).reshape(-1, start.size)
-
-    starts = moved(starts, noise, log_noise)
-    starts = moved(starts, black, step * jnp.asarray(START_SHIFTS, start.dtype))
+    tried = {  # read noise in place of the start's, steps of the others from it
+        READ_NOISE.name: log_noise - log_gain - start[labels.index(READ_NOISE.name)],
+        OFFSET.name: step * jnp.asarray(START_SHIFTS, start.dtype),
+    }
     if OFFSET_SPREAD.name in labels:
-        factors = jnp.log(jnp.asarray(START_SPREADS, start.dtype))
-        starts = moved(starts, labels.index(OFFSET_SPREAD.name), factors)
+        tried[OFFSET_SPREAD.name] = jnp.log(jnp.asarray(START_SPREADS, start.dtype))
+    steps = jnp.stack([x.ravel() for x in jnp.meshgrid(*tried.values())], axis=1)
+    places = jnp.asarray([labels.index(name) for name in tried])
+    starts = jnp.tile(start, (len(steps), 1)).at[:, places].add(steps)
     costs = jax.lax.map(lambda vector: negative_log_density(vector, problem), starts)
     return starts[jnp.nanargmin(costs)]
 

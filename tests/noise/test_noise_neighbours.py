@@ -66,7 +66,7 @@ def test_sums_over_frames_are_those_of_plain_loops():
     sums = SquareSums(live)
     for frame in stack[1:]:
         sums.add(frame - stack[0])
-    products = sums.variances((stack - stack[0]).sum(axis=0), 5)["neighbours"]
+    products = sums.variance("neighbours", (stack - stack[0]).sum(axis=0), 5)
     got = products / live.neighbours
     away = stack - stack.mean(axis=0)
     for i in range(REACH + 1):

@@ -361,7 +361,8 @@ def test_parts_of_the_variance_add_up_in_the_mean(size, dead):
         still = (stack - shifts[:, None, None]) * live
         for frame in still[1:]:
             sums.add(frame - still[0])
-        of = sums.variances((still - still[0]).sum(axis=0), frames)
+        total = (still - still[0]).sum(axis=0)
+        of = {name: sums.variance(name, total, frames) for name in ("pixels", "rows", "columns")}
         lines = (np.nanmean(of[name]) for name in ("rows", "columns"))
         parts = temporal_variance(pixels, of["pixels"][live].mean(), *lines, shifts.var(ddof=1))
         found.append([getattr(parts, name) for name in truth] + [parts.of_a_pixel])
