@@ -1,7 +1,6 @@
 """A calibrated camera as a sensor for predictions: the best fit, and draws."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -187,8 +186,9 @@ def bits_of(full_scale: float, converter: Converter) -> float:
 @compiled_briefly
 def sensors_of(numbers: Numbers) -> Sensor:
     """Sensors with a leading axis at every field: the best estimate, then draws."""
-    one = partial(_sensor, numbers.about)
-    return eqx.filter_vmap(one)(numbers.natural, numbers.beside)
+    return eqx.filter_vmap(lambda natural, beside: _sensor(numbers.about, natural, beside))(
+        numbers.natural, numbers.beside
+    )
 
 
 @double_precision
