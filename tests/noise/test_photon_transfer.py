@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from oracles.cameras import CameraTruth, expose, moments
 
+from fitting.noise import Camera, darks_from_frames
 from fitting.noise.levels import linear_levels, saturation_index
 from fitting.noise.read import read_photon_transfer
 from jaxvision.errors import InputError
@@ -132,6 +133,14 @@ def test_too_small_or_unlike_frames_are_refused(tmp_path):
         write_image(file, np.full((5, 5), 500, np.uint16))
     with pytest.raises(InputError, match="at least 100"):
         read_photon_transfer(tmp_path)
+
+
+def test_a_dark_that_is_left_out_says_nothing_of_the_converter():
+    darks = [list(level) for level in np.random.default_rng(0).normal(64, 5, (3, 4, *SIZE)).round()]
+    darks[1][2] = darks[1][2][:, :30] / 2 + 32  # an average of two, of another size
+    found = darks_from_frames(darks, [0.1, 0.2, 0.3], camera=Camera(bits=12))
+    assert len(found.left_out) == 1
+    assert found.converter.step == 1
 
 
 HEAD = (
