@@ -329,7 +329,7 @@ def _likelihood_estimates(
     values, slopes = _sheet_and_slopes(vector, within.saturation, args)
     found = []
     for name, value in values.items():
-        slope, at_saturation = slopes[name]
+        slope, at_saturation = (x if x is None else np.asarray(x) for x in slopes[name])
         variance = float(slope @ posterior.covariance @ slope)
         if at_saturation is not None and within.saturation_width is not None:
             variance += float(at_saturation * within.saturation_width) ** 2 / 24
