@@ -285,8 +285,8 @@ def _step(
         or sudden < SUDDEN * abs(size)
     ):
         return None
-    means = (float(np.exp(part.mean())) for part in (low, high))
-    return _Step(*means, *levels[place - 1 : place + 1].tolist())
+    before, after = (int(level) for level in levels[place - 1 : place + 1])
+    return _Step(float(np.exp(low.mean())), float(np.exp(high.mean())), before, after)
 
 
 def _two_gains(measurement: PhotonTransfer, flats: Sequence[Sequence[FrameSample]]) -> Doubt | None:

@@ -49,7 +49,9 @@ def temporal_variance(
     pixels.
     """
     parts = _parted(live, pixels, rows, columns)
-    return TemporalVariance(*parts.tolist(), frames - float(live.variance_shares[3] @ parts))
+    pixels, rows, columns = parts.tolist()
+    frames -= float(live.variance_shares[3] @ parts)
+    return TemporalVariance(pixels, rows, columns, frames)
 
 
 def fixed_variance(
@@ -207,8 +209,8 @@ class LevelSums:
         variance_of = partial(self._squares.variance, total=total, count=count)
         temporal = variance_of("pixels") / excess
         wandering = float(np.var(self._shifts, ddof=1))
-        lines = (float(np.nanmean(variance_of(name))) for name in ("rows", "columns"))
-        parts = temporal_variance(live, live.mean(temporal), *lines, wandering)
+        rows, columns = (float(np.nanmean(variance_of(name))) for name in ("rows", "columns"))
+        parts = temporal_variance(live, live.mean(temporal), rows, columns, wandering)
         variance = parts.of_a_pixel
         # The mean of a frame includes the noise of its own pixels, which was subtracted with it.
         lost = wandering - parts.frames

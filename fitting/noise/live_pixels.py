@@ -62,7 +62,8 @@ def stuck_bits(frames: Sequence[np.ndarray]) -> list[StuckBit]:
     whole = [one.astype(np.int64) for one in frames if one.min() >= 0]
     if highest < 0 or len(whole) < 2:
         return []
-    rows, columns = np.indices(whole[0].shape)
+    places = np.indices(whole[0].shape)
+    rows, columns = places[0], places[1]
     sites = SITES * (rows % SITES) + columns % SITES
     for name, line in (("column", columns), ("row", rows), ("site", sites)):
         if found := _stuck(whole, name, line, highest):

@@ -377,16 +377,19 @@ def _reduced(
     rows = [level for level in found if level is not None]
     live, of_lines = rows[0].live, np.array([row.lines for row in rows]).T
     shared = of_lines[:2], of_lines[2:4], of_lines[4], np.array(live.shape, float)
-    numbers = {name: _array([row.numbers[name] for row in rows]) for name in rows[0].numbers}
+    numbers: dict[str, Any] = {
+        name: _array([row.numbers[name] for row in rows]) for name in rows[0].numbers
+    }
     # In a mosaic the nearest sites of one colour are two pixels apart.
-    adjacent = rig.camera.cell == (1, 1) and min(live.shape) > 2 * REACH
+    if rig.camera.cell != (1, 1) or min(live.shape) <= 2 * REACH:
+        numbers |= dict.fromkeys(("covariances", "blocks", "combs"))
     levels = Levels(
         light=jnp.asarray(amounts[there]),
         exposure=jnp.asarray(times[there]),
         pixels=_array(float(live.count)),
         shared=SharedVariance(*map(_array, shared)),
         left_out=(*(one.sentence for one in gone), *_hits_in_words(rows, dark is None)),
-        **numbers | ({} if adjacent else dict.fromkeys(("covariances", "blocks", "combs"))),
+        **numbers,
     )
     if levels.left_out:  # the values of these frames contain no information on the ADC
         codes = Codes()
