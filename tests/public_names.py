@@ -79,6 +79,7 @@ EAGER = {
     "jaxvision.filters.matrix",
     "jaxvision.filters.scipy_operators",
     "jaxvision.lights.orders",
+    "jaxvision.lights.environment_quadrature",
     "jaxvision.lights.environment_tables",
     "jaxvision.transport.radiosity._trapped",
 }

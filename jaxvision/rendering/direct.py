@@ -32,7 +32,7 @@ from ..lights import (
     nearest_seen,
     rules_of,
 )
-from ..lights._environment_quadrature import warn_of_skies
+from ..lights.environment_quadrature import warn_of_skies
 from ..scene import Light, Material, Scene, Surface, TriangleMesh, View
 from .edges import Edges, moving_edges
 from .maps import Patch, Varied, at_patch, patch_of, shading_normal, summed, varied_surfaces

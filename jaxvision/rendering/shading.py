@@ -38,7 +38,7 @@ from ..lights import (
     nearest_seen,
     rule_of_each,
 )
-from ..lights._environment_quadrature import warn_of_skies
+from ..lights.environment_quadrature import warn_of_skies
 from ..scene import AmbientLight, Light, Material
 from ._directions import balanced, local_viewer, where_clear, world_direction
 from .band_count import band_count

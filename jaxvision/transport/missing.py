@@ -47,7 +47,7 @@ from ..lights import (
     incident,
     rules_of,
 )
-from ..lights._environment_quadrature import found_by_quadrature
+from ..lights.environment_quadrature import found_by_quadrature
 from ..optics import view_ray
 from ..rendering.scene_checks import reflects_ambient
 from ..rendering.shadows import DEFAULT_RULE

@@ -26,7 +26,7 @@ from ..core._warnings import one_call
 from ..geometry import Ray
 from ..geometry.checks import warn_if_coarse
 from ..lights import Quadrature, rules_of
-from ..lights._environment_quadrature import warn_of_skies
+from ..lights.environment_quadrature import warn_of_skies
 from ..rendering import Along, PixelSamples, photograph
 from ..rendering.pixel_loop import check_lens, in_blocks
 from ..scene import Scene, View

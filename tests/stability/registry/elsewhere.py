@@ -109,6 +109,7 @@ ELSEWHERE = (
         "test_io test_lights_environment",
         """
             files.images.*
+            lights.environment_quadrature.*
             lights.environment_tables.*
         """,
     ),
