@@ -37,7 +37,8 @@ def axes_findings(
     across, along = _derivatives(normals, float(np.sign(viewer[2])))
     if len(across) < FEWEST:
         return ()
-    curl = float((np.imag(across) ** 2).sum() / (np.abs(across) ** 2).sum())
+    slopes = float((np.abs(across) ** 2).sum())
+    curl = float((np.imag(across) ** 2).sum()) / slopes if slopes > 0 else 0.0  # 0: a plane
     if curl < TURNING:
         return ()
     up = "up" if viewer[2] > 0 else "down"

@@ -48,7 +48,7 @@ from .flat_places import correct_to_flat_places, is_registered
 from .pilot import NO_CURVE, degrees_of_freedom, fit_pilot, make_rising, rebin
 from .places import CLASSES, Layout, equal_classes, tiles_of
 from .repeats import HeldOut, Repeats, exposure_jackknife, tile_jackknife, widen
-from .shutter import UNINFORMATIVE, Shutter, tau_posterior
+from .shutter import MOST_FREE, UNINFORMATIVE, Shutter, tau_posterior
 from .solve import (
     MOST_ROUNDS,
     SHAKIEST,
@@ -432,9 +432,15 @@ def _curve(
     own = np.sqrt(noise_variance(noise, g))
     density = np.diagonal(statistics.matrix)[:size] * own**2 / np.gradient(g)
     bent = _end_errors(density, g, own, seen)
+    observed = np.diagonal(covariance)
     g, covariance = extrapolate(bins, g, covariance, seen & ~np.any(bent, axis=0))
     bent *= _room(found.used.smoothness)
     covariance += bent.T @ bent
+    # Satterthwaite's: the variance of an extrapolation is known, unlike that of the shutter
+    whole_variance = np.diagonal(covariance)
+    uncertain = np.minimum(observed, whole_variance)
+    grown = whole_variance / np.where(uncertain > 0, uncertain, 1)
+    freedom = np.minimum(freedom * np.maximum(grown, 1) ** 2, MOST_FREE)
     return ResponseCurve(
         bins=bins,
         log_exposure=g,

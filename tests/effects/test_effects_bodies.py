@@ -296,11 +296,6 @@ def test_the_outer_side_of_a_convex_mesh_lies_in_no_shadow_of_its_own(vertices, 
         assert not (t < length - 2e-6).any()
 
 
-def test_faces_of_corners_that_are_not_there_prove_nothing():
-    mesh = jv.TriangleMesh(CUBE, [*SIDES[1:], [0, 1, 99]])
-    assert not is_convex(twice(mesh))
-
-
 def test_a_room_around_lamp_and_receiver_blocks_nothing():
     """The segment between two points of a convex body stays in it; one that leaves it may not."""
     grey = jv.Lambert([0.1])

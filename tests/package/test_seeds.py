@@ -163,6 +163,8 @@ def test_a_joint_calibration_hands_its_seed_to_every_channel(monkeypatch):
     monkeypatch.setattr(joint, "without_strangers", lambda observation: observation)
     monkeypatch.setattr(joint, "_posterior", posterior)
     monkeypatch.setattr(joint, "require_kind", lambda *_, **__: None)  # of the stand-in
-    measurement = SimpleNamespace(channels=("red", "green"), within=None)
+    monkeypatch.setattr(joint, "_recognised", lambda observation, *_: observation)
+    dn = np.ones((2, 1, 1))
+    measurement = SimpleNamespace(channels=("red", "green"), within=None, dn=dn)
     joint.calibrate(cast(Photographs, measurement), seed=7)
     assert seeds == [(0, 7), (1, 7)]
