@@ -275,8 +275,8 @@ def _check_unit(camera: Camera, light: Array) -> None:
     counts = sensor.photon_conversion is None and sensor.shot_noise is not None
     if not (counts and is_known(light) and is_known(sensor.exposure_time)):
         return
-    exposure = 1.0 if sensor.exposure_time is None else np.max(sensor.exposure_time)
-    most = float(np.nanmax(light, initial=0) * exposure)
+    exposure = 1.0 if sensor.exposure_time is None else np.asarray(sensor.exposure_time).max()
+    most = float(np.nanmax(np.asarray(light), initial=0) * exposure)
     if 0 < most < DARKEST:
         warnings.warn(
             f"capture: the brightest pixel gets {most:.2g} photons an exposure: without a "

@@ -86,7 +86,7 @@ def quantisation_tables(
         [ 3  2  2  3  5  8 10 12]
     """
     whole = _is_whole(rounding)
-    if is_known(quality) and not 1 <= quality <= 100:
+    if is_known(quality) and not 1 <= np.asarray(quality) <= 100:
         warn_caller(f"quality is a number from 1 to 100, got {quality:g}; the nearest is taken.")
     quality = jnp.clip(as_float(quality), 1, 100)
     low = quality < 50

@@ -87,8 +87,8 @@ def equalise_locally(
         )
     if clip_limit is not None and is_known(clip_limit) and np.any(np.asarray(clip_limit) <= 0):
         raise ValueError(
-            f"clip_limit must be above 0, got {float(np.min(clip_limit)):g}; None is for no limit, "
-            "which OpenCV writes as 0."
+            f"clip_limit must be above 0, got {np.asarray(clip_limit).min():g}; None is for no "
+            "limit, which OpenCV writes as 0."
         )
     check_codes_whole(stack, bins, value_range)
     chosen, parts = binning(stack, bins, value_range), (int(tiles[0]), int(tiles[1]))

@@ -70,10 +70,13 @@ class SpotLight(Light):
         check_fields(self, intensity=AMOUNT, inner=_ANGLE, outer=_ANGLE)
         check_direction("SpotLight.direction", self.direction)
         check_choice("SpotLight.falloff", self.falloff, ("smooth", "linear"))
-        if is_known(self.inner) and is_known(self.outer) and np.any(self.inner >= self.outer):
+        if not (is_known(self.inner) and is_known(self.outer)):
+            return
+        inner, outer = np.asarray(self.inner), np.asarray(self.outer)
+        if np.any(inner >= outer):
             raise ValueError(
-                f"SpotLight.inner must be below outer, got {float(self.inner):g} and "
-                f"{float(self.outer):g} rad."
+                f"SpotLight.inner must be below outer, got {float(inner):g} and "
+                f"{float(outer):g} rad."
             )
 
 

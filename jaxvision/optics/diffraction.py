@@ -223,7 +223,8 @@ def _warn_of_a_small_window(
     """Warn of a kernel that ends within the first dark ring, if the numbers are known."""
     if not all(map(is_known, (wavelength, f_number, pixel_pitch))):
         return
-    ring = _FIRST_ZERO * float(np.max(wavelength) * np.max(f_number) / np.min(pixel_pitch))
+    waves, numbers, pitches = map(np.asarray, (wavelength, f_number, pixel_pitch))
+    ring = _FIRST_ZERO * float(waves.max() * numbers.max() / pitches.min())
     if size / 2 < ring < np.inf:
         warn_caller(
             f"Diffraction: a kernel of {size} pixels ends within the first dark ring, whose radius "

@@ -99,11 +99,12 @@ def sensor_irradiance(view: View, radiance: Image) -> Image:
             f"radiance must be {view.resolution} and bands, as the view's resolution, got shape "
             f"{radiance.shape}."
         )
-    number = view.f_number
-    if number is not None and is_known(number) and 0 < float(np.min(number)) < WIDEST:
+    known = view.f_number is not None and is_known(view.f_number)
+    f_number = float(np.min(np.asarray(view.f_number))) if known else np.inf
+    if 0 < f_number < WIDEST:
         warn_caller(
             f"sensor_irradiance: a lens in air is at most f/{WIDEST:g}, where it gathers light of "
-            f"a whole hemisphere; at f/{float(np.min(number)):g} the sensor may get more than pi "
+            f"a whole hemisphere; at f/{f_number:g} the sensor may get more than pi "
             "times the radiance."
         )
     over_columns = jax.vmap(pixel_irradiance, in_axes=(None, 0, None, 0))

@@ -61,8 +61,8 @@ class Mixing(SensorEffect):
                 "Mixing.kernel must have odd numbers of rows and columns, got shape "
                 f"{self.kernel.shape}."
             )
-        if is_known(self.kernel) and abs(float(np.sum(self.kernel)) - 1) > _SUM_OFF:
-            total = float(np.sum(self.kernel))
+        total = float(np.asarray(self.kernel).sum()) if is_known(self.kernel) else 1.0
+        if abs(total - 1) > _SUM_OFF:
             raise ValueError(f"Mixing.kernel must sum to 1, got {total:g}; divide it by that.")
 
 

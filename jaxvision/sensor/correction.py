@@ -174,8 +174,9 @@ class Calibrated(Shown):
         if where is not None:
             kept = kept & _broadcast(jnp.asarray(where)[..., None], kept)
         if self.saturated is not None and is_known(self.saturated):
-            patch = jnp.ones(1, bool) if where is None else jnp.asarray(where)[..., None]
-            share = float(jnp.mean(self.saturated, where=_broadcast(patch, self.saturated)))
+            with jax.ensure_compile_time_eval():  # known values may occur inside a trace
+                patch = jnp.ones(1, bool) if where is None else jnp.asarray(where)[..., None]
+                share = float(jnp.mean(self.saturated, where=_broadcast(patch, self.saturated)))
             if share > 0:
                 warnings.warn(
                     f"{share:.2g} of the patch's pixels are saturated and left out. The others are "

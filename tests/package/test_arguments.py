@@ -1,8 +1,10 @@
 """What a caller may pass to public functions: plain numbers and lists are as good as arrays, and
 misuse that is visible has one sentence."""
 
+import dataclasses
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +31,11 @@ def as_lists(argument):
     if is_array and jnp.issubdtype(argument.dtype, jnp.floating):
         return np.asarray(argument).tolist()
     return argument
+
+
+def as_known(tree):
+    """Arrays of JAX for those of NumPy: their methods are traced inside a trace."""
+    return jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, np.ndarray) else x, tree)
 
 
 def shapes(call):
@@ -81,6 +88,40 @@ def test_lists_and_plain_numbers_are_arrays_in_every_public_function(room):
         except Exception as error:
             pytest.fail(f"{name}: {type(error).__name__}: {error}")
         assert found == shapes(partial(function, *arguments)), name
+
+
+def records_in(value):
+    """A record and the records in its fields; those of a list."""
+    if isinstance(value, eqx.Module):
+        yield value
+        value = [getattr(value, field.name, None) for field in dataclasses.fields(value)]
+    if isinstance(value, tuple | list):
+        for part in value:
+            yield from records_in(part)
+
+
+@pytest.mark.sweep(*sorted(set(ROOMS) - {"radiosity", "transport", "lights"}))
+@pytest.mark.parametrize("room", ROOMS)
+def test_checks_of_known_numbers_stand_inside_a_trace(room):
+    """A fit's `predict` calls functions and makes records of known numbers inside a trace."""
+    known, records, wrong = doors(), {}, []
+    for name, (arguments, options) in examples_of(room).items():
+        records |= {type(r): r for r in records_in([*arguments, *options.values()])}
+        if name in known:
+            call = partial(known[name], *as_known(arguments), **as_known(options))
+            wrong += [name] if refuses_in_a_trace(call) else []
+    for kind, record in records.items():
+        fields = {f.name: getattr(record, f.name) for f in dataclasses.fields(record) if f.init}
+        wrong += [kind.__name__] if refuses_in_a_trace(partial(kind, **as_known(fields))) else []
+    assert not wrong
+
+
+def refuses_in_a_trace(call):
+    try:
+        eqx.filter_eval_shape(call)
+    except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError):
+        return True
+    return False
 
 
 def test_numbers_take_the_dtype_beside_them():
