@@ -159,8 +159,8 @@ def noise(
         if rig is not None and not channel and (taps := unstated_taps(calibration)) is not None:
             camera = rig.camera.model_copy(update={"taps": taps})
             if not (camera.in_parts and camera.region):
-                told = periodic_findings(calibration, apart=True)
-                unstated.append((rig.model_copy(update={"camera": camera}), tuple(told)))
+                sentences = periodic_findings(calibration, apart=True)
+                unstated.append((rig.model_copy(update={"camera": camera}), tuple(sentences)))
                 return Section(KIND, TITLE, (), ())  # not one camera
         if later:
             calibration = calibrate(measurement, **draws("noise", progress))
@@ -170,9 +170,9 @@ def noise(
         known = (*measurement.bright.left_out, *measurement.dark.left_out)
         found = _attempted(KIND, TITLE, fitted, known=known)
     if unstated:
-        apart, told = unstated[0]
+        apart, sentences = unstated[0]
         first, *others = _noise_of_sites(apart, step, draws)
-        return [replace(first, findings=(*told, *first.findings)), *others, *added], {}
+        return [replace(first, findings=(*sentences, *first.findings)), *others, *added], {}
     return [found if rig is None else with_inputs(found, rig, "photon transfer"), *added], {}
 
 
@@ -238,7 +238,7 @@ def predict(
         InputError: for what cannot be compared.
     """
     rig = _flats_and_darks(path, bits, channel)
-    file, told = _camera_file(camera), ()
+    file, remarks = _camera_file(camera), ()
     from .noise.prediction.predict import predict as predicted
     from .noise.prediction.predict import read_with_draws
     from .noise.prediction.section import section
@@ -252,7 +252,7 @@ def predict(
     if rig is not None and taps is not None and rig.camera.layout == (1, 1):
         stated = camera_of_taps(taps)
         if stated is not None and not (stated.in_parts and rig.camera.region):
-            told = (
+            remarks = (
                 f"{rig.folder} states neither camera.pattern nor camera.taps; "
                 f"{stated_in_words(stated)} of {file} was taken.",
             )
@@ -276,7 +276,7 @@ def predict(
         with step(f"predicting them{f' of {site}' if several else ''}"):
             found = section(predicted(file, measurement, light_error=light_error))
         if rig is not None and not sections:
-            found = replace(found, findings=(*told, *found.findings))
+            found = replace(found, findings=(*remarks, *found.findings))
             found = with_inputs(found, rig, "photon transfer")
         if several:
             found = section_of_part(found, site)
@@ -315,13 +315,13 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
             words = periodic_findings(calibrations[site], apart=True)
             apart = rig.model_copy(update={"camera": camera})
             first, *others = _noise_of_sites(apart, step, draws)
-            told = tuple(f"{site}: {sentence}" for sentence in words)
-            return [replace(first, findings=(*told, *first.findings)), *others]
+            sentences = tuple(f"{site}: {sentence}" for sentence in words)
+            return [replace(first, findings=(*sentences, *first.findings)), *others]
         if draws("noise", lambda done, total: None)["sampling"] is not None:
             calibrations, failed = _each_site(rig, step, draws)
     first, *others = sections_of_sites(calibrations, rig.camera)
-    told = tuple(f"{site} could not be calibrated: {error}" for site, error in failed)
-    first = replace(first, findings=(*told, *first.findings))
+    sentences = tuple(f"{site} could not be calibrated: {error}" for site, error in failed)
+    first = replace(first, findings=(*sentences, *first.findings))
     return [with_inputs(first, rig, "photon transfer"), *others]
 
 
@@ -397,8 +397,8 @@ def _settings_of_site(
             whole, *others = sections(calibration)
         except InputError as error:
             whole, *others = without_whole(frames, own, str(error))
-    told = tuple(f"{setting.label} was left out: {why}" for setting, why in failed.items())
-    whole = replace(whole, findings=(*told, *whole.findings)) if told else whole
+    sentences = tuple(f"{setting.label} was left out: {why}" for setting, why in failed.items())
+    whole = replace(whole, findings=(*sentences, *whole.findings)) if sentences else whole
     return [whole, *others, *unread(failed)], calibration
 
 

@@ -234,10 +234,10 @@ class Camera(_Known):
             return content
         try:
             stated = {key: content[key] for key in ("pattern", "taps") if key in content}
-            told = _values_of_sensor(Path(content["sensor"]), stated)
+            measured = _values_of_sensor(Path(content["sensor"]), stated)
         except InputError as error:
             raise ValueError(str(error).removesuffix(".")) from error
-        for name, numbers in told.items():
+        for name, numbers in measured.items():
             if content.get(name) is None:
                 content = content | numbers
         return content

@@ -38,9 +38,8 @@ _FEWEST = 4  # fewest readings of a channel
 _LENGTHS = 5e-9, 400e-9  # m, range of correlation lengths in the prior
 _STARTS = 25e-9, 60e-9, 120e-9  # m
 _OF_MODEL = 1e-4  # share of the largest reading: least error of any model of light and camera
-_REFUTED = (
-    5.0  # logarithm of a ratio of evidences from which a larger noise replaces the stated one
-)
+# logarithm of a ratio of evidences from which a larger noise replaces the stated one
+_REFUTED = 5.0
 _LOUDER = 1.3  # ratio of residuals to the stated noise from which a misfit is reported
 
 
@@ -264,7 +263,7 @@ def from_patches(
         if not (np.isfinite(stated) & (stated > 0)).all():
             raise InputError("sd must be above 0.")
     rng = np.random.default_rng(seed)
-    found, lengths, noises, told = [], [], [], []
+    found, lengths, noises, sentences = [], [], [], []
     for i, name in enumerate(names):
         kept = np.isfinite(y[:, i])
         if kept.sum() < _FEWEST:
@@ -276,14 +275,14 @@ def from_patches(
         lengths.append(np.exp(best[1]))
         noises.append(np.exp(best[2]) * (channel.unit if stated is None else 1.0))
         if stated is not None and np.exp(best[2]) > _LOUDER:
-            told.append(
+            sentences.append(
                 f"{name}: readings differ from any smooth sensitivity by {np.exp(best[2]):.2g} "
                 "times their standard deviation; intervals allow for it. Causes are uneven light, "
                 "a gamma, a black level, stray light, clipped patches, or spectra that are wrong "
                 "or in another order."
             )
     return Sensitivities(
-        at, names, np.stack(found, axis=-1), np.array(lengths), np.array(noises), tuple(told)
+        at, names, np.stack(found, axis=-1), np.array(lengths), np.array(noises), tuple(sentences)
     )
 
 

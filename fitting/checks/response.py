@@ -83,8 +83,8 @@ def places(stack: Stack, seed: int) -> np.ndarray:
     camera = Camera(
         bits=8, black_level=stack.black, black_sd=stack.black_sd or None, saturation=255.0
     )
-    told = stack.shutter_sd if stack.stated else None
-    read = from_stack(list(images), stack.times, camera=camera, exposure_sd=told)
+    stated_sd = stack.shutter_sd if stack.stated else None
+    read = from_stack(list(images), stack.times, camera=camera, exposure_sd=stated_sd)
     channel, black = calibrate(read).channels[0], _black(stack, seed)
     own = [_code_probability(channel.curve, stack, code, black) for code in CODES]
     of_gamma = (

@@ -152,10 +152,10 @@ def fit_map(
             chance,
         )
         ends = jax.tree.map(lambda x: np.asarray(x)[: len(places)], ends)
-        columns, told = _outcome(problem, ends, inflate=misfit == "inflate")
+        columns, remarks = _outcome(problem, ends, inflate=misfit == "inflate")
         for name, values in columns.items():
             table[name][:, places] = values
-        chi_square[places], dof[places], state[places] = told
+        chi_square[places], dof[places], state[places] = remarks
         return places[~ends.stationary & ends.finite & (ends.count > 0)]
 
     with progress_bar("fitting pixels") as advance:
@@ -168,11 +168,11 @@ def fit_map(
     given = np.isfinite(flat).sum(axis=tuple(range(len(own_shape))))
     few = int(np.sum((given < numbers) & (state <= STATES.index("misfit"))))
     many = np.mean(state == STATES.index("misfit")) > MANY
-    told = data_check_of_map(problem, flat, table["estimate"], leaves, faulty=many, seed=seed)
+    remarks = data_check_of_map(problem, flat, table["estimate"], leaves, faulty=many, seed=seed)
     if few:
         why = f"{few} of {pixels} pixels have fewer data than unknowns: bounds and priors decide."
-        told = (why, *told)
-    return _mapped(problem, table, chi_square, dof, state, shape, told=told)
+        remarks = (why, *remarks)
+    return _mapped(problem, table, chi_square, dof, state, shape, remarks=remarks)
 
 
 def _parts(places: np.ndarray, size: int) -> Iterator[np.ndarray]:
@@ -253,7 +253,7 @@ def _mapped(
     state: np.ndarray,
     shape: tuple[int, ...],
     fits: dict[int, Fit] | None = None,
-    told: Sequence[str] = (),
+    remarks: Sequence[str] = (),
 ) -> FitMap:
     named: dict[str, dict[str, np.ndarray]] = {column: {} for column in OUTLINE}
     begin = 0
@@ -278,7 +278,7 @@ def _mapped(
         dof=dof.reshape(shape),
         state=state.reshape(shape),
         units={parameter.name: parameter.unit for parameter in problem.free},
-        findings=(*map_findings(state, by_label=fits is not None), *told),
+        findings=(*map_findings(state, by_label=fits is not None), *remarks),
         fits=fits or {},
     )
 

@@ -134,16 +134,18 @@ def blame_priors(
         if z > limit:
             own = _estimate_without_prior(space[i], values[i], slopes[i], 0.0, errors[i])
             found.append((z, _conflict_in_words(space[i], z, own, earlier=i in together)))
-    told = [words for _, words in sorted(found, key=lambda pair: -pair[0])]
+    sentences = [words for _, words in sorted(found, key=lambda pair: -pair[0])]
     if joint is not None:
-        told = [*_joint_difference(problem, joint, at, wide), *told]
-    if not told or not before.faults or before.p > CHANCE:
-        return tuple(told)  # a width that is a parameter grows until it explains the difference
+        sentences = [*_joint_difference(problem, joint, at, wide), *sentences]
+    if not sentences or not before.faults or before.p > CHANCE:
+        return tuple(
+            sentences
+        )  # a width that is a parameter grows until it explains the difference
     return (
-        f"{told[0]} The model does not describe the data because of it: chi-square per degree of "
-        f"freedom is {before.chi_square / max(before.dof, 1):.4g}, and would be about "
+        f"{sentences[0]} The model does not describe the data because of it: chi-square per degree "
+        f"of freedom is {before.chi_square / max(before.dof, 1):.4g}, and would be about "
         f"{alone.chi_square / max(alone.dof, 1):.2g} without that prior.",
-        *told[1:],
+        *sentences[1:],
     )
 
 
@@ -157,9 +159,11 @@ def _joint_difference(
     root = np.linalg.cholesky(np.asarray(joint.correlation, np.float64))
     scaled = np.linalg.solve(root, slope @ wide.gaussian_covariance @ slope.T)
     values, axes = np.linalg.eigh(np.linalg.solve(root, scaled.T))
-    told = values < 1 / LEAST  # directions in which the data are informative
-    along = (axes.T @ np.linalg.solve(root, z))[told]
-    return _joint_in_words(joint, float(np.sum(along**2 / (1 + values[told]))), len(along), CHANCE)
+    informative = values < 1 / LEAST  # directions in which the data are informative
+    along = (axes.T @ np.linalg.solve(root, z))[informative]
+    return _joint_in_words(
+        joint, float(np.sum(along**2 / (1 + values[informative]))), len(along), CHANCE
+    )
 
 
 def _joint_in_words(

@@ -374,7 +374,7 @@ def _searched(problem: Problem, starts: int, seed: int, solver: Any, advance: Ad
     begin = spread_starts(problem, starts, seed=seed)
     how: dict[str, Any] = {"solver": solver}
     if problem.stream is None:
-        how["told"] = lambda ended: advance(ended, len(begin))
+        how["progress"] = lambda ended: advance(ended, len(begin))
     found = search(problem, begin, as_given=False, **how)
     optimum = correct_by_differences(problem, found)
     for again in range(1, ROUNDS * (2 if wide_noise else 1)):
@@ -497,15 +497,19 @@ def _draw(
         stretch = jnp.asarray(curvature_stretch(optimum.curvature, covariance), vector.dtype)
         density = (_stretched_log_density, (problem, vector, stretch))
     if not isinstance(method, Emcee):
-        told: dict[str, Any] = {"freedom": wide.freedom, "wider": covariance, "by_chain": False}
+        described: dict[str, Any] = {
+            "freedom": wide.freedom,
+            "wider": covariance,
+            "by_chain": False,
+        }
         if failed or problem.stream is not None:
-            told["missed"] = np.zeros(len(space))
+            described["missed"] = np.zeros(len(space))
         elif density[0] is log_density and problem.likelihood.least_squares:
-            told["missed"] = miss_about(
+            described["missed"] = miss_about(
                 lambda vectors: -derivatives(vectors, problem)[0], optimum.vector, covariance
             )
         run = (density[0], space, vector, wide.covariance, density[1])
-        found = laplace_where_it_holds(*run, seed=seed, **told)
+        found = laplace_where_it_holds(*run, seed=seed, **described)
         if isinstance(method, Laplace):
             untested = failed or problem.stream is not None
             return replace(found, miss=np.nan) if untested else found

@@ -119,8 +119,10 @@ def _widen_by_groups(
     sentences = [_widening_in_words(robust, optimum, levels[0].max() + 1)]
     if len(levels) > 1:
         sizes = zip(every, robust.effects, strict=True)
-        told = ", ".join(f"{name} {effect:.3g}" for name, effect in sizes)
-        sentences.append(f"Design effects of the residuals by level: {told} (independent data: 1).")
+        effects = ", ".join(f"{name} {effect:.3g}" for name, effect in sizes)
+        sentences.append(
+            f"Design effects of the residuals by level: {effects} (independent data: 1)."
+        )
     determined = float(np.trace(optimum.data_information @ robust.covariance))
     left, lost = residuals, min(determined, len(optimum.vector))
     for labels in levels:

@@ -118,15 +118,15 @@ def _mistimed(
     off = [name for name, ratio in ratios.items() if abs(ratio / usual - 1) > ROUNDED]
     by_name = {one.name: one for one in frames}
 
-    def told(name: str) -> str:
+    def reason(name: str) -> str:
         stated, head = by_name[name].exposure, said[name].exposure
         return f"its metadata say an exposure of {head:.4g} s, the rig {stated:.4g} s"
 
     if 2 * len(off) >= len(ratios):
-        return {}, [f"{off[0]}: {told(off[0])}, and others differ too; the rig's times are used."]
+        return {}, [f"{off[0]}: {reason(off[0])}, and others differ too; the rig's times are used."]
     remarks = []
     if abs(usual - 1) > ROUNDED:
         remarks.append(
             f"The exposures in the metadata are {usual:.4g} times those of the rig, which are used."
         )
-    return {name: told(name) for name in off}, remarks
+    return {name: reason(name) for name in off}, remarks

@@ -53,8 +53,8 @@ def without_bias(time: float, length: int) -> float:
     2 `WINDOW` estimates: estimate = tau / (1 + 2 `WINDOW` tau / N).
 
     Returns tau in steps; infinite if the chain is too short."""
-    told = 1 - 2 * WINDOW * time / length
-    return time / told if told > 0 else math.inf
+    share = 1 - 2 * WINDOW * time / length
+    return time / share if share > 0 else math.inf
 
 
 def split_r_hat(draws: Float[np.ndarray, "chains draws"]) -> float:

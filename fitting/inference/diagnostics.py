@@ -72,8 +72,8 @@ def identifiability(
     inflation = np.sqrt(np.sum(directions**2 / eigenvalues, axis=1))
     errors = inflation / size
     relative = errors * _relative_slopes(space, vector)
-    told = np.where(relative > KNOWN_WELL, inflation, 0.0)
-    return Identifiability(inflation, True, _confused(labels, directions[:, 0], told, relative))
+    inflated = np.where(relative > KNOWN_WELL, inflation, 0.0)
+    return Identifiability(inflation, True, _confused(labels, directions[:, 0], inflated, relative))
 
 
 def _relative_slopes(space: ParameterSpace, vector: ArrayLike | None) -> np.ndarray:

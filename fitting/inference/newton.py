@@ -119,7 +119,7 @@ def minimise_many(
     tolerance: float = 1e-7,
     digit: float,
     careful: bool = False,
-    told: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] | None = None,
 ) -> Any:
     """Run `minimise` from several starts at once, in NumPy. Only the derivatives are compiled; they
     are evaluated for the searches that have not ended. Returns a `NewtonSolution` of NumPy arrays.
@@ -127,7 +127,7 @@ def minimise_many(
     `derivatives` gives (n,) costs, (n, P) gradients and (n, P, P) curvatures at (n, P) vectors.
     `digit` is the unit of rounding of the costs. With `careful` the damping also limits steps along
     numbers that the data hardly determine, as a prior of width 1 would. Without it a first step may
-    end far away, where all slopes vanish. `told` is called with the number of ended searches."""
+    end far away, where all slopes vanish. `progress` is called with the count of ended searches."""
     state = _initial_state(np.array(start, np.float64), CAREFUL if careful else FIRST_DAMPING)
     how = {"digit": digit, "least": float(careful)}
     active = np.ones(len(start), bool)
@@ -141,8 +141,8 @@ def minimise_many(
         for whole, own in zip(jax.tree.leaves(state), jax.tree.leaves(part), strict=True):
             whole[active] = own
         active = _goes_on(state, max_steps, tolerance) & np.isfinite(state.cost)
-        if told is not None:
-            told(int(np.sum(~active)))
+        if progress is not None:
+            progress(int(np.sum(~active)))
     return _solution(state, tolerance)
 
 

@@ -95,7 +95,7 @@ TOGETHER = 16  # vectors in one call, as many as the default starts of `fit`
 
 Derivatives = tuple[Any, Any, Any]  # a cost, its gradient and its curvature
 Local = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-Told = Callable[[int], None]
+Ended = Callable[[int], None]
 
 
 @dataclass(frozen=True)
@@ -261,13 +261,13 @@ def search(
     *,
     solver: Any = None,
     as_given: bool = True,
-    told: Told | None = None,
+    progress: Ended | None = None,
     without: Sequence[str] = (),
 ) -> Optimum:
     """Return the mode of a problem's posterior. `solver` is a solver of optimistix or jaxopt; None
-    takes the method that suits the likelihood. `told` is called with how many searches have ended.
-    The candidates in `without` are absent. Newton's method still uses the compiled program of the
-    whole problem, which serves every choice of candidates."""
+    takes the method that suits the likelihood. `progress` is called with the count of ended
+    searches. The candidates in `without` are absent. Newton's method still uses the compiled
+    program of the whole problem, which serves every choice of candidates."""
     begin, modes = np.asarray(starts, np.float64), None
     free, whole = present_numbers(problem, without)
     begin = begin[:, free]
@@ -276,7 +276,7 @@ def search(
             without, key=lambda name: any(name in c.requires for c in problem.candidates)
         )  # after those that require them
         problem = reduce(Problem.without, last, problem)
-        return search(problem, begin, solver=solver, as_given=as_given, told=told)
+        return search(problem, begin, solver=solver, as_given=as_given, progress=progress)
 
     def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         cost, gradient, curvature = derivatives(whole(vectors), problem)
@@ -289,9 +289,9 @@ def search(
         vectors = on_host(vectors, dtype=np.float64)
         costs = derivatives(vectors, problem)[0]
     elif problem.likelihood.least_squares:
-        vectors, costs = _levenberg_marquardt(begin, problem, as_given=as_given, told=told)
+        vectors, costs = _levenberg_marquardt(begin, problem, as_given=as_given, progress=progress)
     else:
-        modes = _modes(_surrogate_ends(begin, problem, as_given, told), local, told)
+        modes = _modes(_surrogate_ends(begin, problem, as_given, progress), local, progress)
         vectors, costs = modes.vector, modes.cost
     costs = np.where(np.isfinite(costs), costs, np.inf)
     best = int(np.argmin(costs))
@@ -346,7 +346,7 @@ def merge_optima(one: Optimum, other: Optimum) -> Optimum:
 
 
 def _surrogate_ends(
-    starts: np.ndarray, problem: Problem, as_given: bool, told: Told | None
+    starts: np.ndarray, problem: Problem, as_given: bool, progress: Ended | None
 ) -> np.ndarray:
     """Return where the searches of the surrogate end. A start is kept if its posterior density is
     higher than at that end (as with outliers), or if there is no surrogate."""
@@ -354,7 +354,7 @@ def _surrogate_ends(
     if surrogate is None:
         return starts
     squares = eqx.tree_at(lambda problem: problem.likelihood, problem, surrogate)
-    ends, _ = _levenberg_marquardt(starts, squares, as_given=as_given, told=told)
+    ends, _ = _levenberg_marquardt(starts, squares, as_given=as_given, progress=progress)
     costs = [derivatives(vectors, problem)[0] for vectors in (ends, starts)]
     at_end, at_start = (np.where(np.isnan(cost), np.inf, cost) for cost in costs)
     return np.where((at_end < at_start)[:, None], ends, starts)
@@ -461,7 +461,7 @@ def searches_at_once(vectors: Any) -> int:
 
 
 def _levenberg_marquardt(
-    starts: np.ndarray, problem: Problem, *, as_given: bool, told: Told | None
+    starts: np.ndarray, problem: Problem, *, as_given: bool, progress: Ended | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the ends of the searches and their costs, under a Gaussian prior."""
     mean, sd = prior_gaussian(problem.space)
@@ -486,16 +486,16 @@ def _levenberg_marquardt(
     if closed and others.size == 1 and not as_given:
         starts = _lowest_of_grid(starts, problem, lambda knots: local(knots)[0])
     how = _tolerances()
-    found = minimise_many(local, starts, max_steps=STEPS, careful=True, told=told, **how)
+    found = minimise_many(local, starts, max_steps=STEPS, careful=True, progress=progress, **how)
     if not closed:
         return found.vector, found.cost
     ends = _completed(jnp.asarray(found.vector, jnp.result_type(float)), problem)
     return on_host(ends, dtype=np.float64), found.cost
 
 
-def _modes(starts: np.ndarray, local: Local, told: Told | None = None) -> Any:
+def _modes(starts: np.ndarray, local: Local, progress: Ended | None = None) -> Any:
     """Ends of Newton's method."""
-    return minimise_many(local, starts, max_steps=STEPS, told=told, **_tolerances())
+    return minimise_many(local, starts, max_steps=STEPS, progress=progress, **_tolerances())
 
 
 def _mode(start: np.ndarray, local: Local) -> Any:
@@ -667,8 +667,8 @@ def _missing(problem: Problem) -> str:
     if problem.stream is None:
         return missing_in_words(problem)
     parts = enumerate(chunks(problem))
-    told = (missing_in_words(part, first=i * len(part.data)) for i, part in parts)
-    return next(filter(None, told), "")
+    sentences = (missing_in_words(part, first=i * len(part.data)) for i, part in parts)
+    return next(filter(None, sentences), "")
 
 
 def search_read(problem: Problem, sampled: Optimum, advance: Advance) -> Optimum:

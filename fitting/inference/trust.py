@@ -81,20 +81,20 @@ def convergence_in_words(posterior: Posterior) -> str:
 def _independent_chains_in_words(posterior: Posterior, name: str, effective: float) -> str:
     chains, kept = posterior.draws.shape[:2]
     assert posterior.r_hat is not None
-    told = (
+    sentence = (
         f"{chains} chains of {kept} draws; the slowest parameter, {name}, is worth "
         f"{effective:.0f} independent draws; largest R-hat {posterior.r_hat.max():.3f}; "
         f"{posterior.divergences} divergent trajectories"
     )
     if posterior.missing_steps:
-        told += (
+        sentence += (
             f": too few to trust the intervals; about {posterior.missing_steps} more draws of each "
             "chain are missing"
         )
     if _diverges(posterior):
-        told += ". Trajectories that diverge miss a part of the posterior: a higher acceptance="
-        return f"{told} of Nuts takes smaller steps, which more draws do not replace."
-    return f"{told}."
+        sentence += ". Trajectories that diverge miss a part of the posterior: a higher acceptance="
+        return f"{sentence} of Nuts takes smaller steps, which more draws do not replace."
+    return f"{sentence}."
 
 
 def cost_in_words(
@@ -125,12 +125,12 @@ def cost_in_words(
     wider = f"--walkers {most}" if typed else f"Emcee(walkers={most})"
     usual = "Laplace's approximation is cheaper, " + wider + " halves the error in 4 times the time"
     known = f"moves the ends of 95 % intervals by about {error:.1g} standard errors"
-    told = "has not been tested here" if np.isnan(error) else "describes the posterior badly"
-    told = known if np.isfinite(error) else told
+    verdict = "has not been tested here" if np.isnan(error) else "describes the posterior badly"
+    verdict = known if np.isfinite(error) else verdict
     took = f"The fit took {seconds:.2g} s; " if np.isfinite(seconds) else ""
     name = {"Laplace": "Laplace's approximation", "marginal": "An integral on a grid"}
     of = name.get(worst.method, f"The finite number of draws by {worst.method}")
-    return f"{of} {told}. {took}{others.get(worst.method, usual)}."
+    return f"{of} {verdict}. {took}{others.get(worst.method, usual)}."
 
 
 def _error_of_end(posterior: Posterior) -> float:

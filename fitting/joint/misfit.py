@@ -250,8 +250,8 @@ def widened(robust: Robustness, halves: Halves) -> Robustness:
     """Widen a covariance over images to include the difference of halves that disagree."""
     if halves.agree:
         return robust
-    told = halves.difference * (halves.deviations != 0)
-    return replace(robust, covariance=robust.covariance + np.outer(told, told) / 4)
+    difference = halves.difference * (halves.deviations != 0)
+    return replace(robust, covariance=robust.covariance + np.outer(difference, difference) / 4)
 
 
 # ---------------------------------------------------------------- scales

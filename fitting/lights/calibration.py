@@ -119,14 +119,14 @@ def calibrate(
     copies = Copies()
     for name, reading in zip(names, readings, strict=True):
         copies.add(name, reading)
-    told = tuple(
+    sentences = tuple(
         f"{listed(list(same))} hold equal numbers: they are copies of one exposure, so all but "
         "one of these lights are wrong."
         for same in copies.found
     )
     if focal_length is None:
-        told += _lens_finding(found, lens.centre)
-    return Lights(**{**found.__dict__, "findings": (*told, *found.findings)})
+        sentences += _lens_finding(found, lens.centre)
+    return Lights(**{**found.__dict__, "findings": (*sentences, *found.findings)})
 
 
 def _lens_finding(found: Lights, middle: tuple[float, float]) -> tuple[str, ...]:

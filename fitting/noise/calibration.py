@@ -165,9 +165,9 @@ class NoiseCalibration(ShownInNotebooks):
     def gain(self) -> float:
         """K, DN/e-, as in the table: from the likelihood, or from the standard if the likelihood
         failed."""
-        told = self.shown.get("system_gain")
+        estimate = self.shown.get("system_gain")
         of_standard = float(self.standard.values["system_gain"])
-        return of_standard if told is None or told.value is None else told.value
+        return of_standard if estimate is None or estimate.value is None else estimate.value
 
     @property
     def unequal(self) -> float:

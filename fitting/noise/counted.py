@@ -64,11 +64,11 @@ def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
     read = noise / gain
     if read >= SUB_ELECTRON:
         return none
-    told = f"Read noise is about {read:.2g} e⁻, below {SUB_ELECTRON:g} e⁻, but"
+    opening = f"Read noise is about {read:.2g} e⁻, below {SUB_ELECTRON:g} e⁻, but"
     if not converter.even or converter.imbalance or noise < FINEST * converter.step:
         return (
-            f"{told} {noise / converter.step:.2g} of a code, and steps between codes are too wide "
-            "or uneven for the histogram of codes: the fit uses means and variances."
+            f"{opening} {noise / converter.step:.2g} of a code, and steps between codes are too "
+            "wide or uneven for the histogram of codes: the fit uses means and variances."
         )
     response = fitted_pattern(measurement, usable).response
     uneven = float(np.sqrt(response.variance)) if response.significant else 0.0
@@ -79,7 +79,7 @@ def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
     dim = usable[(electrons >= FEWEST) & (electrons <= most)]
     if not len(dim):
         return (
-            f"{told} no level has {FEWEST:g} to {most:.2g} electrons, at which the histogram of "
+            f"{opening} no level has {FEWEST:g} to {most:.2g} electrons, at which the histogram of "
             "codes contains more information than mean and variance; add such flats for a "
             "better gain."
         )

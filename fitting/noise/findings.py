@@ -59,9 +59,9 @@ def is_no_sensor(calibration: NoiseCalibration) -> bool:
 
 def processing(calibration: NoiseCalibration) -> list[str]:
     """Sentences on how the files were processed; none for raw frames."""
-    told = processing_in_words(calibration.measurement, calibration.usable)
+    sentences = processing_in_words(calibration.measurement, calibration.usable)
     no_sensor = "No sensor file is written: it would describe how these files were processed."
-    return [*told, no_sensor] if told else []
+    return [*sentences, no_sensor] if sentences else []
 
 
 def _efficiency(kind: str, calibration: NoiseCalibration) -> Numbers | None:
@@ -102,7 +102,7 @@ def unstated_taps(calibration: NoiseCalibration) -> tuple[int, int] | str | None
 
 def _as_they_are(key: str, sentences: Callable[[NoiseCalibration], Iterable[str]]) -> Finding:
     """Return a finding whose sentences come from another module."""
-    return Finding(key, lambda c: [{"told": told} for told in sentences(c)], "{told}")
+    return Finding(key, lambda c: [{"sentence": one} for one in sentences(c)], "{sentence}")
 
 
 def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
@@ -118,19 +118,19 @@ def _size(calibration: NoiseCalibration, name: str, scale: float = 100) -> str:
 
 def _contradicted(calibration: NoiseCalibration) -> tuple[str, ...]:
     """Numbers of the rig that differ from the estimates by more than both errors explain."""
-    told = []
+    sentences = []
     for key, name, stated, sd in calibration.measurement.stated:
         estimate = calibration.shown.get(name)
         if estimate is None or estimate.value is None or not estimate.standard_error:
             continue
         found, error = float(estimate.value), float(np.hypot(estimate.standard_error, sd))
         if abs(found - stated) > CONTRADICTED * error:
-            told.append(
+            sentences.append(
                 f"camera.{key} states {stated:g} {estimate.unit}, but the frames have "
                 f"{format_with_error(found, estimate.standard_error)} {estimate.unit}, which is "
                 "reported here. Other calibrations of this rig use the stated one: correct it."
             )
-    return tuple(told)
+    return tuple(sentences)
 
 
 def _has(name: str, calibration: NoiseCalibration) -> bool:
@@ -250,8 +250,8 @@ def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | Non
 def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
     """Darks whose black level is not that of the flats look like an offset of the light: their
     difference in DN is the offset times the responsivity."""
-    told = _light_offset(True, calibration) or _light_offset(False, calibration)
-    if not told or not _linear(False, calibration):
+    shifted = _light_offset(True, calibration) or _light_offset(False, calibration)
+    if not shifted or not _linear(False, calibration):
         return None
     offset, _ = _shown(calibration, "light_offset")
     measurement, usable = calibration.measurement, calibration.usable
@@ -262,8 +262,8 @@ def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _of_the_dimmest(calibration: NoiseCalibration) -> bool:
-    told = _light_offset(True, calibration) or _light_offset(False, calibration)
-    if not told or not _linear(False, calibration):
+    offset = _light_offset(True, calibration) or _light_offset(False, calibration)
+    if not offset or not _linear(False, calibration):
         return False
     return _dimmest_alone(calibration.measurement, calibration.usable)
 

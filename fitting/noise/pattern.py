@@ -232,8 +232,8 @@ def fitted_pattern(
     signal = np.concatenate([signal_of(measurement)[usable], np.zeros(len(dark_pattern))])
     observed = np.concatenate([pattern[usable], dark_pattern])
     by_noise = np.concatenate([by_noise[usable], dark_by_noise])
-    told = by_noise > 0  # levels whose frames are not identical
-    signal, observed, by_noise = signal[told], observed[told], by_noise[told]
+    informative = by_noise > 0  # levels whose frames are not identical
+    signal, observed, by_noise = signal[informative], observed[informative], by_noise[informative]
     unequal = unequal_offsets(dark), unequal_gains(measurement, usable)
     design = np.stack([np.ones_like(signal), signal**2], axis=1)
     degrees = max(len(observed) - 2, 1)

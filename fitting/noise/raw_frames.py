@@ -77,8 +77,8 @@ def combs(
         turns = lively / step
         turns -= np.rint(turns)  # less than half a turn, for which float32 suffices
         mean = np.cos((2 * np.pi * turns).astype(np.float32)).mean(axis=0, dtype=float)
-        told = (every if some.all() else lively.std(axis=0)) > SMOOTH * step
-        own[:] = np.where(told, mean * np.sqrt(2 * len(lively)), np.nan)
+        textured = (every if some.all() else lively.std(axis=0)) > SMOOTH * step
+        own[:] = np.where(textured, mean * np.sqrt(2 * len(lively)), np.nan)
     found[:, 0, 0] = np.nan
     return found
 
@@ -123,10 +123,10 @@ def _rounded_blocks(measurement: PhotonTransfer, usable: np.ndarray) -> list[str
     if measurement.bright.combs is None or not len(usable):
         return []
     each = np.asarray(measurement.bright.combs)[usable]
-    told = np.isfinite(each)
-    both = np.where(told, each, 0.0).sum(axis=0) / np.sqrt(np.maximum(told.sum(axis=0), 1))
+    known = np.isfinite(each)
+    both = np.where(known, each, 0.0).sum(axis=0) / np.sqrt(np.maximum(known.sum(axis=0), 1))
     # Single levels may be too dim or too bright to show the effect.
-    at_most = np.maximum(both, np.where(told, each, 0.0).max(axis=0) - 1.0)
+    at_most = np.maximum(both, np.where(known, each, 0.0).max(axis=0) - 1.0)
     count = int((at_most.max(axis=0) > COMB).sum())
     if count < FEWEST_COMBS:
         return []
@@ -196,10 +196,10 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
     # Differences of neighbours have 1.5 times the sampling variance of single pixels.
     errors = 4 * np.maximum(pattern, 0) * rest + 2 * rest**2 * frames / (frames - 1)
     errors = np.sqrt(1.5 * errors / float(bright.pixels))
-    told = errors > 0
-    if told.sum() < FEWEST_FOR_PATTERN or top <= 0:
+    known = errors > 0
+    if known.sum() < FEWEST_FOR_PATTERN or top <= 0:
         return []
-    x, y, scale = signal[told] / top, pattern[told], errors[told]
+    x, y, scale = signal[known] / top, pattern[known], errors[known]
     shot = shot_of(measurement)[usable]
     gain = float(np.median(shot[-3:] / signal[: len(usable)][-3:]))
     if gain <= 0:

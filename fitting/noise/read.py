@@ -207,8 +207,8 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
     dead = _dead(rig, [], entries, channel, load)
     source = _Source(rig, channel, load, None if dead is None else ~dead.all)
     darks, _, codes = _reduced(source, entries, odd=odd["dark"])
-    told = () if dead is None else (_dead_in_words(rig, dead, channel),)
-    return replace(darks, converter=codes.converter(), left_out=(*told, *darks.left_out))
+    remarks = () if dead is None else (_dead_in_words(rig, dead, channel),)
+    return replace(darks, converter=codes.converter(), left_out=(*remarks, *darks.left_out))
 
 
 @dataclass(frozen=True)
@@ -266,12 +266,12 @@ def _dead(
 
 
 def _dead_in_words(rig: Rig, dead: DeadPixels, channel: str) -> str:
-    told = dead.sentence
+    sentence = dead.sentence
     if len(rig.camera.sites) > 1:
-        told += f" Rows and columns count those of {channel} alone."
+        sentence += f" Rows and columns count those of {channel} alone."
     if rig.camera.region is not None:
-        told += " They begin at the corner of camera.region."
-    return told
+        sentence += " They begin at the corner of camera.region."
+    return sentence
 
 
 def _full_scale(stated: float, converter: Converter) -> float:

@@ -112,13 +112,13 @@ def sections_of_sites(
         tuple(row for row in rows if len(row) == len(heads) + 1),
         "Each site is calibrated separately; value and standard error.",
     )
-    told, records = (), {}
+    remarks, records = (), {}
     whole = all(site in calibrations for site in camera.sites)
     if whole and not any(is_no_sensor(one) for one in calibrations.values()):
-        told = sensor_of_sites(calibrations, camera).findings
+        remarks = sensor_of_sites(calibrations, camera).findings
         records = {"sensor": partial(write_sensor_of_sites, calibrations, camera)}
     first, *others = found
-    tables, findings = (table, *first.tables), (*told, *first.findings)
+    tables, findings = (table, *first.tables), (*remarks, *first.findings)
     return [replace(first, tables=tables, findings=findings, records=records), *others]
 
 

@@ -128,10 +128,10 @@ class Numbers(eqx.Module):
         """The values of one parameter."""
         return self.natural[:, self.about.labels.index(name)]
 
-    def having(self, told: dict[str, Float[np.ndarray, " draws"]]) -> "Numbers":
+    def having(self, draws: dict[str, Float[np.ndarray, " draws"]]) -> "Numbers":
         """Return the numbers with these parameters replaced."""
         natural = self.natural.copy()
-        for name, values in told.items():
+        for name, values in draws.items():
             natural[:, self.about.labels.index(name)] = values
         return replace(self, natural=natural)
 

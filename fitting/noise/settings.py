@@ -97,7 +97,7 @@ def require_one_setting(rig: Rig, remedy: str) -> None:
     """Refuses flats and darks of several gains or temperatures."""
     settings = list(by_setting(rig))
     if len(settings) > 1:
-        told = "; ".join(setting.label for setting in settings)
+        labels = "; ".join(setting.label for setting in settings)
         raise InputError(
-            f"{rig.folder}: flats and darks are of {len(settings)} settings ({told}); {remedy}."
+            f"{rig.folder}: flats and darks are of {len(settings)} settings ({labels}); {remedy}."
         )

@@ -153,10 +153,10 @@ def one_pattern(
 
         sqrt(2 / (lines - 1) (a^2 + 2 a sum w^2 b + sum w^2 b^2 L / (L - 1)))
     """
-    told = own + passing > 0
-    if lines < 2 or not told.any():
+    informative = own + passing > 0
+    if lines < 2 or not informative.any():
         return NOTHING
-    values, passing, frames = values[told], passing[told], frames[told]
+    values, passing, frames = values[informative], passing[informative], frames[informative]
     weight = (own + passing) ** -2
     weight = weight / weight.sum()
     found, base = float(weight @ values), own + float(weight @ passing)
@@ -189,12 +189,12 @@ def _pooled(
     over the expected value, as in the ratio that tests it, so a significant excess is positive.
     Levels whose frames are identical have no weight.
     """
-    told = expected > 0
-    if not told.any():
+    known = expected > 0
+    if not known.any():
         return NOTHING
-    values, expected, degrees = values[told], expected[told], degrees[told]
+    values, expected, degrees = values[known], expected[known], degrees[known]
     ratio = float(np.average(1 + values / expected, weights=degrees))
-    significance = _deviate(ratio, float(degrees.sum()), float(beneath[told].sum()))
+    significance = _deviate(ratio, float(degrees.sum()), float(beneath[known].sum()))
     share = degrees / expected / np.sum(degrees / expected)
     variance = float(share @ values)
     error = float(np.sqrt(np.sum(2 * (share * (expected + variance)) ** 2 / degrees)))

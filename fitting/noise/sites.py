@@ -181,9 +181,9 @@ def camera_of_taps(taps: Taps) -> Camera | None:
 
 def stated_in_words(camera: Camera) -> str:
     """The pattern and taps of a camera as a rig states them."""
-    told = [f'camera.pattern = "{camera.pattern}"'] if camera.pattern else []
-    told += [f"camera.taps = {taps_in_words(camera.taps)}"] if camera.taps else []
-    return " and ".join(told)
+    keys = [f'camera.pattern = "{camera.pattern}"'] if camera.pattern else []
+    keys += [f"camera.taps = {taps_in_words(camera.taps)}"] if camera.taps else []
+    return " and ".join(keys)
 
 
 def tap_of(taps: Taps, site: str, pattern: str | None) -> int | None:
@@ -237,7 +237,7 @@ def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]
     ]
     own = [name for name in OWN_NAMES if name in labels]
     tables = [np.stack([_scaled(one, name) for name in (*own, *shared)], 1) for one in each]
-    told: tuple[str, ...] = ()
+    sentences: tuple[str, ...] = ()
     if shared:
         count = len(own)
         spreads = [np.cov(table[1:], rowvar=False) for table in tables]
@@ -248,7 +248,7 @@ def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]
         for table, spread, weight in zip(tables, spreads, weights, strict=True):
             change = spread[:count, count:] @ weight @ (together - table[:, count:].T)
             moved.append(np.concatenate([table[:, :count] + change.T, together.T], axis=1))
-        told = _unequal(
+        sentences = _unequal(
             shared, [x[0, count:] for x in tables], [s[count:, count:] for s in spreads]
         )
         tables = moved
@@ -268,7 +268,7 @@ def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]
             per_charge = (one.top / one.of("system_gain")) ** COMMON[name][1]
             natural[:, labels.index(name)] = one.of(name) * per_charge
         found.append(one)
-    return _with_one_beside(found), told
+    return _with_one_beside(found), sentences
 
 
 def _inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
@@ -289,7 +289,7 @@ def _unequal(
     shared: Sequence[str], values: Sequence[np.ndarray], spreads: Sequence[np.ndarray]
 ) -> tuple[str, ...]:
     """Findings on parameters that differ significantly between taps."""
-    told = {}
+    differing = {}
     for i, name in enumerate(shared):
         of, variance = (np.array([x[i] for x in values]), np.array([s[i, i] for s in spreads]))
         if not variance.all():
@@ -297,11 +297,11 @@ def _unequal(
         mean = np.average(of, weights=1 / variance)
         p_value = float(chdtrc(len(of) - 1, np.sum((of - mean) ** 2 / variance)))
         if p_value < MISFIT:
-            told[COMMON[name][0]] = p_value
+            differing[COMMON[name][0]] = p_value
     return tuple(
         f"The {what} of the taps differ by more than their errors ({format_p(p_value)}), but the "
         "sensor of all has one; calibrate each by --channel for a separate camera file."
-        for what, p_value in told.items()
+        for what, p_value in differing.items()
     )
 
 

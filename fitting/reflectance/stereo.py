@@ -105,7 +105,7 @@ class Stereo:
             f"  {name}: median {middle}, 90 % of pixels in {ends} {unit}".rstrip()
             for name, middle, ends, unit in self._rows()
         ]
-        return "\n".join([self._heading(), *rows, *(f"  {told}" for told in self.findings)])
+        return "\n".join([self._heading(), *rows, *(f"  {finding}" for finding in self.findings)])
 
     def _heading(self) -> str:
         found = int(np.isfinite(self.albedo).sum())
@@ -231,7 +231,7 @@ def photometric_stereo(
     unlit = _unlit_finding(readings, between, limits)
     between &= not unlit
     counts = _counted(rows, readings, between, limits, robust=robust)
-    surface, linear, tilt, told = None, rows, 0.0, ()
+    surface, linear, tilt, remarks = None, rows, 0.0, ()
     if model != "lambert":
         start = solved(rows, readings, counts.astype(float))[0]
         surface = fitted_surface(
@@ -265,7 +265,7 @@ def photometric_stereo(
     covariance_of_g, rough = found.covariance, None
     if surface is not None:
         covariance_of_g = covariance_of_g + surface.covariance
-        told = _materials_finding(model, surface)
+        remarks = _materials_finding(model, surface)
     elif found.significant and np.median(counts.sum(axis=0)[np.isfinite(g[:, 0])]) < SHOWN_BY:
         rough = _rough_body(directions, irradiance, readings, shaped, found, toward)
     if rough is not None and (common is None or common.explained < rough.explained):
@@ -305,7 +305,7 @@ def photometric_stereo(
         albedo_sd.reshape(shape[1:]),
         counts.sum(axis=0).reshape(shape[1:]),
         misfit.reshape(shape[1:]),
-        (*missing, *clipped, *_copies(stack), *told, *findings, *axes_findings(normals, toward)),
+        (*missing, *clipped, *_copies(stack), *remarks, *findings, *axes_findings(normals, toward)),
         {} if surface is None else surface.numbers,
     )
 
@@ -415,16 +415,18 @@ def _unlit_finding(
         low, middle, high = np.quantile(known, [0.001, 0.5, 0.999])
         if mean > DARK * error or high - middle > 2 * (middle - low):
             return ()
-        told = f"the readings scatter evenly about {format_with_error(mean, error)}, as noise does"
+        reason = (
+            f"the readings scatter evenly about {format_with_error(mean, error)}, as noise does"
+        )
     else:
         dark, bright = (known <= limits[0]).sum(), (known >= limits[1]).sum()
-        told = (
+        reason = (
             f"{dark} of {readings.size} readings are at or below lowest = {limits[0]:g}, {bright} "
             f"are at or above highest = {limits[1]:g}, and {readings.size - known.size} are missing"
         )
     return (
-        f"No pixel has a normal, because {told}; check the files, the black level, and lowest and "
-        "highest.",
+        f"No pixel has a normal, because {reason}; check the files, the black level, and lowest "
+        "and highest.",
     )
 
 

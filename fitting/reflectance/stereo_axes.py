@@ -44,7 +44,7 @@ def axes_findings(
     up = "up" if viewer[2] > 0 else "down"
     found = []
     for mirrored, field in ((False, across), (True, along)):
-        phasor = (field**2).sum() / (np.abs(field) ** 2).sum()
+        phasor = (field**2).sum() / max((np.abs(field) ** 2).sum(), np.finfo(float).tiny)
         found.append(((1 - abs(phasor)) / 2, mirrored, np.degrees(np.angle(phasor)) / 2))
     left, mirrored, angle = min(found)
     if left > LEFT:

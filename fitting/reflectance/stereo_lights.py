@@ -136,9 +136,9 @@ def offset_in_shadow(rows: Rows, readings: Readings, counts: Counted) -> Common 
 def _bright(readings: Readings, counts: Counted) -> Int[np.ndarray, " some"]:
     """Pixels with more than three readings, and not much darker than the others."""
     mean = np.where(counts, readings, 0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
-    told = (counts.sum(axis=0) > 3) & (mean > 0)
-    least = np.quantile(mean[told], 0.95) if told.any() else np.inf
-    return np.flatnonzero(told & (mean > LIT * least))
+    known = (counts.sum(axis=0) > 3) & (mean > 0)
+    least = np.quantile(mean[known], 0.95) if known.any() else np.inf
+    return np.flatnonzero(known & (mean > LIT * least))
 
 
 def _fitted(

@@ -104,23 +104,23 @@ def departures(
     flat, counted = readings.reshape(len(rows), -1), counts.reshape(len(rows), -1)
     used = counted.sum(axis=0)
     g, inverse = solved(linear, flat, counted.astype(float))
-    told = (used > 3) & np.isfinite(inverse[:, 0, 0])
+    known = (used > 3) & np.isfinite(inverse[:, 0, 0])
     noise, size = np.full(len(used), np.nan), np.zeros(len(used))
     covariance = np.full_like(inverse, np.nan)
-    places = np.flatnonzero(told)
+    places = np.flatnonzero(known)
     if not places.size:
         return Departures(
             counted.astype(float), inverse, covariance, noise, size, significant=False
         )
     features = _features(directions) * np.linalg.norm(rows, axis=1)[:, None]
     expected = np.maximum(np.nan_to_num(predicted(linear, g)), 0)
-    typical = float(np.median(expected[counted & told])) or 1.0
+    typical = float(np.median(expected[counted & known])) or 1.0
 
     left = np.where(counted, flat - predicted(linear, g), 0)
     clear = np.where(counted, flat, 0).sum(axis=0) ** 2 * (used - 3) > (
         CLEAR**2 * used**2 * (left**2).sum(axis=0)
     )
-    voters = told & clear if clear[told].any() else told
+    voters = known & clear if clear[known].any() else known
     voting = counts & voters.reshape(counts.shape[1:])
     some, fits = np.flatnonzero(voters), []
     some = some[:: -(-len(some) // MOST)]

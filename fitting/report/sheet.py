@@ -124,5 +124,5 @@ def _methods(found: Sequence[Estimate]) -> str:
             by_method.setdefault(one.method, []).append(one.group)
     if len(by_method) < 2:
         return "".join(f"Method: {method}." for method in by_method)
-    told = [f"{method} ({', '.join(dict.fromkeys(g))})" for method, g in by_method.items()]
-    return f"Methods: {'; '.join(told)}."
+    methods = [f"{method} ({', '.join(dict.fromkeys(g))})" for method, g in by_method.items()]
+    return f"Methods: {'; '.join(methods)}."

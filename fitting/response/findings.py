@@ -53,10 +53,10 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
         if not channel.curve.monotone
     ]
     found.append(_black_in_words(channels))
-    told = " ".join(calibration.stack.remarks)
+    remarks = " ".join(calibration.stack.remarks)
     for channel in channels:
         dropped = len(channel.plane.exposures) - len(channel.curve.exposures)
-        dropped -= sum(f"{name} was left out" in told for name in channel.plane.files)
+        dropped -= sum(f"{name} was left out" in remarks for name in channel.plane.files)
         if dropped > 0:
             found.append(
                 f"{channel.plane.label or 'The stack'}: {dropped} of "
@@ -334,18 +334,18 @@ def _one_hue_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 def _colours_apart_in_words(channels: Sequence[ChannelResponse]) -> str:
     """Return a finding if the curves of red and blue are powers of the green curve."""
-    told = []
+    powers = []
     for green in (c for c in channels if c.plane.channel == "green"):
         for other in channels:
             if other.plane.group == green.plane.group and other.plane.channel in ("red", "blue"):
                 power, error = _power_of(other.curve, green.curve)
                 if abs(power - 1) > max(LEAST_POWER, APART_ERRORS * error):
-                    told.append(f"{other.plane.label} {format_with_error(power, error)}")
-    if not told:
+                    powers.append(f"{other.plane.label} {format_with_error(power, error)}")
+    if not powers:
         return ""
     return (
-        f"The exposures of equal codes are powers of those of green ({', '.join(told)}), as with a "
-        "white balance that changes from image to image with the exposure; curves and gammas are "
+        f"The exposures of equal codes are powers of those of green ({', '.join(powers)}), as with "
+        "a white balance that changes from image to image with the exposure; curves and gammas are "
         "then wrong by these powers. Fix the white balance, unless the camera has another curve in "
         "each colour."
     )

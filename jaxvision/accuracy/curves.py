@@ -138,14 +138,14 @@ def curve(
         nearest = session.compared(next(iter(last.values())))
         found = Reference(run[-1], np.inf, "finest setting"), nearest
     points = [session.points[setting] for setting in run]
-    told = partial(_curve_of, session, points, *found, names, not_run)
+    outcome = partial(_curve_of, session, points, *found, names, not_run)
     with np.errstate(invalid="ignore", over="ignore"):
         try:
             with raised_interrupts():
-                return told(stopped)
+                return outcome(stopped)
         except KeyboardInterrupt:  # all is measured, but not yet compared
             is_handled()
-            return told("interrupted")
+            return outcome("interrupted")
 
 
 def _look(session: Session, names: tuple[str, ...]) -> None:

@@ -117,10 +117,12 @@ class Choice:
         why = f"traces {len(scene.lights)} lights in order of their largest contribution, until the"
 
         def row(threshold: float) -> Row:
-            told = f"{why} rest adds at most {threshold:.3g} W m^-2 sr^-1"
+            reason = f"{why} rest adds at most {threshold:.3g} W m^-2 sr^-1"
             # of the shape of the first row, which is for a light
             own = np.full_like(self.chain.rows[0].amount, threshold)
-            return Row("lights in order", own, told, setting("threshold", to=threshold), saves=0.5)
+            return Row(
+                "lights in order", own, reason, setting("threshold", to=threshold), saves=0.5
+            )
 
         threshold, left = 1.0, self.goal.value - self.total - self.estimated
         for _ in range(_TRIES):
@@ -229,15 +231,15 @@ class Choice:
             if id(row) in went or not row.present or (row.ladder and row.name in names):
                 continue
             if row.part_of in names:
-                told = self._effect(row, 0.0, unit)
+                row_effect = self._effect(row, 0.0, unit)
                 dropped.append(
-                    replace(told, rank="exact", why=f"gone with {row.part_of}", saves=0.0)
+                    replace(row_effect, rank="exact", why=f"gone with {row.part_of}", saves=0.0)
                 )
             elif not row.ladder or row.name not in {effect.name for effect in kept}:
-                told = self._effect(row, self.bound(row), unit)
+                row_effect = self._effect(row, self.bound(row), unit)
                 if row.ladder == "bands" and self.all_bands:
-                    told = replace(told, why=f"{told.why}; {self.all_bands}")
-                kept.append(told)
+                    row_effect = replace(row_effect, why=f"{row_effect.why}; {self.all_bands}")
+                kept.append(row_effect)
         assumed = dict.fromkeys(row.assumes for row in self.gone if row.assumes)
         if self.gone and self.level is None and self.chain.dn is not None:
             assumed[ASSUMED] = None

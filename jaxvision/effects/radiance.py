@@ -22,7 +22,7 @@ from .directions import lens_spread_bound
 from .extent import extent_change
 from .illumination import times
 from .reflection import Lobe, absorbs, reflection_of
-from .stages import Arriving, Draft, Drop, Ends, Row
+from .stages import Arriving, Draft, Drop, Ends, Gone, Row
 from .sums import (
     Sums,
     ambient_reflected,
@@ -134,7 +134,10 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
         return row
     why += f"; {100 * np.mean(dark[sums.seen]):.0f} % in full shadow" if sums.seen.any() else ""
     lit, shadows = amount(~dark), f"shadows[{k}]"
-    after = lambda gone: whole if shadows in gone else lit  # noqa: E731
+
+    def after(gone: Gone) -> np.ndarray:
+        return whole if shadows in gone else lit
+
     return replace(row, amount=lit, why=why, after=after)
 
 
@@ -242,7 +245,10 @@ def lobe(sums: Sums, onward: Onward, i: int) -> Row:
     """The effect of a lobe: all of its light. A Lambertian with the same k_d remains."""
     material = sums.surfaces[i].low.material
     others = times(_size(sums.reflections[i].lobe) * sums.k_lobe[i], onward.of_lobe(i))
-    of_light = lambda k, around: lobe_sent(sums, k, around=around)  # noqa: E731
+
+    def of_light(k: int, around: bool) -> np.ndarray:
+        return lobe_sent(sums, k, around=around)
+
     amount = _largest_sent(sums, onward, i, of_light, others)
     plain = _is_plain_without_lobe(material)
     why = f"the peak of the {type(material).__name__} lobe under all light"

@@ -136,18 +136,20 @@ def _field(name: str, bound: BoundOf, sensor: Ends[Sensor], pixel: Callable[[Gon
         tapped = name in _TAPPED and value_at(draft, taps) is not None
         return setting(taps)(draft) if tapped else draft
 
-    if identity:
-        bound = lambda _: Bound(0.0, "it is 1: nothing changes")  # noqa: E731
     blooms = name == "full_well" and sensor.high.blooming is not None
     return _row(
         f"sensor.{name}",
-        bound,
+        _unchanged if identity else bound,
         pixel,
         None if name in SCALES and not identity else drop,
         assumes=_ASSUMES.get(name, ""),
         saves=_SAVES.get(name, 0.02),
         needs=frozenset({"sensor.blooming"} if blooms else ()),
     )
+
+
+def _unchanged(_: Pixel) -> Bound:
+    return Bound(0.0, "it is 1: nothing changes")
 
 
 def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Row:

@@ -479,8 +479,8 @@ def _warn_of_unused(
     calibration = dict(re.findall(r"^(cf|c[0-4])=(.*)$", words, re.M))
     plain = [("cf", "0"), ("c0", "0.0"), ("c1", "1.0")]
     if words.startswith("ImageJ=") and calibration and [*calibration.items()] != plain:
-        told = ", ".join(f"{name} = {value.strip()}" for name, value in calibration.items())
-        said.append(f"its calibration by ImageJ ({told}): the codes are as stored")
+        settings = ", ".join(f"{name} = {value.strip()}" for name, value in calibration.items())
+        said.append(f"its calibration by ImageJ ({settings}): the codes are as stored")
     if said:
         warn(f"{file}: not used: {'; '.join(said)}.")
 
@@ -491,10 +491,10 @@ def _gdal_scaling(page: TiffPicture) -> list[str]:
         r"<Item[^>]*\brole=[\"'](scale|offset)[\"'][^>]*>\s*([^<\s]+)", page.text(tiff.GDAL_WORDS)
     )
     plain = {"scale": 1.0, "offset": 0.0}
-    told = [f"{role} = {number}" for role, number in items if _differs(number, plain[role])]
+    roles = [f"{role} = {number}" for role, number in items if _differs(number, plain[role])]
     said = []
-    if told:
-        said.append(f"its {', '.join(dict.fromkeys(told))} by GDAL: the numbers are as stored")
+    if roles:
+        said.append(f"its {', '.join(dict.fromkeys(roles))} by GDAL: the numbers are as stored")
     if missing := page.text(tiff.GDAL_MISSING).strip():
         said.append(f"that pixels of {missing} are missing, by GDAL")
     return said

@@ -69,9 +69,9 @@ def opened_raw(file: Path) -> Iterator[Any]:
         with rawpy.imread(str(file)) as raw:
             yield raw
     except (rawpy.LibRawError, OSError) as error:
-        told = str(error.args[0].decode() if isinstance(error.args[0], bytes) else error)
+        reason = str(error.args[0].decode() if isinstance(error.args[0], bytes) else error)
         raise InputError(
-            f"{file}: not readable as a raw file ({told}); copy it again, or convert it to an "
+            f"{file}: not readable as a raw file ({reason}); copy it again, or convert it to an "
             "uncompressed DNG."
         ) from error
 
@@ -148,8 +148,8 @@ def opened_fits(file: Path) -> Iterator[Any]:
     except InputError:
         raise
     except (OSError, ValueError, KeyError, TypeError, fits.VerifyError) as error:
-        told = " ".join(str(error).split())
-        raise InputError(f"{file}: not readable as FITS ({told}); copy it again.") from error
+        reason = " ".join(str(error).split())
+        raise InputError(f"{file}: not readable as FITS ({reason}); copy it again.") from error
 
 
 def fits_header(file: Path) -> dict[str, Any]:

@@ -86,16 +86,16 @@ def cost_sentence(cost: Cost, settings: RenderEntry) -> str:
     samples = f"{settings.samples} sample{'s' * (settings.samples != 1)} a pixel"
     if cost.error is None:
         return f"{samples}: no standard error, {took}."
-    told = f"{samples}: standard error {100 * cost.error:.2g} % of the rms radiance"
+    sentence = f"{samples}: standard error {100 * cost.error:.2g} % of the rms radiance"
     if settings.integrator != "light":  # whose passes are independent
-        told += " or less, as samples are stratified"
-    told += f", {took}"
+        sentence += " or less, as samples are stratified"
+    sentence += f", {took}"
     target = next((t for t in _TARGETS if 0 < 1.5 * t <= cost.error), None)
     if target is not None:
         longer = _seconds(cost.seconds * (cost.error / target) ** 2)
         share = f"{100 * target:.3g}"
-        told += f"; {share} % would take about {longer} (--accuracy {share}%)"
-    return f"{told}.{_BESIDE.get(_kind(settings), '')}"
+        sentence += f"; {share} % would take about {longer} (--accuracy {share}%)"
+    return f"{sentence}.{_BESIDE.get(_kind(settings), '')}"
 
 
 _BESIDE = {

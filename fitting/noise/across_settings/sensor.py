@@ -282,8 +282,8 @@ def _within(known: list[float | None], asked: float | None, word: str) -> float 
             raise InputError(f"Give the {word}, from {stated[0]:g} to {stated[-1]:g}.")
         return stated[0] if stated else None
     if not stated or not stated[0] <= asked <= stated[-1]:
-        told = (
+        sentence = (
             f"it was measured from {stated[0]:g} to {stated[-1]:g}" if stated else "none was stated"
         )
-        raise InputError(f"{word} = {asked:g} is out of range: {told}.")
+        raise InputError(f"{word} = {asked:g} is out of range: {sentence}.")
     return asked

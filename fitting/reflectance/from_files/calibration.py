@@ -182,8 +182,8 @@ def _log_covariance(
         if parameter.name not in ("diffuse", "specular"):
             logs[:, i] = np.log(left_out[:, i])
     covariance = _jackknife(logs)
-    told = len(fit.without) > len(space)
-    return covariance if told else np.diag(np.diagonal(covariance))
+    enough = len(fit.without) > len(space)
+    return covariance if enough else np.diag(np.diagonal(covariance))
 
 
 def amplitudes(fit: ModelFit) -> Amplitudes:

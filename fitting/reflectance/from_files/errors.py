@@ -114,8 +114,8 @@ class Ratio:
     @property
     def ordered(self) -> bool:
         """Whether the same model has the larger error at so many incidences that chance is
-        unlikely. A single outlier may make the size of the difference uncertain, so that `told` is
-        False, while its sign is certain."""
+        unlikely. A single outlier may make the size of the difference uncertain, so that
+        `significant` is False, while its sign is certain."""
         return self.chance <= LIKELY and abs(np.log(self.value)) >= np.log(NOTABLE)
 
 

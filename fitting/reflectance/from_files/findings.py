@@ -218,7 +218,7 @@ def _generalisation(calibration: BRDFCalibration) -> Numbers | None:
 def _listing(parts: Iterable[str]) -> Numbers | None:
     """The numbers of a finding that lists some parts; None without parts."""
     listing = ", ".join(parts)
-    return {"told": listing} if listing else None
+    return {"listing": listing} if listing else None
 
 
 def _ends(calibration: BRDFCalibration) -> tuple[list[Model], list[Model]]:
@@ -281,17 +281,17 @@ def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> Numbers:
         "mirror": "the best lobe about the mirror direction is better",
         "neither": "the difference is not significant",
     }
-    told = "; ".join(
+    materials = "; ".join(
         f"{words} on {len(wins[side])} of {len(calibrations)} ({', '.join(wins[side])})"
         for side, words in sides.items()
         if wins[side]
     )
     if confounded:
-        told += (
+        materials += (
             ". Where lobes differ in more than their axis, this alone says nothing about the axis: "
             f"{listed(confounded)}"
         )
-    return {"metric": METRICS[calibrations[0].objective], "told": told}
+    return {"metric": METRICS[calibrations[0].objective], "listing": materials}
 
 
 def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> Numbers:
@@ -337,7 +337,7 @@ def _fresnel(calibrations: Sequence[BRDFCalibration]) -> Numbers | None:
             f"{in_words(clear, objective)}; this is {format_percent(rise / lead)} of the "
             f"improvement over Lambert's {in_words(matt, objective)}"
         )
-    return {"told": "; ".join(sentences)} if sentences else None
+    return {"listing": "; ".join(sentences)} if sentences else None
 
 
 # ---------------------------------------------------------------- the sentences
@@ -439,8 +439,8 @@ FINDINGS = (
     ),
     Finding(
         "facets",
-        lambda c: {"told": facet_sentence(c.index)} if c.model in CLEAR else None,
-        "{told}",
+        lambda c: {"listing": facet_sentence(c.index)} if c.model in CLEAR else None,
+        "{listing}",
     ),
     Finding(
         "not determined",
@@ -460,7 +460,7 @@ FINDINGS = (
         lambda c: _listing(
             f"{LABELS[m]} ({shape_of(m).name} {c.fits[m].whole.shape:.3g})" for m in _ends(c)[1]
         ),
-        "The shape parameter is at the end of its range, so the description is poor: {told}.",
+        "The shape parameter is at the end of its range, so the description is poor: {listing}.",
     ),
     Finding(
         "no minimum",
@@ -476,10 +476,10 @@ FINDINGS = (
         "Standard errors come from leaving out each of the {count} incidences in turn, so they "
         "include the misfit of the model, not only noise.{drawn}",
     ),
-    Finding("data", lambda c: [{"told": one} for one in c.measured.findings], "{told}"),
+    Finding("data", lambda c: [{"listing": one} for one in c.measured.findings], "{listing}"),
 )
 OVER_MATERIALS = (
-    Finding("best lobes", _best_lobes, "By {metric} at held-out incidences, {told}."),
+    Finding("best lobes", _best_lobes, "By {metric} at held-out incidences, {listing}."),
     Finding(
         "axis alone",
         _axis_alone,
@@ -493,6 +493,6 @@ OVER_MATERIALS = (
         "Fresnel",
         _fresnel,
         "Where Torrance-Sparrow with clear facets predicts best, the errors of GGX facets without "
-        "the rise of Fresnel reflectance toward grazing angles (metal) are, on {told}.",
+        "the rise of Fresnel reflectance toward grazing angles (metal) are, on {listing}.",
     ),
 )

@@ -285,8 +285,8 @@ def _reciprocity_remark(
         np.abs(np.subtract.outer(azimuth, azimuth)) < SAME_INCIDENCE
     )
     one, other = np.nonzero(alike & alike.T)
-    told = (theta_o[one] - theta_i[one] > TILTED) & (bright[one] > 0) & (bright[other] > 0)
-    one, other = one[told], other[told]
+    paired = (theta_o[one] - theta_i[one] > TILTED) & (bright[one] > 0) & (bright[other] > 0)
+    one, other = one[paired], other[paired]
     if len(one) < SWAPPED:
         return ()
     ratio = np.log(bright[one] / bright[other])

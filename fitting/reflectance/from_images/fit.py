@@ -143,10 +143,10 @@ class ChannelFit:
         if self.turns_and_information is None:
             return evidence
         turns, information = self.turns_and_information
-        flat, told = turns.ravel(), information / design_effect
+        flat, scaled = turns.ravel(), information / design_effect
         prior = self.view.observation.turn_prior
         prior = np.eye(len(flat)) if prior is None else prior
-        volume = np.linalg.slogdet(np.eye(len(flat)) + prior @ told)[1]
+        volume = np.linalg.slogdet(np.eye(len(flat)) + prior @ scaled)[1]
         return evidence - float(flat @ np.linalg.solve(prior, flat) + volume) / 2
 
 
@@ -169,11 +169,11 @@ def fit_channel(view: View, form: Form, grouping: Grouping) -> ChannelFit:
     stated = stated_errors(view, prediction, samples, turns)
     residual, signal, slope = seen = residual_signal_slope(prediction, samples)
     likeliest = weighted(prediction, samples, fit_spread(*seen, sensor=sensor))
-    told = None
+    known_turns = None
     if lights is not None:
         about = np.zeros_like(lights.turns) if turns is None else turns
         shifts = shifts_of_turns(view, about, prediction.vector, likeliest)
-        told = about, information_on_turns(shifts, likeliest, selection, len(about))
+        known_turns = about, information_on_turns(shifts, likeliest, selection, len(about))
 
     def chi_square(spread: Spread) -> float:
         squares = residual**2 / variance(spread, signal, slope=slope)
@@ -194,7 +194,7 @@ def fit_channel(view: View, form: Form, grouping: Grouping) -> ChannelFit:
         sensor_chi_square=None if sensor is None else chi_square(sensor),
         log_likelihood=float(log_likelihood_of_dn(prediction, likeliest)[0].sum()),
         by_light=squared_errors(prediction.dn, samples, selection),
-        turns_and_information=told,
+        turns_and_information=known_turns,
         converged=found.converged,
     )
 

@@ -147,9 +147,9 @@ def beyond_turns(
     Products of these equal x^T (1 - S K^-1 S^T) y, after marginalising over the light directions.
     """
     moves, light = shifts * inverse_deviation(samples), selection.light
-    told = information_on_turns(shifts, samples, selection, lights)
+    information = information_on_turns(shifts, samples, selection, lights)
     root = np.eye(2 * lights) if prior is None else np.linalg.cholesky(prior)
-    squares, axes = np.linalg.eigh(root.T @ told @ root)
+    squares, axes = np.linalg.eigh(root.T @ information @ root)
     squares, axes = np.maximum(squares, LEAST_INFORMATION), root @ axes
     taken = (1 - 1 / np.sqrt(1 + squares)) / squares
     pulls = np.array([[np.bincount(light, row * m, lights) for m in moves] for row in values])

@@ -237,7 +237,7 @@ def read_reflectance_observation(
             f"{rig.folder}: camera.pattern says the images are a Bayer mosaic; read one colour at "
             f"a time, by a channel of {', '.join(COLOURS)}."
         )
-    rig, told = _without_odd_heads(rig)
+    rig, remarks = _without_odd_heads(rig)
     assert rig.geometry is not None
     frames = _read_frames(rig, load)
     shape = (frames.shape[2], frames.shape[3])
@@ -254,7 +254,7 @@ def read_reflectance_observation(
     pile = _pile_at_top(dn) if camera.saturation is None else None
     if pile is not None and pile[0] < camera.clip_level:
         camera = camera.model_copy(update={"saturation": pile[0]})
-        told = [*told, PILED.format(count=pile[1], top=pile[0])]
+        remarks = [*remarks, PILED.format(count=pile[1], top=pile[0])]
     held_out, how = _held_out(rig)
     observation = Photographs(
         channels=COLOURS if len(frames) > 1 else (channel or "grey",),
@@ -278,7 +278,7 @@ def read_reflectance_observation(
         gain=camera.gain,
         read_noise=camera.read_noise,
         findings=(
-            *told,
+            *remarks,
             *how,
             *([ASSUMED_BLACK] * (rig.camera.black_level is None)),
             *useless * (mask is not None and bool(mask.all())),

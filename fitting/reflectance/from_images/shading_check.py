@@ -44,10 +44,10 @@ def directions_by_shading(
         signal = np.maximum(signal, 0) ** observation.gamma
     clear = ~np.any(observation.saturated, axis=0)
     distant = np.ptp(observation.falloff, axis=1) < UNEVEN * observation.falloff.mean(axis=1)
-    found, told = np.zeros((len(signal), 3)), np.zeros(len(signal), bool)
+    found, known = np.zeros((len(signal), 3)), np.zeros(len(signal), bool)
     for light, kept in enumerate(np.atleast_2d(clear)):
-        found[light], told[light] = _direction(signal[light, kept], observation.normals[kept])
-    return found, told & distant
+        found[light], known[light] = _direction(signal[light, kept], observation.normals[kept])
+    return found, known & distant
 
 
 def _direction(
@@ -93,19 +93,19 @@ def without_strangers(observation: Photographs) -> Photographs:
         i: f"every pixel that its light reaches is {state}"
         for i, state in lightless_images(observation).items()
     }
-    shown, told = directions_by_shading(observation)
+    shown, known = directions_by_shading(observation)
     off = _angles(shown, _stated(observation))
     names = list(observation.files)
     for copies in _copies(observation).found:
         places = [names.index(name) for name in copies]
-        best = min(places, key=lambda i: (not told[i], off[i]))
+        best = min(places, key=lambda i: (not known[i], off[i]))
         reasons |= {
             i: f"its numbers are those of {names[best]}, so that one is a copy of the other"
             for i in places
             if i != best
         }
-    if told.sum() >= 2 and (median := float(np.median(off[told]))) < FAR:
-        for i in _odd(observation, off, told, median):
+    if known.sum() >= 2 and (median := float(np.median(off[known]))) < FAR:
+        for i in _odd(observation, off, known, median):
             reasons.setdefault(
                 int(i),
                 f"its shading shows the light {off[i]:.0f}° from where the rig states it (median "
@@ -128,12 +128,12 @@ def _stated(observation: Photographs) -> Float[np.ndarray, "lights 3"]:
 def _odd(
     observation: Photographs,
     off: Float[np.ndarray, " lights"],
-    told: Bool[np.ndarray, " lights"],
+    judged: Bool[np.ndarray, " lights"],
     median: float,
 ) -> np.ndarray:
     """Lights that individually deviate by more than the rig's uncertainty."""
     known = np.degrees(observation.uncertain.get("direction_sd", np.zeros(len(off))))
-    return np.flatnonzero(told & (off > np.maximum(max(FAR, 4 * median), 4 * known)))
+    return np.flatnonzero(judged & (off > np.maximum(max(FAR, 4 * median), 4 * known)))
 
 
 def _copies(observation: Photographs) -> Copies:
@@ -163,22 +163,22 @@ def _spread(normals: Float[np.ndarray, "pixels 3"]) -> float:
 
 
 def _direction_findings(observation: Photographs) -> list[str]:
-    shown, told = directions_by_shading(observation)
-    if told.sum() < 2:
+    shown, known = directions_by_shading(observation)
+    if known.sum() < 2:
         return []
     stated = _stated(observation)
-    off = float(np.median(_angles(shown, stated)[told]))
+    off = float(np.median(_angles(shown, stated)[known]))
     if off < FAR:
-        return _single_light_findings(observation, _angles(shown, stated), told, off)
+        return _single_light_findings(observation, _angles(shown, stated), known, off)
     words = (
         "The shading of the images shows the lights "
-        f"{off:.0f}° (median of {told.sum()}) from where the rig states them"
+        f"{off:.0f}° (median of {known.sum()}) from where the rig states them"
     )
     changed = {name: turn(stated) for name, turn in CHANGES.items()}
-    _, order = linear_sum_assignment(-shown[told] @ stated[told].T)
+    _, order = linear_sum_assignment(-shown[known] @ stated[known].T)
     changed["the files in another order"] = stated.copy()
-    changed["the files in another order"][told] = stated[told][order]
-    left = {name: float(np.median(_angles(shown, v)[told])) for name, v in changed.items()}
+    changed["the files in another order"][known] = stated[known][order]
+    left = {name: float(np.median(_angles(shown, v)[known])) for name, v in changed.items()}
     best = min(left, key=lambda name: left[name])
     if left[best] < NEAR:
         return [
@@ -194,11 +194,11 @@ def _direction_findings(observation: Photographs) -> list[str]:
 def _single_light_findings(
     observation: Photographs,
     angles: Float[np.ndarray, " lights"],
-    told: Bool[np.ndarray, " lights"],
+    known: Bool[np.ndarray, " lights"],
     median: float,
 ) -> list[str]:
     """Findings on lights that deviate individually."""
-    odd, files = _odd(observation, angles, told, median), observation.files
+    odd, files = _odd(observation, angles, known, median), observation.files
     names = ", ".join(f"{files[i]} {angles[i]:.0f}°" for i in odd[np.argsort(-angles[odd])][:5])
     return [
         f"The shading shows {len(odd)} of {len(files)} lights elsewhere than the rig states them: "
