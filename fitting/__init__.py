@@ -1,8 +1,8 @@
-"""Estimation of the parameters of light, surface and camera from digital numbers, with intervals.
+"""Fit models of light, surface and camera to digital numbers; return estimates with intervals.
 
 `Problem` states the parameters, the prediction and the likelihood. `fit` returns a `Fit`: estimates
-with intervals, a verdict, and the parameters that are not identifiable. Every name is loaded at its
-first use; `__init__.pyi` lists them.
+with intervals, a verdict on the fit, and the names of the parameters that the data do not identify.
+The package imports each public name at its first use; `__init__.pyi` lists them.
 """
 
 from jaxvision.core.lazy_names import names_of

@@ -1,5 +1,6 @@
-"""The `jaxvision-fit` command, `python -m fitting`. An interrupt also ends it during its
-imports."""
+"""Run the `jaxvision-fit` command (`python -m fitting`). A keyboard interrupt ends the command even
+while it imports its modules.
+"""
 
 from importlib import import_module
 
@@ -7,7 +8,7 @@ from jaxvision.core.interrupts import ending_on_interrupt
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the command."""
     ending_on_interrupt("jaxvision-fit", lambda: import_module("fitting.cli").start())
 
 

@@ -502,15 +502,17 @@ def accuracy(
 
 
 def start() -> None:
-    """Run the command in double precision, which calibration needs. The environment variable is
-    set here, because importing the package must not set it and JAX is imported later."""
+    """Run the command in double precision, which calibration needs. The environment variable is set
+    here and not at the package's import, which must leave JAX's settings alone. JAX is imported
+    only after this.
+    """
     os.environ["JAX_ENABLE_X64"] = "1"
     keep_memory()
     app()
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the command, and end it with one line at a keyboard interrupt."""
     ending_on_interrupt("jaxvision-fit", start)
 
 

@@ -1,7 +1,8 @@
-"""Common parts of the sub-commands of `jaxvision-fit`: options, registration, and execution.
+"""What the sub-commands of `jaxvision-fit` share: options, registration, and execution.
 
-Bad input ends with one sentence on standard error and exit status 2, an interrupt with status 130.
-Results are printed and written only when all of them are complete.
+For bad input, a command prints one sentence on standard error and exits with status 2. After an
+interrupt it exits with status 130. A command prints and writes its results only when all of them
+are complete.
 """
 
 import inspect
@@ -41,7 +42,7 @@ failures = partial(
 
 @dataclass(frozen=True)
 class Options:
-    """The options that every sub-command shares."""
+    """The options that every sub-command has."""
 
     out: Annotated[
         Path | None,
@@ -67,13 +68,17 @@ class Options:
 
     @property
     def chain(self) -> dict[str, int]:
-        """Return steps and walkers of a chain; empty for Laplace's approximation."""
+        """Return the numbers of steps and walkers of the chain, or an empty dictionary for
+        Laplace's approximation.
+        """
         if not self.mcmc:
             return {}
         return {"steps": self.steps or STEPS, "walkers": self.walkers or WALKERS}
 
     def draws(self, kind: str, progress: Progress) -> dict[str, Any]:
-        """Return the sampler of a calibration (None for Laplace) and the seed of its draws."""
+        """Return the sampler of a calibration (None for Laplace's approximation) and the seed of
+        its random draws.
+        """
         from .inference.emcee_run import Emcee
 
         if not self.mcmc:
@@ -99,14 +104,15 @@ app = command_app(
 
 
 def refuse_mcmc(options: Options, why: str) -> None:
-    """Refuse `--mcmc` for a command without a chain."""
+    """Raise if `--mcmc` is given to a command that runs no Markov chain."""
     if options.mcmc:
         raise InputError(f"--mcmc: {why}; leave it out.")
 
 
 def typed_path(text: str) -> Path:
-    """Return a typed path. An empty path ends the command, because it would mean the working
-    folder."""
+    """Return a path from the command line. An empty path ends the command, because `Path("")` is
+    the working folder.
+    """
     if not text:
         leave(COMMAND, "a path is empty; name a folder or a file.", 2)
     return Path(text)
@@ -123,13 +129,14 @@ INDEX_OPTION = typer.Option(help="Index of refraction of Torrance-Sparrow's clea
 
 
 def model_option(meaning: str) -> Any:
-    """The option `--model`, with the names of the models in its help."""
+    """Return the option `--model`, whose help lists the names of the models."""
     return typer.Option(help=f"{meaning} One of {', '.join(MODELS)}.", metavar="MODEL")
 
 
 def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that registers a sub-command with `examples` in its help. The
-    sub-command's argument `options` collects the options that all commands share."""
+    """Return a decorator that registers a sub-command and shows `examples` in its help. The options
+    that all commands share reach the sub-command as one argument, `options`.
+    """
     shared = inspect.signature(Options).parameters
 
     def added(function: Callable[..., None]) -> Callable[..., None]:
@@ -153,9 +160,10 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
 def run(
     title: str, path: Path, options: Options, calibrate: Calibrate, *, repeats: bool = False
 ) -> None:
-    """Calibrate, write the requested files, and print the result. A section without results says
-    why, and the exit status is the one for bad input. A command that `repeats` its fits is compiled
-    with optimisation, other commands without."""
+    """Calibrate, write the requested files, and print the result. If a section has no results, its
+    reason is printed and the exit status is that of bad input. With `repeats`, the compiler
+    optimises the programs, which pays only if a command runs the same fit many times.
+    """
     if not repeats:
         compile_quickly()
     keep_programs()

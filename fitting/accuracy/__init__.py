@@ -1,4 +1,4 @@
-"""Error against time for each approximation of `fitting`, measured on the user's own rig.
+"""Measure error against time for each approximation in `fitting`, on the user's own rig.
 
     knobs                 every approximation by name; those without a rig have an example
     noise response brdf   the problems of the three fits of a rig
@@ -6,9 +6,10 @@
     chains                posteriors by Laplace, emcee and NUTS, and their lengths
     rigs                  the fits of a rig, and the curves of their knobs
 
-Results are the ends and middles of intervals, in units of the standard error of the whole fit. An
-error of 10 % is a tenth of a standard error. Curves, choice and pages come from
-`jaxvision.accuracy`.
+The quantities compared are the ends and the middle of each parameter's interval, in standard errors
+of the fit without approximation. An error of 10 % is thus a tenth of a standard error.
+`jaxvision.accuracy` computes the curves of error against time, chooses the cheapest settings and
+writes the pages.
 """
 
 from jaxvision.core.lazy_names import names_of

@@ -1,6 +1,8 @@
-"""The settings of reflectance from images: number of pixels, cells in place of pixels, tolerance,
-and sampling of the posterior. Results are parameters in units of their standard errors, for the
-first channel in which all parameters of Phong's model are identifiable."""
+"""Vary the settings of a reflectance fit to images: the number of pixels, cells in place of pixels,
+the tolerance, and the sampling of the posterior. The quantities compared are parameters in units of
+their standard errors, for the first channel in which all parameters of Phong's model are
+identifiable.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -33,7 +35,7 @@ AWAY = 0.3  # distance from the mode at which a search begins, in logarithms
 
 
 def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
-    """The settings of a rig's reflectance fit."""
+    """Return, for each setting of a reflectance fit by name, a function that varies it."""
     colour = "green" if rig.camera.pattern else ""
     observation = read_reflectance_observation(rig, load=load, channel=colour)
     form = Form("phong")
@@ -89,7 +91,7 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
 
 
 def _part(samples: Samples, chosen: np.ndarray) -> Samples:
-    """A subset of the samples."""
+    """Return the samples that `chosen` selects."""
     size = samples.dn.size
 
     def of(leaf: Array) -> Array:

@@ -1,4 +1,6 @@
-"""Posteriors of one density by Laplace, emcee and NUTS, and the cost of their lengths."""
+"""Compare Laplace's approximation, emcee and NUTS, at various chain lengths, on one posterior
+density.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,7 +23,7 @@ Turn = Callable[[Any], Compute]
 
 @dataclass(frozen=True)
 class Density:
-    """A log density, with its mode and the covariance there.
+    """A log density, with its mode and the covariance of Laplace's approximation there.
 
     Attributes:
         log_density: module-level function of (vector, args), up to a constant.
@@ -39,19 +41,19 @@ class Density:
 
     @property
     def errors(self) -> Float[np.ndarray, " parameters"]:
-        """Standard errors, unconstrained."""
+        """Return the standard errors of the unconstrained parameters."""
         return np.sqrt(np.diagonal(self.covariance))
 
 
 def interval_ends(posterior: Posterior, density: Density) -> Float[np.ndarray, "ends parameters"]:
-    """Quantiles of a posterior's draws."""
+    """Return quantiles of a posterior's draws, in standard errors from the mode."""
     ends = np.quantile(posterior.samples, ENDS, axis=0)
     vectors = unconstrained_numbers(density.space, ends)
     return (vectors - np.asarray(density.mode)) / density.errors
 
 
 def chain_knobs(density: Density) -> Mapping[str, Turn]:
-    """The settings of a posterior."""
+    """Return functions that vary the sampler and its chain length, by the setting's name."""
     about = (density.log_density, density.space, density.mode, density.covariance, density.args)
 
     def drawn(options: Emcee | Nuts | None) -> Compute:

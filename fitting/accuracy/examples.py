@@ -1,4 +1,4 @@
-"""Problems for the settings that no rig uses."""
+"""State the problems on which the settings that no rig uses are measured."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -19,7 +19,7 @@ CYCLES = 3.7  # cycles of the sine over the data, whose likelihood has many opti
 
 
 def sine() -> Fitted:
-    """A sine of unknown frequency in noise, whose likelihood has many optima."""
+    """Fit a sine of unknown frequency to noisy data: the likelihood has many local optima."""
     time = np.linspace(0, 1, 200)
     noise = 0.5 * np.random.default_rng(0).standard_normal(200)
     return Fitted(
@@ -57,7 +57,7 @@ EXAMPLES: Mapping[str, Callable[[], Problem]] = {"starts": _starts, "Laplace dra
 
 
 def example(knob: str) -> Problem:
-    """The problem on which a setting is measured when there is no rig."""
+    """Return the problem on which a setting is measured when there is no rig."""
     if knob not in EXAMPLES:
         raise InputError(f"knob {knob!r} has no example of its own; {nearest(knob, EXAMPLES)}.")
     return EXAMPLES[knob]()

@@ -1,4 +1,4 @@
-"""Every approximation of `fitting` by name, like `jaxvision.accuracy.KNOBS` for rendering."""
+"""List every approximation of `fitting` by name, like `jaxvision.accuracy.KNOBS` for rendering."""
 
 from collections.abc import Mapping
 

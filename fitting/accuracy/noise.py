@@ -1,5 +1,7 @@
-"""The settings of photon transfer: number of pixels, likelihood, tolerance, and sampling of the
-posterior. Results are the quantities of the data sheet, in units of their standard errors."""
+"""Vary the settings of a photon-transfer fit: the number of pixels, the likelihood, the tolerance,
+and the sampling of the posterior. The quantities compared are those of the EMVA 1288 data sheet, in
+units of their standard errors.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -37,7 +39,7 @@ FEWEST = 16  # fewest pixels along a side of a part of an image
 
 
 def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
-    """The settings of a rig's photon transfer."""
+    """Return, for each setting of a photon-transfer fit by name, a function that varies it."""
     measurement = reduce_rig(rig, load=load)
     check(Path(rig.folder), measurement)
     calibration = calibrate(measurement)
@@ -53,8 +55,9 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         return np.array([float(np.asarray(sheet[name])) for name in names]) / errors
 
     def errors_of_linear(measured: PhotonTransfer, *, exact: bool | None = None) -> np.ndarray:
-        """Return the sheet of a linear camera, with exact moments, approximate moments, or the
-        moments that the data require."""
+        """Fit a linear camera with exact moments, approximate moments or (None) the moments that
+        the data require, and return the values of its data sheet.
+        """
         usable, within = linear_levels(measured), ranges(measured)
         window = None if exact is False else needed_window(measured, usable)[0]
         if exact and window is None:
@@ -101,8 +104,9 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
 
 
 def _window(size: tuple[int, ...], share: float, rng: np.random.Generator) -> tuple[slice, slice]:
-    """A random window of an image with the same aspect, beginning at even pixels for the sites of a
-    mosaic."""
+    """Draw a random window that keeps the image's aspect ratio. The window begins at even pixels,
+    so that a mosaic keeps its pattern of colours.
+    """
     found = []
     for length in size:
         wanted = max(round(length * np.sqrt(share) / 2) * 2, min(FEWEST, length))
@@ -112,8 +116,9 @@ def _window(size: tuple[int, ...], share: float, rng: np.random.Generator) -> tu
 
 
 def _tolerance(calibration: NoiseCalibration) -> Turn:
-    """Vary the tolerance of the search that fits the chosen model. It starts at the
-    estimates of the EMVA standard."""
+    """Vary the tolerance of the search for the chosen model's optimum. The search starts at the
+    estimates of the EMVA standard.
+    """
     fit = calibration.chosen
     problem = restated(fit.problem, fit.space)
     start = start_vector(problem, calibration.standard.values)

@@ -1,6 +1,7 @@
-"""The settings of a response curve: numbers of pixels, of bins of codes and of rounds. Results are
-log exposures of codes in units of their standard errors, for the first channel that can be
-calibrated."""
+"""Vary the settings of a response-curve fit: the numbers of pixels, of bins of codes and of
+iterations. The quantities compared are log exposures at given codes, in units of their standard
+errors, for the first channel that can be calibrated.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -23,7 +24,7 @@ PLACES = 64  # codes at which curves are compared
 
 
 def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
-    """The settings of a rig's response curve."""
+    """Return, for each setting of a response-curve fit by name, a function that varies it."""
     stack = read_exposure_stack(rig, load=load)
     channel = calibrate(stack).channels[0]
     plane, whole = channel.plane, channel.curve
@@ -69,6 +70,8 @@ def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
 
 
 def _at(curve: ResponseCurve, codes: np.ndarray) -> np.ndarray:
-    """Log exposure of codes, 0 at the middle one, linear in ln code between bins."""
+    """Interpolate the log exposure at some codes, linearly in ln code between bins, and subtract
+    its value at the middle code.
+    """
     g = np.interp(np.log(codes), np.log(curve.codes), curve.log_exposure)
     return g - g[len(codes) // 2]

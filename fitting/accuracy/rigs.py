@@ -1,4 +1,4 @@
-"""The fits of a rig as problems with settings."""
+"""State the fits that a rig allows as problems whose settings can be varied."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -32,7 +32,7 @@ FITS: Mapping[str, Purpose] = {
 
 
 def fits_of(rig: Rig) -> tuple[str, ...]:
-    """The fits for which a rig has all entries."""
+    """Return the names of the fits for which a rig has all entries."""
     found = tuple(
         fit
         for fit, purpose in FITS.items()
@@ -49,7 +49,7 @@ def fits_of(rig: Rig) -> tuple[str, ...]:
 def problems(
     rig: Rig, *, load: Load = read_image, seconds: float = np.inf
 ) -> dict[str, tuple[Problem, tuple[str, ...]]]:
-    """The fits of a rig as problems.
+    """State the fits that a rig allows as problems whose settings can be varied.
 
     Args:
         rig: from `load_rig`.
@@ -112,7 +112,7 @@ def measured(
     seconds: float = 60.0,
     clock: Clock | None = None,
 ) -> tuple[Curve, ...]:
-    """The curves of a fit's settings, with the time shared equally.
+    """Measure error against time for each setting of a fit; the settings share the time equally.
 
     Args:
         problem: from `problems`.

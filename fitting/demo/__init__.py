@@ -1,5 +1,6 @@
-"""A simulated lab afternoon: its image files, their calibrations, and every estimate compared with
-the truth."""
+"""Simulate the image files of an afternoon in a lab, calibrate from them, and compare every
+estimate with its true value.
+"""
 
 from jaxvision.core.lazy_names import names_of
 

@@ -1,5 +1,6 @@
-"""`jaxvision-fit demo`: simulate a lab afternoon to files, calibrate from the files alone, and
-compare estimates with the truth."""
+"""`jaxvision-fit demo`: simulate measurements in a lab as image files, calibrate from the files
+alone, and compare the estimates with the true values.
+"""
 
 import math
 from collections.abc import Callable, Iterable
@@ -46,8 +47,10 @@ class Comparison:
 
     @property
     def deviations(self) -> tuple[float, ...]:
-        """Ends of the 95 and 68 % intervals and the value between them, minus the truth, in
-        standard errors, ascending."""
+        """Return, in ascending order, the lower ends of the 95 and 68 % intervals, the estimate,
+        and the upper ends of the 68 and 95 % intervals, each minus the true value and in standard
+        errors.
+        """
         unknown = (math.nan, math.nan)
         low95, high95 = self.estimate.interval_95 or unknown
         low68, high68 = self.estimate.interval_68 or unknown
@@ -72,7 +75,7 @@ def calibrate_lab(
     step: Callable[[str], AbstractContextManager[Progress]],
     draws: Callable[[str, Progress], dict[str, Any]],
 ) -> list[Section]:
-    """The three calibrations of `simulate_lab`'s files.
+    """Calibrate noise, response and reflectance from the files that `simulate_lab` wrote.
 
     The reflectance fit weights its pixels with the gain and read noise from photon transfer.
     """
@@ -109,7 +112,7 @@ def calibrate_lab(
 
 
 def truths(truth: Truth) -> dict[Key, float]:
-    """The true values of the lab, under the names of the estimates."""
+    """Return the true values of the simulated lab, under the names of the estimates."""
     values: dict[Key, float] = {
         ("noise", "system_gain", ""): truth.system_gain,
         ("noise", "quantum_efficiency", ""): 100 * truth.quantum_efficiency,
@@ -127,9 +130,10 @@ def truths(truth: Truth) -> dict[Key, float]:
 
 
 def compare(sections: Iterable[Section], truth: Truth) -> list[Comparison]:
-    """Compare every estimate that has a known true value with this value.
+    """Pair every estimate whose true value is known with this value.
 
-    If the standard's estimate and the likelihood's use the same frames, only the latter is taken.
+    Of two estimates from the same frames, by the EMVA standard and by maximum likelihood, only the
+    second is used.
     """
     known = truths(truth)
     return [
@@ -143,7 +147,7 @@ def compare(sections: Iterable[Section], truth: Truth) -> list[Comparison]:
 
 
 def with_truth(section: Section, truth: Truth) -> Section:
-    """A section whose figures mark the true values."""
+    """Return the section with true values that its figures mark."""
     known = truths(truth).items()
     own = {(name, group): value for (kind, name, group), value in known if kind == section.kind}
     return replace(section, truth=own)

@@ -1,8 +1,10 @@
-"""A lab afternoon, simulated to files: flats and darks over exposures, an exposure stack, and a
-sphere under many lights, each in a folder with its `rig.toml`. The calibrations see only the files.
+"""Simulate measurements in a lab as image files: flats and darks at several exposures, an exposure
+stack, and a sphere under many lights. Each set of images is in a folder with its `rig.toml`. The
+calibrations see only the files.
 
-One camera takes everything: a 12-bit CMOS-like sensor with the fixed pattern of its die. The
-exposure stack is stored as 8-bit gamma-encoded colour pictures, the rest as raw numbers.
+One camera takes all images. Its 12-bit sensor resembles CMOS and has a fixed-pattern noise that is
+the same in every image. The exposure stack is stored as 8-bit gamma-encoded colour pictures, the
+rest as raw numbers.
 """
 
 import itertools
@@ -56,7 +58,7 @@ RED_GREEN_BLUE = ("red", "green", "blue")
 
 @dataclass(frozen=True)
 class Truth:
-    """The true values of the simulated afternoon.
+    """The true values of the simulated lab.
 
     Attributes:
         system_gain: DN per electron.
@@ -90,7 +92,9 @@ class Truth:
 
 
 class _Bench(eqx.Module):
-    """Keys and sensor of the one camera of the afternoon."""
+    """The sensor of the simulated camera, with the random keys of its fixed pattern and of its
+    frames.
+    """
 
     sensor: Sensor
     die_key: jax.Array
@@ -114,7 +118,8 @@ def _picture(
 
 
 def simulate_lab(folder: Path, *, seed: int = 0, progress: Progress | None = None) -> Truth:
-    """Write `noise`, `response` and `brdf`, each a rig with its images.
+    """Simulate the images of the rigs `noise`, `response` and `brdf`, and write each rig to its
+    folder.
 
     Args:
         folder: folder for the three rigs.
@@ -140,8 +145,9 @@ def simulate_lab(folder: Path, *, seed: int = 0, progress: Progress | None = Non
 
 
 def sphere_lights(*, count: int = 24) -> np.ndarray:
-    """Directions (count, 3) spread evenly over the cap within 65 degrees of the view (+z): a
-    Fibonacci spiral."""
+    """Return `count` light directions (count, 3) on a Fibonacci spiral. They cover all directions
+    within 65 degrees of the view direction +z evenly.
+    """
     index = np.arange(count) + 0.5
     z = 1 - (1 - np.cos(np.radians(65))) * index / count
     azimuth = np.pi * (1 + 5**0.5) * index
@@ -171,7 +177,7 @@ def _exposed(bench: _Bench, exposure: float) -> _Bench:
 
 
 class _Counted:
-    """Report how many frames of all parts have been written."""
+    """A counter that reports how many frames of all parts have been written."""
 
     def __init__(self, total: int, progress: Progress | None) -> None:
         self.numbers, self.total, self.progress = itertools.count(1), total, progress
@@ -183,7 +189,9 @@ class _Counted:
 
 
 class _Film:
-    """Numbers the frames of a part, starting at `first`."""
+    """A writer of images that counts its frames from `first`, so that each frame has its own random
+    key.
+    """
 
     def __init__(self, first: int, counted: _Counted) -> None:
         self.next, self.counted = first, counted
@@ -195,8 +203,9 @@ class _Film:
 
 
 def _photon_transfer(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> None:
-    """Pairs of flats up to and past saturation, pairs of darks, and one deep stack of each at half
-    saturation for the spatial statistics."""
+    """Write pairs of flats up to and past saturation, and pairs of darks. At half saturation, write
+    a deep stack of flats and one of darks for the spatial statistics.
+    """
     photons_per_second = 1.08 * truth.full_well / truth.quantum_efficiency / FLAT_EXPOSURES[-1]
     half_full = truth.full_well / truth.quantum_efficiency / 2  # photons per pixel
     half = int(np.argmin(np.abs(FLAT_EXPOSURES * photons_per_second - half_full)))
@@ -219,8 +228,9 @@ def _photon_transfer(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> 
 
 
 def _exposure_stack(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> None:
-    """Three spheres on a floor, a few stops different in brightness, as 8-bit gamma-encoded
-    pictures."""
+    """Write an exposure stack of three spheres on a floor as 8-bit gamma-encoded pictures. The
+    spheres' brightnesses differ by a few stops.
+    """
     floor = Surface(Plane((0.0, -1.0, 0.0), (0.0, 1.0, 0.0)), Lambert((0.25, 0.24, 0.22)))
     balls = [
         Surface(Sphere((x, -0.5, z), 0.5), Phong(colour, (0.3, 0.3, 0.3), 30.0))
@@ -250,7 +260,9 @@ def _exposure_stack(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> N
 
 
 def _sphere_under_lights(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> None:
-    """A Phong sphere, one raw image for each distant light; the highlight clips in some."""
+    """Write one raw image of a Phong sphere for each of many distant lights. In some images the
+    highlight is clipped.
+    """
     ball = Surface(
         Sphere((0.0, 0.0, 0.0), 1.0), Phong(truth.diffuse, truth.specular, truth.exponent)
     )
@@ -296,5 +308,5 @@ def _write_rig(folder: Path, content: dict[str, Any]) -> None:
 
 
 def rgb(values: Sequence[float]) -> dict[str, float]:
-    """Values of the three channels by name."""
+    """Return a dictionary from red, green and blue to three values."""
     return dict(zip(RED_GREEN_BLUE, values, strict=True))

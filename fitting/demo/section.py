@@ -1,4 +1,4 @@
-"""The demo's summary: every known truth next to its estimate."""
+"""Report the demo's result: every true value next to its estimate."""
 
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -17,8 +17,9 @@ LIMIT = 4.5  # standard errors shown to either side
 
 
 def comparison_table(comparisons: Sequence[Comparison]) -> Table:
-    """Truth and estimate with 68 and 95 % intervals, and the number of intervals that cover the
-    truth."""
+    """Tabulate true values and estimates with their 68 and 95 % intervals, and count the intervals
+    that cover the true value.
+    """
     rows = tuple(
         (
             f"{format_name(c.estimate.name)} {c.estimate.group}".rstrip(),
@@ -45,7 +46,7 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
 
 
 def against_truth(sections: Iterable[Section], truth: Truth) -> Section:
-    """The demo's summary: every known truth next to its estimate.
+    """Return the demo's section of the report: every true value next to its estimate.
 
     Args:
         sections: of the calibrations of the files of `simulate_lab`.
@@ -73,7 +74,9 @@ def against_truth(sections: Iterable[Section], truth: Truth) -> Section:
 
 
 def forest_figure(comparisons: Sequence[Comparison]) -> "Figure":
-    """One row for each estimate: 68 and 95 % intervals about the truth, in standard errors."""
+    """Draw one row for each estimate: its 68 and 95 % intervals minus the true value, in standard
+    errors.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.4, 1.2 + 0.27 * len(comparisons)), layout="constrained")

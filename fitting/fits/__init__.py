@@ -1,1 +1,1 @@
-"""`fit` and `fit_map`, which solve a problem, and the results of a `Fit`: bands, plans, budgets."""
+"""Solve a problem by `fit` or `fit_map`, and compute from its result bands, plans and budgets."""

@@ -1,4 +1,6 @@
-"""Functions of a fit's draws, and predicted data, with uncertainty bands."""
+"""Compute uncertainty bands for functions of the parameters and for predicted data, from the draws
+of a fit.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -51,7 +53,7 @@ class Bands:
     draws: Float[np.ndarray, "draws ..."]
 
     def __str__(self) -> str:
-        """A number with its interval; for many numbers, their shape and range."""
+        """Return one number with its interval, or the shape and the ranges of many numbers."""
         if self.mean.ndim == 0:
             ends = ", ".join(f"{float(end):.6g}" for end in self.interval_95)
             return f"{format_with_error(float(self.mean), float(self.sd))}, 95 % in [{ends}]"
@@ -67,7 +69,9 @@ class Bands:
 
 
 def thinned_draws(posterior: Posterior, draws: int) -> np.ndarray:
-    """Draws (draws, P) spread over all chains, in the parameters' units."""
+    """Return at most `draws` posterior draws (draws, P), evenly spaced over all chains, in the
+    parameters' units.
+    """
     require_whole("draws", draws)
     every = posterior.samples
     return every[np.linspace(0, len(every) - 1, min(draws, len(every))).astype(int)]
@@ -75,7 +79,7 @@ def thinned_draws(posterior: Posterior, draws: int) -> np.ndarray:
 
 @eqx.filter_jit
 def evaluate_draws(problem: Problem, function: Callable[..., Any], natural: Array) -> Array:
-    """Evaluate a function for all draws."""
+    """Evaluate a function of the parameters at every draw."""
 
     def one(natural: Array) -> Array:
         found = give(problem, function, values_from(problem, natural), problem.inputs)
@@ -94,7 +98,7 @@ def evaluate_draws(problem: Problem, function: Callable[..., Any], natural: Arra
 def simulate_data(
     problem: Problem, keys: Array, natural: Array, inputs: Any, noise: Array
 ) -> Array:
-    """Simulated data, one set for each draw."""
+    """Simulate one data set from each draw of the parameters."""
 
     def one(key_and_natural: tuple[Array, Array]) -> Array:
         key, natural = key_and_natural
@@ -108,7 +112,7 @@ def simulate_data(
 
 
 def bands(draws: np.ndarray) -> Bands:
-    """Mean and intervals over draws."""
+    """Return the mean, the standard deviation and the intervals of a quantity over its draws."""
     low68, high68, low95, high95 = np.quantile(draws, LEVELS, axis=0)
     return Bands(
         np.asarray(draws.mean(0)),

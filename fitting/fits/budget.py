@@ -1,4 +1,4 @@
-"""The variance of a quantity, divided by its sources.
+"""Divide the variance of an estimated quantity among the sources of its uncertainty.
 
 The best fit is, to first order, linear in the data and in the means of the priors. Let C be the
 posterior covariance. Datum i has Fisher information F_i and variance v_i = sum_k v_ik, and a
@@ -8,8 +8,8 @@ nuisance parameter has prior information P_m. A quantity of gradient g has the v
 
 Each term is the part of the variance that would vanish if its source had been absent when the data
 were taken and the weights of the fit were unchanged (law of propagation: JCGM 100:2008, "Guide to
-the expression of uncertainty in measurement", 5.1). The share of the model is the increase of the
-covariance due to a misfit.
+the expression of uncertainty in measurement", 5.1). If the model misfits and the covariance was
+therefore widened, the increase is the model's share.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -59,7 +59,7 @@ class Share:
 
 @dataclass(frozen=True)
 class Budget:
-    """The sources of a quantity's uncertainty, largest first. Print it.
+    """The sources of a quantity's uncertainty, largest first. Print the record to see them.
 
     Attributes:
         target: in words.
@@ -84,7 +84,7 @@ class Budget:
     shares: tuple[Share, ...]
 
     def of(self, source: str) -> float:
-        """Share of one source.
+        """Return the share of one source.
 
         Args:
             source: its name.
@@ -112,7 +112,7 @@ class Budget:
         return [(s.source, f"{100 * s.share:.1f} %", f"± {s.sd:.3g}") for s in self.shares]
 
     def _repr_html_(self) -> str:
-        """The table that a notebook shows."""
+        """Return the HTML table that a notebook shows."""
         heads = ("source", "of the variance", "s.d. it alone leaves")
         return record_html(heads, self._rows(), title=self._heading())
 
@@ -128,7 +128,7 @@ def budget(
     noise: Noise | None = None,
     nuisances: Mapping[str, Sequence[str]] | None = None,
 ) -> Budget:
-    """Divide the variance of a quantity by its sources (see `Fit.budget`)."""
+    """Divide the variance of an estimated quantity among its sources (see `Fit.budget`)."""
     vector = optimum.vector
     value, slope = slope_of(problem, target, vector)
     named = _shares_of_data(problem, vector, noise)
@@ -158,7 +158,7 @@ def budget(
 def _shares_of_data(
     problem: Problem, vector: np.ndarray, noise: Noise | None
 ) -> dict[str, Float[np.ndarray, " data"]]:
-    """Shares of each datum's variance, by source."""
+    """Return the share of each source in each datum's noise variance."""
     shape, present = problem.data.shape, _present(problem)
     predicted, likelihood = predicted_at(jnp.asarray(vector, problem.data.dtype), problem)
     sources = getattr(likelihood, "noise_sources", None)
@@ -188,7 +188,7 @@ def _shares_of_data(
 
 
 def _present(problem: Problem) -> np.ndarray:
-    """1 for each datum, 0 where it is missing."""
+    """Return an array that is 1 for each present datum and 0 for each missing one."""
     if problem.present is None:
         return np.ones(problem.data.shape)
     return on_host(problem.present, dtype=np.float64)
@@ -207,8 +207,10 @@ def _variance(likelihood: Any) -> np.ndarray:
 def _prior_contributions(
     problem: Problem, prior: np.ndarray, along: np.ndarray, nuisances: Mapping[str, Sequence[str]]
 ) -> dict[str, float]:
-    """g^T C P_m C g of each source. Priors are independent and their information is diagonal,
-    except for a joint prior, which is one source."""
+    """Return g^T C P_m C g, the variance that each source contributes by its prior. Priors are
+    independent and their information is diagonal, except for a joint prior, which counts as one
+    source.
+    """
     each = np.diagonal(prior) * along**2
     joint = problem.prior
     together = np.array([], int) if joint is None else places_of(joint, problem.space)

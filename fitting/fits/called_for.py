@@ -1,10 +1,10 @@
-"""A problem without negligible effects of its scene and camera.
+"""Reduce a problem to the effects of its scene and camera that are not negligible.
 
 `jaxvision.effects` bounds the change that each effect makes in a pixel's distribution, over the
-whole box of the fitted parameters. Effects below a tolerance are dropped from the records, and so
-from the prediction and from the likelihood of the sensor. The new problem keeps the certificate,
-and the report of a fit lists it. With a target, effects that move the target by little at the best
-fit are dropped too.
+whole box of the fitted parameters. Effects below a tolerance are dropped from the records of scene
+and camera, so that neither the prediction nor the sensor's likelihood computes them. The new
+problem keeps the bounds as a certificate, which the report of a fit lists. For a target quantity,
+effects that hardly move its best estimate are dropped too.
 """
 
 from collections.abc import Collection
@@ -130,15 +130,17 @@ def _unseen_by(
     samples: PixelSamples | None,
     depth: int | None,
 ) -> Problem:
-    """The problem without the effects that together move a fitted number by at most the tolerance,
-    in standard errors. `each`: change of every datum, in standard deviations, for one standard
-    error."""
+    """Return the problem without the effects that together move a fitted quantity by at most the
+    tolerance, in standard errors. `each` is the change of every datum, in standard deviations of
+    its noise, that moves the quantity by one standard error.
+    """
     _, _, measure = measure_effects(fit(problem), target)
     effects, left = without_effects(problem, samples=samples, depth=depth)
 
     def moved(names: Collection[str]) -> float:
-        """The shift in standard errors; inf if the data's distribution or the standard error
-        changes."""
+        """Return a bound on the shift in standard errors; inf if the data's distribution or the
+        standard error changes.
+        """
         less = left(names)
         if less is None:
             return np.inf
@@ -177,7 +179,9 @@ def _unseen_by(
 
 
 def _numbered_before(name: str, gone: set[str]) -> str:
-    """The name of an effect with the number of its light or surface before some were dropped."""
+    """Return the name of an effect with the index that its light or surface had before some were
+    dropped.
+    """
     kind, _, rest = name.partition("[")
     number, _, field = rest.partition("]")
     whole = "lights" if kind == "shadows" else kind
@@ -189,8 +193,10 @@ def _numbered_before(name: str, gone: set[str]) -> str:
 
 @eqx.filter_jit
 def _log_ratio(whole: Problem, left: Problem) -> Array:
-    """ln of the likelihood ratio for data drawn from the first likelihood, at the middle of the
-    priors: about the tolerance if only small effects were dropped."""
+    """Return the log likelihood ratio of the whole problem to the reduced one. The data are drawn
+    from the whole problem at the middle of the priors. If only small effects were dropped, the
+    result is of the order of the tolerance.
+    """
     values = values_at(whole, jnp.zeros(len(whole.space)))
     seen = [prediction(problem, values) for problem in (whole, left)]
     known = [likelihood_at(problem, values) for problem in (whole, left)]

@@ -1,7 +1,7 @@
-"""Checks of data against their likelihood: clipping, rounding, and standard deviations that follow
-the noise.
+"""Check data against their likelihood: are they clipped, are they rounded, and do the stated
+standard deviations follow each datum's own noise?
 
-They reveal causes of a failed fit other than the model.
+These checks reveal faults of the data that can make a fit fail although its model is right.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ FELT, WRONG = 0.5, 2.0  # standard errors between the totals of fit and data: fi
 
 @dataclass(frozen=True)
 class DataCheck:
-    """Findings about data; those in `failures` explain a misfit."""
+    """Findings about the data of a fit; those in `failures` explain a misfit."""
 
     failures: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
@@ -46,7 +46,7 @@ class DataCheck:
 def data_check(
     problem: Problem, vector: np.ndarray, checks: Misfit, *, explained: bool, seed: int
 ) -> DataCheck:
-    """Check the data at the best fit."""
+    """Check the data of a problem against its best fit."""
     data = on_host(problem.data, dtype=np.float64)
     there = np.ones(data.shape, bool) if problem.present is None else on_host(problem.present)
     known = data[there]
@@ -72,8 +72,9 @@ def data_check_of_map(
     faulty: bool,
     seed: int,
 ) -> tuple[str, ...]:
-    """Findings about the data (..., pixels) of a map, checked together at the pixels' best fits
-    (parameters, pixels); `faulty` says whether many pixels are misfits."""
+    """Check the data (..., pixels) of a map, all pixels together, against the pixels' best fits
+    (parameters, pixels), and return the findings. `faulty` says whether many pixels are misfits.
+    """
     good = np.flatnonzero(np.isfinite(natural).all(axis=0))
     good = good[np.unique(np.linspace(0, len(good) - 1, min(len(good), PIXELS)).astype(int))]
     data = np.moveaxis(np.asarray(data[..., good], np.float64), -1, 0)
@@ -99,7 +100,7 @@ def data_check_of_map(
 def _pixel_predictions(
     vectors: Array, inputs: list[Array | None], keys: Array, problem: Problem
 ) -> tuple[Array, Array]:
-    """(pixels, ...) predictions and simulated data."""
+    """Return the predictions at the best fits and data simulated from them, each (pixels, ...)."""
     whole, form = jax.tree.flatten(problem.inputs)
 
     def one(vector: Array, own: list[Array | None], key: Array) -> tuple[Array, Array]:
@@ -114,7 +115,7 @@ def _pixel_predictions(
 def _repeated(
     seen: "_FitOfPresent", known: np.ndarray, *, faulty: bool, overrated: bool, seed: int
 ) -> tuple[str, ...]:
-    """Findings about values that occur more than once."""
+    """Return findings about values that occur more than once in the data."""
     values, counts = np.unique(known, return_counts=True)
     if len(values) == len(known):
         return ()
@@ -125,7 +126,9 @@ def _repeated(
 
 
 class _FitOfPresent:
-    """The best fit for the data that are present, computed on request."""
+    """The predictions, simulated data and standard deviations for the data that are not missing,
+    each computed at its first use.
+    """
 
     def __init__(self, problem: Problem, vector: np.ndarray, there: np.ndarray) -> None:
         self.likelihood: Any = problem.likelihood
@@ -137,7 +140,7 @@ class _FitOfPresent:
         self.simulated: np.ndarray | None = None
 
     def predicted(self) -> np.ndarray:
-        """(data present) predictions."""
+        """Return the predictions for the data that are not missing."""
         if self.known is None:
             problem, vector = self._at
             predicted = predicted_at(vector, problem)[0]
@@ -145,7 +148,7 @@ class _FitOfPresent:
         return self.known
 
     def drawn(self, seed: int) -> np.ndarray:
-        """(data present) simulated data."""
+        """Return simulated data in place of the data that are not missing."""
         if self.simulated is None:
             problem, vector = self._at
             predicted, likelihood = predicted_at(vector, problem)
@@ -154,7 +157,9 @@ class _FitOfPresent:
         return self.simulated
 
     def widths(self) -> np.ndarray | None:
-        """(data present) standard deviations, if each datum has its own."""
+        """Return the standard deviations of the data that are not missing; None if one value holds
+        for all.
+        """
         width = getattr(self.likelihood, "sd", getattr(self.likelihood, "scale", None))
         if width is None or isinstance(width, str) or not np.ndim(width):
             return None
@@ -165,8 +170,9 @@ class _FitOfPresent:
 
 
 def _errors_of_data(seen: _FitOfPresent, data: np.ndarray) -> DataCheck | None:
-    """Check whether standard deviations follow each datum instead of its prediction, and by how
-    much this biases the sum of all predictions."""
+    """Check whether the stated standard deviations follow each datum instead of its prediction. If
+    so, find by how much this biases the sum of all predictions.
+    """
     widths = seen.widths()
     if widths is None or len(np.unique(widths)) < 3:
         return None
@@ -195,7 +201,9 @@ def _errors_of_data(seen: _FitOfPresent, data: np.ndarray) -> DataCheck | None:
 
 
 def _copied(known: np.ndarray, counts: np.ndarray) -> list[str]:
-    """Data on no grid that occur more than once, by more than rounding to float32 explains."""
+    """Return a finding if many data are equal to others, although they are neither rounded to a
+    grid nor limited by float32.
+    """
     rounded = known.size > SINGLE and (known == known.astype(np.float32)).all()
     if np.mean(counts > 1) < COPIED or rounded or converter_of([known]).step:
         return []
@@ -210,7 +218,9 @@ def _copied(known: np.ndarray, counts: np.ndarray) -> list[str]:
 def _clipped(
     seen: _FitOfPresent, values: np.ndarray, counts: np.ndarray, seed: int, *, overrated: bool
 ) -> list[str]:
-    """Values at which data accumulate and beyond which the fit predicts many data."""
+    """Return findings about values at which data accumulate and beyond which the fit predicts many
+    data.
+    """
     found, total = [], int(counts.sum())
     for name, side in (("largest", 1), ("smallest", -1)):
         own, many = values[::-side], counts[::-side]
@@ -234,7 +244,9 @@ def _clipped(
 
 
 def _rounded(seen: _FitOfPresent, data: np.ndarray, seed: int) -> list[str]:
-    """A step of the data that is coarser than their noise and not part of the likelihood."""
+    """Return a finding if the data are rounded to a step coarser than their noise and the
+    likelihood ignores this.
+    """
     step = converter_of([data]).step
     if not step:
         return []

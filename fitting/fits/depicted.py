@@ -1,4 +1,4 @@
-"""The scene and the camera of a problem, and the parts of them that its parameters name."""
+"""Find the scene and the camera among a problem's records, and the fields that its parameters set."""
 
 from collections.abc import Callable, Collection, Iterator
 from typing import Any
@@ -22,7 +22,7 @@ Box = dict[str, tuple[Any, Any]]
 
 
 def named_record(problem: Problem, kind: type) -> str:
-    """The name of the only record of a kind."""
+    """Return the name of the only record of a kind."""
     found = [name for name, record in problem.records.items() if isinstance(record, kind)]
     if len(found) != 1:
         raise InputError(
@@ -33,13 +33,13 @@ def named_record(problem: Problem, kind: type) -> str:
 
 
 def records_of(problem: Problem) -> dict[str, Any]:
-    """The records with the fixed numbers in them."""
+    """Return the problem's records, with its fixed numbers put in."""
     fixed = {name: value for name, value in problem.fixed.items() if is_path(name)}
     return replaced(problem.records, fixed)
 
 
 def box_of(problem: Problem) -> Box:
-    """The range of each number of the scene and the camera that a parameter names."""
+    """Return the range of every number of the scene and the camera that a parameter sets."""
     seen, camera = named_record(problem, Scene), named_record(problem, Camera)
     records = records_of(problem)
     box = dict(_boxes(problem, records, (seen, camera)))
@@ -49,9 +49,10 @@ def box_of(problem: Problem) -> Box:
 def without_effects(
     problem: Problem, *, samples: PixelSamples | None = None, depth: int | None = None
 ) -> tuple[dict[str, Effect], Callable[[Collection[str]], Problem | None]]:
-    """The effects that may be left out of a problem's records, by name, and a function from some
-    names to the problem without them; None where a parameter needs one or they cannot go
-    together."""
+    """Return the effects that can be dropped from a problem's records, by name, and a function that
+    takes some of these names and returns the problem without those effects. It returns None if a
+    parameter needs one of the effects or if they cannot be dropped together.
+    """
     seen, camera = named_record(problem, Scene), named_record(problem, Camera)
     records = records_of(problem)
     named = (*(parameter.name for parameter in problem.free), *problem.fixed, *problem.tied)
@@ -75,8 +76,9 @@ def without_effects(
 def _boxes(
     problem: Problem, records: dict[str, Any], among: tuple[str, ...]
 ) -> Iterator[tuple[str, tuple[Any, Any]]]:
-    """Return the range of each free field, by name. A fixed field has one value; a tied one is
-    refused."""
+    """Yield the name and the range of each free field. The range of a fixed field is one value; a
+    tied field is refused.
+    """
     for name in problem.tied:
         if is_path(name) and head(name) in among:
             raise InputError(f"called_for: {name} is tied, so its range is unknown.")
@@ -94,7 +96,7 @@ def _boxes(
 
 
 def _field(records: dict[str, Any], path: str) -> tuple[str, Any]:
-    """Return the array to which a path leads, and the index of the number in it."""
+    """Return the path of the array that contains a number, and the number's index in it."""
     parent, _, last = path.rpartition("[")
     if parent and last[:-1].isdigit() and isinstance(reach(records, parent), Array):
         return parent, int(last[:-1])
@@ -102,7 +104,7 @@ def _field(records: dict[str, Any], path: str) -> tuple[str, Any]:
 
 
 def _ends(parameter: Parameter) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest and largest value that bounds and priors allow."""
+    """Return the smallest and largest value that bounds and priors allow."""
     shape, each = parameter.shape or (), []
     for number in scalars(parameter, shape):
         low = max(float(np.asarray(number.lower)), 0.0 if number.transform == "log" else -np.inf)
@@ -121,8 +123,9 @@ def _ends(parameter: Parameter) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _lights_before(scene: Scene, box: Box) -> Box:
-    """Boxes with a single value, for lights before the last one that a path names, so that the
-    indices stay valid."""
+    """Return single-valued ranges for the lights before the last one that a path names. These
+    lights are thereby kept, so that the indices in the paths stay valid.
+    """
     numbers = [int(name[7:].partition("]")[0]) for name in box if name.startswith("lights[")]
     found = {}
     for k in range(max(numbers, default=0)):

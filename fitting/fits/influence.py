@@ -1,13 +1,15 @@
-"""How far each effect of a scene and a camera moves a fitted number.
+"""Compute how far each effect of a scene and a camera moves a fitted quantity.
 
-Without an effect the log posterior L becomes L'. Its maximum moves from the optimum v by
+L is the log posterior and L' the log posterior without an effect. By a step of Newton's method, the
+maximum moves from the optimum v by
 
     -H'^-1 (grad L'(v) - grad L(v)) = H^-1 J^T W (change of the prediction) + ...,
 
-a step of Newton's method. Each further step is smaller by about the same factor q, so the steps not
-taken sum to at most q / (1 - q) times the last one. The bound is the shift by all steps plus this
-remainder. If the steps do not contract, a search for the mode without the effect begins at the
-optimum.
+where H and H' are the negative Hessians, J is the Jacobian of the prediction and W the weights of
+the data. Each further step is smaller by about the same factor q, so the steps that are not
+computed sum to at most q / (1 - q) times the last one. The bound is the shift by all computed steps
+plus this remainder. If the steps do not contract, a search from the optimum finds the mode without
+the effect.
 
 Source:
     Becker and Rannacher, "An optimal control approach to a posteriori error estimation in finite
@@ -42,7 +44,7 @@ _SLOWEST = 0.5  # ratio of two steps from which the remainder is not trusted
 
 @dataclass(frozen=True)
 class Moved:
-    """The shift of an estimate without an effect.
+    """How far an estimate moves if one effect is left out.
 
     Attributes:
         effect: its name, as in `jaxvision.effects.inspect`.
@@ -61,7 +63,8 @@ class Moved:
 
 @dataclass(frozen=True)
 class Influence:
-    """The effects of a scene and a camera on a fitted number, largest first. Print it.
+    """How far each effect of a scene and a camera moves a fitted quantity, largest bound first.
+    Print the record to see the effects.
 
     Attributes:
         target: in words.
@@ -82,7 +85,7 @@ class Influence:
     effects: tuple[Moved, ...]
 
     def of(self, effect: str) -> Moved:
-        """The shift by one effect.
+        """Return how far the estimate moves without one effect.
 
         Args:
             effect: its name.
@@ -125,7 +128,7 @@ class Influence:
         ]
 
     def _repr_html_(self) -> str:
-        """The table that a notebook shows."""
+        """Return the HTML table that a notebook shows."""
         heads = ("without", "moves by", "at most", "its standard error", "log density")
         return record_html(heads, self._rows(), title=self._heading())
 
@@ -137,13 +140,14 @@ def influence(
     samples: PixelSamples | None = None,
     depth: int | None = None,
 ) -> Influence:
-    """How far each effect of the scene and the camera, if left out, would move a fitted number.
+    """Compute how far a fitted quantity would move if each effect of the scene and the camera were
+    left out.
 
-    Usually nothing is fitted again: a few gradients at the best fit give the shift and a bound on
-    it, from the change of every pixel's prediction and noise. Only if an effect is so large that
-    Newton's steps do not contract, the problem without it is searched from the best fit. The bound
-    assumes that the steps continue to contract as the last two did, and that no other optimum
-    becomes better.
+    Usually no fit is repeated. From the change of every pixel's prediction and noise, a few
+    gradients at the best fit give the shift and a bound on it. If an effect is so large that
+    Newton's steps do not contract, a search from the best fit solves the problem without the
+    effect. The bound assumes that the steps continue to contract as the last two did, and that no
+    other optimum becomes better.
 
     Args:
         fitted: a fit, or a problem, which is fitted. It has one `Scene` and one `Camera` among its
@@ -189,8 +193,9 @@ def influence(
 def measure_effects(
     found: Fit, target: Target
 ) -> tuple[float, float, Callable[[str, Problem], Moved]]:
-    """Return the target, its standard error, and a function of a name and the problem without those
-    effects that returns how far the target moves."""
+    """Return the value of the target, its standard error, and a function. That function takes the
+    name of some effects and the problem without them, and returns how far the target moves.
+    """
     problem, optimum = found.problem, found.optimum
     if optimum.saddle or not optimum.stationary:
         raise InputError(f"influence: the fit did not end at a maximum. {' '.join(found.failures)}")

@@ -1,9 +1,10 @@
-"""The expected information of data about the parameters: the Fisher information, datum by datum.
+"""Compute the expected (Fisher) information of data about the parameters, as a sum over data:
 
     F = sum_i E[s_i s_i^T],    s_i = d ln p_i / d vector,
 
-It is exact for least-squares likelihoods, F = J^T J. Otherwise it is the mean over data drawn from
-the likelihood.
+where s_i is the score of datum i with density p_i. For a least-squares likelihood the result is
+exact, F = J^T J with the residuals' Jacobian J. For other likelihoods the expectation is a mean
+over simulated data.
 """
 
 from collections.abc import Callable, Mapping
@@ -49,7 +50,7 @@ def expected_information(
     *,
     seed: int = 0,
 ) -> Float[np.ndarray, "parts parameters parameters"]:
-    """The Fisher information of future data, with a weight for each datum."""
+    """Return the Fisher information of future data, with a weight for each datum."""
     size = max(int(np.prod(problem.data.shape)), 1)
     draws = int(np.clip(np.ceil(SCORES / size), 8, MOST_DRAWS))
     exact = problem.likelihood.least_squares
@@ -78,7 +79,7 @@ def _information(vector: Vector, problem: Problem, weights: Array, keys: Array) 
 
 
 def replace_inputs(problem: Problem, inputs: Any) -> Problem:
-    """The same problem for data at other inputs, without missing data."""
+    """Return the problem for data at other inputs, none of them missing."""
     if isinstance(problem.likelihood, Clustered):
         raise InputError(
             "Clustered: the shared error of a new group is unknown; plan with its inner likelihood."
@@ -101,8 +102,9 @@ def replace_inputs(problem: Problem, inputs: Any) -> Problem:
 def slope_of(
     problem: Problem, target: Target, vector: Float[np.ndarray, " parameters"]
 ) -> tuple[float, Float[np.ndarray, " parameters"]]:
-    """Return a quantity in its unit, and (P,) its derivatives with respect to the unconstrained
-    values."""
+    """Return the value of a quantity and its derivatives (P,) with respect to the unconstrained
+    parameters.
+    """
     at = jnp.asarray(vector, problem.data.dtype)
     if isinstance(target, str):
         place = _place(problem, target)
@@ -153,7 +155,7 @@ def plan(
     widened: float,
     repeats: int = 1,
 ) -> Plan:
-    """Rank candidate measurements."""
+    """Rank candidate measurements by how much each would reduce the error of a target quantity."""
     if not candidates:
         raise InputError("plan: give at least one candidate.")
     require_whole("repeats", repeats)
@@ -174,5 +176,5 @@ def plan(
 
 
 def target_name(target: Target) -> str:
-    """The name of a target."""
+    """Return the name of a target, which is a parameter's name or a function."""
     return target if isinstance(target, str) else getattr(target, "__name__", "target")

@@ -1,4 +1,4 @@
-"""`FitMap`: estimates, errors and states of a fit at every pixel."""
+"""`FitMap`: the result of fitting a problem at every pixel."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -32,7 +32,8 @@ SHOWN = (1, 99)  # percentiles at the ends of a picture's colour scale
 
 @dataclass(frozen=True)
 class FitMap:
-    """A small problem, fitted at every pixel. Print it for its contents, or show it in a notebook.
+    """The result of a small problem that was fitted at every pixel. Print it for its contents, or
+    show it in a notebook.
 
     Attributes:
         estimate: (..., *map) best fit of each parameter by name, in its unit; NaN where there is
@@ -79,7 +80,7 @@ class FitMap:
         return self.state == 0
 
     def to_xarray(self) -> Any:
-        """All maps as one data set.
+        """Return all maps as one xarray data set.
 
         Returns:
             An `xarray.Dataset`. For a parameter `gain` it has the variables `gain`, `gain_sd`,
@@ -134,7 +135,9 @@ class FitMap:
         return written
 
     def _numbers(self) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-        """Every number of every parameter: its name, map and standard errors."""
+        """Yield the name, the map and the map of standard errors of every number of every
+        parameter.
+        """
         for name, values in self.estimate.items():
             for index in np.ndindex(values.shape[: values.ndim - self.state.ndim]):
                 tail = f"[{','.join(map(str, index))}]" if index else ""
@@ -144,7 +147,7 @@ class FitMap:
         return self.units[name.partition("[")[0] if name not in self.units else name]
 
     def _figure(self) -> "Figure":
-        """Estimates, their standard errors, and the states."""
+        """Draw the maps of the estimates, of their standard errors, and of the states."""
         from matplotlib import colormaps
         from matplotlib.figure import Figure
 
@@ -196,7 +199,7 @@ class FitMap:
         return rows
 
     def _repr_html_(self) -> str:
-        """The table of the map for a notebook, with the maps if they have two dimensions."""
+        """Return the HTML table that a notebook shows; two-dimensional maps are drawn too."""
         heads = ("parameter", "median", "90 % of pixels in", "median s.e.", "unit")
         table = record_html(heads, self._rows(), title=self._heading(), notes=self.findings)
         if self.state.ndim != 2:
@@ -205,7 +208,7 @@ class FitMap:
 
 
 def map_findings(state: UInt8[np.ndarray, "..."], *, by_label: bool) -> tuple[str, ...]:
-    """The number of failed pixels, with the reasons."""
+    """Return sentences on how many pixels failed, and why."""
     counts = np.bincount(state.ravel(), minlength=len(STATES))
     tested = int(counts[: STATES.index("stopped")].sum())
     found = []

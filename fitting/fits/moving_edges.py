@@ -1,4 +1,6 @@
-"""A warning, before a search, of gradients that neglect moving edges of shadows and outlines."""
+"""Warn before a search if the gradient of the prediction neglects moving edges of shadows and
+outlines.
+"""
 
 import warnings
 from collections.abc import Callable, Iterator
@@ -22,8 +24,10 @@ _warned: WeakSet[Callable] = WeakSet()
 
 
 def warn_of_moving_edges(problem: Problem) -> None:
-    """Warn, once for each `predict`, of the share of the picture's change that its gradient misses
-    when free positions and shapes move from their starts."""
+    """Warn if free positions and shapes move edges in the picture, and state what share of the
+    picture's change the gradient misses near the starts. The warning appears once for each
+    `predict`.
+    """
     names = list(_geometric(problem))
     if not names or problem.predict in _warned:
         return
@@ -76,8 +80,10 @@ def _geometric(problem: Problem) -> Iterator[str]:
 
 @eqx.filter_jit
 def _compared(problem: Problem, values: Values, step: Values) -> Array:
-    """Return three norms over blocks of pixels: of D, the change by a central difference over half
-    of `step`; of D minus the derivative; and of D minus the difference over the whole `step`."""
+    """Compare the derivative of the prediction with finite differences. Let D be the change of the
+    picture by a central difference over half of `step`. Return three norms over blocks of pixels:
+    of D, of D minus the derivative, and of D minus the difference over the whole `step`.
+    """
 
     def picture(share: Array) -> Array:
         moved = values | {name: values[name] + share * by for name, by in step.items()}
@@ -90,7 +96,9 @@ def _compared(problem: Problem, values: Values, step: Values) -> Array:
 
 
 def _block_means(picture: Array) -> Array:
-    """Return the means of blocks of pixels, because an edge crosses few pixels in a small step."""
+    """Return the picture's means over blocks of pixels. Single pixels would miss edges, because an
+    edge crosses few pixels in a small step.
+    """
     if picture.ndim < 2:
         return picture
     sides = [max(_LEAST, -(-size // _BLOCKS)) for size in picture.shape[:2]]

@@ -1,4 +1,4 @@
-"""`fit_map`: one small problem at every pixel of an image, or for every label of a label image."""
+"""`fit_map`: fit one small problem at every pixel of an image, or for every label of a label image."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal
@@ -43,10 +43,10 @@ def fit_map(
 ) -> FitMap:
     """Fit a problem at every pixel separately, or once for all pixels of each label.
 
-    One compiled program fits `chunk` pixels at a time, so the memory is bounded by one chunk and
+    One compiled program fits `chunk` pixels at a time, so memory is needed only for one chunk and
     the maps. Estimates, errors and verdict equal those of `fit` for the pixel's data, without the
-    test of neighbouring residuals. If a pixel cannot be fitted, because data are missing or not
-    finite, the maps are NaN, and the findings count it.
+    test of neighbouring residuals. Where a pixel cannot be fitted, because data are missing or not
+    finite, the maps are NaN. The findings give the number of such pixels.
 
     Args:
         problem: of one pixel, for example with one datum per image. Its data and inputs give the
@@ -181,7 +181,9 @@ def _parts(places: np.ndarray, size: int) -> Iterator[np.ndarray]:
 
 
 def _pixel_leaves(problem: Problem, inputs: Any, shape: tuple[int, ...]) -> list[Any]:
-    """Leaves of the inputs with the pixel axis first; None for an input that all pixels share."""
+    """Return the arrays of the inputs with the pixel axis first; None for an array that all pixels
+    share.
+    """
     own, form = jax.tree.flatten(problem.inputs)
     if inputs is None:
         return [None] * len(own)
@@ -208,8 +210,9 @@ def _pixel_leaves(problem: Problem, inputs: Any, shape: tuple[int, ...]) -> list
 def _outcome(
     problem: Problem, ends: Ends, *, inflate: bool
 ) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return (P, problems) arrays of estimates, errors and intervals, chi-square, degrees of
-    freedom and state."""
+    """Return arrays (P, problems) of estimates, errors and intervals, and arrays (problems,) of
+    chi-square, degrees of freedom and state.
+    """
     data, prior = (
         np.asarray(part, np.float64) for part in (ends.data_information, ends.prior_information)
     )
@@ -295,7 +298,9 @@ def _fit_labels(
     chunk: int,
     seed: int,
 ) -> FitMap:
-    """One fit for each label. Its pixels are the rows of a problem that is read in chunks."""
+    """Fit the problem once for each label. The pixels of a label are the rows of one problem that
+    is read in chunks.
+    """
     labels = np.asarray(labels)
     if labels.shape != shape or not np.issubdtype(labels.dtype, np.integer):
         raise InputError(

@@ -1,10 +1,13 @@
-"""Agreement of priors and data: each prior is compared with the information from everything else.
+"""Check whether priors and data agree, by comparing each prior with the information from everything
+else.
 
-Any prior is N(0, 1) on the scale g = Phi^-1(F(x)) with F its distribution function. A prior that
-decreases from its lower end is half of one, g = Phi^-1((1 + F(x)) / 2). Let H be the curvature of
-the log posterior at its mode, h the part of prior i in H_ii, and V = (H^-1)_ii. Without that prior
-the variance is c = V / (1 - h V). The mode moves by c dL/du_i, because at the mode the slopes of
-the prior and of the remainder cancel. On the scale g the two differ by z standard deviations:
+Let F be a prior's distribution function and Phi that of N(0, 1). On the scale g = Phi^-1(F(x)) the
+prior is N(0, 1). A prior density that decreases from its lower end is half a normal density on the
+scale g = Phi^-1((1 + F(x)) / 2). Let H be the curvature of the log posterior at its mode, u the
+unconstrained parameters, h the contribution of prior i to H_ii, and V = (H^-1)_ii. Without that
+prior the variance is c = V / (1 - h V). The mode moves by c dL/du_i with L the log density of prior
+i, because at the mode the slopes of the prior and of all other terms cancel. At the moved mode,
+prior and other information differ by z standard deviations:
 
     z = g / sqrt(1 + c (dg/du)^2).
 
@@ -39,10 +42,10 @@ LEAST = 1e-4  # smallest share of the data in the information on a parameter tha
 
 
 def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[str, ...]:
-    """Return sentences on the priors that differ significantly from the data, the largest
-    difference first.
+    """Return sentences on the priors that differ significantly from the data, in order of
+    decreasing difference.
 
-    The false-alarm rate for all priors together is one in 1 / `CHANCE` fits."""
+    In a fraction `CHANCE` of fits with correct priors, at least one sentence is a false alarm."""
     space, joint = problem.space, problem.prior
     together = () if joint is None else places_of(joint, space)
     tested = [
@@ -87,8 +90,9 @@ def _joint_conflict(
     problem: Problem, joint: JointPrior, vector: Array, wide: Widening, chance: float
 ) -> tuple[float, str] | None:
     """Compare a joint prior with all other information, in the directions that the data determine.
-    The difference between its mean and the posterior's has the covariance of the prior minus that
-    of the posterior (Hausman, Econometrica 46, 1978)."""
+    The difference between the means of prior and posterior has the covariance of the prior minus
+    that of the posterior (Hausman, Econometrica 46, 1978).
+    """
     on_scale = partial(scores, joint, problem.space)
     z = np.asarray(on_scale(vector), np.float64)
     slope = np.asarray(jax.jacfwd(on_scale)(vector), np.float64)
@@ -103,7 +107,9 @@ def _joint_conflict(
 
 
 def loosen(prior: Any) -> Any:
-    """Return a prior so wide that data which contradict it determine the estimate."""
+    """Return a prior that is much wider, so that the estimate follows data that contradict the
+    prior.
+    """
     match prior:
         case Normal() | HalfNormal() | Marginal():
             return replace(prior, sd=LOOSE * prior.sd)
@@ -117,9 +123,10 @@ def loosen(prior: Any) -> Any:
 def blame_priors(
     problem: Problem, vector: np.ndarray, wide: Widening, before: Misfit, alone: Misfit
 ) -> tuple[str, ...]:
-    """Return sentences on the priors that contradict a fit with widened priors (see `loosen`), the
-    largest difference first; empty if no prior does. They replace the finding of a misfit if the
-    fit with widened priors describes the data."""
+    """Return sentences on the priors that contradict a fit with widened priors (see `loosen`), in
+    order of decreasing difference. The result is empty if no prior does. If the fit with widened
+    priors describes the data, these sentences replace the finding of a misfit.
+    """
     space, joint = problem.space, problem.prior
     together = () if joint is None else places_of(joint, space)
     at = jnp.asarray(vector, jnp.result_type(float))
@@ -152,7 +159,7 @@ def blame_priors(
 def _joint_difference(
     problem: Problem, joint: JointPrior, vector: Array, wide: Widening
 ) -> tuple[str, ...]:
-    """A sentence on all numbers of a joint prior; empty where they agree with the data."""
+    """Return a sentence on all numbers of a joint prior; empty if the prior agrees with the data."""
     on_scale = partial(scores, joint, problem.space)
     z = np.asarray(on_scale(vector), np.float64)
     slope = np.asarray(jax.jacfwd(on_scale)(vector), np.float64)
@@ -180,7 +187,7 @@ def _joint_in_words(
 
 
 def _standard_scale(prior: Prior, x: float) -> tuple[float, float]:
-    """A value on the scale on which its prior is N(0, 1), and dg/dx there."""
+    """Return a value g on the scale on which its prior is N(0, 1), and the derivative dg/dx."""
     match prior:
         case Normal():
             return (x - prior.mean) / prior.sd, 1 / prior.sd
@@ -210,14 +217,15 @@ def _quantile(prior: Prior, g: float) -> float:
 
 
 def _falls(prior: Prior) -> bool:
-    """Whether a density decreases from its lower end."""
+    """Return whether a density decreases from its lower end."""
     first, middle = (prior.log_density(jnp.asarray(prior.quantile(np.array(p)))) for p in (0, 0.5))
     return bool(np.isfinite(first) and first > middle)
 
 
 def _estimate_without_prior(p: Parameter, x: float, slope: float, step: float, error: float) -> str:
-    """The estimate of a parameter without its prior, on the logarithmic scale for a logarithmic
-    parameter."""
+    """Return, in words, the estimate of a parameter without its prior. For a parameter with a log
+    transform, the estimate is computed on the logarithmic scale.
+    """
     if p.transform == "log":
         best = float(x * np.exp(slope * step / x))
         return format_with_error(best, float(best * slope / x * error))

@@ -1,4 +1,4 @@
-"""`Fit`: the results of a fit, and its report."""
+"""`Fit`: the result of fitting a problem, and its report."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted problem. Print it, or show it in a notebook.
+    """The result of fitting a problem. Print it, or show it in a notebook.
 
     Attributes:
         problem: the problem that was fitted.
@@ -80,24 +80,30 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """Whether the search ended at a maximum that describes the data within their noise (or with
-        an allowed misfit), and whether the draws of a sampler are reliable."""
+        """Return whether the fit can be used. The search must have ended at a maximum that
+        describes the data within their noise or with an allowed misfit, and a sampler's draws must
+        be reliable.
+        """
         return not self.failures
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
-        """Value, standard error and 68 and 95 % intervals of every free number, in its unit."""
+        """Return the value, standard error, and 68 and 95 % intervals of every free number, in its
+        unit.
+        """
         return estimates(self.posterior)
 
     @property
     def values(self) -> dict[str, np.ndarray]:
-        """The best fit by name, in natural units, including fixed and tied numbers."""
+        """Return the best-fit values by name, in natural units, including fixed and tied numbers."""
         found = values_from(self.problem, jnp.asarray(self.posterior.mode))
         return {name: np.asarray(value) for name, value in found.items()}
 
     @property
     def draws(self) -> dict[str, np.ndarray]:
-        """(chains, draws, ...) of every free parameter by name, in its unit."""
+        """Return the posterior draws (chains, draws, ...) of every free parameter by name, in its
+        unit.
+        """
         found, begin = {}, 0
         for parameter in self.problem.free:
             shape = parameter.shape or ()
@@ -108,7 +114,7 @@ class Fit:
         return found
 
     def record(self, name: str) -> Any:
-        """A record with the best-fit values, such as a camera.
+        """Return a record of the problem, such as a camera, with the best-fit values.
 
         Args:
             name: of the record in the problem.
@@ -122,7 +128,7 @@ class Fit:
         return self._record_of(name, jnp.asarray(self.posterior.mode))
 
     def records(self, name: str, *, draws: int = 200) -> Any:
-        """Draws of a record: the record with a leading axis at every number.
+        """Return posterior draws of a record: the record with a leading axis at every number.
 
         `jax.vmap` over it propagates the uncertainty through any function of the record.
         `jaxvision.write_camera(fit.record("camera"), file, draws=fit.records("camera"))` stores it.
@@ -147,12 +153,13 @@ class Fit:
         return jax.tree.map(jnp.asarray, records[name])
 
     def as_prior(self, names: Selection = "*") -> JointPrior:
-        """The posterior of some parameters as the prior of another problem, with its correlations.
+        """Return the posterior of some parameters, with its correlations, as a prior for another
+        problem.
 
-        The density is Gaussian on the unconstrained scale, or Student's t if the widths are
-        estimated from few groups. Intervals that were widened for a misfit stay as wide. The other
-        parameters of the earlier fit are marginalised. Give the new problem new data: data used in
-        both fits would count twice.
+        The density is Gaussian on the unconstrained scale. It is Student's t if the standard errors
+        were estimated from few groups. Intervals that were widened for a misfit stay wide. The
+        other parameters of the earlier fit are marginalised. The new problem must have new data,
+        because data used in both fits would count twice.
 
         Args:
             names: a name, a pattern such as "camera.*", several of them, or new names by old ones
@@ -185,7 +192,7 @@ class Fit:
         return posterior_prior(self.posterior, shapes, names, words=self._widened())
 
     def _widened(self) -> tuple[str, ...]:
-        """A remark that a prior from this fit is wider than its data alone imply."""
+        """Return a remark if the prior from this fit is wider than its data alone imply."""
         before = () if self.problem.prior is None else self.problem.prior.words
         if self.noise > 1:
             return (
@@ -201,7 +208,7 @@ class Fit:
         return before
 
     def derived(self, function: Callable[..., Any], *, draws: int = 1000) -> Bands:
-        """A function of the parameters, with intervals from the draws.
+        """Compute a function of the parameters, with intervals from the posterior draws.
 
         Args:
             function: any JAX function that returns one array. Its arguments are named like those of
@@ -230,7 +237,7 @@ class Fit:
         return bands(on_host(evaluate_draws(self.problem, function, jnp.asarray(thinned))))
 
     def predictive(self, inputs: Any = None, *, draws: int = 1000) -> Bands:
-        """Predicted data, with the uncertainty of the parameters and the noise.
+        """Predict data, with the uncertainty of the parameters and the noise.
 
         Args:
             inputs: arrays that replace the problem's inputs; None for the fitted data.
@@ -251,8 +258,7 @@ class Fit:
         )
 
     def plan(self, candidates: Mapping[str, Any], target: Target, *, repeats: int = 1) -> Plan:
-        """Candidate measurements, ranked by how much each would reduce the uncertainty of a
-        quantity.
+        """Rank candidate measurements by how much each would reduce the uncertainty of a quantity.
 
         Args:
             candidates: inputs of each candidate by its name, as `predict` takes them.
@@ -289,7 +295,7 @@ class Fit:
         noise: Noise | None = None,
         nuisances: Mapping[str, Sequence[str]] | None = None,
     ) -> Budget:
-        """The sources of the uncertainty of a quantity.
+        """Divide the variance of an estimated quantity among its sources.
 
         Args:
             target: a free number by its name or the last part of its path, or a JAX function that
@@ -316,8 +322,8 @@ class Fit:
         )
 
     def to_arviz(self) -> Any:
-        """The draws for ArviZ as its DataTree (InferenceData before ArviZ 1.0). Array parameters
-        keep their dimensions.
+        """Return the draws for ArviZ as a DataTree (InferenceData before ArviZ 1.0). Array
+        parameters keep their dimensions.
 
         Returns:
             Groups `posterior`, `observed_data` and, for a sampled posterior, `sample_stats`.
@@ -361,7 +367,7 @@ class Fit:
         )
 
     def summary(self) -> str:
-        """Chi-square and starts in one line."""
+        """Return one line with chi-square and the number of searches that agree."""
         checks, starts = self.misfit, len(self.optimum.costs)
         p = f" ({format_p(checks.p)})" if np.isfinite(checks.p) else ""
         left = f"{checks.dof:.5g} degrees" if checks.dof >= 1 else "less than one degree"
@@ -406,7 +412,7 @@ class Fit:
         return f"<{self._heading()}>"
 
     def _repr_html_(self) -> str:
-        """The table that a notebook shows."""
+        """Return the HTML table that a notebook shows."""
         return record_html(
             HEADS,
             self._rows(),
@@ -423,7 +429,7 @@ HEADS = ("parameter", "value ± s.e.", "unit", "68 %", "95 %", "s.d. before")
 
 
 def section(fit: Fit, title: str) -> Section:
-    """The section of a fit in a report."""
+    """Return a fit's section of the report."""
     before, share = prior_share(fit.problem.space, fit.posterior)
     rows = tuple(
         (parameter.name, None if np.isinf(width) else float(width), float(part))
@@ -464,7 +470,7 @@ def section(fit: Fit, title: str) -> Section:
 
 
 def left_out_table(certificate: "Certificate") -> Table:
-    """The effects that `called_for` dropped, with bounds in the certificate's unit."""
+    """Tabulate the effects that `called_for` dropped, with bounds in the certificate's unit."""
     from jaxvision.effects.certificate import summary
 
     rows = tuple((e.name, e.bound, e.place, e.rank, e.why) for e in certificate.dropped)
@@ -473,7 +479,9 @@ def left_out_table(certificate: "Certificate") -> Table:
 
 
 def residual_figure(residuals: np.ndarray) -> "Figure":
-    """Standardised residuals: a picture of the first channel, or points in order."""
+    """Draw the standardised residuals: an image of the first channel for picture data, points in
+    order for other data.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6, 4), layout="constrained")

@@ -1,4 +1,4 @@
-"""`fit` finds the best fit of a problem, its posterior, and a verdict on both."""
+"""`fit`: find a problem's best fit and posterior, and judge both."""
 
 import time
 import warnings
@@ -79,24 +79,27 @@ def fit(
     after: Fit | None = None,
     sampling: Emcee | Nuts | None = None,
 ) -> Fit:
-    """Fit a problem: find the best optimum of many searches, its posterior, and a verdict.
+    """Fit a problem: run many searches, take the best optimum, compute the posterior there, and
+    judge the result.
 
-    For data in chunks (`Problem(..., chunk=...)`) the searches use a sample. Newton's method then
-    goes from the best optimum to the mode of all data, which are read once per step. The verdict
-    uses all data. Residuals and bands describe the sample. A bar shows the progress of each
-    reading.
+    For data in chunks (`Problem(..., chunk=...)`) the searches use a sample of the data. Newton's
+    method then starts at the best optimum and finds the mode for all data, which it reads once per
+    step. The verdict uses all data. Residuals and bands describe the sample. A bar shows the
+    progress of each reading.
 
-    A `Candidate` is kept only if the data support it: it passes Schwarz' criterion, and chance does
-    not explain its distance from the absent value. The weakest candidate is dropped first. The
-    estimates belong to the problem without the dropped terms, and `Fit.choices` gives the reasons.
+    A `Candidate` is kept only if the data support it. The candidate must satisfy Schwarz'
+    criterion, and its distance from the value that means absence must be significant. The weakest
+    candidate is dropped first. The estimates are those of the problem without the dropped terms,
+    and `Fit.choices` gives the reasons.
 
-    If finite differences at the optimum differ from the gradient, for example because edges of
-    shadows move, the fit uses finite differences for its verdict and curvature, and a finding names
-    the parameters. If a free position or shape in a scene moves such edges, a warning before the
-    first search gives the share of the change that the gradient misses at the start.
+    Automatic derivatives can be wrong, for example where edges of shadows move. If they differ from
+    finite differences at the optimum, the fit uses finite differences for its verdict and
+    curvature, and a finding names the parameters. If a free position or shape in a scene moves such
+    edges, a warning before the first search states what share of the change the gradient misses at
+    the start.
 
-    A second fit of a problem with equal shapes and the same `predict` compiles nothing
-    (`Problem.with_data`). Nothing is raised for a fit that does not converge: read `converged` and
+    A second fit of a problem with equal shapes and the same `predict` needs no compilation
+    (`Problem.with_data`). A fit that does not converge raises no error: read `converged` and
     `failures`, or print the result.
 
     Args:
@@ -237,7 +240,7 @@ class _How:
 
 @dataclass(frozen=True)
 class _End:
-    """A best fit and the verdict of its residuals."""
+    """A best fit, its residuals, and the checks and the covariance that follow from them."""
 
     optimum: Optimum
     residuals: np.ndarray
@@ -248,7 +251,9 @@ class _End:
 def _optimum(
     problem: Problem, how: _How, advance: Advance, *, near: dict[str, Any] | None = None
 ) -> Optimum:
-    """The best of the searches; `near` is the only start if given, as with a user's `start`."""
+    """Return the best optimum of all searches. If `near` is given, or a user's `start`, it is the
+    only start.
+    """
     begin = how.start if near is None else near
     if begin:
         found = search(problem, _start_from(problem, begin)[None], solver=how.solver)
@@ -263,8 +268,9 @@ def _optimum(
 def _chosen(
     problem: Problem, how: _How, advance: Advance
 ) -> tuple[Problem, Optimum, tuple[Choice, ...]]:
-    """Return the problem without the candidates that fail the criterion, its optimum, and the
-    reasons. The weakest candidate is dropped first, and the remaining ones are tested again."""
+    """Return the problem without the candidates that the data do not support, its optimum, and the
+    reasons. The weakest candidate is dropped first, and the remaining ones are tested again.
+    """
     optimum, gone = _optimum(problem, how, advance), []
     while True:
         choices = _choices(problem, optimum, how, advance)
@@ -289,7 +295,9 @@ def _chosen(
 
 
 def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> tuple[Choice, ...]:
-    """The ratio and the threshold of each candidate, with all of them kept."""
+    """Return the test of each candidate while all of them are in the model: its ratio of estimate
+    to standard error and the threshold for this ratio.
+    """
     information, end = np.asarray(optimum.curvature), None
     freedom, count = np.full(len(information), np.inf), float(problem.data.size)
     if problem.stream is not None:
@@ -322,7 +330,9 @@ def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) ->
 
 def _contradicted(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
     """Return sentences on the priors that made a fit fail: with wider priors the model describes
-    the data, and the data disagree with the stated priors. Empty if priors are not the cause."""
+    the data, and the data disagree with the stated priors. The result is empty if priors are not
+    the cause.
+    """
     loose = problem.with_priors(loosen)
     if loose.free == problem.free and loose.prior is None:
         return ()
@@ -330,7 +340,7 @@ def _contradicted(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
     near = {p.name: np.asarray(near[p.name]) for p in problem.free}
 
     def unseen(done: int, total: int) -> None:
-        """No progress is shown."""
+        """Show no progress."""
 
     try:
         alone = _tested(loose, _optimum(loose, how, unseen, near=near), how, unseen)
@@ -342,8 +352,9 @@ def _contradicted(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
 
 
 def _tested(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> _End:
-    """The residuals of a best fit and the covariance that includes their misfit. An optimum with an
-    unidentifiable direction is refused."""
+    """Return the optimum with its residuals, their checks, and the covariance that includes a
+    misfit. An optimum with an unidentifiable direction is refused.
+    """
     optimum = _determined(problem, optimum, advance)
     vector = jnp.asarray(optimum.vector, jnp.result_type(float))
     residuals = residuals_at(problem, vector, seed=how.seed)
@@ -363,7 +374,7 @@ def _tested(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> 
 
 
 def _fits_width(problem: Problem) -> bool:
-    """Whether the width of the noise is a parameter."""
+    """Return whether the standard deviation of the noise is a free parameter."""
     return named_width(problem.likelihood) in {parameter.name for parameter in problem.free}
 
 
@@ -387,8 +398,9 @@ def _searched(problem: Problem, starts: int, seed: int, solver: Any, advance: Ad
 
 
 def _determined(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum:
-    """Return the optimum, or refuse it if a direction is unidentifiable; for a saddle, with the
-    curvature there."""
+    """Return the optimum if every direction is identifiable, and raise otherwise. The optimum of a
+    saddle is returned with the exact curvature there.
+    """
     precise = problem.data.dtype == jnp.float64
     rounding = UNDETERMINED if precise else SINGLE_ROUNDING
     judged = identifiability(problem.space, optimum.curvature, rounding=rounding)
@@ -409,8 +421,9 @@ def _determined(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum
 
 
 def method_of(posterior: Method | str | None, *, sampling: Emcee | Nuts | None = None) -> Method:
-    """The method of a posterior, from an object or its deprecated name. A method that cannot run is
-    refused before the search."""
+    """Return the method for a posterior, given as an object or by its deprecated name. A method
+    that cannot run is refused before the search.
+    """
     method: Any = Laplace() if posterior is None else posterior
     if isinstance(posterior, str):
         if posterior not in METHODS:
@@ -441,7 +454,7 @@ def method_of(posterior: Method | str | None, *, sampling: Emcee | Nuts | None =
 
 
 def _start_from(problem: Problem, start: dict[str, Any]) -> np.ndarray:
-    """One start from natural values by name."""
+    """Return one start vector from natural values by name."""
     wanted = {parameter.name: parameter for parameter in problem.free}
     for name in (*start, *wanted):
         if name in start and name in wanted:
@@ -457,7 +470,9 @@ def _start_from(problem: Problem, start: dict[str, Any]) -> np.ndarray:
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
-    """The inverse from the eigenvalues of the scaled matrix, which are kept positive."""
+    """Return the inverse of an information matrix, computed from the eigenvalues of the matrix
+    scaled to a unit diagonal.
+    """
     scale = np.sqrt(np.diagonal(information))
     values, axes = np.linalg.eigh(information / np.outer(scale, scale))
     half = axes / np.sqrt(values) / scale[:, None]
@@ -465,15 +480,13 @@ def _inverse(information: np.ndarray) -> np.ndarray:
 
 
 def _stretched_log_density(vector: Vector, args: tuple[Problem, Array, Array]) -> Array:
-    """Return the log posterior, including the prior, stretched about its mode to a wider
-    covariance."""
+    """Return the log posterior after stretching it about its mode to a wider covariance."""
     problem, mode, stretch = args
     return log_density(mode + stretch @ (vector - mode), problem)
 
 
 def _tempered_log_density(vector: Vector, args: tuple[Problem, Array]) -> Array:
-    """Return the log posterior with the noise of the data multiplied by a factor, and the prior
-    unchanged."""
+    """Return the log posterior for noise multiplied by a factor, with the prior unchanged."""
     problem, factor = args
     return log_likelihood(vector, problem) / factor**2 + log_prior_at(problem, vector)
 

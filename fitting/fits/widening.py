@@ -1,5 +1,6 @@
-"""Intervals widened for a misfit of the model: errors that groups of data share, or larger
-noise."""
+"""Widen intervals for a misfit of the model: either groups of data share errors, or the noise is
+larger than stated.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -33,7 +34,7 @@ LEAST = 0.01  # least spread of predictions, relative to their size or to the da
 
 @dataclass(frozen=True)
 class Widening:
-    """A covariance, and the reason why it is wider than the covariance of the likelihood.
+    """A covariance, and the reason why it is wider than that of the likelihood alone.
 
     Attributes:
         covariance: (P, P) on the unconstrained scale.
@@ -51,7 +52,7 @@ class Widening:
 
     @property
     def gaussian_covariance(self) -> Float[np.ndarray, "parameters parameters"]:
-        """The covariance of the Gaussian whose 95 % intervals are those of Student's t."""
+        """Return the covariance of the Gaussian whose 95 % intervals equal those of Student's t."""
         return (
             self.covariance
             if self.freedom is None
@@ -69,11 +70,11 @@ def widening(
     inflate: bool,
     seed: int,
 ) -> Widening:
-    """The covariance that includes the misfit of the model.
+    """Return the covariance that includes the misfit of the model.
 
-    Groups explain a misfit if they share errors, and if the residuals within a group, without an
-    offset and a gain, agree with the stated noise. With `inflate` the remaining residuals may have
-    any size."""
+    Errors that groups of data share explain a misfit if the residuals agree with the stated noise
+    after subtracting an offset and a gain error from each group. With `inflate` these remaining
+    residuals may have any size."""
     if isinstance(problem.likelihood, Clustered):
         labels = problem.likelihood.labels
         every = labels if isinstance(labels, dict) else {"": labels}
@@ -142,7 +143,9 @@ def _widen_by_groups(
 
 
 def _widening_in_words(robust: Robustness, optimum: Optimum, groups: int) -> str:
-    """The finding on the misfit in the groups' residuals, and the factor on the intervals."""
+    """Return a sentence on the errors that groups share and on the factor by which they widen the
+    intervals.
+    """
     if np.isnan(robust.by_light):
         return (
             "There are too few groups to estimate errors that they share: intervals are those of "
@@ -181,28 +184,30 @@ def without_shared(
 
 
 def _multiple(values: np.ndarray, shape: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Return (groups,) the multiple of a shape that best fits the values."""
+    """Return, for each group, the multiple of a shape that best fits the values in the
+    least-squares sense.
+    """
     size = np.bincount(labels, shape**2)
     return np.bincount(labels, values * shape) / np.where(size > 0, size, 1)
 
 
 @eqx.filter_jit
 def _scores(vector: Vector, problem: Problem) -> Array:
-    """(P, data) gradient of every datum's log density."""
+    """Return the gradients (P, data) of every datum's log density."""
     terms = jax.jacfwd(lambda v: log_likelihood_terms(v, problem).ravel())(vector)
     return terms.T
 
 
 @eqx.filter_jit
 def _predictions(vector: Vector, problem: Problem) -> Array:
-    """(P, data) gradient of every prediction."""
+    """Return the gradients (P, data) of every prediction."""
     slopes = jax.jacfwd(lambda v: prediction(problem, values_at(problem, v)).ravel())(vector)
     return slopes.T
 
 
 @eqx.filter_jit
 def predicted_at(vector: Vector, problem: Problem) -> tuple[Array, Any]:
-    """Prediction and likelihood at a point."""
+    """Return the prediction and the likelihood at a vector of unconstrained values."""
     values = values_at(problem, vector)
     return prediction(problem, values), likelihood_at(problem, values)
 
@@ -210,7 +215,9 @@ def predicted_at(vector: Vector, problem: Problem) -> tuple[Array, Any]:
 def residuals_at(
     problem: Problem, vector: Array, *, seed: int, shift: float = 0.0
 ) -> Float[np.ndarray, "..."]:
-    """Standardised residuals about the prediction plus a shift, NaN where a datum is missing."""
+    """Return the standardised residuals about the prediction plus a shift; NaN where a datum is
+    missing.
+    """
     chance = np.random.default_rng(seed).uniform(size=problem.data.shape)
     return _residuals(problem, vector, chance, shift)
 
@@ -218,7 +225,7 @@ def residuals_at(
 def residual_sums(
     problem: Problem, vector: Array, advance: Advance, *, seed: int
 ) -> Float[np.ndarray, " sums"]:
-    """The sums of residuals that the verdict needs, for data that are read in chunks."""
+    """Return the sums over residuals that the verdict needs, from data that are read in chunks."""
     rng = np.random.default_rng(seed)
     before, totals = None, np.zeros(2 + 4 * problem.data.ndim)
     for part in chunks(problem, advance=advance):
@@ -239,8 +246,10 @@ def _residuals(
 
 
 def _slopes(problem: Problem, vector: Array, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """The derivative of each residual with respect to its prediction, by a finite difference, and
-    the prediction. The step scales with the data: a smaller one would be lost in rounding."""
+    """Return the derivative of each residual with respect to its prediction, by a finite
+    difference, and the prediction. The step scales with the data, because rounding would dominate a
+    much smaller step.
+    """
     predicted = on_host(predicted_at(vector, problem)[0], dtype=np.float64)
     data = on_host(problem.data, dtype=np.float64)
     there = data[np.isfinite(data)]

@@ -1,4 +1,4 @@
-"""Findings of a fit, in sentences."""
+"""Write the findings of a fit as sentences."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +32,7 @@ AT_END = 1.25
 def verdict(
     optimum: Optimum, checks: Misfit, explained: bool, *, wide_noise: bool = False
 ) -> list[str]:
-    """Return why the end of a search is not accepted as a fit; empty if it is."""
+    """Return the reasons why the end of a search is not accepted as a fit; empty if it is accepted."""
     failures = []
     if optimum.saddle:
         failures.append(
@@ -70,21 +70,23 @@ def verdict(
 
 
 def agreeing(optimum: Optimum) -> int:
-    """The number of searches that reached the lowest cost."""
+    """Return the number of searches that reached the lowest cost."""
     return int(np.sum(optimum.costs < _same_end(optimum)))
 
 
 def _same_end(optimum: Optimum) -> float:
-    """The difference in cost above which two searches count as different optima. Searches with an
-    inaccurate gradient end near the optimum."""
+    """Return the difference in cost above which two searches count as different optima. The
+    difference is larger if the gradient is inaccurate, because such searches stop only near the
+    optimum.
+    """
     return SAME_PLACE if optimum.unseen else SAME_END
 
 
 def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
-    """Whether enough searches from several starts confirm the best optimum. Two must end there, or
-    four if most searches end at different optima or the width of the noise was fitted, because
-    residuals then do not reveal a wrong optimum. The share of searches that end alone
-    estimates the chance that one more search finds a new optimum.
+    """Return whether enough searches from different starts ended at the best optimum. Two must end
+    there. Four must if the width of the noise was fitted, because residuals then do not reveal a
+    wrong optimum, or if most searches ended at different optima. The share of searches that end
+    alone estimates the chance that one more search finds a new optimum.
 
     Source:
         Good, "The population frequencies of species and the estimation of population parameters",
@@ -122,13 +124,14 @@ def about_left_out(problem: Problem) -> list[str]:
 
 
 def about_chains(posterior: Posterior) -> list[str]:
-    """Why the draws of a posterior are unreliable; empty if they are reliable."""
+    """Return the reason why the draws of a posterior are unreliable; empty if they are reliable."""
     return [] if is_trusted(posterior) else [convergence_in_words(posterior)]
 
 
 def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) -> tuple[str, ...]:
-    """Sentences about parameters that are not identifiable, parameters that only the prior
-    determines, and the validity of the intervals."""
+    """Return sentences on parameters that are not identifiable, on parameters that only the prior
+    determines, and on the validity of the intervals.
+    """
     found = []
     if len(optimum.costs) == 1:
         found.append("One search was made: no other start looked for a deeper optimum.")
@@ -168,8 +171,9 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
 
 
 def prior_share(space: ParameterSpace, posterior: Posterior) -> tuple[np.ndarray, np.ndarray]:
-    """Return prior standard deviations (infinite without a prior), in each parameter's unit, and
-    posterior over prior standard deviations (0 without a prior)."""
+    """Return the prior standard deviations in each parameter's unit, and the ratios of posterior to
+    prior standard deviation. Without a prior the two values are infinity and 0.
+    """
     known = [prior_values(parameter) for parameter in space]
     before = np.array([np.inf if x is None else np.std(x) for x in known])
     return before, np.std(posterior.samples, axis=0) / before
@@ -186,7 +190,7 @@ def _prior_alone(space: ParameterSpace, posterior: Posterior) -> list[str]:
 
 
 def _bound_findings(space: ParameterSpace, posterior: Posterior) -> list[str]:
-    """Return findings on bounds within reach of the posterior, on the scale of the parameter."""
+    """Return findings on bounds close enough to truncate the posterior of a parameter."""
     found = []
     _, share = prior_share(space, posterior)
     for parameter, natural, known in zip(space, posterior.samples.T, share, strict=True):
