@@ -1,4 +1,4 @@
-"""Find the scene and the camera among a problem's records, and the fields that its parameters set."""
+"""Find a problem's scene and camera among its records, and the fields that its parameters set."""
 
 from collections.abc import Callable, Collection, Iterator
 from typing import Any

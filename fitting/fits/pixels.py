@@ -1,4 +1,4 @@
-"""`fit_map`: fit one small problem at every pixel of an image, or for every label of a label image."""
+"""`fit_map`: fit one small problem at every pixel of an image, or for every label of an image."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal

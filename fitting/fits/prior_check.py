@@ -159,7 +159,7 @@ def blame_priors(
 def _joint_difference(
     problem: Problem, joint: JointPrior, vector: Array, wide: Widening
 ) -> tuple[str, ...]:
-    """Return a sentence on all numbers of a joint prior; empty if the prior agrees with the data."""
+    """Return a sentence on all numbers of a joint prior; empty if prior and data agree."""
     on_scale = partial(scores, joint, problem.space)
     z = np.asarray(on_scale(vector), np.float64)
     slope = np.asarray(jax.jacfwd(on_scale)(vector), np.float64)

@@ -95,7 +95,9 @@ class Fit:
 
     @property
     def values(self) -> dict[str, np.ndarray]:
-        """Return the best-fit values by name, in natural units, including fixed and tied numbers."""
+        """Return the best-fit values by name, in natural units; fixed and tied numbers are
+        included.
+        """
         found = values_from(self.problem, jnp.asarray(self.posterior.mode))
         return {name: np.asarray(value) for name, value in found.items()}
 

@@ -32,7 +32,7 @@ AT_END = 1.25
 def verdict(
     optimum: Optimum, checks: Misfit, explained: bool, *, wide_noise: bool = False
 ) -> list[str]:
-    """Return the reasons why the end of a search is not accepted as a fit; empty if it is accepted."""
+    """Return the reasons why the end of a search is not accepted as a fit, if there are any."""
     failures = []
     if optimum.saddle:
         failures.append(
