@@ -1,17 +1,18 @@
-"""Properties of the converter, inferred from the numbers in frames.
+"""Properties of a camera's analogue-to-digital converter, inferred from the numbers in its frames.
 
 A converter of b bits gives 2^b different numbers, but a file may store them in another form:
 
-    multiples     12 bits at the upper end of 16 (left-aligned), frames divided or averaged by hand
+    multiples     all numbers are multiples of a step: 12 bits at the upper end of 16
+                  (left-aligned), or frames divided or averaged by hand
     scaled        multiples of 65535 / 4095, rounded again
     uneven        a stretched histogram, or a table (gamma): codes are missing, more of them in
                   some places than in others
     alternating   even codes more often than odd ones, because their steps are wider
-    coarser above some code all are multiples of a larger step: a second amplifier or
-              converter took over
+    coarser       above some code all are multiples of a larger step: a second amplifier or
+                  converter took over
 
-The step q between neighbouring codes determines the rounding variance, q^2 / 12. If a file with
-another step is read with q = 1, the read noise is wrong.
+The step q between neighbouring codes determines the rounding variance, q^2 / 12. If q = 1 is
+assumed for a file with another step, the read noise is wrong.
 """
 
 from collections.abc import Iterable, Sequence
@@ -41,7 +42,8 @@ FLOAT32 = 2.0**-22  # relative rounding error of numbers stored in single precis
 
 @dataclass(frozen=True)
 class Converter:
-    """The grid on which the numbers of a camera lie.
+    """The grid of numbers that a camera's converter can give: its step, its origin and its
+    irregularities.
 
     Attributes:
         step: q, DN between neighbouring codes; 0 where the values lie on no grid.
@@ -67,7 +69,7 @@ class Converter:
 
     @property
     def width(self) -> float:
-        """Mean distance of the codes that occur, DN."""
+        """Mean distance between neighbouring codes that occur, DN."""
         return self.step / (1 - self.missing) if self.missing < 1 else self.step
 
     @property
@@ -124,7 +126,7 @@ class Codes:
             self._broken = self._broken[:, -BELOW - 1 :]
 
     def converter(self) -> Converter:
-        """The grid of all frames so far."""
+        """Return the grid on which the numbers of all frames added so far lie."""
         used = np.flatnonzero(self._whole).astype(float)
         counts = self._whole[self._whole > 0]
         if self._broken.size:
@@ -153,13 +155,13 @@ class Codes:
 
     @property
     def whole(self) -> bool | None:
-        """Whether all numbers are whole; None if there are too few different ones to decide."""
+        """Whether all numbers are whole; None if there are fewer than 5 different numbers."""
         if self._continuous or self._broken.size:
             return False
         return True if np.count_nonzero(self._whole) >= FEWEST_WHOLE else None
 
     def __add__(self, other: "Codes") -> "Codes":
-        """The combined counts."""
+        """Return the counts of two sets of frames together."""
         octaves = self._by_noise.keys() | other._by_noise.keys()
         none = np.zeros(0, np.int64)
         return Codes(
@@ -170,7 +172,8 @@ class Codes:
         )
 
     def _smooth(self, step: float) -> np.ndarray:
-        """Counts of the frames with smooth histograms on a grid of this step."""
+        """Return the counts by code of those frames whose noise makes their histograms smooth on a
+        grid of this step."""
         found = np.zeros(0, np.int64)
         for octave, counts in self._by_noise.items():
             if 2.0**octave >= SMOOTH * step:
@@ -179,7 +182,7 @@ class Codes:
 
 
 def converter_of(frames: Iterable[np.ndarray]) -> Converter:
-    """The grid on which the numbers of some frames lie."""
+    """Return the grid on which the numbers of some frames lie."""
     codes = Codes()
     for frame in frames:
         codes.add(frame)
@@ -187,7 +190,8 @@ def converter_of(frames: Iterable[np.ndarray]) -> Converter:
 
 
 def converter_in_words(converter: Converter, full_scale: float | None) -> list[str]:
-    """A finding about a converter whose numbers are not 0, 1, 2 and so on."""
+    """Return a finding for the report if the converter's codes are not simply 0, 1, 2 and so on;
+    else an empty list."""
     step, origin = converter.step, converter.origin
     if not step:
         return [
@@ -231,7 +235,7 @@ def converter_in_words(converter: Converter, full_scale: float | None) -> list[s
 
 
 def _sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The sum of two arrays of counts that begin at 0."""
+    """Add two arrays of counts by code that may differ in length; both begin at code 0."""
     small, large = sorted((one, other), key=len)
     found = large.copy()
     found[: small.size] += small
@@ -239,16 +243,18 @@ def _sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _counted(parts: Sequence[Any]) -> Float[np.ndarray, "2 values"]:
-    """Sorted distinct values, and how often each occurs in all parts together."""
+    """Merge several tables of values and counts: return the sorted distinct values and the total
+    count of each."""
     different, place = np.unique(np.concatenate([x[0] for x in parts]), return_inverse=True)
     counts = np.bincount(place, np.concatenate([x[1] for x in parts]), different.size)
     return np.stack([different, counts])
 
 
 def _noise(frame: np.ndarray) -> float:
-    """Return the standard deviation of a pixel about its surroundings, DN, at least 1/4. The width
-    of the histogram is unsuitable: a scene of few tones has a wide histogram that is not smooth.
-    Pixels two apart are compared, because they have the same colour in a mosaic."""
+    """Return the standard deviation of the differences between nearby pixels, DN, at least 1/4. The
+    width of the histogram would mislead: a scene of few tones has a wide histogram that is not
+    smooth. The pixels are two rows or columns apart, because these have the same colour in a
+    mosaic."""
     values = np.asarray(frame, float)
     values = values.reshape(values.shape[0], -1) if values.ndim == 1 else values
     some = max(values.size // MOST_NOISE, 1)  # every so many rows
@@ -259,8 +265,9 @@ def _noise(frame: np.ndarray) -> float:
 
 
 def _common_step(used: Float[np.ndarray, " values"]) -> tuple[float, float] | None:
-    """Return the greatest common divisor of the distances of whole numbers, and their remainder;
-    None if the numbers are so few that chance explains it."""
+    """Return the greatest common divisor of the gaps between the codes that occur, and the
+    remainder of the codes by it; None if the codes are so few that chance explains such a
+    divisor."""
     if used.size < 2:
         return None
     step = int(np.gcd.reduce(np.diff(used).astype(np.int64)))
@@ -270,9 +277,9 @@ def _common_step(used: Float[np.ndarray, " values"]) -> tuple[float, float] | No
 
 
 def _coarser_above(used: Float[np.ndarray, " values"], counts: np.ndarray) -> tuple | None:
-    """Return the number above which all codes are multiples of a larger step, and that step; None
-    if there is no such number, or if chance explains it. The largest number is excluded, because
-    any code may be clipped to it."""
+    """Return the code above which all gaps are multiples of a larger step, and that step; None if
+    there is no such code, or if chance explains it. The search is repeated without the largest
+    code, which may be a clipping limit off the grid."""
     for values in (used, used[:-1]):
         gaps = np.diff(values).astype(np.int64)
         if gaps.size < 2:
@@ -289,8 +296,8 @@ def _coarser_above(used: Float[np.ndarray, " values"], counts: np.ndarray) -> tu
 
 
 def _grid(values: Float[np.ndarray, " values"], error: float) -> tuple[float, float] | None:
-    """Step of the grid on which numbers lie within `error`, and a code of it; None if there is no
-    grid."""
+    """Return the step of an even grid on which all numbers lie within `error`, and its origin; None
+    if there is no such grid."""
     gaps = np.diff(values)
     gaps = gaps[gaps > 2 * error] if error < 0.5 else gaps
     if gaps.size < 5:
@@ -318,9 +325,10 @@ def _grid(values: Float[np.ndarray, " values"], error: float) -> tuple[float, fl
 
 
 def _missing(counts: np.ndarray) -> float:
-    """Share of codes that never occur although many pixels have the neighbouring codes.
+    """Return the share of codes that never occur although many pixels have the neighbouring codes.
 
-    If chance or narrow peaks leave codes empty, many other codes are rare too.
+    It is 0 if many other codes are rare, because chance or narrow peaks of the histogram then
+    explain the empty ones.
     """
     used = np.flatnonzero(counts)
     if used.size < 3:
@@ -343,7 +351,8 @@ def _missing(counts: np.ndarray) -> float:
 
 
 def _imbalance(counts: np.ndarray) -> float:
-    """Half the relative difference of neighbouring code widths, for a smooth histogram.
+    """Return half the relative difference between the widths of even and odd codes, from a smooth
+    histogram; 0 if it is not significant.
 
     Its error comes from the scatter of the differences between even and odd codes, pair by pair, so
     a few codes at which pixels accumulate do not count as an imbalance.
@@ -355,7 +364,8 @@ def _imbalance(counts: np.ndarray) -> float:
 
 
 def _clips_at(values: np.ndarray, counts: np.ndarray) -> float | None:
-    """The largest number, if far more pixels have it than the numbers below."""
+    """Return the largest number if far more pixels have it than any of the 16 numbers below it, as
+    clipping causes; else None."""
     below = counts[:-1][-BELOW:]
     # In darks that are a few codes wide, the largest number may be the most frequent.
     if below.size < BELOW or counts[-1] < max(PILE, STEEP * float(below.max())):

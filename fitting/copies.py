@@ -1,4 +1,5 @@
-"""Detection of copies of one exposure. Two exposures of one scene would differ by noise."""
+"""Detection of image files that are copies of one exposure. Two separate exposures of one scene
+differ by noise, so equal numbers in every pixel reveal a copy."""
 
 import hashlib
 from pathlib import Path
@@ -11,14 +12,14 @@ LEAST_BETWEEN = 0.01  # share of the pixels that must be neither black nor white
 
 
 class Copies:
-    """Images by a hash of their numbers. Images that are black or white almost everywhere are
-    ignored, because two exposures may then be equal."""
+    """Names of images, grouped by a hash of their pixels. Images that
+    are black or white almost everywhere are ignored, because two exposures may then be equal."""
 
     def __init__(self) -> None:
         self._names: dict[bytes, list[str]] = {}
 
     def add(self, name: str, image: np.ndarray) -> None:
-        """Compare an image with those added before."""
+        """Add an image, to be compared with the others."""
         between = (image > image.min()) & (image < image.max())
         if between.mean() > LEAST_BETWEEN:
             digest = hashlib.blake2b(image.tobytes()).digest()
@@ -26,11 +27,11 @@ class Copies:
 
     @property
     def found(self) -> list[list[str]]:
-        """Names of images with equal numbers."""
+        """Groups of names of images that are equal in every pixel."""
         return [names for names in self._names.values() if len(names) > 1]
 
     def refuse(self, folder: Path) -> None:
-        """Refuse images with equal numbers."""
+        """Raise InputError if any two images are equal in every pixel."""
         for first, second, *_ in self.found:
             raise InputError(
                 f"{folder / second}: is {first} in every pixel, so one is a copy of the other; "

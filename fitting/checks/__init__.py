@@ -1,5 +1,5 @@
-"""Coverage of intervals: simulated data are fitted many times, and intervals that contain the true
-value are counted."""
+"""Coverage of intervals: fit simulated data many times, and count the intervals that contain the
+true value."""
 
 from jaxvision.core.lazy_names import names_of
 

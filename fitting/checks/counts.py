@@ -1,13 +1,14 @@
-"""Efficiency of fits to tables of codes: the scatter of estimates compared with the Cramer-Rao
-bound.
+"""Efficiency of fits to histograms of codes: the variance of the estimates compared with the
+Cramer-Rao bound.
 
     python -m fitting.checks.counts
 
-Tables of two levels of light are drawn and fitted by `fit_map`, with the same gain, read noise and
-black level. If read noise hides the single electrons, these two tables do not determine black
-level, read noise and light. A third table without light is then fitted, too. The Fisher information
-of the exact distribution is a sum over codes in NumPy. It uses central differences of Poisson
-probabilities times differences of the normal distribution function.
+For each read noise, histograms of codes at two levels of light are simulated and fitted by
+`fit_map`, with one gain, read noise and black level for both. If read noise hides single electrons,
+these two histograms do not determine black level, read noise and light. A third histogram, of
+darks, is then fitted with them. The bound is the inverse of the Fisher information of the exact
+distribution of the codes, summed over the codes in NumPy. The derivatives of the codes'
+probabilities are central differences.
 """
 
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ REACH = 8.5  # half-width of the sum, in read noises
 
 @dataclass(frozen=True)
 class Efficiency:
-    """The ratio of the scatter of fits to the bound.
+    """The Cramer-Rao bound divided by the variance of the estimates, at one read noise.
 
     Attributes:
         read_noise: e-.
@@ -59,7 +60,8 @@ class Efficiency:
 def shares(
     values: Float[np.ndarray, " parameters"], codes: np.ndarray, *, dark: bool
 ) -> np.ndarray:
-    """(levels, codes) probability of each code by direct sums; values in the order of `NAMES`."""
+    """Return the (levels, codes) probability of each code, by a direct sum over the counts of
+    electrons. The parameters `values` are in the order of `NAMES`."""
     gain, read_noise, black, *electrons = values
     electrons = [*[0.0] * dark, *electrons]
     n = np.arange(200)
@@ -71,7 +73,7 @@ def shares(
 def information(
     values: Float[np.ndarray, " parameters"], codes: np.ndarray, numbers: int, *, dark: bool
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """The Fisher information of tables with so many counts."""
+    """Return the Fisher information of histograms with `numbers` counts each."""
     slopes = []
     for i, value in enumerate(values):
         step = np.where(np.arange(len(values)) == i, DIFFERENCE * value, 0)
@@ -83,7 +85,8 @@ def information(
 
 @double_precision
 def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficiency:
-    """Draw tables, fit them, and compare the scatter of the estimates with the bound."""
+    """Simulate histograms of codes, fit them, and compare the variance of the estimates with the
+    Cramer-Rao bound."""
     gain, dark = GAINS[read_noise], read_noise > HIDING
     truth = np.array([gain, read_noise, BLACK, *ELECTRONS])
     beyond = REACH * gain * read_noise

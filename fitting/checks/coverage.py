@@ -1,12 +1,12 @@
-"""Coverage of intervals, from the position of the truth in each posterior.
+"""Coverage of intervals, from the cumulative probability of the true value in each posterior.
 
-For one fit, u is the cumulative probability of the true value in its posterior. Over many
-simulations u is uniform if posteriors are right. An interval of probability q contains the true
-value if |u - 1/2| < q / 2; z = Phi^-1(u) is standard normal. The ranks of simulation-based
-calibration (Talts et al. 2018) are a discretised u. One band serves for all ranks: the largest
-distance of their cumulative distribution from the diagonal (Kolmogorov's test). The mean square of
-z has a chi-square distribution over the number of fits. It detects errors of the wrong size with
-the fewest fits.
+For one fit, u is the cumulative probability of the true value in its posterior. If the posteriors
+are right, u is uniform between 0 and 1 over many simulations. An interval of probability q contains
+the true value if |u - 1/2| < q / 2; z = Phi^-1(u) is standard normal. The ranks in simulation-based
+calibration (Talts et al. 2018) are u in whole steps. Kolmogorov's test limits the largest distance
+of the cumulative distribution of u from the diagonal. If the posteriors are right, the sum of z^2
+over the fits has a chi-square distribution. This test needs the fewest fits to detect standard
+errors that are too small or too large.
 """
 
 import warnings
@@ -62,7 +62,8 @@ class Coverage:
 def coverage(
     places: Float[np.ndarray, "simulations parameters"], names: tuple[str, ...]
 ) -> tuple[Coverage, ...]:
-    """Test the positions of the truth in the posteriors of many fits.
+    """Test whether the intervals of many fits have the right coverage, from the cumulative
+    probability `places` of each true value in its posterior.
 
     Example:
         >>> from fitting.checks.coverage import coverage

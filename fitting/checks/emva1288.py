@@ -1,4 +1,4 @@
-"""Small simulated cameras, and the position of the truth in the intervals of EMVA 1288, release
+"""Simulated cameras of 48 x 64 pixels for the coverage of the intervals of EMVA 1288, release
 4.0."""
 
 from dataclasses import dataclass
@@ -27,7 +27,8 @@ NAMES = (
 
 @dataclass(frozen=True)
 class Camera:
-    """A simulated camera, with standard deviations of rows, columns and pixels.
+    """A simulated camera: the standard deviations of the offsets and gains of its rows, columns and
+    pixels.
 
     Attributes:
         offsets: electrons.
@@ -50,7 +51,8 @@ CASES = {
 
 
 def places(camera: Camera, seed: int) -> np.ndarray:
-    """The position of the truth in one sheet."""
+    """Simulate and evaluate one camera; return the cumulative probability of each true figure under
+    the sheet's estimate."""
     rng = np.random.default_rng(seed)
     dark, response = (
         _pattern(sizes, camera.degrees, rng) for sizes in (camera.offsets, camera.gains)
@@ -107,7 +109,8 @@ def _pattern(
 
 
 def _saturation(dark: np.ndarray, response: np.ndarray) -> float:
-    """Return the light at which .15 % of the values of these pixels are at full scale."""
+    """Return the light, photons per pixel, at which .15 % of the pixels' values are at full
+    scale."""
 
     def excess(light: float) -> float:
         electrons = EFFICIENCY * light * response

@@ -1,5 +1,5 @@
-"""Simulated photographs of a glossy sphere by an uncalibrated camera (NumPy), and the position of
-the truth in joint fits of surface, encoding and sensor."""
+"""Photographs of a glossy sphere by an uncalibrated camera, simulated in NumPy, for the coverage of
+joint fits of surface, encoding and sensor."""
 
 from dataclasses import dataclass, field
 
@@ -49,7 +49,7 @@ CASES = {
 
 
 def photographed(lab: Lab, seed: int) -> Photographs:
-    """Return photographs in the form that a fit takes."""
+    """Simulate the photographs of one seed, as the input of a joint fit."""
     rng = np.random.default_rng(seed)
     sphere, full = lab.sphere, 2.0**BITS - 1 - BLACK
     linear = np.maximum(GAIN * electrons(sphere, rng), 0)
@@ -64,7 +64,8 @@ def photographed(lab: Lab, seed: int) -> Photographs:
 
 
 def places(lab: Lab, seed: int) -> np.ndarray:
-    """The position of the truth in one fit."""
+    """Simulate and fit once; return the cumulative probability of each true value in its
+    posterior."""
     found = calibrate(photographed(lab, seed), fit_gamma=lab.gamma != 1, seed=seed)
     if not found.posteriors:
         raise InputError("the data leave a parameter open.")

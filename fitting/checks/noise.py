@@ -1,5 +1,5 @@
-"""Flats and darks of a simulated camera, pixel by pixel in NumPy, and the position of the truth in
-its fits."""
+"""Flats and darks of a camera, simulated pixel by pixel in NumPy, for the coverage of fits to
+photon transfer."""
 
 from dataclasses import dataclass
 
@@ -50,7 +50,7 @@ class Camera:
 
     @property
     def truth(self) -> dict[str, float]:
-        """The true read noise, including row noise."""
+        """True values of the fitted parameters by name. The read noise includes the row noise."""
         read = float(np.hypot(self.read_noise, self.row_noise))
         values = (self.gain, self.gain * EFFICIENCY, self.black, read, DARK_CURRENT)
         return dict(zip(NAMES, values, strict=True))
@@ -75,7 +75,8 @@ CASES = {
 
 
 def places(camera: Camera, seed: int) -> np.ndarray:
-    """The position of the truth in one fit."""
+    """Simulate and fit once; return the cumulative probability of each true value in its
+    posterior."""
     posterior = calibrate(measured(camera, seed)).posterior
     found = places_in(posterior, camera.truth)
     if len(found) < len(NAMES):
@@ -84,8 +85,8 @@ def places(camera: Camera, seed: int) -> np.ndarray:
 
 
 def measured(camera: Camera, seed: int) -> PhotonTransfer:
-    """Statistics of the flats and darks of one camera: Poisson electrons; noise of pixels, rows,
-    columns and frames; rounding and clipping."""
+    """Simulate the flats and darks of one camera and return their statistics. The frames have
+    Poisson electrons, noise of pixels, rows, columns and frames, rounding and clipping."""
     rng = np.random.default_rng(seed)
     photons = np.linspace(0.01, 1, camera.levels) * camera.brightest
     exposures = np.linspace(0.001, 0.02, camera.levels)

@@ -22,7 +22,7 @@ from .simulations import simulated
 
 @dataclass(frozen=True)
 class Check:
-    """Coverage of the intervals of a fit. Print it.
+    """Coverage of the intervals of a fit, parameter by parameter. Print it.
 
     Attributes:
         coverage: of every free number.
@@ -44,7 +44,8 @@ class Check:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Findings on results outside their bands; empty if the coverage is right."""
+        """One sentence for each parameter whose coverage differs from the nominal one by more than
+        chance explains; empty if there is none."""
         return tuple(f"{one.name}: {'; '.join(one.faults)}." for one in self.coverage if one.faults)
 
     def __str__(self) -> str:
@@ -59,7 +60,6 @@ class Check:
         return (f"{none} of {total} fits gave no interval and are not counted.",) if none else ()
 
     def _repr_html_(self) -> str:
-        """The table that a notebook shows."""
         levels = [f"{100 * level:.0f} %" for level in LEVELS]
         rows = [
             (
@@ -88,8 +88,8 @@ def check(
     values.
 
     Every simulation draws the parameters from their priors and the data from the likelihood, so
-    that correct posteriors have the nominal coverage (Talts et al. 2018). The fits start at the
-    truth, because the search is not tested.
+    that correct posteriors have the nominal coverage (Talts et al. 2018). Each fit starts at the
+    true values, because the search for the optimum is not tested.
 
     Args:
         problem: its data are replaced by simulated data.
@@ -156,7 +156,7 @@ def check(
 
 
 def _prior_quantiles(space: tuple[Parameter, ...]) -> list[np.ndarray]:
-    """Equally likely values of each parameter under its prior."""
+    """Return values of each parameter that are equally likely under its prior."""
     known = [prior_values(parameter) for parameter in space]
     labels = zip(names(space), known, strict=True)
     if unknown := [label for label, values in labels if values is None]:
@@ -168,7 +168,7 @@ def _prior_quantiles(space: tuple[Parameter, ...]) -> list[np.ndarray]:
 
 
 def _given(problem: Problem, truth: dict[str, Any]) -> list[np.ndarray]:
-    """The single true value of each number that the caller gives."""
+    """Return the true values that the caller gives, one array of length 1 for each number."""
     if absent := [p.name for p in problem.free if p.name not in truth]:
         raise InputError(f"check: truth names no {', '.join(absent)}; give a value of each.")
     if unknown := set(truth) - {p.name for p in problem.free}:

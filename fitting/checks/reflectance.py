@@ -1,5 +1,5 @@
-"""Photographs of a glossy sphere, simulated in NumPy as means over pixels, and the position of the
-truth in their fits."""
+"""Photographs of a glossy sphere, simulated in NumPy as means over pixels, for the coverage of BRDF
+fits."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -27,7 +27,7 @@ WIDEST = 60.0  # largest angle between lights and view, degrees
 
 @dataclass(frozen=True)
 class Sphere:
-    """A simulated sphere with Phong's shading as the truth.
+    """A simulated sphere that follows Phong's shading model exactly.
 
     Attributes:
         lights: number of lights.
@@ -58,11 +58,12 @@ class Sphere:
 
     @cached_property
     def signal(self) -> np.ndarray:
-        """(lights, h, w) DN above black, under lights without errors."""
+        """(lights, h, w) noise-free DN above black, under lights without errors."""
         return self.shaded(directions(self.lights))
 
     def shaded(self, wi: np.ndarray) -> np.ndarray:
-        """(lights, h, w) DN above black, means over the pixels, for lights in these directions."""
+        """Return (lights, h, w) noise-free DN above black, averaged over the area of each pixel,
+        for lights in the directions `wi`."""
         across = (np.arange(SIZE)[:, None] + PARTS / 2).ravel() - (SIZE - 1) / 2
         x, y = np.meshgrid(across / RADIUS, -across / RADIUS)
         z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
@@ -75,7 +76,8 @@ class Sphere:
         return WHITE / 4 * np.einsum("lhiwj,i,j->lhw", parts, WEIGHTS, WEIGHTS)
 
     def read(self, images: np.ndarray, camera: Camera, **errors: Any) -> Photographs:
-        """Photographs in the form that a fit takes, with the stated errors."""
+        """Return the images as the input of a fit, with the stated `errors` of lights and
+        camera."""
         observation = from_photographs(
             list(images),
             directions(self.lights),
@@ -88,7 +90,8 @@ class Sphere:
 
     @cached_property
     def observed(self) -> tuple[Photographs, Selection, Grouping]:
-        """Photographs of the first seed with their samples and cells, for their geometry only."""
+        """Photographs of seed 0, their selected samples and their cells. Every simulated fit uses
+        their geometry, with new images."""
         camera = Camera(
             bits=BITS,
             black_level=self.black,
@@ -146,7 +149,8 @@ CASES = {
 
 
 def electrons(sphere: Sphere, rng: np.random.Generator) -> np.ndarray:
-    """Simulate Poisson electrons and read noise, with errors of lights and pixels."""
+    """Simulate the electrons of each pixel: Poisson counts and read noise, with errors of the
+    lights and of the pixels' gains."""
     lights = 1 + sphere.light_sd * rng.standard_normal((sphere.lights, 1, 1))
     pixels = 1 + sphere.prnu * rng.standard_normal((SIZE, SIZE))
     signal = sphere.signal
@@ -163,7 +167,7 @@ def electrons(sphere: Sphere, rng: np.random.Generator) -> np.ndarray:
 
 
 def photographs(sphere: Sphere, seed: int) -> np.ndarray:
-    """Poisson electrons, read noise, rounding and clipping."""
+    """Simulate photographs in DN, with Poisson electrons, read noise, rounding and clipping."""
     rng = np.random.default_rng(seed)
     noisy = electrons(sphere, rng)
     black = sphere.black + sphere.black_sd * rng.standard_normal()
@@ -171,7 +175,8 @@ def photographs(sphere: Sphere, seed: int) -> np.ndarray:
 
 
 def places(sphere: Sphere, seed: int) -> np.ndarray:
-    """The position of the true values in the posterior of one fit."""
+    """Simulate and fit once; return the cumulative probability of each true value in its
+    posterior."""
     observation, chosen, cells = sphere.observed
     dn = photographs(sphere, seed)[None][:, :, observation.rows, observation.columns]
     view = View(replace(observation, dn=dn), 0, chosen)
@@ -184,7 +189,8 @@ def places(sphere: Sphere, seed: int) -> np.ndarray:
 
 
 def directions(lights: int) -> np.ndarray:
-    """Unit vectors about the view, deterministic for each count."""
+    """Return unit vectors towards the lights, within 60 degrees of the view. They depend on the
+    number of lights alone."""
     rng = np.random.default_rng(0)
     z = rng.uniform(np.cos(np.radians(WIDEST)), 1, lights)
     azimuth = rng.uniform(0, 2 * np.pi, lights)

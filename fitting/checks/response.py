@@ -1,5 +1,5 @@
-"""Exposure stacks of simulated scenes, from a tripod or hand-held, and the position of the truth in
-their fits."""
+"""Simulated exposure stacks, from a tripod or hand-held, for the coverage of fits of response
+curves."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -78,7 +78,8 @@ CASES = {
 
 
 def places(stack: Stack, seed: int) -> np.ndarray:
-    """The position of the truth in one fit."""
+    """Simulate and fit once; return the cumulative probability of each true value in its
+    posterior."""
     images = photographs(stack, seed)
     camera = Camera(
         bits=8, black_level=stack.black, black_sd=stack.black_sd or None, saturation=255.0
@@ -123,8 +124,8 @@ def _moved(
 
 
 def _scene(rng: np.random.Generator) -> np.ndarray:
-    """Light over three decades, blurred by a lens: texture with a 1 / f spectrum, and
-    rectangles."""
+    """Return the light of a random scene over three decades: texture with a 1 / f spectrum and
+    rectangles, blurred by a lens."""
     h, w = np.array(SHAPE) + 2 * RIM
     frequency = np.hypot(np.fft.fftfreq(h)[:, None], np.fft.fftfreq(w))
     frequency[0, 0] = 1
@@ -139,7 +140,7 @@ def _scene(rng: np.random.Generator) -> np.ndarray:
 
 
 def _black(stack: Stack, seed: int) -> float:
-    """The camera's black level, DN."""
+    """Draw the camera's true black level, DN."""
     return stack.black + stack.black_sd * np.random.default_rng([seed, 1]).standard_normal()
 
 
@@ -154,7 +155,8 @@ def _code_probability(curve: ResponseCurve, stack: Stack, code: int, black: floa
 
 
 def _interval_deviate(estimate: Estimate, truth: float) -> float:
-    """Return the position of the truth relative to the reported intervals, as a normal deviate."""
+    """Return the cumulative probability of the truth, interpolated between the ends of the reported
+    68 % and 95 % intervals on the scale of normal deviates."""
     assert estimate.interval_68 is not None
     assert estimate.interval_95 is not None
     low68, high68 = estimate.interval_68

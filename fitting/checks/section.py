@@ -8,7 +8,7 @@ from .coverage import LEVELS, Coverage
 
 
 def line(one: Coverage) -> str:
-    """Coverage of one parameter in one line of text."""
+    """Describe the coverage of one parameter in one line of text."""
     shares = ", ".join(
         f"{format_percent(q)}: {share:.3f}" for q, share in zip(LEVELS, one.covered, strict=True)
     )
@@ -19,7 +19,7 @@ def line(one: Coverage) -> str:
 
 
 def section(kind: str, cases: Mapping[str, tuple[Coverage, ...]], simulations: int) -> Section:
-    """Coverage of every case of a kind."""
+    """Return the report on the coverage in all simulated cases of one kind of fit."""
     faults = tuple(
         f"{case}, {one.name}: {'; '.join(one.faults)}."
         for case, parameters in cases.items()

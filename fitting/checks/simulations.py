@@ -1,4 +1,4 @@
-"""Many simulated fits, each stored when it is finished, so that an interrupted check continues."""
+"""Many simulated fits, stored 20 at a time, so that an interrupted check can be continued."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -29,8 +29,8 @@ def simulated(
     kept: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Float[np.ndarray, "simulations parameters"]:
-    """The positions of the truth in the posteriors of many fits, on the workers of
-    `jaxvision.cluster` if there are any."""
+    """Return the cumulative probabilities of the true values in the posteriors of many simulated
+    fits. The fits run on the workers of `jaxvision.cluster` if there are any."""
     rows = np.empty((0, parameters))
     with threadpool_limits(1, user_api="blas"):  # systems are too small for threads
         if kept is not None and (found := _kept(kept)) is not None:
@@ -89,8 +89,9 @@ def _places(shared: tuple[Simulate, int], seed: int) -> Float[np.ndarray, " para
 
 
 def places_in(posterior: Posterior, truth: Mapping[str, float]) -> dict[str, float]:
-    """Cumulative probability of the truth in each parameter's posterior, consistent with the
-    printed intervals: from the draws, or from Laplace's Gaussian or Student's t."""
+    """Return the cumulative probability of the true value in each parameter's posterior. It comes
+    from the same distribution as the printed intervals: the draws, or Laplace's Gaussian or
+    Student's t."""
     labels = names(posterior.space)
     known = [(i, name) for i, name in enumerate(labels) if name in truth]
     if posterior.sampled:
