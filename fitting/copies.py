@@ -12,8 +12,8 @@ LEAST_BETWEEN = 0.01  # share of the pixels that must be neither black nor white
 
 
 class Copies:
-    """Names of images, grouped by a hash of their pixels. Images that
-    are black or white almost everywhere are ignored, because two exposures may then be equal."""
+    """Names of images, grouped by a hash of their pixels. Images that are black or white almost
+    everywhere are ignored, because two exposures of such images may be equal."""
 
     def __init__(self) -> None:
         self._names: dict[bytes, list[str]] = {}

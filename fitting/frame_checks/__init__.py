@@ -1,1 +1,1 @@
-"""Comparison of frames that should agree, before any fit."""
+"""Checks before any fit that find frames which deviate from others of the same light."""

@@ -1,4 +1,5 @@
-"""Levels of light compared with each other: their light, its distribution and their noise."""
+"""Comparison of the light levels of a series with each other: their signal, their distribution of
+light over the frame, and their noise."""
 
 from collections.abc import Sequence
 
@@ -23,7 +24,7 @@ CLIPPED = 1e-3  # share of the pixels at the top code
 
 
 def _lit(levels: ComparedLevels) -> list[int]:
-    """The remaining levels, ordered by light."""
+    """Return the indices of the levels with light and with frames left, ordered by light."""
     there = [i for i, frames in enumerate(levels.frames) if frames and levels.light[i] > 0]
     return sorted(there, key=lambda i: levels.light[i])
 
@@ -35,8 +36,9 @@ def _signals(levels: ComparedLevels, there: list[int]) -> np.ndarray:
 
 
 def light_of_levels(levels: ComparedLevels) -> None:
-    """Remove levels without light, and levels whose light deviates from both neighbours in the same
-    direction, which no smooth response explains."""
+    """Remove levels that show no light although some is stated. Also remove levels whose signal per
+    light is higher, or lower, than at both neighbouring levels, which no smooth response
+    explains."""
     assert levels.black is not None
     there = _lit(levels)
     if len(there) < FEWEST_LEVELS:
@@ -88,16 +90,16 @@ def light_of_levels(levels: ComparedLevels) -> None:
 
 
 def _step(frames: Sequence[FrameSample]) -> int:
-    """Return the greatest common divisor of the numbers in some frames; 1 if they are not whole
-    numbers."""
+    """Return the greatest common divisor of the pixel values in some frames; 1 if the values are
+    not whole."""
     values = np.concatenate([frame.sample.ravel() for frame in frames])
     whole = np.isfinite(values).all() and (values == np.floor(values)).all()
     return max(int(np.gcd.reduce(values.astype(np.int64))), 1) if whole else 1
 
 
 def _stated_wrongly(levels: ComparedLevels) -> None:
-    """Remove levels whose light deviates from a smooth curve through all others. A nonlinear
-    response or a light leak does not affect one level alone."""
+    """Remove levels whose signal per light deviates from a smooth curve through all other levels. A
+    nonlinear response or a light leak would affect several levels."""
     assert levels.black is not None
     while True:
         there = _unsaturated(levels)
@@ -124,8 +126,8 @@ def _stated_wrongly(levels: ComparedLevels) -> None:
 
 
 def _unsaturated(levels: ComparedLevels) -> list[int]:
-    """Return the levels with light, in order of light, without saturated levels and without the
-    last level before them, some of whose pixels may be saturated."""
+    """Return the indices of the unsaturated levels with light, ordered by light. The brightest of
+    them is omitted if saturated levels follow, because some of its pixels may be saturated."""
     there = _lit(levels)
     if len(there) < FEWEST_LEVELS:
         return there
@@ -139,8 +141,9 @@ def _unsaturated(levels: ComparedLevels) -> list[int]:
 
 
 def _response(light: np.ndarray) -> Float[np.ndarray, "levels terms"]:
-    """Basis functions for signal over light: constant, curvature, and a light leak, a late shutter
-    or another black level; for few levels, without the second curvature term."""
+    """Return basis functions for the signal per light as a function of light. They are a constant,
+    a linear term (curvature of the response), an inverse term (a light leak, a late shutter or a
+    wrong black level) and, with enough levels, a quadratic term."""
     x = light / light.max()
     terms = [np.ones_like(x), x, light.min() / light]
     return np.stack(terms if len(x) < 2 * len(terms) + 2 else [*terms, x**2], axis=1)
@@ -152,9 +155,10 @@ def _deleted_residuals(
     scatter: np.ndarray,
     least: np.ndarray,
 ) -> tuple[Float[np.ndarray, "levels ..."], Float[np.ndarray, " levels"], int]:
-    """The deviation of each value from a fit to all others, its standard deviation from their
-    scatter about that fit, and its degrees of freedom. For a single value the ratio is Student's
-    t."""
+    """Return the deviation of each level from a weighted fit to all other levels, the standard
+    deviation of that deviation, and its degrees of freedom. The standard deviation comes from the
+    scatter of the other levels about the fit and is at least that of `least`. If each level has one
+    value, the ratio of the two has Student's t distribution."""
     q, _ = np.linalg.qr(design / scatter[:, None])
     weighted = (values.T / scatter).T.reshape(len(values), -1)
     rest = weighted - q @ (q.T @ weighted)
@@ -167,9 +171,10 @@ def _deleted_residuals(
 
 
 def distribution_of_levels(levels: ComparedLevels) -> None:
-    """Remove levels with a spatial light distribution unlike all others, as from a shadow. The
-    share of a pixel block in the frame's signal is constant, except for a smooth change toward
-    black (if the black level is uneven) and toward saturation (if the response is nonlinear)."""
+    """Remove levels whose light is distributed over the frame unlike at all other levels, as by a
+    shadow. Each block of pixels has the same share of the frame's signal at all levels, but for a
+    smooth change toward black (if the black level is uneven) and toward saturation (if the response
+    is nonlinear)."""
     assert levels.black is not None
     while True:
         there = _unsaturated(levels)
@@ -210,8 +215,8 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
 
 
 def noise_of_levels(levels: ComparedLevels) -> None:
-    """Remove levels whose variance at their signal deviates from both neighbours in the same
-    direction."""
+    """Remove levels whose variance per signal is higher, or lower, than at both neighbouring
+    levels."""
     there = _lit(levels)
     if len(there) < FEWEST_LEVELS:
         return
@@ -238,9 +243,9 @@ def _beside(values: np.ndarray, place: int) -> float:
 
 
 def _peaks(values: np.ndarray, size: float, chance: np.ndarray) -> list[int]:
-    """Return the positions that deviate significantly from both neighbours, and by more than
-    `size`, largest deviation first. A position next to a larger deviation is tested without that
-    neighbour."""
+    """Return the positions of values that are above both neighbours, or below both, significantly
+    and by more than `size`; the largest deviation comes first. Each value found is left out before
+    its neighbours are tested."""
     left, found = list(range(len(values))), []
     while len(left) > 2:
         own, around = np.array(left[1:-1]), (np.array(left[:-2]), np.array(left[2:]))
@@ -256,7 +261,8 @@ def _peaks(values: np.ndarray, size: float, chance: np.ndarray) -> list[int]:
 
 
 def _exchanged(signal: np.ndarray, light: np.ndarray, place: int) -> int | None:
-    """The level that was swapped with this one; None if there is none."""
+    """Return the index of the level whose frames were probably swapped with those of this one; None
+    if there is none."""
     rates = signal / light
     usual = float(np.median(rates))
     for other in range(len(light)):

@@ -1,4 +1,4 @@
-"""Levels of light with several frames each, from which deviating frames are removed."""
+"""Light levels with several frames each, from which the checks remove deviating frames."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -20,24 +20,25 @@ MEDIAN = 0.6745  # median of |z| for a standard normal z
 
 
 def usual_size(deviates: Sequence[float] | np.ndarray) -> float:
-    """Robust standard deviation of normal deviates with mean 0, from their median. Fewer than half
-    may be outliers.
+    """Return the standard deviation of normal deviates with mean 0, from the median of their
+    absolute values. It is robust as long as fewer than half are outliers.
     """
     return float(np.median(np.abs(deviates))) / MEDIAN if len(deviates) else 0.0
 
 
 def beyond_chance(count: int) -> float:
-    """The multiple of `usual_size` that the largest of so many independent deviates exceeds once in
-    1,000.
+    """Return the limit, in multiples of `usual_size`, that the largest of `count` independent
+    normal deviates exceeds with a probability of 1 in 1,000.
 
-    For few deviates the median is imprecise. Simulated quantiles for 4 to 100 deviates (400,000
-    draws and more) are 5 + 36 / n, or up to a tenth smaller.
+    The limit is higher for few deviates, because their median is imprecise. Simulated quantiles for
+    n = 4 to 100 deviates (at least 400,000 draws) are between 90 and 100 % of 5 + 36 / n.
     """
     return 5 + 36 / max(count, 1)
 
 
 class ComparedLevels:
-    """Levels from which deviating frames are removed."""
+    """The light levels of a series with their frames, from which the checks remove deviating
+    frames."""
 
     def __init__(
         self, frames: list[list[FrameSample]], light: np.ndarray, black: np.ndarray | None
@@ -51,7 +52,7 @@ class ComparedLevels:
         self.noise = _noise_of_levels(frames, light, np.array(own))
 
     def pixel_noise(self, level: int, *, lines: bool = True) -> float:
-        """DN rms of a pixel's difference between two frames, from the pair that differs least
+        """Return the temporal noise of a pixel, DN rms, from the pair of frames that differs least
         without being copies.
 
         `lines`: whether to include noise that whole rows and columns share."""
@@ -68,27 +69,29 @@ class ComparedLevels:
         return self._pixel_noise[known]
 
     def chance(self, level: int) -> float:
-        """Return the difference, in DN rms, of the means of two frames from pixel noise. The true
-        value is smaller, because a mean covers more pixels than the sample."""
+        """Return the rms difference, in DN, that pixel noise causes between the means of two
+        frames. This is an upper limit, because a frame's mean covers more pixels than its
+        sample."""
         sizes = [frame.sample.size for frame in self.frames[level]]
         return float(self.noise[level]) * float(np.sqrt(2 / max(sizes, default=1)))
 
     def scale(self, level: int) -> float:
-        """The scale, in DN, of deviations: the signal for flats, the noise for darks."""
+        """Return the unit of relative deviations at a level, DN: the signal for flats, the noise
+        for darks."""
         if self.black is None:
             return float(max(self.noise[level], 0.1))
         middle = np.median([frame.mean for frame in self.frames[level]])
         return float(max(abs(middle - self.black[level]), 1e-9))
 
     def floor(self, level: int) -> float:
-        """The smallest deviation that matters, DN."""
+        """Return the smallest deviation of a frame's mean that matters at a level, DN."""
         if self.black is None:
             return 2 * HALF * self.scale(level)
         return max(UNEVEN * self.scale(level), HALF * self.noise[level])
 
     def blocks(self, level: int, frame: FrameSample) -> Float[np.ndarray, "rows columns"]:
-        """Means of blocks minus the frame's mean, divided by the signal for flats and by the noise
-        for darks."""
+        """Return the means of a frame's blocks minus the frame's mean, divided by the signal for
+        flats and by the noise for darks."""
         sample = frame.sample.astype(float)
         edges = [np.linspace(0, n, min(BLOCKS, n) + 1)[:-1].astype(int) for n in sample.shape]
         sums = np.add.reduceat(np.add.reduceat(sample, edges[0], 0), edges[1], 1)
@@ -100,11 +103,12 @@ class ComparedLevels:
         return (means - means.mean()) / max(signal, self.noise[level], 1e-9)
 
     def others(self, level: int) -> list[int]:
-        """Levels to compare with this one."""
+        """Return the indices of the other levels that have at least two frames."""
         return [i for i, frames in enumerate(self.frames) if i != level and len(frames) > 1]
 
     def expected(self, level: int) -> float | None:
-        """Mean of this level predicted from the others, DN; None if they do not determine it."""
+        """Return the mean of this level, DN, as interpolated from the other levels; None if there
+        are fewer than two others."""
         others = [i for i in self.others(level) if self.black is None or self.light[i] > 0]
         if len(others) < 2:
             return None
@@ -118,7 +122,7 @@ class ComparedLevels:
         return float(self.black[level] + rate * self.light[level])
 
     def remove(self, level: int, places: Sequence[int], reason: str) -> None:
-        """Remove frames from a level."""
+        """Remove the frames at these places of a level, and record the reason."""
         names = tuple(self.frames[level][i].name for i in places)
         self.odd.append(OddFrames(names, reason))
         self.frames[level] = [
@@ -126,7 +130,8 @@ class ComparedLevels:
         ]
 
     def without_single_frames(self) -> None:
-        """Remove levels with one remaining frame, which give no variance."""
+        """Remove levels with only one frame left, because a single frame gives no temporal
+        variance."""
         for level, frames in enumerate(self.frames):
             if len(frames) == 1:
                 self.remove(level, [0], ALONE)
@@ -135,8 +140,8 @@ class ComparedLevels:
 def _noise_of_levels(
     frames: Sequence[Sequence[FrameSample]], light: np.ndarray, own: Float[np.ndarray, " levels"]
 ) -> Float[np.ndarray, " levels"]:
-    """Return the noise of a pixel between frames, DN rms. If there are only two frames and they
-    disagree, the noise of other levels limits it."""
+    """Return the temporal noise of a pixel at each level, DN rms. At a level of two frames it is
+    limited to twice the noise at other levels, because one of the two may deviate."""
     found, order = own.copy(), np.argsort(light, kind="stable")
     for i, place in enumerate(order):
         rest = np.delete(order, i)
@@ -147,7 +152,7 @@ def _noise_of_levels(
 
 
 def trimmed_variance(residuals: np.ndarray) -> float:
-    """Variance about the mean without the largest squares."""
+    """Return the mean square deviation from the median, without the largest 2 % of the squares."""
     squares = (residuals - np.median(residuals)).ravel().astype(float) ** 2
     if squares.size >= FEWEST_TRIMMED:
         count = int(TRIMMED * squares.size)
@@ -156,15 +161,14 @@ def trimmed_variance(residuals: np.ndarray) -> float:
 
 
 def without_lines(field: np.ndarray) -> np.ndarray:
-    """Samples without the parts that whole rows or columns share, such as flicker bands under a
-    rolling shutter."""
+    """Subtract the means of rows and of columns, such as flicker bands under a rolling shutter."""
     of_columns, of_rows = field.mean(axis=0), field.mean(axis=1, keepdims=True)
     return field - of_columns - of_rows + field.mean()
 
 
 def scaled_to_one_mean(frames: Sequence[FrameSample], black: float | None) -> list[np.ndarray]:
-    """Samples of frames normalised to the middle frame's mean: flats of a flickering lamp are
-    scaled above black, all others shifted."""
+    """Return the samples of frames, adjusted to one common mean. Flats are scaled above black,
+    because their lamp may flicker; darks and very unequal flats are shifted."""
     means = np.array([frame.mean for frame in frames])
     middle = float(np.median(means))
     if black is None or np.any(means - black <= MOST * (middle - black)):

@@ -1,4 +1,4 @@
-"""Detection of exposure times that a camera rounded for display: 1/60 for 1/64, 1/125 for 1/128.
+"""Detection of exposure times that a camera rounded for display, such as 1/60 s for 1/64 s.
 
 Shutters use whole, half or third stops, 2^(k / 3) s, so displayed times have errors of up to 7 %.
 """
@@ -16,7 +16,8 @@ LESS = 1 / 3  # largest share of the scatter that may remain with exact times
 
 
 def exact_times(times: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " n"]]:
-    """Exact times in whole, half or third stops that match these displayed times."""
+    """Yield the exact times in whole, half and third stops that may have been rounded to these
+    displayed times."""
     for parts in STOPS:
         exact = 2.0 ** (np.round(parts * np.log2(times)) / parts)
         off = np.abs(exact / times - 1).max()
@@ -25,13 +26,13 @@ def exact_times(times: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " 
 
 
 def worst_in_words(times: Float[np.ndarray, " n"], exact: Float[np.ndarray, " n"]) -> str:
-    """Return the exact and the printed time with the largest difference."""
+    """Name the exact and the displayed time that differ most, for a sentence."""
     worst = int(np.argmax(np.abs(exact / times - 1)))
     return f"{_fraction(exact[worst])} s for {_fraction(times[worst])} s"
 
 
 def _fraction(seconds: float) -> str:
-    """Return a time as on a camera dial."""
+    """Write a time as on a camera dial: 1/60, or 2."""
     if seconds >= 0.5:
         return f"{seconds:.4g}"
     return str(Fraction(1, round(1 / seconds)))

@@ -1,4 +1,4 @@
-"""Checks of images of one still scene at several exposures against their stated exposures."""
+"""Checks whether images of one still scene agree with their stated exposures."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -23,8 +23,8 @@ UNLIKE, LIKE = 0.6, 0.9  # rank correlation: at most for another scene, at least
 def odd_exposures(
     where: str | Path, frames: Sequence[FrameSample], times: ArrayLike, *, full_scale: float
 ) -> list[OddFrames]:
-    """Return the images that show another scene than the rest, or that have less light than a
-    shorter exposure."""
+    """Return the images to leave out: copies, images of another scene, and images that are darker
+    than a shorter exposure."""
     gone = {name for one in blank_images(frames) for name in one.names}
     left = [i for i, frame in enumerate(frames) if frame.name not in gone]
     odd, seconds = [], np.asarray(times, float)
@@ -37,7 +37,7 @@ def odd_exposures(
 
 
 def blank_images(frames: Sequence[FrameSample]) -> list[OddFrames]:
-    """Images that are saturated or have a single code throughout."""
+    """Return the images that are saturated everywhere, or have the same code everywhere."""
     return [
         OddFrames((frame.name,), f"every pixel is {state}, so it does not show the scene")
         for frame in frames
@@ -49,8 +49,8 @@ def blank_images(frames: Sequence[FrameSample]) -> list[OddFrames]:
 def refuse_toned(
     where: str | Path, frames: Sequence[FrameSample], times: ArrayLike, *, full_scale: float
 ) -> None:
-    """Refuse images of one brightness whatever their exposure: a camera or a converter has toned
-    each of them."""
+    """Raise InputError if all images are equally bright although their exposures differ, because a
+    camera or a raw converter then adjusted the brightness of each."""
     seconds, rises = np.asarray(times, float), []
     fixed = np.zeros(frames[0].sample.shape, bool) if frames else np.zeros(0, bool)
     if len({frame.sample.shape for frame in frames}) == 1:  # bars and overlays
@@ -75,7 +75,8 @@ def refuse_toned(
 def _clear(
     frames: Sequence[FrameSample], i: int, j: int, full_scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sampled codes of two images at pixels that are neither black nor saturated in both."""
+    """Return the codes of two images at those sampled pixels that are neither black nor saturated
+    in either."""
     one, other = frames[i].sample, frames[j].sample
     if one.shape != other.shape:
         return np.zeros(0), np.zeros(0)
@@ -88,7 +89,8 @@ def _clear(
 def _copied_exposures(
     frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
-    """Images that are equal in every pixel although their exposures differ."""
+    """Return the images that equal another image in every sampled pixel, with the reason for a
+    report."""
     copies = Copies()
     for i in left:
         copies.add(frames[i].name, frames[i].sample)
@@ -99,8 +101,8 @@ def _copied_exposures(
 def _other_scene_images(
     frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
-    """Return the images whose ranking of pixels by brightness agrees with no other image, if the
-    others agree."""
+    """Return the images whose order of pixels by brightness agrees with no other image, with the
+    reason. There are none unless most images agree with another."""
     alike = np.full((len(frames), len(frames)), np.nan)
     for i, j in combinations(left, 2):
         one, other = _clear(frames, i, j, full_scale)
@@ -123,7 +125,9 @@ def _other_scene_images(
 def _out_of_order(
     frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
-    """Images that are darker than shorter exposures, or brighter than longer ones."""
+    """Return the images that are darker than a shorter exposure or brighter than a longer one, with
+    the reason. If exchanging one pair of times removes all contradictions, these two images are
+    returned."""
     darker = _darker(frames, left, full_scale)
     wrong = _contradictions(darker, times)
     if not wrong:
@@ -147,7 +151,8 @@ def _out_of_order(
 def _darker(
     frames: Sequence[FrameSample], left: list[int], full_scale: float
 ) -> Bool[np.ndarray, "frames frames"]:
-    """Whether an image is darker than another at most pixels that are unclipped in both."""
+    """Return a matrix that is true at (i, j) where image i is darker than image j at most pixels
+    that are unclipped in both."""
     found = np.zeros((len(frames), len(frames)), bool)
     for i, j in combinations(left, 2):
         one, other = frames[i].sample, frames[j].sample
@@ -165,6 +170,7 @@ def _darker(
 def _contradictions(
     darker: Bool[np.ndarray, "frames frames"], times: np.ndarray
 ) -> list[tuple[int, int]]:
-    """Pairs of a shorter and a longer exposure in which the longer one is darker."""
+    """Return the (shorter, longer) pairs of exposures in which the longer one gives the darker
+    image."""
     longer = times[None, :] > LONGER * times[:, None]
     return [(int(i), int(j)) for i, j in np.argwhere(longer & darker.T)]

@@ -1,4 +1,4 @@
-"""Summaries of frames for comparisons, and findings on frames that deviate."""
+"""Summaries of frames, by which they are compared, and findings on frames that deviate."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,8 @@ COPIED = "{} are equal in every pixel, so at most one of them was taken as state
 
 @dataclass(frozen=True)
 class FrameSample:
-    """The summary of a frame for comparisons.
+    """The summary of a frame: means, shares of clipped pixels, and a sample of at most 128 x 128
+    pixels.
 
     Attributes:
         name: of the frame.
@@ -37,7 +38,7 @@ class FrameSample:
 
 @dataclass(frozen=True)
 class OddFrames:
-    """Frames that deviate, with the reason.
+    """Frames that are left out, with the reason.
 
     Attributes:
         names: of the frames, at least one.
@@ -51,13 +52,13 @@ class OddFrames:
 
     @property
     def sentence(self) -> str:
-        """The finding for a report."""
+        """The finding that states the frames and the reason."""
         verb = "was" if len(self.names) == 1 else "were"
         return f"{listed(self.names)} {verb} left out: {self.reason}."
 
 
 def frame_sample(name: str, frame: Float[np.ndarray, "h w"], *, top: float) -> FrameSample:
-    """Make the summary of a frame."""
+    """Summarise a frame whose pixels clip at `top` DN."""
     steps = [-(-size // SIDE) for size in frame.shape]
     sample = frame[steps[0] // 2 :: steps[0], steps[1] // 2 :: steps[1]].astype(np.float32)
     return FrameSample(
@@ -66,12 +67,14 @@ def frame_sample(name: str, frame: Float[np.ndarray, "h w"], *, top: float) -> F
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names for a sentence; only the first ones if there are many."""
+    """List names for a sentence; of more than four only the first three, with the number of the
+    others."""
     return all_listed([*names] if len(names) <= 4 else [*names[:3], f"{len(names) - 3} more"])
 
 
 def refuse_half(where: str | Path, odd: Sequence[OddFrames], count: int) -> None:
-    """Ask the user to decide if half of the frames would be dropped."""
+    """Raise InputError if at least half of the frames would be left out, because the user must then
+    decide which are right."""
     wrong = [one for one in odd if not one.spare]
     if 2 * sum(len(one.names) for one in wrong) >= count > 0:
         first = wrong[0]

@@ -1,4 +1,5 @@
-"""Comparison of the metadata of image files with the rig and with each other."""
+"""Comparison of the metadata of image files (exposure, ISO, gain, aperture, temperature) with the
+rig and with each other."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ WARMER = 5.0  # K, largest drift of a sensor during a series
 
 @dataclass(frozen=True)
 class Stated:
-    """A frame as a rig states it.
+    """A frame as the rig file states it: its name, file, exposure and group.
 
     Attributes:
         name: of the frame.
@@ -35,7 +36,8 @@ class Stated:
 
 
 def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[OddFrames], list[str]]:
-    """Frames of one gain and temperature whose metadata contradict the rig or the majority."""
+    """Return the frames of one gain and temperature whose metadata contradict the rig or the
+    majority, and remarks for the report."""
     said = {one.name: _settings(one.path) for one in frames}
     odd: dict[str, str] = {}
     groups: dict[int, list[Stated]] = {}
@@ -58,8 +60,8 @@ def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[OddFram
 
 
 def _settings(path: Path) -> ImageSettings:
-    """The metadata of a file; empty if there are none, or if the file is unreadable, which its
-    pixels will show."""
+    """Read the metadata of a file; empty if there are none, or if the file is unreadable. An
+    unreadable file is refused later, when its pixels are read."""
     try:
         return read_settings(path) if path.is_file() else ImageSettings()
     except InputError:
@@ -85,7 +87,8 @@ def _alike(one: Any, other: Any) -> bool:
 def _minority(
     where: str | Path, values: Mapping[str, Any], in_words: Callable[[Any], str]
 ) -> dict[str, str]:
-    """The reasons, by name, for frames whose metadata differ from the majority."""
+    """Return, by name, the frames whose metadata differ from the majority, with the reason. Raises
+    InputError if there is no majority."""
     if len(values) < 2:
         return {}
     votes = {name: sum(_alike(own, x) for x in values.values()) for name, own in values.items()}
@@ -109,7 +112,9 @@ def _minority(
 def _mistimed(
     frames: Sequence[Stated], said: Mapping[str, ImageSettings]
 ) -> tuple[dict[str, str], list[str]]:
-    """Frames whose exposure in the metadata differs from the rig, if most frames agree with it."""
+    """Return the frames whose exposure in the metadata differs from the rig, with the reason. There
+    are none unless most frames agree, apart from one common factor; a remark then states this
+    factor."""
     timed = [(one, said[one.name].exposure) for one in frames if one.exposure > 0]
     ratios = {one.name: time / one.exposure for one, time in timed if time}
     if not ratios:

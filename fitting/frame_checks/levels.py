@@ -1,8 +1,9 @@
 """Detection of frames that differ from the others of their light level.
 
-Frames of one level see the same light, so their means, spatial distribution and noise agree. A
-frame deviates if it differs by more than the scatter of frames at all levels, and by enough to
-matter. If two frames disagree, the neighbouring levels show which one is wrong.
+Frames of one level receive the same light, so they agree in mean, distribution of light and noise.
+A frame deviates if it differs from its level by more than the scatter of frames at all levels, and
+by enough to change results. If a level has only two frames and they disagree, the neighbouring
+levels decide which is wrong.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,8 +44,8 @@ def odd_frames(
     light: ArrayLike,
     black: Float[np.ndarray, " levels"] | None = None,
 ) -> list[OddFrames]:
-    """The frames that differ from the others of their level, and the levels that differ from their
-    neighbours."""
+    """Return the frames that differ from the others of their level, and all frames of levels that
+    differ from their neighbouring levels."""
     compared = ComparedLevels([list(level) for level in levels], np.asarray(light, float), black)
     for test in (_copies, _means, _unevenness, moved_frames, _noise):
         test(compared)
@@ -58,13 +59,13 @@ def odd_frames(
 
 
 def _scatter(distances: Sequence[float]) -> float:
-    """Standard deviation from pairwise differences, robust even if most pairs contain a deviating
-    frame."""
+    """Return the standard deviation of a frame, from the lower quartile of pairwise differences. It
+    is robust even if most pairs contain a deviating frame."""
     return PAIRS * float(np.quantile(distances, 0.25)) if len(distances) else 0.0
 
 
 def _pairs(count: int) -> list[tuple[int, int]]:
-    """All pairs if there are few frames, neighbouring pairs if there are many."""
+    """Return all pairs of fewer than 24 frames, and only successive pairs of more."""
     return list(combinations(range(count), 2) if count < 24 else pairwise(range(count)))
 
 
@@ -73,8 +74,9 @@ def _parted(
     limit: float,
     expected: Float[np.ndarray, " frames"] | None,
 ) -> Bool[np.ndarray, " frames"] | None:
-    """Return the frames that differ, by their distances from the middle of their level or, if half
-    of them are far from it, from what other levels predict; None if this cannot be determined."""
+    """Return a mask of the frames that are farther than `limit` from the median of their level. If
+    this is at least half of them, the distances `expected` from the prediction of the other levels
+    decide. None if these cannot decide either."""
     far = distances > limit
     if 2 * far.sum() < len(far) or not far.any():
         return far
@@ -101,7 +103,8 @@ def _copies(levels: ComparedLevels) -> None:
 
 
 def _copies_across(levels: ComparedLevels) -> None:
-    """Frames that occur in two levels, if it is unknown which is the copy."""
+    """Remove frames that occur at two levels, at both, because it is unknown which one is the
+    copy."""
     copies = Copies()
     for level, frames in enumerate(levels.frames):
         for frame in frames if levels.light[level] > 0 else ():
@@ -148,7 +151,7 @@ def _take(
     far: Bool[np.ndarray, " frames"] | None,
     in_words: Callable[[list[FrameSample], list[FrameSample]], str],
 ) -> None:
-    """Remove frames that differ, or the whole level if they cannot be identified."""
+    """Remove the frames of a level that differ (`far`), or all of its frames if `far` is None."""
     frames = levels.frames[level]
     if far is None:
         parted = f"{in_words(frames[:1], frames[1:])}, and it is unknown which of them is right"

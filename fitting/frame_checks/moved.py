@@ -1,8 +1,8 @@
 """Detection of flats between which the camera or an object in front of it moved.
 
-Unequal pixel gains, dust and the pattern of the light are equal in all frames of a level, and
-cancel in their differences. If a frame moved, the pattern stays in the difference. It is the same
-at all levels and grows with the signal.
+The pattern of unequal pixel gains, dust and light is equal in all frames of a level, so it cancels
+in their differences. If something moved between two frames, a pattern remains in their difference.
+This pattern is the same at all levels and grows with the signal.
 """
 
 from itertools import combinations
@@ -25,7 +25,8 @@ MOST_FRAMES = 24  # frames up to which all pairs are compared
 
 
 def moved_frames(levels: ComparedLevels) -> None:
-    """Groups of frames that differ within a level by a pattern that also occurs at other levels."""
+    """Remove frames that differ from the others of their level by a pattern that also occurs at
+    other levels."""
     if levels.black is None:
         return
     samples = {
@@ -57,16 +58,18 @@ def moved_frames(levels: ComparedLevels) -> None:
 
 
 def _difference(samples: list[np.ndarray], groups: list[list[int]]) -> np.ndarray:
-    """The normalised difference of the first two groups, without flicker bands."""
+    """Return the difference between the means of the first two groups, without flicker bands, as a
+    vector of norm 1."""
     first, second = (np.mean([samples[i] for i in group], axis=0) for group in groups[:2])
     field = without_lines((second - first).astype(float)).ravel()
     return field / max(float(np.linalg.norm(field)), 1e-300)
 
 
 def _parted(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | None:
-    """Groups of mutually consistent frames, largest first, with the variance ratio between and
-    within groups. Two different frames have an unknown ratio. The result is None for one group or
-    if the groups are unclear."""
+    """Group frames that differ by noise alone, the largest group first. Also return the ratio of
+    the variance of differences between groups to that within groups. Two frames are taken as two
+    groups, with the ratio NaN. Return None if there is only one group, or if the groups are
+    unclear."""
     if len(samples) == 2:
         return [[0], [1]], np.nan
     variances = {
@@ -96,7 +99,8 @@ def _parted(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | None:
 def _leave_out(
     levels: ComparedLevels, groups: dict[int, list[list[int]]], ratios: list[float]
 ) -> None:
-    """Keep the largest group of each level, and none if there are only two frames."""
+    """Remove all frames of each level except its largest group. Of a level of two frames remove
+    both."""
     gone: dict[bool, list[str]] = {True: [], False: []}
     example = ""
     for level in sorted(groups):
