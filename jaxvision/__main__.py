@@ -1,4 +1,5 @@
-"""The `jaxvision` command, `python -m jaxvision`. An interrupt also ends it during its imports."""
+"""The `jaxvision` command, `python -m jaxvision`. An interrupt (Ctrl-C) ends the command even while
+it is still importing."""
 
 from importlib import import_module
 

@@ -1,8 +1,9 @@
-"""Textbook words and their names in this library. The hint after an unknown name reads this table,
-and `docs/notions.md` lists it.
+"""A table of textbook terms and the names they have in this library. The hint after an unknown name
+reads this table, and `docs/notions.md` lists it.
 
-A target with a dot is a public name below `jaxvision` or `fitting`. Any other target is a public
-name of `jaxvision`, a field of a record, an argument, or a key of a file.
+A target, the name in this library, that has a dot is a public name below `jaxvision` or `fitting`.
+Any other target is a public name of `jaxvision`, a field of a record, an argument, or a key of a
+file.
 """
 
 import re
@@ -114,7 +115,7 @@ _SPELT = {"color": "colour", "gray": "grey", "center": "centre", "analog": "anal
 
 
 def folded(word: str) -> str:
-    """A word without case, underscores and hyphens, in British spelling."""
+    """Return a word in lower case and British spelling, without underscores and hyphens."""
     plain = re.sub(r"[\W_]", "", word).casefold()
     for american, british in _SPELT.items():
         plain = re.sub(rf"{american}(?!ue)", british, plain)
@@ -129,13 +130,15 @@ TARGETS = {
 
 
 def meant(word: str, known: Iterable[str]) -> tuple[str, ...]:
-    """The known names for a textbook's word; often none."""
+    """Return those names in `known` that a textbook's word stands for; often there are none."""
     names = set(known)
     return tuple(name for name in TARGETS.get(folded(word), ()) if name in names)
 
 
 def places(word: str, offered: Iterable[str]) -> str:
-    """The names among `offered` and the arguments for a textbook's word; empty for another word."""
+    """Return a phrase that lists the public names and arguments for a textbook's word, or an empty
+    string for a word that is not in the table.
+    """
     names = set(offered)
     found = [
         f"{'fitting' if name.split('.')[0] in _OF_FITTING else 'jaxvision'}.{name}"

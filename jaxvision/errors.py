@@ -20,7 +20,8 @@ LONGEST = 900  # characters of a message
 
 
 class InputError(ValueError):
-    """Input that cannot be used. The message is one sentence: what, where, and what to do.
+    """The exception for input that cannot be used. The message is one sentence: what, where, and
+    what to do.
 
     Example:
         >>> try:
@@ -38,8 +39,9 @@ class InputError(ValueError):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Hint after an unknown word: the name for a textbook's word, the nearest of `known`, or all of
-    them."""
+    """Return a hint for an unknown word: the name that a textbook's word has here, the nearest of
+    `known`, or all of `known`.
+    """
     words = sorted(known)
     if not words:
         return "there are none"
@@ -53,8 +55,9 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def check_utf8(path: str | Path) -> None:
-    """`InputError` for a path of bytes that are not UTF-8, which libraries for images and reports
-    need."""
+    """Raise `InputError` for a path whose bytes are not UTF-8, which image and report libraries
+    need.
+    """
     try:
         str(path).encode()
     except UnicodeEncodeError:
@@ -70,8 +73,9 @@ def unwritable(error: OSError) -> str:
 
 
 def plain_text(file: Path) -> str:
-    """The content of a text file, with newlines and without byte order mark; `InputError` unless it
-    is UTF-8."""
+    """Return the content of a text file, with line ends as newlines and without byte order mark.
+    Raise `InputError` unless it is UTF-8.
+    """
     try:
         text = file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:

@@ -2,15 +2,16 @@
 
 RGB is linear and relative (1 is white) unless a name says otherwise. XYZ has Y = 1 at the white. L*
 of Lab and Luv runs from 0 to 100. The hue of LCh is in rad in [0, 2 pi), that of HSV and HSL in
-turns in [0, 1). Nothing is clipped. Colours outside a gamut convert there and back, except these
-colours outside [0, 1]: by HSV those with a largest component of 0, and by HSL those of lightness 0
-or 1.
+turns in [0, 1). Nothing is clipped. Colours outside a gamut survive a conversion and its inverse.
+The exceptions, all with components outside [0, 1], are colours whose largest component is 0 in HSV,
+and colours of lightness 0 or 1 in HSL.
 
 Values and gradients are finite at and near black, white and every grey; there the undefined hue is
-0 with gradient 0. A divisor below `smallest_divisor` (3e-10 in float32) counts as 0: such a dark
-colour has no chromaticity and no saturation, and such a grey colour has no hue in HSV and HSL. A
-last axis other than 3 and integer codes are a `ValueError`. Matrices come from `colour_data` by
-name, a static option. They are never applied by `@`, which is slow over an axis of three.
+0 with gradient 0. A divisor below `smallest_divisor` (3e-10 in float32) counts as 0. A colour that
+dark has no chromaticity and no saturation, and a colour that close to grey has no hue in HSV and
+HSL. A last axis other than 3 and integer codes are a `ValueError`. Matrices come from `colour_data`
+by name, a static option. The functions multiply by them without `@`, which is slow over an axis of
+three.
 """
 
 from ..core.lazy_names import names_of

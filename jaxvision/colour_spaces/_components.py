@@ -1,5 +1,6 @@
-"""Common parts of all conversions: arrays whose last axis is the three components of colours, and
-divisors that count as 0. Components in any unit, matrices without one."""
+"""Helpers that all conversions share: checks of arrays whose last axis is the three components of
+colours, and divisions in which very small divisors count as 0. Components may be in any unit;
+matrices have none."""
 
 from functools import reduce
 
@@ -17,7 +18,7 @@ print_by_name(globals(), "Colours")
 
 
 def checked(colours: Colours) -> Colours:
-    """Colours that are floating and have three components; `ValueError` for others."""
+    """Return colours as floating numbers, and raise `ValueError` unless they have three components."""
     colours = as_relative(colours)
     if colours.shape[-1:] != (3,):
         raise ValueError(f"colours must have a last axis of 3, got shape {colours.shape}.")
@@ -30,13 +31,15 @@ def parts(colours: Colours) -> tuple[Scalars, Scalars, Scalars]:
 
 
 def to_unit_size(*parts: Scalars) -> Scalars:
-    """The power of two that brings the largest component into [1, 2), a constant to gradients."""
+    """Return the power of two that scales the largest component into [1, 2). Gradients treat it as
+    a constant.
+    """
     return 1 / power_of_two_in(reduce(jnp.maximum, map(jnp.abs, parts)))
 
 
 def scale_to_unit(*parts: Scalars) -> tuple[Scalars, ...]:
-    """The components times that power, for quantities that do not depend on scale: then neither the
-    sums of the components nor the inverses of the sums overflow or underflow.
+    """Multiply the components by `to_unit_size`, for quantities that do not depend on scale. Sums
+    of the scaled components, and the inverses of these sums, do not overflow or underflow.
     """
     scale = to_unit_size(*parts)
     return tuple(part * scale for part in parts)
@@ -52,7 +55,7 @@ def joined(*parts: Scalars) -> Colours:
 
 
 def multiplied(colours: Colours, matrix: Float[Array, "3 3"]) -> Colours:
-    """A 3 x 3 matrix times each colour."""
+    """Multiply each colour by a 3 x 3 matrix."""
     over_pixels = (1,) * (colours.ndim - 1) + (3,)
     # a sum of columns: on a CPU 25 times faster than `@`, and 3 times than three rows stacked
     columns = (matrix[:, i].reshape(over_pixels) for i in range(3))
@@ -61,13 +64,13 @@ def multiplied(colours: Colours, matrix: Float[Array, "3 3"]) -> Colours:
 
 
 def by_constant(colours: Colours, matrix: np.ndarray) -> Colours:
-    """`multiplied` by a matrix known while tracing, in the dtype of the colours."""
+    """Multiply each colour by a constant NumPy matrix, in the dtype of the colours."""
     colours = checked(colours)
     return multiplied(colours, jnp.asarray(matrix, colours.dtype))
 
 
 def vanishes(x: Scalars) -> Bool[Array, "..."]:
-    """Whether a divisor counts as 0; NaN does not."""
+    """Return whether a divisor is so small that it counts as 0. NaN does not."""
     return jnp.abs(x) < smallest_divisor(x.dtype)
 
 
@@ -77,17 +80,19 @@ def reciprocal(x: Scalars) -> Scalars:
 
 
 def chroma_of(a: Scalars, b: Scalars) -> Scalars:
-    """Distance from grey, sqrt(a^2 + b^2)."""
+    """Return the chroma, the distance from grey: sqrt(a^2 + b^2)."""
     return norm(Vec(a, b, jnp.zeros_like(a)))
 
 
 def hue_angle(a: Scalars, b: Scalars) -> Scalars:
-    """Angle about grey, rad in [0, 2 pi)."""
+    """Return the hue, the angle of (a, b) in rad in [0, 2 pi)."""
     below = b < 0
     angle = arctan2(jnp.where(below, -b, b), a)
     return within(jnp.where(below, 2 * jnp.pi - angle, angle), 2 * jnp.pi)
 
 
 def within(hue: Scalars, turn: float) -> Scalars:
-    """`hue`, where a full turn, which arises when values just below it are rounded, becomes 0."""
+    """Return the hue with a full turn replaced by 0. Rounding can make a full turn of values just
+    below it.
+    """
     return hue - jnp.where(hue >= turn, turn, 0)

@@ -8,7 +8,7 @@ from ._components import Colours, joined, over, parts, reciprocal, scale_to_unit
 
 @takes_numbers
 def xyz_to_xyy(xyz: Colours) -> Colours:
-    """Chromaticities and luminance (x, y, Y).
+    """Convert XYZ to the chromaticities x and y and the luminance Y.
 
     Args:
         xyz: (..., 3) relative.

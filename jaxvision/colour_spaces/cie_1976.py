@@ -21,10 +21,10 @@ _BREAK = 6 / 29
 
 
 def _lightness(t: Scalars) -> tuple[Scalars, Scalars]:
-    """CIE 15:2018, 8.2.1.1: the cube root above (6/29)^3, its tangent line t / (3 (6/29)^2) + 4/29
-    below. It is returned in two parts whose sum is f(t) - 4/29. Then neither the constant of the
-    tangent line nor that of the cube root reduces the precision of dark colours and of
-    differences.
+    """Return the CIE's compressive function f(t), minus 4/29, as two numbers to be added. f is the
+    cube root above (6/29)^3 and its tangent line t / (3 (6/29)^2) + 4/29 below (CIE 15:2018,
+    8.2.1.1). Two numbers keep the precision of dark colours and of small differences, which adding
+    the constants at once would lose.
     """
     curved = t > _BREAK**3
     root = jnp.cbrt(jnp.maximum(t, _BREAK**3 / 2))
@@ -32,14 +32,14 @@ def _lightness(t: Scalars) -> tuple[Scalars, Scalars]:
 
 
 def _inverse_lightness(above: Scalars) -> Scalars:
-    """The inverse: t of f(t) - 4/29."""
+    """Return t from f(t) - 4/29, the inverse of `_lightness`."""
     root = above + 4 / 29
     return jnp.where(above > 2 / 29, root * root * root, 3 * _BREAK**2 * above)
 
 
 @takes_numbers
 def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
-    """CIE 1976 L*, a*, b*.
+    """Convert XYZ to CIE 1976 L*, a*, b*.
 
     Args:
         xyz: (..., 3) relative.
@@ -82,7 +82,7 @@ def lab_to_xyz(lab: Colours, white: Float[Array, "3"]) -> Colours:
 
 @takes_numbers
 def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
-    """CIE 1976 L*, u*, v*.
+    """Convert XYZ to CIE 1976 L*, u*, v*.
 
     Args:
         xyz: (..., 3) relative; black gives 0, 0, 0.
@@ -137,7 +137,7 @@ def luv_to_xyz(luv: Colours, white: Float[Array, "3"]) -> Colours:
 
 @takes_numbers
 def to_lch(lab: Colours) -> Colours:
-    """Lab or Luv in polar form: lightness, chroma, hue.
+    """Convert Lab or Luv to its polar form: lightness, chroma and hue.
 
     Args:
         lab: (..., 3) Lab or Luv, no unit.

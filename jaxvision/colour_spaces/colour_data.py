@@ -1,11 +1,12 @@
 """Colorimetric tables of the library colour-science, as arrays on the caller's grid.
 
-Eager; colour-science is loaded on first use, which takes about two seconds. The usual RGB spaces,
-adaptations, luma weights and white points are defined here and need no such time. Wavelengths are
-in m everywhere; `nanometres` converts. Smooth tables are interpolated by colour-science (Sprague's
-quintic on an even grid, a cubic spline elsewhere). Beyond its table an observer or a sensitivity is
-0, and a reflectance keeps its end value. An illuminant is refused there, unless the CIE gives its
-formula: "A" has one at every wavelength, daylight from 300 to 830 nm. An unknown name is an
+The functions run eagerly, not under `jit`. The first that reads a table of colour-science imports
+it, which takes about two seconds. The usual RGB spaces, adaptations, luma weights and white points
+are defined here and do not import it. Wavelengths are in m everywhere; `nanometres` converts.
+colour-science interpolates smooth tables (Sprague's quintic on an even grid, a cubic spline
+elsewhere). Outside the wavelengths of its table, an observer or a sensitivity is 0, and a
+reflectance keeps its end value. An illuminant raises an error there, unless the CIE gives a formula
+for it: "A" has one at every wavelength, daylight from 300 to 830 nm. An unknown name raises an
 `InputError` that lists the known ones.
 """
 
@@ -63,7 +64,7 @@ _LUMA = {  # luma weights of red and blue
 
 
 def nanometres(values: Any) -> Float[Array, "..."]:
-    """Wavelengths in m from numbers in nm.
+    """Convert numbers in nm to wavelengths in m.
 
     Args:
         values: array-like of any shape, in nm.
@@ -113,12 +114,12 @@ def wavelength_grid(
 
 
 def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, " bands"]:
-    """Relative spectral power of a standard illuminant.
+    """Return the relative spectral power of a standard illuminant.
 
-    The CIE's series A and D are 100 at 560 nm. Outside 300 to 780 nm, where its table ends, A is
-    its defining black body. Above 780 nm D50, D55, D65 and D75 are the daylight of their
-    temperature from the CIE's basis (300 to 830 nm), which is within 5e-4 of the tables from 380 nm
-    on. "E" is the same at every wavelength.
+    The CIE's series A and D are 100 at 560 nm. Outside its table, from 300 to 780 nm, A is the
+    black body that defines it. Above 780 nm, D50, D55, D65 and D75 are computed from the CIE's
+    daylight basis (300 to 830 nm), which agrees with the tables within 5e-4 from 380 nm on. "E" is
+    the same at every wavelength.
 
     Args:
         name: "A", "D65", "FL2", "LED-B1", "E", ...
@@ -151,7 +152,7 @@ def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, "
 
 
 def _black_body_a(wavelengths: Float[np.ndarray, " bands"]) -> Float[np.ndarray, " bands"]:
-    """Illuminant A at wavelengths in nm, relative (CIE 15:2018, equation 3)."""
+    """Return the relative power of illuminant A at wavelengths in nm (CIE 15:2018, equation 3)."""
     unit, exponent = 560 / wavelengths, 1.435e7 / 2848
     return 100 * unit**5 * np.expm1(exponent / 560) / np.expm1(exponent / wavelengths)
 
@@ -169,7 +170,7 @@ def _check_within(name: str, wanted: Float[np.ndarray, " bands"], low: float, hi
 def observer(
     wavelengths: Float[Array, " bands"], *, name: str = OBSERVER
 ) -> Float[Array, "bands 3"]:
-    """Colour matching functions of a CIE standard observer, 0 beyond their table.
+    """Return the colour matching functions of a CIE standard observer, 0 outside their table.
 
     Args:
         wavelengths: (bands,) m.
@@ -189,7 +190,7 @@ def observer(
 def camera_sensitivities(
     name: str, wavelengths: Float[Array, " bands"]
 ) -> Float[Array, "bands channels"]:
-    """Relative spectral sensitivities of a measured camera, 0 beyond its table.
+    """Return the relative spectral sensitivities of a measured camera, 0 outside its table.
 
     Args:
         name: "Nikon 5100 (NPL)" or "Sigma SDMerill (NPL)".
@@ -216,7 +217,8 @@ def camera_sensitivities(
 def chart_reflectances(
     wavelengths: Float[Array, " bands"], *, name: str = "ColorChecker N Ohta"
 ) -> Float[Array, "patches bands"]:
-    """Reflectances of the patches of a colour chart, with constant continuation beyond its table.
+    """Return the reflectances of the patches of a colour chart, continued by its end values outside
+    its table.
 
     Args:
         wavelengths: (bands,) m.
@@ -236,9 +238,9 @@ def chart_reflectances(
 
 
 def daylight_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3"]:
-    """The basis S_0, S_1, S_2 of CIE daylight, for `spectra.daylight`.
+    """Return the basis spectra S_0, S_1, S_2 of CIE daylight, for `spectra.daylight`.
 
-    They are interpolated linearly, as the CIE prescribes.
+    The basis is interpolated linearly, as the CIE prescribes.
 
     Args:
         wavelengths: (bands,) m, from 300e-9 to 830e-9.
@@ -264,8 +266,9 @@ def daylight_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3
 def rgb_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3"]:
     """The reflectances of linear sRGB's red, green and blue, for `spectra.rgb_to_reflectance`.
 
-    They are Mallett's and Yuksel's table from 380 to 780 nm, interpolated linearly and continued by
-    its end values. All are in [0, 1], and their sum in each band is 1 within 1e-5, at most 1.
+    The reflectances are Mallett's and Yuksel's table from 380 to 780 nm, interpolated linearly and
+    continued by its end values. All are in [0, 1]. In each band their sum is between 1 - 1e-5 and
+    1.
 
     Args:
         wavelengths: (bands,) m.
@@ -286,7 +289,8 @@ def rgb_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3"]:
 
 
 def white_point(name: str, *, observer: str = OBSERVER) -> Float[Array, "3"]:
-    """Tristimulus values of an illuminant from its CIE chromaticity ("D65": 0.3127, 0.3290).
+    """Return the tristimulus values of an illuminant from its CIE chromaticity ("D65": 0.3127,
+    0.3290).
 
     Args:
         name: of the illuminant.
@@ -312,9 +316,10 @@ def white_point(name: str, *, observer: str = OBSERVER) -> Float[Array, "3"]:
 
 @cache
 def rgb_to_xyz_matrix(space: str) -> Float[np.ndarray, "3 3"]:
-    """Matrix from linear RGB to XYZ, in full precision from the primaries and white of the space.
+    """Return the matrix from linear RGB to XYZ, computed in full precision from the primaries and
+    white of the space.
 
-    Standards print rounded matrices, whose inverses have errors of up to 1e-4.
+    The rounded matrices that standards print have inverses with errors of up to 1e-4.
 
     Args:
         space: "sRGB", "Adobe RGB (1998)", "Display P3", "ITU-R BT.2020", "ProPhoto RGB",
@@ -341,7 +346,7 @@ def rgb_to_xyz_matrix(space: str) -> Float[np.ndarray, "3 3"]:
 
 @cache
 def cone_matrix(method: str) -> Float[np.ndarray, "3 3"]:
-    """Matrix from XYZ to the cone responses that chromatic adaptation scales.
+    """Return the matrix from XYZ to the cone responses that chromatic adaptation scales.
 
     Args:
         method: "Bradford", "CAT02", "Von Kries", "XYZ Scaling" or another of colour-science.
@@ -362,7 +367,7 @@ def cone_matrix(method: str) -> Float[np.ndarray, "3 3"]:
 
 @cache
 def luma_weights(standard: str) -> tuple[float, float, float]:
-    """Weights of R', G', B' in luma, with sum 1.
+    """Return the weights of R', G', B' in luma; their sum is 1.
 
     Args:
         standard: "ITU-R BT.601", "ITU-R BT.709", "ITU-R BT.2020" or "SMPTE-240M".
@@ -387,7 +392,9 @@ def _entry(table: Mapping[str, Any], name: str, kind: str) -> Any:
 
 
 def _nanometres(wavelengths: Float[Array, " bands"]) -> Float[np.ndarray, " bands"]:
-    """Wavelengths in nm, as in the tables, rounded to whole picometres, so that 555e-9 is 555."""
+    """Convert m to nm, the unit of the tables, rounded to whole picometres so that 555e-9 gives
+    555.
+    """
     metres = np.asarray(wavelengths, np.float64)
     require_metres("wavelength", metres)
     return np.round(metres * 1e9, 3)
@@ -396,7 +403,9 @@ def _nanometres(wavelengths: Float[Array, " bands"]) -> Float[np.ndarray, " band
 def _sample_table(
     distribution: Any, wavelengths: Float[Array, " bands"], *, ends: bool = False
 ) -> Float[Array, "..."]:
-    """A table of colour-science at these wavelengths; beyond it 0 if `ends`, else the end value."""
+    """Interpolate a table of colour-science at wavelengths in m. Outside the table the result is 0
+    if `ends`, else the end value.
+    """
     wanted = _nanometres(wavelengths)
     values = np.asarray(distribution[wanted])
     if ends:

@@ -11,7 +11,8 @@ from ._components import Colours, chroma_of, hue_angle, parts, vanishes
 
 @takes_numbers
 def delta_e_76(lab: Colours, other: Colours) -> Scalars:
-    """Euclidean distance in Lab, CIE 1976; the gradient is 0 between equal colours.
+    """Return the CIE 1976 colour difference, the Euclidean distance in Lab. Its gradient between
+    equal colours is 0.
 
     Args:
         lab: (..., 3) Lab, no unit.
@@ -28,10 +29,10 @@ def delta_e_76(lab: Colours, other: Colours) -> Scalars:
 
 @takes_numbers
 def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
-    """The CIEDE2000 colour difference; the gradient is 0 between equal colours.
+    """Return the CIEDE2000 colour difference. Its gradient between equal colours is 0.
 
-    As published, it is discontinuous between colours of opposite hue. Hues of exactly opposite (a,
-    b) count as 180 degrees apart, independent of rounding.
+    The published formula is discontinuous between colours of opposite hue. Colours with exactly
+    opposite (a, b) have a hue difference of 180 degrees, independent of rounding.
 
     Args:
         lab: (..., 3) Lab, no unit.
@@ -95,10 +96,12 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
 def _hue_difference(
     roots: tuple[Scalars, Scalars], towards: Vec, change: tuple[Scalars, Scalars], turn: Scalars
 ) -> Scalars:
-    """2 sqrt(c1 c2) sin(turn / 2) of two colours, in units of chroma, from the roots of their
-    chromas and the hue difference `turn`, rad, within half a circle; at small angles k / (sqrt(c1
-    c2) cos(turn / 2)), with k = c1 c2 sin(turn) from the unit vector of the first's (a, b) and the
-    `change` of (a, b)."""
+    """Return CIEDE2000's hue difference 2 sqrt(c1 c2) sin(turn / 2), in units of chroma. `roots`
+    are the square roots of the chromas c1 and c2, and `turn` is the difference of the hue angles,
+    rad, in [-pi, pi]. Small angles use k / (sqrt(c1 c2) cos(turn / 2)), with k = c1 c2 sin(turn). k
+    is the cross product of `towards`, the unit vector of the first colour's (a, b), and the
+    `change` of (a, b), times c1.
+    """
     (root1, root2), (d_a, d_b) = roots, change
     near = jnp.abs(turn) < 0.5
     small = root1 / root2 * (towards.x * d_b - towards.y * d_a)
@@ -107,7 +110,9 @@ def _hue_difference(
 
 
 def _chroma_weight(chroma: Scalars) -> Scalars:
-    """sqrt(C^7 / (C^7 + 25^7)), computed without overflow of the powers or of the gradient at 0."""
+    """Return sqrt(C^7 / (C^7 + 25^7)) without overflow of the powers, and with a finite gradient at
+    0.
+    """
     low = jnp.minimum(chroma / 25, 1)
     high = 25 / jnp.maximum(chroma, 25)
     colourful = chroma > 25

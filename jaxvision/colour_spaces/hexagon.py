@@ -9,7 +9,7 @@ from ._components import Colours, joined, over, parts, scale_to_unit, to_unit_si
 
 @takes_numbers
 def rgb_to_hsv(rgb: Colours) -> Colours:
-    """Hue, saturation and value of RGB, usually encoded.
+    """Convert RGB, usually encoded, to hue, saturation and value.
 
     Args:
         rgb: (..., 3) relative.
@@ -55,7 +55,7 @@ def hsv_to_rgb(hsv: Colours) -> Colours:
 
 @takes_numbers
 def rgb_to_hsl(rgb: Colours) -> Colours:
-    """Hue, saturation and lightness of RGB, usually encoded.
+    """Convert RGB, usually encoded, to hue, saturation and lightness.
 
     Args:
         rgb: (..., 3) relative.
@@ -114,7 +114,7 @@ def _ends(r: Scalars, g: Scalars, b: Scalars) -> tuple[Scalars, Scalars]:
 
 
 def _hue(r: Scalars, g: Scalars, b: Scalars) -> Scalars:
-    """Hue in turns; 0 for greys."""
+    """Return the hue as a fraction of a full turn in [0, 1), and 0 for greys."""
     least, most = _ends(r, g, b)
     share = over(jnp.ones_like(most), most - least)
     sextant = jnp.where(

@@ -1,4 +1,5 @@
-"""Linear maps of colours: RGB and XYZ, luminance, chromatic adaptation. All relative."""
+"""Linear maps of colours: between RGB and XYZ, to luminance, and by chromatic adaptation. All
+colours are relative (1 is white)."""
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -11,7 +12,8 @@ from .colour_data import cone_matrix, rgb_to_xyz_matrix
 
 @takes_numbers
 def apply_matrix(colours: Colours, matrix: Float[Array, "3 3"]) -> Colours:
-    """A 3 x 3 matrix times each colour: a camera's colour correction, or any change of primaries.
+    """Multiply each colour by a 3 x 3 matrix, such as a camera's colour correction or a change of
+    primaries.
 
     Args:
         colours: (..., 3) relative.
@@ -28,7 +30,7 @@ def apply_matrix(colours: Colours, matrix: Float[Array, "3 3"]) -> Colours:
 
 @takes_numbers
 def rgb_to_xyz(rgb: Colours, *, space: str = "sRGB") -> Colours:
-    """Linear RGB of a working space to XYZ under the white of that space.
+    """Convert linear RGB of a working space to XYZ under the white of that space.
 
     Args:
         rgb: (..., 3) linear, relative.
@@ -93,9 +95,9 @@ def adapt(
     *,
     method: str = "Bradford",
 ) -> Colours:
-    """Chromatic adaptation: the colours that look the same under another white.
+    """Adapt colours to another white, under which they look the same.
 
-    The responses of the cones are scaled (von Kries' law).
+    The adaptation scales the responses of the cones (von Kries' law).
 
     Args:
         xyz: (..., 3) relative, seen under `white`.
@@ -119,7 +121,7 @@ def adapt(
 def change_rgb_space(
     rgb: Colours, *, source: str, target: str, adaptation: str | None = "Bradford"
 ) -> Colours:
-    """Linear RGB of one working space converted to the primaries of another.
+    """Convert linear RGB of one working space to the primaries of another.
 
     Args:
         rgb: (..., 3) linear, relative.

@@ -1,4 +1,4 @@
-"""Luma and colour differences, Y'CbCr, of encoded R'G'B'; relative."""
+"""Conversions between encoded R'G'B' and Y'CbCr, its luma and colour differences; all relative."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +13,7 @@ from .colour_data import luma_weights
 def rgb_to_ycbcr(
     rgb: Colours, *, standard: str = "ITU-R BT.709", levels: str = "full", bits: int = 8
 ) -> Colours:
-    """Luma and colour differences Y', Cb, Cr of encoded R'G'B'.
+    """Convert encoded R'G'B' to the luma Y' and the colour differences Cb and Cr.
 
     Args:
         rgb: (..., 3) encoded, relative.
@@ -59,7 +59,7 @@ def ycbcr_to_rgb(
 
 
 def _ycbcr(standard: str, levels: str, bits: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The matrix from R'G'B', its inverse, and the offset added to its result."""
+    """Return the matrix from R'G'B' to Y'CbCr, its inverse, and the offset added after the matrix."""
     check_choice("levels", levels, ("full", "legal"))
     check_count("bits", bits, 8)
     luma = np.asarray(luma_weights(standard))

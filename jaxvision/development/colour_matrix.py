@@ -20,7 +20,7 @@ from .white_balancing import neutral_gains
 
 
 class CameraColour(Shown):
-    """The conversion of a camera's RGB to a picture's, under one light.
+    """The conversion of a camera's RGB to a picture's RGB, for one illuminant.
 
     Attributes:
         gains: (3,) of white balance, no unit.
@@ -104,9 +104,10 @@ def camera_colour(
     space: str = "sRGB",
     keep_white: bool = True,
 ) -> CameraColour:
-    """The gains that balance a camera under a light, and the matrix from balanced to linear RGB.
+    """Fit the white-balance gains of a camera under an illuminant, and the matrix from balanced to
+    linear RGB.
 
-    The matrix minimises the squared errors of the reflectances in that RGB.
+    The matrix minimises the squared errors of the reflectances' colours in linear RGB.
 
     Args:
         sensitivities: (bands, 3) of the camera, relative.
@@ -158,7 +159,9 @@ def _least_squares(
 
 
 def _perpendicular_pair(v: Float[Array, "3"]) -> Float[Array, "3 2"]:
-    """Two orthonormal directions perpendicular to v, from the reflection that maps v to an axis."""
+    """Return two orthonormal vectors perpendicular to v, as columns, from the Householder
+    reflection that maps v to the first axis.
+    """
     length = jnp.sqrt(jnp.vdot(v, v))
     axis = jnp.zeros_like(v).at[0].set(jnp.where(v[0] < 0, -length, length))
     mirror = v + axis

@@ -1,14 +1,15 @@
-"""Demosaicing: from a mosaic with one band a pixel to a picture with every band at every pixel.
+"""Demosaicing: convert a mosaic with one band per pixel to a picture with every band at every
+pixel.
 
 Mosaics are (..., h, w) in DN or relative, at least as large as one tile of the pattern. Integers
 become floating numbers of the same value. Pictures are (..., h, w, bands) in the same unit.
-Measured values are kept, except that Menon's green is refined. NaN spreads to the windows that
-contain it. Patterns are those of `colour_filters`. Three of the four methods are for Bayer tiles,
-two greens on a diagonal and two other bands, in any order and phase.
+Measured values are kept, except that Menon's green is refined. NaN spreads to all pixels whose
+window contains it. Patterns are those of `colour_filters`. Three of the four methods are for Bayer
+tiles: two greens on a diagonal and two other bands, in any order and phase.
 
-`border` defines the values outside. "in_phase" is c b | a b c d | c b, which continues the colours
-of a Bayer tile. Any key of `padding.BORDERS` is allowed, too. Its values are then assigned to the
-colour of the pattern at that pixel.
+`border` defines the values outside. "in_phase" reflects the mosaic without repeating the edge, c b
+| a b c d | c b, which continues the colours of a Bayer tile. Any key of `padding.BORDERS` is
+allowed, too. A padded value is then assigned to the colour that the pattern has at that pixel.
 """
 
 from collections.abc import Callable
@@ -39,7 +40,7 @@ print_by_name(globals(), "Mosaic", "Picture")
 def demosaic(
     raw: Mosaic, pattern: Pattern | str, *, method: str = "malvar", border: str = "in_phase"
 ) -> Picture:
-    """The picture of a mosaic.
+    """Compute the picture of a mosaic by the chosen method.
 
     Args:
         raw: (..., h, w), or (..., h, w, 1) as a sensor returns it, DN or relative.
@@ -83,7 +84,7 @@ def demosaic(
 @takes_numbers
 @partial(jax.jit, static_argnames=("pattern", "border"))
 def demosaic_bilinear(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_phase") -> Picture:
-    """The mean of the two or four nearest pixels that measured the band.
+    """Estimate each missing band by the mean of the two or four nearest pixels that measured it.
 
     Args:
         raw: (..., h, w) DN or relative.
@@ -116,7 +117,7 @@ def demosaic_bilinear(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_
 @takes_numbers
 @partial(jax.jit, static_argnames=("pattern", "border"))
 def demosaic_malvar(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_phase") -> Picture:
-    """Bilinear means plus a share of the Laplacian of the measured band, by four 5 x 5 filters.
+    """Add a share of the measured band's Laplacian to the bilinear means, by four 5 x 5 filters.
 
     (colour-demosaicing uses border "mirror".)
 
@@ -163,11 +164,12 @@ def demosaic_malvar(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_ph
 @takes_numbers
 @partial(jax.jit, static_argnames=("pattern", "refine"))
 def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) -> Picture:
-    """Directional filtering and a posteriori decision.
+    """Demosaic by directional filtering and a posteriori decision (Menon et al.).
 
-    Green is interpolated along rows or columns, whichever has the smoother colour differences
-    nearby. The other bands are interpolated by their difference from green. The border is
-    "in_phase"; differences beyond the border are ignored. The decision has no gradient.
+    Green is interpolated along the rows or the columns, whichever has the smoother colour
+    differences nearby. For the other bands, their difference from green is interpolated. The border
+    is "in_phase"; differences beyond the border are ignored. Gradients ignore the choice between
+    rows and columns.
 
     Args:
         raw: (..., h, w) DN or relative.
@@ -200,7 +202,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
             return _choose_direction(lead, near(difference, 1), near(difference, 0))
 
         def at_green(from_green: Plane) -> tuple[Plane, Plane]:
-            """Either band minus green, at the green pixels, from their neighbours."""
+            """Interpolate both other bands minus green at the green pixels, from their neighbours."""
             rows, columns = _mean_of_two(from_green, 1), _mean_of_two(from_green, 0)
             return jnp.where(first_rows, rows, columns), jnp.where(first_rows, columns, rows)
 
@@ -238,11 +240,12 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
 @takes_numbers
 @partial(jax.jit, static_argnames="pattern")
 def demosaic_normalised(raw: Mosaic, pattern: Pattern | str) -> Picture:
-    """Means of the nearby pixels that measured the band, with triangular weights as wide as the
-    tile.
+    """Estimate each missing band by a weighted mean of the nearby pixels that measured it.
 
-    It works for any pattern. Pixels outside the picture do not count. For a Bayer pattern it equals
-    `demosaic_bilinear`, except for the outermost green.
+    The weights are triangular and as wide as the tile.
+
+    The method works for any pattern. Pixels outside the picture do not count. For a Bayer pattern
+    the result equals `demosaic_bilinear`, except for green at the outermost pixels.
 
     Args:
         raw: (..., h, w) DN or relative.
@@ -289,8 +292,9 @@ METHODS: dict[str, Callable[..., Picture]] = {
 
 
 class _Layout(NamedTuple):
-    """The band that is green, the bands that share a row with it in the first and in the second
-    row, and whether the first pixel is green."""
+    """The layout of a Bayer tile: the number of the green band, the bands next to green in the
+    first and in the second row, and whether the first pixel is green.
+    """
 
     green: int
     first: int
@@ -298,7 +302,9 @@ class _Layout(NamedTuple):
     green_corner: bool
 
     def masks(self, height: int, width: int) -> tuple[Mask, Mask]:
-        """(which pixels are green, which rows contain the first band)."""
+        """Return two masks of pixels: those that are green, and those in rows that contain the
+        first band.
+        """
         row = jnp.asarray(np.arange(height)[:, None] % 2 == 0)
         column = jnp.asarray(np.arange(width)[None] % 2 == 0)
         is_green = (row == column) if self.green_corner else (row != column)
@@ -323,8 +329,9 @@ def _layout(pattern: Pattern) -> _Layout:
 def _chosen(
     layout: _Layout, own: Plane, green: Plane, along: Plane, across: Plane, opposite: Plane
 ) -> Float[Array, "h w 3"]:
-    """The three bands of each pixel: `own` if it measured the band, else the estimate from the
-    band's pixels in its row (`along`), its column or its diagonals."""
+    """Select each pixel's three bands: its measured value `own`, and for the other bands estimates
+    from their pixels in its row (`along`), its column (`across`) or its diagonals (`opposite`).
+    """
     is_green, first_rows = layout.masks(*own.shape)
     in_rows = jnp.where(is_green, along, own)
     in_others = jnp.where(is_green, across, opposite)
@@ -337,8 +344,9 @@ def _chosen(
 
 
 def _join(layout: _Layout, green: Plane, first: Plane, second: Plane) -> Float[Array, "h w 3"]:
-    """The planes in the order of the bands, selected number by number, which vectorises; stacking
-    three planes last would copy each number."""
+    """Return the planes in the order of the bands along a last axis. Selecting by band number
+    vectorises, whereas stacking along a last axis of three would copy each number.
+    """
     planes = dict(zip(layout[:3], (green, first, second), strict=True))
     shape = (*green.shape, 3)
     band = jax.lax.broadcasted_iota(jnp.int32, shape, 2)
@@ -383,7 +391,9 @@ class _Shifted(NamedTuple):
 
 
 def _neighbours(plane: Plane, axis: int, distance: int) -> tuple[Plane, Plane]:
-    """The pixels at a distance before and behind each, along an axis, reflected at the ends."""
+    """Return, for each pixel, the pixels `distance` before and behind it along an axis, with
+    reflection at the ends.
+    """
     n = plane.shape[axis]
     reach = [(0, 0), (0, 0)]
     reach[axis] = (distance, distance)
@@ -403,8 +413,9 @@ def _mean_of_three(plane: Plane, axis: int) -> Plane:
 
 
 def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Plane]:
-    """Menon's green, and the difference in smoothness between rows and columns: equations 1 to
-    6."""
+    """Return Menon's green, and how much rougher the colour differences are along columns than
+    along rows (equations 1 to 6).
+    """
     greens, roughness = [], []
     for axis in (1, 0):
         far_before, far_behind = _neighbours(raw, axis, 2)
@@ -419,12 +430,16 @@ def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Plane]:
 
 
 def _choose_direction(lead: Plane, by_rows: Plane, by_columns: Plane) -> Plane:
-    """The better of two directions, NaN where NaN makes that undecidable."""
+    """Select the estimate along rows where `lead` >= 0, else along columns, and NaN where `lead` is
+    NaN.
+    """
     return jnp.where(lead >= 0, by_rows, jnp.where(lead < 0, by_columns, lead))
 
 
 def _sum_changes(change: Plane, axis: int) -> Plane:
-    """Changes between pixels two apart, summed around each pixel, with weight 3 for its own."""
+    """Sum the changes between pixels two apart around each pixel. Changes that include the pixel
+    itself have weight 3.
+    """
     at = _Shifted(jnp.pad(change if axis == 1 else change.T, 2), 2)
     own = at(0, -2) + at(0, 0)
     beside = at(-2, -2) + at(-2, 0) + at(2, -2) + at(2, 0) + at(-1, -1) + at(1, -1)
@@ -433,6 +448,7 @@ def _sum_changes(change: Plane, axis: int) -> Plane:
 
 
 def _tent(tile: int) -> np.ndarray:
-    """Weights that decrease to 0 one tile away, so that some pixel of each band is always
-    included."""
+    """Return weights that decrease linearly to 0 at one tile's distance, so that some pixel of each
+    band is always included.
+    """
     return tile - np.abs(np.arange(1 - tile, tile), dtype=float)

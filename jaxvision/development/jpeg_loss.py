@@ -1,16 +1,19 @@
-"""The loss of a JPEG file without the file: ITU-T T.81 (baseline) as libjpeg implements it.
+"""The change of a picture by JPEG compression, without writing a file: baseline ITU-T T.81 as
+libjpeg implements it.
 
 The steps are conversion to luma and chroma, chroma at half size, 8 x 8 cosine transforms, division
 by a table and rounding, and their inverses. Pictures are (..., h, w, bands) with one band or
 R'G'B', encoded and relative. 1 is code 255, and values outside [0, 1] are clipped, like bytes. NaN
-spreads over its block, and to the pixels that share a chroma with it.
+spreads over its 8 x 8 block, and to the pixels whose chroma is computed together with that of the
+NaN.
 
-`rounding` is the method of rounding. "straight_through" rounds every code and coefficient to an
-integer, equal to libjpeg's own (its accurate integer transform, its chroma filters), and gradients
-ignore the rounding. "cubic" rounds only the coefficients, by the differentiable round(x) + (x -
+`rounding` is the method of rounding. "straight_through" rounds every code and coefficient to the
+same integer as libjpeg with its accurate integer transform and its chroma filters. Gradients ignore
+that rounding. "cubic" rounds only the coefficients, by the differentiable round(x) + (x -
 round(x))^3 (Shin and Song, "JPEG-resistant adversarial images", NIPS workshop 2017).
 
-Quality 1 to 100 is libjpeg's (Independent JPEG Group), and scales the tables of T.81, annex K.
+The quality, 1 to 100, is libjpeg's (Independent JPEG Group). It scales the quantisation tables of
+T.81, annex K.
 """
 
 from functools import partial, reduce
@@ -68,7 +71,7 @@ _COSINES = np.array(
 def quantisation_tables(
     quality: Scalar | float, *, rounding: str = "straight_through"
 ) -> tuple[Table, Table]:
-    """The divisors of the coefficients, for luma and chroma.
+    """Return the divisors of the cosine coefficients, for luma and for chroma.
 
     Args:
         quality: () no unit, clipped to [1, 100], with a warning unless it is traced.
@@ -110,7 +113,7 @@ def jpeg(
     subsampling: str = "4:2:0",
     rounding: str = "straight_through",
 ) -> Image:
-    """The picture as it comes back from a JPEG file.
+    """Return the picture as it would be read back from a JPEG file.
 
     Args:
         picture: (..., h, w, 1) or (..., h, w, 3) encoded, relative; half precision passes through
@@ -177,8 +180,9 @@ def _is_whole(rounding: str) -> bool:
 
 
 def _part(total: Array, bias: Array | float | int, of: Array | int, whole: bool) -> Array:
-    """floor((total + bias) / of), an integer division that `bias` turns into rounding; or total /
-    of."""
+    """Return floor((total + bias) / of) if `whole`, an integer division in which `bias` sets the
+    rounding, else total / of.
+    """
     exact = total / of
     return replace_gradient(jnp.floor((total + bias) / of), exact) if whole else exact
 
@@ -195,7 +199,7 @@ def _fraction(x: float) -> int:
 
 
 def _to_ycbcr(codes: Float[Array, "h w 3"], whole: bool) -> tuple[Plane, Float[Array, "2 h w"]]:
-    """Luma, and the two chromas centred at 128, in codes."""
+    """Convert to luma and to two chromas centred at 128, in codes."""
     r, g, b = (codes[..., i] for i in range(3))
     half, f = _ONE // 2, _fraction
     luma = f(0.29900) * r + f(0.58700) * g + f(0.11400) * b
@@ -224,7 +228,7 @@ def _code_at_half_size(plane: Plane, table: Table, whole: bool) -> Plane:
 
 
 def _halve(plane: Plane, whole: bool) -> Other:
-    """Means of 2 x 2 codes, with halves rounded down and up alternately (jcsample.c)."""
+    """Return the means of 2 x 2 codes, with halves rounded alternately down and up (jcsample.c)."""
     height, width = plane.shape
     # codes are repeated to the right at full size until the blocks are full, downwards at half size
     even = jnp.pad(plane, ((0, height % 2), (0, -width % 16)), mode="edge")
@@ -234,7 +238,9 @@ def _halve(plane: Plane, whole: bool) -> Other:
 
 
 def _double(plane: Plane, whole: bool) -> Other:
-    """Each code as nine, three, three and one sixteenth of its nearest four (jdsample.c)."""
+    """Double the size: each code is 9/16, 3/16, 3/16 and 1/16 of the four nearest codes
+    (jdsample.c).
+    """
     wide = jnp.pad(plane, 1, mode="edge")
     height, width = plane.shape
     rows = [3 * wide[1:-1] + wide[:-2], 3 * wide[1:-1] + wide[2:]]
@@ -250,8 +256,9 @@ def _double(plane: Plane, whole: bool) -> Other:
 
 
 def _code(plane: Plane, table: Table, whole: bool) -> Plane:
-    """The codes of a plane from its rounded coefficients, with libjpeg's intermediate whole numbers
-    (jfdctint.c, jcdctmgr.c, jidctint.c)."""
+    """Transform a plane, quantise its coefficients and transform them back to codes, with libjpeg's
+    intermediate integers (jfdctint.c, jcdctmgr.c, jidctint.c).
+    """
     height, width = plane.shape
     full = jnp.pad(plane - 128, ((0, -height % 8), (0, -width % 8)), mode="edge")
     along = materialise(lambda x: _pass(x.T, _COSINES, 11, whole), full)
@@ -272,7 +279,7 @@ def _code(plane: Plane, table: Table, whole: bool) -> Plane:
 def _pass(
     plane: Plane, matrix: Int[np.ndarray, "8 8"], bits: int, whole: bool
 ) -> Float[Array, "h w"]:
-    """Every eight rows times the matrix, divided by 2^bits."""
+    """Multiply every eight rows by the 8 x 8 matrix, and divide by 2^bits."""
 
     def product(rows: Shaped[Array, "blocks 8 w"]) -> Shaped[Array, "blocks 8 w"]:
         columns = jnp.asarray(matrix, rows.dtype)[None]

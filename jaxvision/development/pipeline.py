@@ -1,4 +1,5 @@
-"""From raw data to a picture by successive stages, and to the integers of a file."""
+"""Development of raw data to a picture by successive stages, and conversion to the integers of a
+file."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, UInt
@@ -27,8 +28,8 @@ from .white_balancing import Gains, grey_world_gains, neutral_gains, white_balan
 def develop(raw: Scalars, development: Development) -> Scalars:
     """Compute (raw - black) / (white - black), then the stages of a development in order.
 
-    Only stages that say so clip values. Noise below black stays negative, except that a gamma curve
-    makes it 0.
+    A stage clips values only if its documentation says so. Noise below black stays negative, except
+    that a gamma curve sets it to 0.
 
     Args:
         raw: DN. A mosaic (..., h, w) or (..., h, w, 1) with demosaicing, else (..., h, w, bands);
@@ -74,7 +75,8 @@ def develop(raw: Scalars, development: Development) -> Scalars:
 
 @takes_numbers
 def to_integers(picture: Scalars, *, bits: int = 8) -> UInt[Array, "..."]:
-    """The codes of an integer file: round((2^bits - 1) x), with x clipped to [0, 1].
+    """Convert relative values x to the codes of an integer file: round((2^bits - 1) x), with x
+    clipped to [0, 1].
 
     Args:
         picture: (...) relative; NaN becomes 0.

@@ -1,6 +1,6 @@
 """Tone curves through points, and the selection among the named ones.
 
-Elementwise on relative values of any shape; the named curves are in `point_ops`.
+The curves act elementwise on relative values of any shape. The named curves are in `point_ops`.
 """
 
 import jax.numpy as jnp
@@ -15,9 +15,10 @@ from ..scene import SRGB, Filmic, Gamma, Reinhard, ToneCurve, ToneEncoding, Tone
 
 @takes_numbers
 def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
-    """The smooth curve through given points, monotone where the points are and constant outside.
+    """Evaluate the smooth curve through given points, which is monotone where the points are and
+    constant beyond the first and last.
 
-    It is the cubic Hermite spline that scipy calls PCHIP. NaN stays NaN.
+    The curve is the cubic Hermite spline that scipy calls PCHIP. NaN stays NaN.
 
     Args:
         x: (...) relative.
@@ -56,7 +57,7 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
 
 @takes_numbers
 def map_tone(picture: Scalars, tone_map: ToneMap) -> Scalars:
-    """Linear light mapped to the range of a display: each band by the curve of the record.
+    """Map linear light to the range of a display, each band by the curve of the record.
 
     Args:
         picture: (...) linear, relative.
@@ -80,7 +81,7 @@ def map_tone(picture: Scalars, tone_map: ToneMap) -> Scalars:
 
 @takes_numbers
 def encode_tone(picture: Scalars, tone: ToneEncoding) -> Scalars:
-    """Linear values encoded by the curve of the record.
+    """Encode linear values by the curve of the record.
 
     Args:
         picture: (...) linear, relative.

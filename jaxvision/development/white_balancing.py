@@ -1,8 +1,8 @@
 """White balance: one gain per band, so that neutral objects look neutral.
 
-Images are (..., h, w, bands), linear, in DN or relative. Gains have no unit, and the smallest is 1:
-no band becomes darker than the sensor recorded it. They are von Kries' law in the camera's own
-primaries (Szeliski, Computer Vision, section 2.3.2).
+Images are (..., h, w, bands), linear, in DN or relative. Gains have no unit. The smallest is 1, so
+that no band becomes darker than the sensor recorded it. The gains are von Kries' law applied in the
+camera's primaries (Szeliski, Computer Vision, section 2.3.2).
 """
 
 import jax
@@ -22,11 +22,11 @@ print_by_name(globals(), "Gains", "Picture")
 def white_balance(
     image: Picture, gains: Float[Array, "..."], *, saturation: Scalar | float | None = None
 ) -> Picture:
-    """Each band times its gain.
+    """Multiply each band by its gain.
 
     A pixel that is saturated in all bands would take the colour of the gains, usually magenta. With
-    `saturation`, values are limited to it times the smallest gain, the brightest value that all
-    bands can reach, and such a pixel becomes neutral.
+    `saturation`, values are clipped at `saturation` times the smallest gain, the brightest value
+    that all bands can reach. Such a pixel then becomes neutral.
 
     Args:
         image: (h, w) or (..., h, w, bands) linear, DN or relative.
@@ -66,7 +66,7 @@ def white_balance(
 
 @takes_numbers
 def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
-    """The gains that make the mean of a patch neutral, such as a grey card or a cloud.
+    """Return the gains that make the mean of a patch neutral, such as a grey card or a cloud.
 
     Args:
         patch: (..., bands) DN or relative, for instance `image[..., 10:20, 30:40, :]`. NaN is left
@@ -95,7 +95,7 @@ def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
 def grey_world_gains(
     image: Image, *, norm: Scalar | float = 1.0, saturation: Scalar | float | None = None
 ) -> Gains:
-    """The gains that make each image grey on average.
+    """Return the gains that make each image grey on average (the grey-world assumption).
 
     Args:
         image: (..., h, w, bands) linear, DN or relative. Values below 0 count as 0.
@@ -138,7 +138,9 @@ def grey_world_gains(
 
 
 def _balancing(means: Gains) -> Gains:
-    """The largest mean divided by each mean: 1 if there is none. NaN spreads to all bands."""
+    """Divide the largest mean by each band's mean; return 1 if there is none. NaN spreads to all
+    bands.
+    """
     brightest = jnp.max(means, axis=-1, keepdims=True)
     share = divide(means, brightest, ~(brightest <= 0))
     return divide(1, share, ~(share <= smallest_divisor(means.dtype)), 1)

@@ -1,4 +1,4 @@
-"""Filters of pictures: linear filters with any kernel, at any border, with gradients with respect
+"""Filters of pictures: linear filters with any kernel, at any border, differentiable with respect
 to picture and kernel; shift-variant filters; filters as matrices; and non-linear filters.
 
 Every name is loaded at first use, and scipy only with the matrix forms.

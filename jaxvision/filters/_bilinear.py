@@ -1,9 +1,9 @@
 """Correlation as a primitive that JAX differentiates as a bilinear function: linear in the image
 and linear in the kernel.
 
-Its transpose is a correlation with the rotated kernel by the same method, seven times faster than
-the transpose of single shifts. It has forward and reverse derivatives of any order. Images (n, h,
-w, c) and kernels (kh, kw, c) or (kh, kw, 1) of one dtype, in any unit.
+The transpose is a correlation with the rotated kernel by the same method, seven times faster than
+the transpose of single shifts. Forward and reverse derivatives exist to any order. Images (n, h, w,
+c) and kernels (kh, kw, c) or (kh, kw, 1) have one dtype, in any unit.
 """
 
 from collections.abc import Callable
@@ -31,8 +31,9 @@ def _implementation(
 def _image_transpose(
     cotangent: Any, image: Any, kernel: Kernel, *, anchor: Anchor, border: str, method: str
 ) -> Result:
-    """Correlation with the rotated kernel reaches every pixel that was read. Pixels beyond the
-    border pass their share to the pixels that they copy."""
+    """Correlate the cotangent with the rotated kernel, which gives a cotangent for every pixel that
+    was read. The cotangent of a padded pixel is added to that of the pixel it copies.
+    """
     shape, dtype = image.aval.shape, image.aval.dtype
     kh, kw = kernel.shape[:2]
     turned, across = kernel[::-1, ::-1], (kh - 1 - anchor[0], kw - 1 - anchor[1])
@@ -47,7 +48,9 @@ def _image_transpose(
 def _kernel_transpose(
     cotangent: Any, image: Stack, kernel: Any, *, anchor: Anchor, border: str, method: str
 ) -> Kernel:
-    """The inner product of the cotangent with the image under each tap."""
+    """Return, for each kernel tap, the inner product of the cotangent with the image shifted by
+    that tap.
+    """
     kh, kw, bands = kernel.aval.shape
     read = padded(image, (kh, kw), anchor, border)
     h, w = cotangent.shape[1:3]
@@ -70,7 +73,7 @@ def _kernel_transpose(
 def _batch(
     arguments: tuple[Array, Array], axes: tuple[Any, Any], **options: Any
 ) -> tuple[Array, int]:
-    """A batch of images becomes one longer stack, and a batch of kernels further bands."""
+    """Compute a batch of images as one longer stack, and a batch of kernels as additional bands."""
     image, kernel = arguments
     image_axis, kernel_axis = axes
     if kernel_axis is None:

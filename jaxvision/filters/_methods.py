@@ -1,8 +1,8 @@
 """Three methods for the same sum, g[p] = sum over i of k[i] f[p + i - anchor], on stacks of images.
 
-Images are (n, h, w, c) and kernels (kh, kw, c), or (kh, kw, 1) for all bands. A border is "none"
-(only complete windows: h - kh + 1 rows), or one that `padding.ghosts` knows, with a result of (n,
-h, w, c). Values in any unit.
+Images are (n, h, w, c) and kernels (kh, kw, c), or (kh, kw, 1) for all bands. The border "none"
+keeps only complete windows, which give h - kh + 1 rows. Any border of `padding.ghosts` gives a
+result of (n, h, w, c). Values in any unit.
 """
 
 from functools import partial
@@ -35,7 +35,7 @@ _SEEN = 64  # largest side, in pixels, of windows whose largest value is compute
 
 
 def padded(image: Stack, size: tuple[int, ...], anchor: Anchor, border: str) -> Result:
-    """The image, padded by the reach of a kernel of that size (kh, kw)."""
+    """Pad the image as far as a kernel of size (kh, kw) reaches beyond it."""
     if border == "none":
         return image
     zero = jnp.zeros((), image.dtype)
@@ -46,8 +46,9 @@ def padded(image: Stack, size: tuple[int, ...], anchor: Anchor, border: str) -> 
 
 
 def correlate_conv(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
-    """`lax.conv_general_dilated`, with planes as a batch if bands share a kernel, else as
-    groups."""
+    """Correlate by `lax.conv_general_dilated`. Bands are a batch if they share a kernel, else
+    feature groups.
+    """
     wide, bands = padded(image, kernel.shape[:2], anchor, border), image.shape[-1]
     shared = kernel.shape[-1] == 1
     if shared:
@@ -67,8 +68,10 @@ def correlate_conv(image: Stack, kernel: Kernel, anchor: Anchor, border: str) ->
 
 
 def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
-    """The product of transforms, planes last: of the whole picture if its rounding error is small
-    compared with every sum or with the values in each window, else of tiles.
+    """Correlate by Fourier transforms.
+
+    The whole picture is transformed if the rounding error is small compared with every sum or with
+    the values in each window; otherwise tiles are.
     """
     given, size = image.dtype, kernel.shape[:2]
     dtype = given if given.itemsize >= 4 else np.dtype(np.float32)
@@ -117,14 +120,16 @@ def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> 
 
 
 def _places(border: str, n: int, taps: int, anchor: int) -> np.ndarray:
-    """The source index of each position along a padded axis, n if there is none."""
+    """Return the source index of each position along a padded axis, or n where the border is zero."""
     source, own, *_ = ghosts(border, n, anchor, taps - 1 - anchor)
     return np.where(own == 0, n, source)
 
 
 def _range(image: Stack, k: Planes) -> tuple[Planes, Planes, Planes]:
-    """The largest magnitude, an upper bound on the sum in the darkest window, and on `_least` by
-    the largest values in groups of columns, (n, c, 1, 1) each."""
+    """Return the largest magnitude, an upper bound on the sum in the darkest window, and an upper
+    bound on `_least`, each (n, c, 1, 1). The last bound uses the largest values of groups of pixels
+    in each column.
+    """
     n, h, w, c = image.shape
     kh, kw = (min(side, taps, _SEEN) for side, taps in zip((h, w), k.shape[2:], strict=True))
     rows = image.reshape(n, h, w * c)  # whole rows of numbers are fast
@@ -140,7 +145,9 @@ def _range(image: Stack, k: Planes) -> tuple[Planes, Planes, Planes]:
 
 
 def _least(rms: Planes, largest: Planes, k: Planes) -> Planes:
-    """The smallest sums that a single transform computes accurately, (n, c, 1, 1)."""
+    """Return the smallest sums that a transform of the whole picture computes accurately, (n, c, 1,
+    1).
+    """
     return _rounding(rms, largest, k) / _RIGHT[k.dtype.itemsize]
 
 
@@ -186,8 +193,9 @@ def _correlate_tiles(
 
 
 def _sum_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:
-    """The correlation of one plane, summed over ranges of magnitudes, so that pixels get no
-    rounding errors, NaN or infinity from beyond their windows."""
+    """Correlate one plane in several ranges of magnitude and add the results, so that a pixel gets
+    no rounding error, NaN or infinity from outside its window.
+    """
     with jax.enable_x64(True):
         wide = spectrum.real.dtype
         finite, weights = (jnp.where(jnp.isfinite(x), x, 0).astype(wide) for x in (f, k))
@@ -216,7 +224,9 @@ def _sum_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:
 
 
 def _propagate_nan(total: Planes, f: Planes, k: Planes) -> Planes:
-    """The sums of the finite values, with NaN and infinity where they are in the window."""
+    """Return the sums of the finite values, replaced by NaN or infinity where the window contains
+    NaN or infinity.
+    """
     single = jnp.float32
 
     def count(values: Planes, weights: Planes) -> Planes:
@@ -232,15 +242,18 @@ def _propagate_nan(total: Planes, f: Planes, k: Planes) -> Planes:
 
 
 def _spectrum(k: Planes, size: tuple[int, ...], dtype: DTypeLike) -> Array:
-    """The transform of the kernel for planes of size (..., h, w), in one precision."""
+    """Return the Fourier transform of the kernel for planes of size (..., h, w), in the precision
+    of `dtype`.
+    """
     with jax.enable_x64(True):
         lengths = _fast_length(size[-2]), _fast_length(size[-1])
         return jnp.conj(jnp.fft.rfft2(k.astype(dtype), lengths))
 
 
 def _transform(f: Planes, spectrum: Array) -> Planes:
-    """Return the sums by Fourier transforms in the spectrum's precision, with the length of the
-    transforms. The sums of complete windows come first, and the rest is meaningless."""
+    """Return the sums by Fourier transforms in the spectrum's precision, as long as the transforms.
+    The sums of complete windows come first; ignore all after them.
+    """
     with jax.enable_x64(True):
         lengths = _fast_length(f.shape[2]), _fast_length(f.shape[3])
         product = jnp.fft.rfft2(f.astype(spectrum.real.dtype), lengths) * spectrum
@@ -248,8 +261,9 @@ def _transform(f: Planes, spectrum: Array) -> Planes:
 
 
 def _rounding(rms: Array, largest: Array, k: Planes) -> Planes:
-    """The rounding error of a correlation by transforms, in addition to a few ULP of each sum: the
-    largest found for pictures from 60 x 60 to 1100 x 700."""
+    """Bound the rounding error of a correlation by transforms, in addition to a few ULP of each
+    sum. The bound is the largest error measured for pictures from 60 x 60 to 1100 x 700.
+    """
     own = jnp.sqrt(jnp.square(k).sum((2, 3), keepdims=True))
     return jnp.finfo(k.dtype).eps * (8 * rms * _sum(k) + 2 * largest * own)
 
@@ -259,13 +273,13 @@ def _sum(k: Planes) -> Planes:
 
 
 def _widest() -> np.dtype:
-    """The widest floating type for transforms on this machine."""
+    """Return the widest floating type that transforms support on this machine."""
     double = on_processor() or jax.default_backend() == "gpu"
     return np.dtype(np.float64 if double else np.float32)
 
 
 def _fast_length(n: int) -> int:
-    """The next length that is a product of 2, 3, 5 and 7."""
+    """Return the smallest length of at least n whose prime factors are 2, 3, 5 and 7."""
     while True:
         rest = n
         for prime in (2, 3, 5, 7):
@@ -277,9 +291,10 @@ def _fast_length(n: int) -> int:
 
 
 def correlate_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
-    """The sum of shifted images, in loops over whole rows (h, w c), which vectorise even for few
-    bands. Rows beyond the border are read in place; columns are added first, and so are the rows of
-    border "extend"."""
+    """Correlate by adding shifted images, in loops over whole rows of w c numbers, which vectorise
+    even for few bands. Columns are padded beforehand. Rows beyond the border are read from their
+    source rows, and only border "extend" pads them too.
+    """
     (kh, kw), (n, _, _, c) = kernel.shape[:2], image.shape
     if border == "extend":
         image = materialise(lambda f: padded(f, (kh, kw), anchor, border), image)

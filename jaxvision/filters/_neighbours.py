@@ -1,6 +1,7 @@
-"""The weighted mean of bilateral and non-local means filters, accumulated over rows of neighbours.
+"""The weighted mean that the bilateral and the non-local means filters compute, accumulated over
+rows of neighbours.
 
-Each band is its own array here, because vector code is slow over a trailing axis of three.
+Each band is a separate array here, because vector code is slow over a trailing axis of three.
 """
 
 import functools
@@ -27,7 +28,9 @@ Planes = tuple[Plane, ...]
 
 
 def planes_of(picture: AnyPicture) -> tuple[Planes, Callable[[Planes], Floats]]:
-    """The bands of a picture, and the inverse function."""
+    """Return the bands of a picture as separate planes, and the function that joins planes to a
+    picture.
+    """
     stack, restore = as_planes(picture)
     planes = tuple(stack[..., band] for band in range(stack.shape[-1]))
     return planes, lambda bands: restore(jnp.stack(bands, axis=-1))
@@ -36,16 +39,18 @@ def planes_of(picture: AnyPicture) -> tuple[Planes, Callable[[Planes], Floats]]:
 def scaled_guide(
     guide: Planes, *sizes: float | Scalars, dtype: DTypeLike
 ) -> tuple[Planes, tuple[Scalars, ...]]:
-    """A guide and sizes in its unit, both divided by one power of two, so that no bound on a size
-    depends on the unit of light."""
+    """Divide a guide, and sizes in its unit, by one power of two, so that lower bounds on the sizes
+    do not depend on the unit of light.
+    """
     unit = binary_unit(jnp.stack(guide))
     scaled = tuple(jnp.asarray(size, dtype) / unit.astype(dtype) for size in sizes)
     return tuple(g / unit for g in guide), scaled
 
 
 def inverse(sigma: float | Scalars, dtype: DTypeLike) -> Scalars:
-    """1 / sigma, with sigma at least tiny ** (1/2) (1e-19 in float32): its square and its
-    derivative stay finite, so differences measured in sigmas have finite gradients."""
+    """Return 1 / sigma, with sigma at least tiny ** (1/2) (1e-19 in float32). The square and the
+    derivative of 1 / sigma are then finite, and so are gradients of differences measured in sigmas.
+    """
     return 1 / jnp.maximum(jnp.asarray(sigma, dtype), smallest_divisor(dtype) ** 2)
 
 
@@ -59,11 +64,14 @@ def weighted_mean(
     margin: int = 0,
     taken: Callable[[Int[Array, ""], int], Bool[Array, ""]] | None = None,
 ) -> Planes:
-    """sum w f / sum w over the neighbours up to `radius` away for which `taken(dy, dx)`, or all.
-    `weight_of(change, dy, dx)` gets guide(p + (dy, dx)) - guide(p) on the picture and `margin`
-    pixels around it. A neighbour has no weight if, there or in its margin, one guide is infinite
-    and the other is not. Border "normalised_zero" leaves out neighbours outside. The backward pass
-    recomputes each row of neighbours."""
+    """Return sum w f / sum w over the neighbours up to `radius` rows and columns away.
+
+    Only neighbours for which `taken(dy, dx)` is true count; None takes all. The weight w is
+    `weight_of(change, dy, dx)`, where `change` is guide(p + (dy, dx)) - guide(p) on the picture and
+    `margin` pixels around it. A neighbour has weight 0 if, within `margin` pixels, the guide is
+    infinite at only one of the two positions. Border "normalised_zero" ignores neighbours outside
+    the picture. The backward pass recomputes each row of neighbours, to save memory.
+    """
     zero = jnp.zeros_like(values[0])
     height, width = zero.shape[1:]
     present = (_pad_guide(zero + 1, radius, border),) if border == "normalised_zero" else ()
@@ -111,17 +119,19 @@ def weighted_mean(
 
 
 def _signs_of_infinity(guide: Planes) -> Plane:
-    """One number for each pixel, which tells the bands that are +inf, -inf and finite."""
+    """Encode in one number per pixel which bands are +inf, -inf or finite, as digits to the base 3."""
     signs = (jnp.where(jnp.isinf(g), jnp.sign(g), 0) * 3.0**k for k, g in enumerate(guide))
     return lax.stop_gradient(functools.reduce(jnp.add, signs))
 
 
 def _any_around(flags: Bool[Array, "images _ _"], margin: int) -> Bool[Array, "images _ _"]:
-    """Whether any flag within `margin` rows and columns is set, where all of them exist."""
+    """Return whether any flag within `margin` rows and columns is set, for the pixels whose window
+    lies inside.
+    """
     side = 2 * margin + 1
     return lax.reduce_window(flags, False, lax.bitwise_or, (1, side, side), (1, 1, 1), "valid")
 
 
 def _pad_guide(plane: Plane, by: int, border: str) -> Plane:
-    """The plane with `by` more pixels on every side."""
+    """Pad the plane by `by` pixels on every side."""
     return pad(plane[..., None], ((by, by), (by, by)), border=border)[..., 0]

@@ -1,8 +1,8 @@
-"""Common implementation of every linear filter here: a kernel as a sum of terms, each a product of
-passes, applied to a picture at a border.
+"""The implementation that all linear filters share. A kernel is a sum of terms, each a full kernel
+or a column times a row, and is applied to a picture at a border.
 
-One program is compiled for each kind of picture and each `Settings`. The kernel's numbers and the
-fill are traced.
+One program is compiled for each shape and dtype of picture and each `Settings`. The kernel's
+numbers and the fill are traced.
 """
 
 from functools import partial, reduce
@@ -40,8 +40,9 @@ Terms = tuple[AnyKernel | Separable, ...]
 
 
 class Settings(NamedTuple):
-    """The static choices, with one program for each. `method`: a key of `_methods.METHODS` for the
-    product of a term's passes, or "separable" for sequential passes."""
+    """The static settings of a filter. Each combination compiles one program. `method`: a key of
+    `_methods.METHODS` for the product of a term's passes, or "separable" for sequential passes.
+    """
 
     anchor: Anchor
     border: str
@@ -49,7 +50,7 @@ class Settings(NamedTuple):
 
 
 def filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> Filtered:
-    """The picture correlated with the sum of the terms, with the contribution of the border."""
+    """Correlate the picture with the sum of the terms, including the contribution of the border."""
     warn_of_idle_fill(fill, settings.border)
     return _filtered(picture, terms, fill, settings)
 
@@ -84,7 +85,9 @@ def _filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) ->
 
 
 def _passes(term: AnyKernel | Separable, dtype: np.dtype) -> tuple[Kernel, ...]:
-    """The kernels of a term in sequence, (kh, kw, bands) or (kh, kw, 1)."""
+    """Return the kernels that are applied in sequence for one term, (kh, kw, bands) or (kh, kw, 1)
+    each.
+    """
     if isinstance(term, Separable):
         column, row = (jnp.asarray(taps, dtype) for taps in term)
         return column.reshape(len(column), 1, -1), row.reshape(1, len(row), -1)
@@ -92,7 +95,7 @@ def _passes(term: AnyKernel | Separable, dtype: np.dtype) -> tuple[Kernel, ...]:
 
 
 def _after(image: Stack, kernels: tuple[Kernel, ...], settings: Settings) -> Stack:
-    """The image after each pass."""
+    """Correlate the image with the kernels of a term, one after the other."""
     (row, column), border, method = settings
     for kernel in kernels:
         own = (row * (kernel.shape[0] > 1), column * (kernel.shape[1] > 1))

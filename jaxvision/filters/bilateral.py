@@ -1,5 +1,6 @@
-"""The bilateral filter (Tomasi & Manduchi, ICCV 1998) and the joint one (Petschnigg et al.;
-Eisemann & Durand, SIGGRAPH 2004), by their definition, with a weight for every neighbour:
+"""The bilateral filter (Tomasi & Manduchi, ICCV 1998) and the joint bilateral filter (Petschnigg et
+al.; Eisemann & Durand, SIGGRAPH 2004), computed exactly from their definition, with a weight for
+every neighbour:
 
     g(p) = sum_q w f(q) / sum_q w,
     w = exp(-|p - q|^2 / (2 sigma_space^2)) exp(-d(p, q)^2 / (2 sigma_range^2)),
@@ -44,8 +45,9 @@ def bilateral_filter(
 ) -> Floats:
     """Smooth a picture within regions, but not across edges.
 
-    A sigma of 0 or below gives the limit: a mean over the pixel itself only (`sigma_space`), or
-    over equal colours only (`sigma_range`). NaN spreads to every window that contains it.
+    For a sigma of 0 or below the result is the limit: a mean over the pixel itself only
+    (`sigma_space`), or over equal colours only (`sigma_range`). NaN spreads to every pixel whose
+    window contains it.
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.
@@ -94,7 +96,7 @@ def joint_bilateral_filter(
     difference: str = "euclidean",
     border: str = "mirror",
 ) -> Floats:
-    """The bilateral filter with the edges of another picture, such as one taken with flash.
+    """Smooth a picture except across the edges of another picture, such as one taken with flash.
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.

@@ -20,20 +20,22 @@ rows, as many as the kernel's rank. "auto" takes the method that was measured to
 size. On a GPU that is "conv" up to 9 x 9 and "fft" beyond. On a CPU it is "separable" for kernels
 of low rank (if the kernel is finite and not traced), else "direct" up to 15 x 15 and "fft" beyond.
 
-"fft" is as accurate as the other methods. In a picture with a range of eight decades the relative
-error of a pixel is at most 1e-4. Sums of non-negative numbers are not negative, and a window of
-zeros gives exactly 0. If bright spots make other windows 100 times darker than the root mean
-square, the sums are computed in float64 and tile by tile, which takes two to three times as long.
-For numbers of either sign the error is relative to the largest value in the window.
+"fft" is about as accurate as the other methods. In a picture with a range of eight decades the
+relative error of a pixel is at most 1e-4. Sums of non-negative numbers are not negative, and a
+window of zeros gives exactly 0. If some windows are 100 times darker than the picture's root mean
+square, as bright spots cause, the sums are computed in float64 and tile by tile. That takes two to
+three times as long. For numbers of either sign the error is relative to the largest value in the
+window.
 
 A pixel becomes NaN or infinite if its window contains such a value, even under a weight of 0. With
-"conv" and one kernel a band this may affect all bands, depending on XLA's code.
+"conv" and one kernel per band, a NaN in one band may spread to all bands, depending on the code
+that XLA generates.
 
-For a kernel without negative entries, such as a disc, passes may lose accuracy by cancellation.
-Then "separable" is replaced by the method that "auto" would choose.
+For a kernel without negative entries, such as a disc, the sum of separable passes may lose accuracy
+by cancellation. Then "separable" is replaced by the method that "auto" would choose.
 
-Derivatives with respect to picture and kernel are correlations themselves: any order, forward and
-reverse.
+Derivatives with respect to picture and kernel are again correlations. They exist to any order, in
+forward and reverse mode.
 """
 
 from collections.abc import Sequence
@@ -73,12 +75,12 @@ def correlate(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """Correlation with a kernel: g[p] = sum over i of kernel[i] f[p + i - anchor].
+    """Correlate with a kernel: g[p] = sum over i of kernel[i] f[p + i - anchor].
 
     The kernel is not rotated. Without an anchor its entry (kh // 2, kw // 2) lies on the pixel: the
     second of the two middle rows or columns of an even kernel. A kernel may be larger than the
-    picture. It then reads beyond the border as far as it extends: "wrap", "mirror" and
-    "reflect_101" repeat themselves, and "extend" continues along its line.
+    picture. Pixels are then read as far beyond the border as the kernel extends: "wrap", "mirror"
+    and "reflect_101" repeat the picture periodically, and "extend" continues its straight line.
 
     Args:
         picture: (h, w) or (..., h, w, bands), or a signal (n,), any unit.
@@ -124,9 +126,9 @@ def convolve(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """Convolution with a kernel: g[p] = sum over i of kernel[i] f[p - i + anchor].
+    """Convolve with a kernel: g[p] = sum over i of kernel[i] f[p - i + anchor].
 
-    Each pixel spreads into a copy of the kernel, which is the impulse response.
+    Each pixel spreads into a copy of the kernel, so the kernel is the impulse response.
 
     Args:
         picture: (h, w) or (..., h, w, bands), or a signal (n,), any unit.
@@ -172,9 +174,8 @@ def correlate_separable(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """Correlation with the kernel column[i] row[j]: first down the columns, then along the rows.
-
-    That takes kh + kw products per pixel instead of kh kw.
+    """Correlate with the kernel column[i] row[j]: first down the columns, then along the rows. The
+    two passes take kh + kw products per pixel instead of kh kw.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -224,8 +225,9 @@ def summed(
     border: str = "mirror",
     method: str = "auto",
 ) -> tuple[Terms, Settings]:
-    """The data that `filtered` needs to sum a kernel, no unit, in the best way for its numbers, if
-    these are known. `ValueError` as from `correlate`."""
+    """Return the terms and settings with which `filtered` applies a kernel. The method is chosen
+    from the kernel's numbers if they are known. Raise `ValueError` as `correlate` does.
+    """
     size = _size(kernel)
     if kernel.ndim == 3:
         _check_bands(kernel.shape[2], picture)
@@ -236,7 +238,7 @@ def summed(
 
 
 def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:
-    """The method that "auto" chooses; `ValueError` where "separable" is impossible."""
+    """Return the method to use for `method`. Raise `ValueError` where "separable" is impossible."""
     check_choice("method", method, CHOICES)
     traced = isinstance(kernel, Tracer)
     if method == "separable" and traced:
@@ -263,8 +265,10 @@ def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:
 
 
 def _keeps_digits(kernel: AnyKernel, u: np.ndarray, s: np.ndarray, v: np.ndarray) -> bool:
-    """Return whether a sum of passes is accurate for each entry of a non-negative kernel. Passes
-    may cancel, and a bright pixel would then leave a rounding error under an entry of 0."""
+    """Return whether the sum of separable passes is accurate for each entry of a non-negative
+    kernel. Where passes cancel to an entry of 0, a bright pixel under it would leave a rounding
+    error.
+    """
     k = np.asarray(kernel, np.float64)
     k = k[None] if k.ndim == 2 else np.moveaxis(k, -1, 0)
     if s.shape[1] == 1 or k.min() < 0:
@@ -274,8 +278,10 @@ def _keeps_digits(kernel: AnyKernel, u: np.ndarray, s: np.ndarray, v: np.ndarray
 
 
 def _singular(kernel: AnyKernel, picture: Picture) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """u (bands, kh, rank), s (bands, rank) and v (bands, rank, kw): the singular values of each
-    band's kernel above the rounding error of the picture's dtype."""
+    """Return the singular value decomposition of each band's kernel: u (bands, kh, rank), s (bands,
+    rank) and v (bands, rank, kw). Singular values below the rounding error of the picture's dtype
+    are dropped.
+    """
     planes = np.asarray(kernel, np.float64)
     planes = planes[None] if planes.ndim == 2 else np.moveaxis(planes, -1, 0)
     u, s, v = np.linalg.svd(planes, full_matrices=False)
@@ -291,7 +297,9 @@ def _factored(kernel: AnyKernel, picture: Picture) -> Terms:
 
 
 def _is_signal(picture: Picture, kernel: AnyKernel) -> bool:
-    """Whether both have one axis; `ValueError` if only the picture has."""
+    """Return whether picture and kernel are signals of one axis. Raise `ValueError` if only the
+    picture is.
+    """
     if picture.ndim == 1 and kernel.ndim != 1:
         raise ValueError(
             "a picture is (h, w) or (..., h, w, bands), and a signal (n,) takes a kernel (k,), got "
@@ -314,7 +322,9 @@ def _check_bands(given: int, picture: Picture) -> None:
 
 
 def _anchor(anchor: Sequence[int] | None, size: tuple[int, int]) -> Anchor:
-    """The anchor in a kernel of that size, by default its centre. `ValueError` outside it."""
+    """Return the anchor of a kernel of that size, its centre for None. Raise `ValueError` if the
+    anchor lies outside the kernel.
+    """
     if anchor is None:
         return size[0] // 2, size[1] // 2
     if len(anchor) != 2 or not all(0 <= a < n for a, n in zip(anchor, size, strict=True)):
@@ -332,5 +342,5 @@ def _check_weighs(border: str, *, of: str) -> None:
 
 
 def _as_array(x: Any) -> Any:
-    """An array from a list; an array, traced or not, is unchanged."""
+    """Convert a list to an array, and return an array, traced or not, unchanged."""
     return x if hasattr(x, "dtype") else np.asarray(x)

@@ -1,8 +1,8 @@
 """First and second derivatives of pictures, in the picture's unit per pixel.
 
 x points right and y points down, like columns and rows. Away from the border all are exact for
-parabolas. Pictures, borders and methods as in `convolution`, except that the border
-"normalised_zero" is a `ValueError`: the weights of a derivative have sum 0.
+parabolas. Pictures, borders and methods are those of `convolution`. Only the border
+"normalised_zero" raises a `ValueError`, because the weights of a derivative have sum 0.
 """
 
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from .padding import Filtered, Picture
 
 
 class Gradient(NamedTuple):
-    """The slopes of a picture.
+    """The first derivatives of a picture along its columns and rows.
 
     Attributes:
         x: the picture's shape, its unit per pixel, positive where it rises to the right.
@@ -35,9 +35,9 @@ def derivative(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Gradient:
-    """First differences along both axes.
+    """Estimate the first derivatives along both axes by differences.
 
-    For smoother ones use `gaussian` with an order.
+    For smoother derivatives use `gaussian` with an order.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -75,7 +75,7 @@ def laplacian(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """f_xx + f_yy by second differences.
+    """Compute the Laplacian Compute the Laplacian f_xx + f_yy by second differences.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.

@@ -5,8 +5,8 @@ the shape of an array. A sigma below 0.01 pixel is replaced by 0.01, for which t
 is an impulse in float32 and in float64. `sampling` defines the weights. "sampled" is the function
 at the pixel's centre, as in scipy and OpenCV. "integrated" is its mean over the pixel. For a narrow
 Gaussian of sigma 0.5 the variance of the sampled kernel is 0.035 square pixels too small. The
-variance of the integrated kernel is larger by that of the pixel, 1/12, within 0.01. The kernel is
-cut off at `truncate` sigmas and rescaled to sum 1. `truncate` sets the accuracy.
+variance of the integrated kernel exceeds sigma^2 by the variance of a pixel, 1/12, within 0.01. The
+kernel is cut off at `truncate` sigmas and rescaled to sum 1. `truncate` sets the accuracy.
 
 Derivatives need a sigma of at least 0.7, because narrower kernels are not resolved by the pixels.
 For a ramp of slope 1, the first order gives 0.085, 0.860 and 0.998 at sigma 0.3, 0.5 and 0.7 with
@@ -52,7 +52,7 @@ def gaussian(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """A picture convolved with a Gaussian or a derivative of it.
+    """Convolve a picture with a Gaussian or with a derivative of it.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -106,10 +106,10 @@ def laplacian_of_gaussian(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """The sum of both second derivatives of a Gaussian, applied to a picture.
+    """Filter a picture by the sum of both second derivatives of a Gaussian.
 
-    Multiplied by sigma^2 it is independent of scale. Below a sigma of 0.7 pixels use "integrated",
-    which gives 0 for a flat picture.
+    Multiply the response by sigma^2 to make it independent of scale. Below a sigma of 0.7 pixels
+    use "integrated", which gives 0 for a flat picture.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -138,10 +138,10 @@ def laplacian_of_gaussian(
 def gaussian_kernel(
     sigma: Scalar, *, size: int, order: int = 0, sampling: str = "sampled"
 ) -> Float[Array, " taps"]:
-    """The weights of a Gaussian, or of its derivative, about the middle of the kernel.
+    """Return the weights of a Gaussian, or of its derivative, centred in the kernel.
 
-    The weights of order n are those of order 0 times He_n(x / sigma) / sigma^n, which makes the
-    derivative a correlation kernel.
+    The weights of order n are those of order 0 times He_n(x / sigma) / sigma^n, with the Hermite
+    polynomial He_n. Their sign makes them a correlation kernel.
 
     Args:
         sigma: () in pixels; at least 0.01.
@@ -178,7 +178,9 @@ def _gaussian(
     border: str,
     method: str,
 ) -> Filtered:
-    """One program for kernels and filter. `weights`: size, order and sampling."""
+    """Compute the weights in one compiled program for kernels and filter. `weights`: size, order
+    and sampling.
+    """
     size, order, sampling = weights
     column, row = (
         gaussian_kernel(s, size=size, order=n, sampling=sampling)
@@ -188,7 +190,7 @@ def _gaussian(
 
 
 def _hermite(x: Float[Array, "..."], order: int) -> Float[Array, "..."]:
-    """He_n(x) = x He_(n-1)(x) - (n - 1) He_(n-2)(x)."""
+    """Return the Hermite polynomial He_n(x) = x He_(n-1)(x) - (n - 1) He_(n-2)(x)."""
     before, now = jnp.zeros_like(x), jnp.ones_like(x)
     for n in range(order):
         before, now = now, x * now - n * before
@@ -196,14 +198,15 @@ def _hermite(x: Float[Array, "..."], order: int) -> Float[Array, "..."]:
 
 
 def _density(x: Float[Array, "..."], sigma: Scalar, order: int) -> Float[Array, "..."]:
-    """He_n(x / sigma) / sigma^n times the normal density."""
+    """Return He_n(x / sigma) / sigma^n times the normal density."""
     t = x / sigma
     return jnp.exp(-0.5 * t * t) * _hermite(t, order) / (sigma ** (order + 1) * 2.5066282746310002)
 
 
 def _integral(x: Float[Array, " taps"], sigma: Scalar, order: int) -> Float[Array, " taps"]:
-    """The density's integral over the pixel at each x: by eight Gauss-Legendre nodes where it is
-    smooth, else by its primitive."""
+    """Return the integral of `_density` over the pixel at each x, by eight Gauss-Legendre nodes
+    where the density is smooth, else by its antiderivative.
+    """
     nodes, weights = leggauss(8)
     smooth = sigma > 1
     wide = jnp.where(smooth, sigma, 1)

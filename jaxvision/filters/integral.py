@@ -1,15 +1,15 @@
 """Integral images (Crow 1984; Viola & Jones 2001): the sum over any box from four entries.
 
 They are exclusive, as in OpenCV's `integral`: entry (i, j) is the sum over rows < i and columns <
-j. There is one more row and column than pixels, and the first of each is 0. scikit-image's
-`integral_image` is inclusive: it has no such row and column, and its entry (i, j) is our (i + 1,
-j + 1).
+j. The integral image has one more row and one more column than the picture, and its first row and
+column are 0. scikit-image's `integral_image` has no such row and column: its entry (i, j) is our (i
++ 1, j + 1).
 
-Sums are in the unit of the image (relative values or DN). Each is an unevaluated pair high + low
-(Dekker 1971), so that a small box in a large float32 image is accurate. Besides the rounding of the
-box's own sum, its error is about 2^-46 (float64: 2^-104) of the sum over everything above and to
-the left of it. A single float32 number would have an error of 2^-24. NaN and infinity turn every
-box that ends below and to the right of them into NaN.
+Sums are in the unit of the image (relative values or DN). Each sum is stored as an unevaluated pair
+high + low (Dekker 1971), so that a small box in a large float32 image is accurate. Besides the
+rounding of the box's sum, its error is about 2^-46 (float64: 2^-104) of the sum over everything
+above and to the left of it. A single float32 number would have an error of 2^-24. NaN and infinity
+turn every box that ends below and to the right of them into NaN.
 """
 
 from functools import partial
@@ -27,7 +27,7 @@ Pair = tuple[Array, Array]
 
 
 class IntegralImage(Shown):
-    """Sums over all boxes from the first pixel, as pairs high + low.
+    """The sums over all boxes that begin at the first pixel, as pairs high + low.
 
     Attributes:
         high: (h + 1, w + 1) or (..., h + 1, w + 1, bands), the rounded sums, in the image's unit.
@@ -76,8 +76,8 @@ def box_sum(
 ) -> Float[Array, "..."]:
     """The sum over rows top <= i < bottom and columns left <= j < right.
 
-    This is the sum for one box; use `vmap` for many. Bounds outside the image are moved to its
-    edge. A box with bottom < top or right < left is empty, with sum 0.
+    This function sums one box; use `vmap` for many. Bounds outside the image are moved to its edge.
+    A box with bottom < top or right < left is empty, with sum 0.
 
     Args:
         integral: the integral image.
@@ -105,7 +105,7 @@ def box_sum(
 
 
 def window_sum(integral: IntegralImage, size: tuple[int, int]) -> Float[Array, "..."]:
-    """The sums over all windows of one size, at a cost independent of the size.
+    """Return the sums over all windows of one size, at a cost independent of the size.
 
     Args:
         integral: the integral image.
@@ -145,7 +145,7 @@ def _row_axis(rank: int, what: str) -> int:
 
 
 def _corners(inside: Pair, above: Pair, before: Pair, both: Pair) -> Array:
-    """inside - above - before + both, with a single rounding."""
+    """Return inside - above - before + both, with a single rounding."""
     high, low = _plus(_plus(inside, _minus(above)), _plus(both, _minus(before)))
     return high + low
 
@@ -155,8 +155,7 @@ def _minus(a: Pair) -> Pair:
 
 
 def _plus(a: Pair, b: Pair) -> Pair:
-    """The sum of two pairs: Knuth's error-free sum of the high parts, then the low parts,
-    renormalised."""
+    """Add two pairs: Knuth's error-free sum of the high parts, plus the low parts, renormalised."""
     total = a[0] + b[0]
     virtual = total - a[0]
     error = (a[0] - (total - virtual)) + (b[0] - virtual) + a[1] + b[1]
@@ -165,7 +164,7 @@ def _plus(a: Pair, b: Pair) -> Pair:
 
 
 def _running(pair: Pair, axis: int) -> Pair:
-    """Running sums along an axis, line by line."""
+    """Return cumulative sums of pairs along an axis, line by line."""
     lines = jnp.moveaxis(pair[0], axis, 0), jnp.moveaxis(pair[1], axis, 0)
 
     def step(total: Pair, line: Pair) -> tuple[Pair, Pair]:
@@ -184,6 +183,8 @@ def _sum_along(pixels: Array, rows: int) -> Pair:
 
 @_sum_along.defjvp
 def _(rows: int, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Pair, Pair]:
-    """The sum is linear: its derivative is the sum of the changes, which needs no second part."""
+    """Return the derivative of the linear sum: the cumulative sum of the tangents, with a low part
+    of 0.
+    """
     change = jnp.cumsum(jnp.cumsum(tangents[0], axis=rows), axis=rows + 1)
     return _sum_along(primals[0], rows), (change, jnp.zeros_like(change))

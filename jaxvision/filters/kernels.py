@@ -1,4 +1,4 @@
-"""Kernels of plain numbers as NumPy arrays, which are known before tracing.
+"""Kernels as NumPy arrays, whose numbers are known before tracing.
 
 All are correlation kernels, (taps,) down a column or along a row, or (kh, kw). They are not
 rotated, so a derivative is positive where the picture increases to the right or downwards.
@@ -23,7 +23,7 @@ SMOOTHING = {
 
 
 def box_kernel(size: int) -> np.ndarray:
-    """Equal weights of sum 1.
+    """Return equal weights of sum 1.
 
     Args:
         size: number of taps, at least 1.
@@ -42,8 +42,8 @@ def box_kernel(size: int) -> np.ndarray:
 
 
 def binomial_kernel(size: int) -> np.ndarray:
-    """Binomial coefficients divided by their sum 2^(size - 1), with variance (size - 1) / 4
-    pixels^2.
+    """Return the binomial coefficients divided by their sum 2^(size - 1); the kernel's variance is
+    (size - 1) / 4 pixels^2.
 
     Args:
         size: number of taps, at least 1.
@@ -65,7 +65,7 @@ def binomial_kernel(size: int) -> np.ndarray:
 
 
 def derivative_kernels(*, scheme: str = "central") -> tuple[np.ndarray, np.ndarray]:
-    """The first difference along an axis, and the smoothing across it.
+    """Return the kernel of the first difference along an axis, and the smoothing kernel across it.
 
     Args:
         scheme: "central" differences without smoothing; "prewitt"; "sobel"; or "scharr", whose
@@ -90,7 +90,7 @@ def derivative_kernels(*, scheme: str = "central") -> tuple[np.ndarray, np.ndarr
 
 
 def laplacian_kernel(*, isotropic: bool = False) -> np.ndarray:
-    """The sum of both second differences.
+    """Return the kernel of the Laplacian, the sum of both second differences.
 
     Args:
         isotropic: whether to take the nine-point stencil, whose leading error is the same in all
@@ -111,10 +111,10 @@ def laplacian_kernel(*, isotropic: bool = False) -> np.ndarray:
 
 
 def gaussian_size(sigma: float, *, truncate: float = 4.0) -> int:
-    """The odd kernel size that covers `truncate` sigmas to both sides, as in scipy.
+    """Return the odd kernel size that covers `truncate` sigmas to both sides, as in scipy.
 
-    It is 2 round(truncate sigma) + 1. At 4 sigmas a share of 6e-5 is truncated, at 6 a share of
-    2e-9.
+    The size is 2 round(truncate sigma) + 1. At 4 sigmas, 6e-5 of the Gaussian is cut off, at 6
+    sigmas 2e-9.
 
     Args:
         sigma: in pixels, at least 0.
@@ -136,10 +136,10 @@ def gaussian_size(sigma: float, *, truncate: float = 4.0) -> int:
 
 
 def blur_sigmas(low: float, high: float, *, members: int) -> tuple[float, ...]:
-    """The sigmas of a bank of Gaussians, equally spaced in log(sigma + 1 / 2).
+    """Return the sigmas of a bank of Gaussians, equally spaced in log(sigma + 1 / 2).
 
-    The error of a blend of two neighbours is then the same everywhere, because wide blurs are
-    smooth.
+    With this spacing the error of a blend of two neighbours is about the same at every sigma,
+    because wide blurs are smooth.
 
     Args:
         low: the smallest sigma, in pixels, at least 0.
@@ -169,7 +169,9 @@ def _check_kernel(size: int) -> int:
 
 
 def _both_ways(size: int | np.integer | Sequence[int]) -> tuple[int, int]:
-    """(down, across) from a pair, or from one number for both. `ValueError` for another form."""
+    """Return (down, across), the sizes along columns and rows, from a pair or from one number for
+    both. `ValueError` for another form.
+    """
     pair = tuple(size) if isinstance(size, Sequence) else (size, size)
     if len(pair) != 2 or not all(isinstance(n, Integral) and n >= 1 for n in pair):
         raise ValueError(f"size must be n or (down, across), each at least 1, got {size}.")

@@ -1,8 +1,8 @@
-"""A kernel as the sum of a few separable ones. The rank sets the accuracy, and the error is
-reported.
+"""Approximation of a kernel by the sum of a few separable kernels. Their number, the rank, sets the
+accuracy, and the error is reported.
 
 The best approximation of each rank is the truncated singular value decomposition (Eckart and Young
-1936; for filters: Treitel and Shanks 1971). Kernels and pictures in any unit.
+1936; for filters: Treitel and Shanks 1971). Kernels and pictures may be in any unit.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from .padding import Filtered, Picture, check_border, check_picture
 
 
 class LowRank(Shown):
-    """A kernel as the sum over r of columns[r, i] rows[r, j].
+    """A kernel k[i, j] as the sum over r of columns[r, i] rows[r, j].
 
     Attributes:
         columns: (rank, kh) factors down the columns, in the square root of the kernel's unit.
@@ -42,9 +42,9 @@ class LowRank(Shown):
 
 @takes_numbers
 def low_rank(kernel: Float[Array | np.ndarray, "kh kw"], *, rank: int) -> LowRank:
-    """The best approximation of a kernel by `rank` separable ones.
+    """Return the best approximation of a kernel by a sum of `rank` separable kernels.
 
-    It is differentiable if the singular values differ.
+    The approximation is differentiable if the singular values differ.
 
     Args:
         kernel: (kh, kw), any unit.
@@ -80,7 +80,8 @@ def correlate_low_rank(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> Filtered:
-    """`correlate` by one pass down the columns and one along the rows for each rank.
+    """Correlate a picture with a `LowRank` kernel, by one pass down the columns and one along the
+    rows for each rank.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.

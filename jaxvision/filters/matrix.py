@@ -1,9 +1,9 @@
 """A filter as a matrix: g = H f + offset, with the pixels of one plane row by row in f and g.
 
-The matrix is exact at every border, and for kernels that change from pixel to pixel. Its entries
+The matrix represents every border exactly, and kernels that change from pixel to pixel. Its entries
 are the weights of the filter, without unit. Only the border "constant" has an offset, in the
 picture's unit. H has h w rows and columns and about kh kw h w entries. Use it to inspect filters
-and to solve sparse systems. To apply the operator use the filter itself, and for its transpose
+and to solve sparse systems. To apply the filter, call the filter itself, and for its transpose
 `operators.adjoint`.
 """
 
@@ -28,7 +28,7 @@ print_by_name(globals(), "Kernel")
 
 
 class MatrixForm(Shown):
-    """g = matrix @ f + offset for a plane f of (h w,) pixels.
+    """A filter as g = matrix @ f + offset, for a plane f of (h w,) pixels.
 
     Attributes:
         matrix: (h w, h w) sparse, no unit.
@@ -47,10 +47,10 @@ def filter_matrix(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> MatrixForm:
-    """The matrix of `correlate` on one plane, or on a signal.
+    """Return the matrix of `correlate` on one plane, or on a signal.
 
-    Every entry is one kernel value times one coefficient of the border. Entries at one place are
-    not summed; `sum_duplicates` does that.
+    Every entry is one kernel value times one coefficient of the border. Several entries may have
+    the same row and column; `sum_duplicates` adds them.
 
     Args:
         kernel: (kh, kw), or (k,) for signals, no unit.
@@ -148,7 +148,7 @@ def per_pixel_matrix(
 def _axis_entries(
     border: str, n: int, taps: int, anchor: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(tap, result, source, coefficient) of every non-zero product along one axis."""
+    """Return (tap, result, source, coefficient) of every non-zero product along one axis."""
     rule = ghosts(border, n, anchor, taps - 1 - anchor)
     result, tap = (v.ravel() for v in np.mgrid[:n, :taps])
     ghost = result + tap

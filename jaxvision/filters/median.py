@@ -1,10 +1,10 @@
 """The median of each pixel's neighbourhood, by a selection network.
 
-The shifted images of the neighbourhood pass as a whole through the comparators (minimum, maximum)
-of Batcher's odd-even merge sort (Knuth, The Art of Computer Programming 3, 5.2.2, algorithm M).
-Only the comparators that affect the median are kept: 24 of 31 for 3 x 3, 113 for 5 x 5. There are
-no branches and no indices, so it runs at the speed of vector minima. Values keep their unit
-(relative or DN).
+Whole images, shifted by the offsets of the neighbourhood, pass through the comparators (minimum,
+maximum) of Batcher's odd-even merge sort (Knuth, The Art of Computer Programming 3, 5.2.2,
+algorithm M). Only the comparators that affect the median are kept: 24 of 31 for 3 x 3, 113 for 5 x
+5. The network has no branches and no indices, so it runs at the speed of vector minima. Values keep
+their unit (relative or DN).
 """
 
 from collections.abc import Sequence
@@ -33,12 +33,12 @@ def median_filter(
     footprint: ArrayLike | None = None,
     border: str = "mirror",
 ) -> Shaped[Array, "..."]:
-    """The median over a rectangle or a footprint about each pixel.
+    """Replace each pixel by the median over a rectangle or a footprint about it.
 
-    For an even number of neighbours it is the upper of the two middle ones, as in `scipy.ndimage`.
-    A NaN in the neighbourhood makes the result NaN. The gradient goes to the neighbour that is the
-    median, in equal parts if there are several. Compile time grows with the footprint: below 1 s up
-    to 7 x 7, some seconds for 15 x 15.
+    For an even number of neighbours the result is the upper of the two middle values, as in
+    `scipy.ndimage`. A NaN in the neighbourhood makes the result NaN. The gradient goes to the
+    neighbour that is the median, in equal parts if there are several. Compile time grows with the
+    footprint: below 1 s up to 7 x 7, some seconds for 15 x 15.
 
     Args:
         picture: (h, w) or (..., h, w, bands), uint8, uint16 or floating, any unit; each band is
@@ -102,7 +102,10 @@ def _median(picture: Picture, offsets: Offsets, border: str) -> Shaped[Array, ".
 
 @jax.custom_jvp
 def _middle(neighbours: tuple[Array, ...]) -> Array:
-    """The element of rank n // 2 of n arrays, pixel by pixel."""
+    """Return the element of rank n
+
+    2 of n arrays, pixel by pixel.
+    """
     wires = list(neighbours)
     for i, j in _selection_network(len(wires), len(wires) // 2):
         wires[i], wires[j] = jnp.minimum(wires[i], wires[j]), jnp.maximum(wires[i], wires[j])
@@ -120,8 +123,10 @@ def _(primals: tuple[tuple[Array, ...]], tangents: tuple[tuple[Array, ...]]) -> 
 
 @cache
 def _selection_network(n: int, rank: int) -> Comparators:
-    """Pairs (i, j), i < j. Putting the smaller of wires i, j on i and the larger on j, in this
-    order, brings the element of that rank (0 the smallest) to wire `rank`."""
+    """Return comparators (i, j) with i < j, in the order of their use. Each puts the smaller of the
+    values on wires i and j on i and the larger on j. They bring the element of rank `rank` (0 the
+    smallest) to wire `rank`.
+    """
     needed, kept = {rank}, []
     for i, j in reversed(_merge_sort(n)):
         if i in needed or j in needed:
@@ -131,7 +136,7 @@ def _selection_network(n: int, rank: int) -> Comparators:
 
 
 def _merge_sort(n: int) -> list[tuple[int, int]]:
-    """Batcher's odd-even merge sort of n wires."""
+    """Return the comparators of Return the comparators of Batcher's odd-even merge sort of n wires."""
     pairs, run = [], 1
     while run < n:
         gap = run

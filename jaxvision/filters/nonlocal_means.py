@@ -1,5 +1,5 @@
-"""Non-local means (Buades, Coll & Morel, CVPR 2005), by its definition, with a weight for every
-neighbour:
+"""Non-local means (Buades, Coll & Morel, CVPR 2005), computed exactly from their definition, with a
+weight for every neighbour:
 
     g(p) = sum_q w f(q) / sum_q w,    w = exp(-max(D(p, q) - 2 noise^2, 0) / strength^2),
 
@@ -38,8 +38,8 @@ def nonlocal_means_filter(
 ) -> Filtered:
     """Replace each pixel by the mean of the pixels with similar surroundings.
 
-    A strength of 0 or below gives the limit: a mean over equal patches only. NaN spreads to every
-    pixel with one in its search window, or in a patch of that window.
+    For a strength of 0 or below the result is the limit: a mean over equal patches only. A pixel
+    becomes NaN if its search window, or a patch about a pixel of that window, contains NaN.
 
     scikit-image's `denoise_nl_means` has the Gaussian profile, a cutoff of 5 and an approximate exp
     (with `fast_mode`, uniform patches one row and column smaller than asked for).
@@ -94,7 +94,7 @@ def nonlocal_means_filter(
 
 
 def _taps(patch: int, profile: str) -> np.ndarray:
-    """(patch,) weights along a side of a patch, of sum 1."""
+    """Return the (patch,) weights along a side of a patch; their sum is 1."""
     if profile == "uniform" or patch == 1:
         return np.full(patch, 1 / patch)
     place = np.arange(patch) - patch // 2
@@ -103,8 +103,10 @@ def _taps(patch: int, profile: str) -> np.ndarray:
 
 
 def _average(plane: Plane, taps: np.ndarray, axis: int) -> Plane:
-    """Weighted neighbours along an axis, where all of them exist. They are shifted and added,
-    because a running sum would lose the digits of small distances."""
+    """Return the weighted sum of neighbours along an axis, at the pixels whose neighbours all
+    exist. The neighbours are shifted and added, because a running sum would lose the digits of
+    small distances.
+    """
     count = plane.shape[axis] - len(taps) + 1
     parts = (
         float(tap) * lax.slice_in_dim(plane, i, i + count, axis=axis) for i, tap in enumerate(taps)

@@ -1,17 +1,18 @@
-"""Continue pictures beyond their border.
+"""Padding: continue pictures beyond their border.
 
 A picture is (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a
-separate plane. Values keep their unit. Integers become floating numbers of the same value, and
-complex numbers are refused. Every border except "constant" is linear in the picture. Along one axis
+separate plane. Values keep their unit. Integers become floating numbers of the same value. Complex
+numbers raise a `ValueError`. Every border except "constant" is linear in the picture. Along one
+axis
 
     ghost[i] = own[i] f[source[i]] + first[i] f[0] + last[i] f[n - 1],
 
-where `ghosts` gives the static numbers for any reach, also beyond several widths of the picture.
-The names are from Szeliski, Computer Vision, section 3.2. "reflect_101" is OpenCV's name for its
-default border.
+where `ghosts` returns the static coefficients for padding of any width, even several times the
+picture's size. The names are from Szeliski, Computer Vision, section 3.2. "reflect_101" is OpenCV's
+name for its default border.
 
-"normalised_zero" divides by the blur of ones, not by the blur of a coverage. For a premultiplied
-layer (light, then alpha) the exact blur with the layer's own colours is
+"normalised_zero" divides by the filtered image of ones, not by a filtered coverage. The exact blur
+of a premultiplied layer (light, then alpha), with the layer's colours, is
 `compositing.unpremultiply(filters.gaussian(layer, sigma, border="zero"))`.
 """
 
@@ -109,8 +110,9 @@ def check_picture(picture: ArrayLike) -> None:
 
 
 def ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
-    """Return the coefficients, of length before + n + after, no unit, that continue one axis of n
-    samples. "constant" and "normalised_zero" have the same coefficients as "zero"."""
+    """Return the coefficients, each of length before + n + after, no unit, with which one axis of n
+    samples is padded. "constant" and "normalised_zero" have the same coefficients as "zero".
+    """
     i = np.arange(-before, n + after)
     inside = (i >= 0) & (i < n)
     own, first, last = np.ones(len(i)), np.zeros(len(i)), np.zeros(len(i))
@@ -145,7 +147,7 @@ def pad(
     border: str = "mirror",
     fill: Float[Array | np.ndarray, "..."] | float = 0.0,
 ) -> Filtered:
-    """The picture, continued beyond its border.
+    """Pad a picture beyond its border.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -188,7 +190,7 @@ def pad_axis(
     border: str,
     outside: Float[Array, "..."],
 ) -> Float[Array, "images _ _ bands"]:
-    """A stack of images with one axis continued; only the two new strips are gathered.
+    """Pad a stack of images along one axis. Only the two new strips are gathered.
 
     Args:
         image: (images, h, w, bands), any unit.
@@ -234,8 +236,9 @@ def pad_axis(
 def as_planes(
     picture: Picture,
 ) -> tuple[Float[Array, "images h w bands"], Callable[[Filtered], Filtered]]:
-    """A picture, (h, w) or (..., h, w, bands), as floating (images, h, w, bands) in its unit, and
-    the function that restores the picture's own axes."""
+    """Return a picture, (h, w) or (..., h, w, bands), as floating (images, h, w, bands) in its
+    unit, and the function that restores the picture's axes.
+    """
     check_picture(picture)
     image, shape = as_float(picture), jnp.shape(picture)
     if len(shape) == 2:

@@ -1,4 +1,4 @@
-"""Image pyramids: Gaussian and Laplacian, exact reconstruction for any size, and blending by
+"""Gaussian and Laplacian image pyramids, with exact reconstruction for any size, and blending by
 pyramids (Burt & Adelson, IEEE Trans. Communications 31, 1983; ACM Trans. Graphics 2, 1983).
 
 The kernel is the binomial [1 4 6 4 1] / 16 (their a = 3/8) in rows and columns. Level l + 1 keeps
@@ -32,7 +32,7 @@ Size = tuple[int, int]
 @takes_numbers
 @partial(jax.jit, static_argnames=("border",))
 def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
-    """The next level of a Gaussian pyramid: blurred, every second row and column.
+    """Compute the next level of a Gaussian pyramid: blur, and keep every second row and column.
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.
@@ -59,7 +59,7 @@ def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
 @takes_numbers
 @partial(jax.jit, static_argnames=("size", "border"))
 def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats:
-    """A level of a pyramid at the size of the next finer one.
+    """Expand a level of a pyramid to the size of the next finer level.
 
     The coarse pixels are placed on even rows and columns, and the kernel interpolates between them.
     Constants stay constant, except with border "zero".
@@ -89,7 +89,7 @@ def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats
 
 @takes_numbers
 def gaussian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror") -> Pyramid:
-    """The picture and its successive reductions.
+    """Return the picture and its successive reductions by two.
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.
@@ -116,7 +116,8 @@ def gaussian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror"
 
 @takes_numbers
 def laplacian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror") -> Pyramid:
-    """The difference of each level of the Gaussian pyramid from the expanded next one.
+    """Return the difference of each level of the Gaussian pyramid from the expanded next level, and
+    the coarsest level.
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.
@@ -143,10 +144,10 @@ def laplacian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror
 
 
 def collapse_laplacian(pyramid: Pyramid, *, border: str = "mirror") -> Floats:
-    """The picture of a Laplacian pyramid.
+    """Reconstruct the picture from a Laplacian pyramid.
 
-    It is exact for any size and border, up to the rounding of one subtraction and one addition per
-    level.
+    The reconstruction is exact for any size and border, up to the rounding of one subtraction and
+    one addition per level.
 
     Args:
         pyramid: the levels, finest first, relative or DN.
@@ -182,7 +183,8 @@ def blend_by_pyramid(
     *,
     border: str = "mirror",
 ) -> Floats:
-    """mask first + (1 - mask) second, separately for each band of spatial frequencies.
+    """Blend two pictures as Blend two pictures as mask first + (1 - mask) second, separately for
+    each band of spatial frequencies.
 
     Coarse structure is blended over a wide strip and fine detail over a narrow one, so that there
     is no visible seam.
@@ -222,14 +224,14 @@ def _size(picture: Floats) -> Size:
 def _normalise(
     filtered: Callable[[Stack, int, str], Stack], image: Stack, axis: int, border: str
 ) -> Stack:
-    """The border "normalised_zero" divides the filtered image by a filtered image of ones."""
+    """For the border "normalised_zero", divide the filtered image by a filtered image of ones."""
     if border != "normalised_zero":
         return filtered(image, axis, border)
     return filtered(image, axis, "zero") / filtered(jnp.ones_like(image), axis, "zero")
 
 
 def _reduce(image: Stack, axis: int, border: str) -> Stack:
-    """The binomial at the even samples of one axis only."""
+    """Filter one axis with the binomial, at the even samples only."""
     last = 2 * (-(-image.shape[axis] // 2)) - 1
     around = _around(image, axis, 2, border)
     a, b, c, d, e = (lax.slice_in_dim(around, i, i + last, 2, axis) for i in range(5))
@@ -237,7 +239,9 @@ def _reduce(image: Stack, axis: int, border: str) -> Stack:
 
 
 def _expand(image: Stack, axis: int, border: str) -> Stack:
-    """Twice the binomial of the samples interleaved with zeros: its even and its odd taps."""
+    """Interleave the samples of one axis with zeros and filter with twice the binomial, its even
+    and odd taps separately.
+    """
     count = image.shape[axis]
     around = _around(image, axis, 1, border)
     before, here, after = (lax.slice_in_dim(around, i, i + count, axis=axis) for i in range(3))

@@ -1,7 +1,7 @@
-"""Pictures on another grid: at another size, or warped by any map of positions.
+"""Resampling: resize pictures, or warp them by any map of positions.
 
 Pixels are squares whose centres lie at whole rows and columns, so that n rows span -1/2 to n - 1/2.
-Reductions are averaged (antialiased): `resize` widens its kernel by the factor, and `warp` averages
+Reductions in size are antialiased: `resize` widens its kernel by the factor, and `warp` averages
 positions within each pixel of the result. Values are relative or DN; integer pictures are computed
 as floating numbers.
 """
@@ -87,8 +87,9 @@ def _resize(picture: AnyPicture, size: tuple[int, int], method: str, antialias: 
 
 
 def _weights(side: int, count: int, method: str, antialias: bool) -> Float[Array, "count side"]:
-    """The matrix from `side` to `count` samples, as in `jax.image.scale_and_translate`, but in
-    double precision and exactly 0 outside the kernel."""
+    """Return the matrix that resamples `side` to `count` samples, as
+    `jax.image.scale_and_translate` does, but in double precision and exactly 0 outside the kernel.
+    """
     with jax.enable_x64(True):
         scale = side / count
         middle = (jnp.arange(count, dtype=jnp.float64) + 0.5) * scale - 0.5
@@ -108,10 +109,12 @@ def _weights(side: int, count: int, method: str, antialias: bool) -> Float[Array
 
 
 def _propagate_nan(total: Floats, image: Floats, rows: Floats, columns: Floats) -> Floats:
-    """The sums of the finite values, with NaN and infinity where they have a weight."""
+    """Return the sums of the finite values, replaced by NaN or infinity where such a value has a
+    weight.
+    """
 
     def count(chosen: Bool[Array, "..."], sign: int) -> Floats:
-        """The number of the chosen pixels with a weight of that sign."""
+        """Count, for each pixel of the result, the chosen pixels whose weight has that sign."""
         values = chosen.astype(jnp.float32)
         same, opposite = (
             jnp.einsum(
@@ -141,7 +144,7 @@ def warp(
     border: str = "clamp",
     fill: Float[Array, ""] | float = 0.0,
 ) -> Floats:
-    """The picture at given positions, interpolated linearly.
+    """Interpolate the picture linearly at given positions.
 
     Args:
         picture: (h', w') or (..., h', w', bands), relative or DN.

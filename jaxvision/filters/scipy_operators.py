@@ -1,4 +1,4 @@
-"""Filters for scipy's solvers: as a sparse matrix, or as an operator with its transpose.
+"""Filters for scipy's solvers: as a sparse matrix, or as a linear operator and its transpose.
 
 Pixels are ordered row by row, with values in any unit. The results are NumPy arrays; nothing is
 traced.
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 
 def scipy_matrix(matrix: MatrixForm | BCOO) -> "scipy.sparse.csr_array":
-    """A sparse matrix in scipy's form; entries at one place are summed.
+    """Convert a filter's matrix to scipy's sparse format, and add entries with the same row and
+    column.
 
     Args:
         matrix: (rows, columns), any unit: from `filter_matrix`, or a sparse matrix of JAX.
@@ -56,7 +57,8 @@ def scipy_matrix(matrix: MatrixForm | BCOO) -> "scipy.sparse.csr_array":
 def scipy_operator(
     operator: Callable[[Filtered], Filtered], shape: tuple[int, ...], *, dtype: type = np.float64
 ) -> "scipy.sparse.linalg.LinearOperator":
-    """A linear filter as scipy's LinearOperator: H @ f and H.T @ g, without a matrix.
+    """Return a linear filter as scipy's LinearOperator, which computes H @ f and H.T @ g without a
+    matrix.
 
     Args:
         operator: the filter, from pictures to pictures of the same shape, any unit.

@@ -1,13 +1,12 @@
 """Filters whose kernel changes from pixel to pixel: lens blur, defocus by depth, foveation.
 
-There are three ways, from general to fast. The first is a kernel for each pixel, which is exact.
-The second is radial kernels that depend on the pixel through one number, the scale, which is exact
-and stores no kernels. The third is a bank of ordinary filters with interpolation between them,
-and the number of filters sets the accuracy. Pictures and borders are as in `convolution`, in any
-unit. The kernel of a pixel contains the weights with which THAT pixel gathers its neighbours.
-Gathering keeps a flat picture flat, but does not keep the sum of light. To scatter, so that each
-pixel spreads its own light by its rotated kernel and the sum is kept, take the transpose:
-`operators.adjoint` of the same filter.
+There are three methods, from general to fast. The first takes a kernel for each pixel and is exact.
+The second takes radial kernels that depend on the pixel through one number, the scale; it is exact
+and stores no kernels. The third blends a bank of ordinary filters; the number of filters sets the
+accuracy. Pictures and borders are as in `convolution`, in any unit. The kernel of a pixel contains
+the weights with which THAT pixel gathers its neighbours. Gathering keeps a flat picture flat, but
+does not conserve the sum of light. To scatter instead, so that each pixel spreads its light by its
+rotated kernel and the sum is conserved, take the transpose: `operators.adjoint` of the same filter.
 """
 
 from collections.abc import Callable, Sequence
@@ -68,9 +67,9 @@ def gaussian_profile(radius: Float[Array, ""], sigma: ScaleMap) -> ScaleMap:
 
 @takes_numbers
 def disk_profile(radius: Float[Array, ""], blur_radius: ScaleMap) -> ScaleMap:
-    """The disc of defocus: 1 inside, 0 outside, with a linear edge one pixel wide.
+    """Return the weights of a defocus disc: 1 inside, 0 outside, with a linear edge one pixel wide.
 
-    Because of this edge the weights are continuous in the blur radius.
+    This edge makes the weights continuous in the blur radius.
 
     Args:
         radius: () in pixels.
@@ -90,7 +89,7 @@ def correlate_per_pixel(
     anchor: Sequence[int] | None = None,
     border: str = "mirror",
 ) -> Filtered:
-    """Correlation with one kernel for each pixel: g[p] = sum over i of kernels[i, p] f[p + i -
+    """Correlate with one kernel for each pixel: g[p] = sum over i of kernels[i, p] f[p + i -
     anchor].
 
     Args:
@@ -121,11 +120,11 @@ def convolve_per_pixel(
     anchor: Sequence[int] | None = None,
     border: str = "mirror",
 ) -> Filtered:
-    """Convolution with one kernel for each pixel: g[p] = sum over i of kernels[i, p] f[p - i +
+    """Convolve with one kernel for each pixel: g[p] = sum over i of kernels[i, p] f[p - i +
     anchor].
 
-    A kernel belongs to the pixel of the result. If it describes how the light of a pixel of the
-    picture spreads, the blur is the `adjoint` of `correlate_per_pixel`.
+    A kernel belongs to the pixel of the result. For kernels that describe how the light of each
+    pixel of the picture spreads, the blur is instead the `adjoint` of `correlate_per_pixel`.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -167,10 +166,10 @@ def correlate_bank(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """The picture filtered with each kernel of a bank, blended pixel by pixel.
+    """Filter the picture with each kernel of a bank, and blend the results pixel by pixel.
 
-    The kernel of a pixel is the blend of two kernels of the bank. The error is proportional to the
-    square of the distance between neighbouring kernels.
+    The effective kernel of a pixel is the blend of two kernels of the bank. The error is
+    proportional to the square of the distance between neighbouring kernels.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -204,11 +203,11 @@ def radial_blur(
     radius: int,
     border: str = "mirror",
 ) -> Filtered:
-    """The mean over the pixels within `radius`, weighted by profile(distance, scale[p]).
+    """Compute the mean over the pixels within `radius`, weighted by profile(distance, scale[p]).
 
-    It is exact for kernels that depend on the distance alone. Pixels at one distance share their
-    weight and are summed first, so there is one exponential for each ring, not for each tap. If all
-    weights vanish, the pixel keeps its value.
+    The result is exact for kernels that depend on the distance alone. Pixels at the same distance
+    have the same weight and are summed first, so the profile is evaluated once for each ring, not
+    for each tap. If all weights of a pixel are 0, the pixel keeps its value.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -240,11 +239,12 @@ def gaussian_varying(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> Filtered:
-    """A Gaussian with a `sigma` for each pixel, interpolated in a bank of Gaussians.
+    """Blur with a Gaussian whose `sigma` varies from pixel to pixel, interpolated in a bank of
+    Gaussians.
 
-    The blend of two kernels of the bank has exactly the spatial variance `sigma`^2. Its fourth
-    moment has an error, which decreases with the square of the distance between the two sigmas.
-    `kernels.blur_sigmas` chooses the bank. `radial_blur` is exact.
+    The blend of two kernels of the bank has exactly the spatial variance `sigma`^2. The blend's
+    fourth moment has an error proportional to the square of the distance between the two sigmas.
+    `kernels.blur_sigmas` chooses the sigmas of a bank. `radial_blur` is exact.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -327,8 +327,10 @@ def _radial(
 
 
 def _octets(radius: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Offsets (a, b) with 0 <= b <= a, one for each set of eight images under the symmetries of the
-    square, their distances, and the share of each image: 1/2 if two coincide, 1/8 if all do."""
+    """Return offsets (a, b) with 0 <= b <= a, their distances, and their shares. Each offset stands
+    for its eight images under the symmetries of the square. The share of an image is 1/2 if the
+    images coincide in pairs, and 1/8 if all coincide.
+    """
     a, b = np.tril_indices(radius + 1)
     a, b = (v[a * a + b * b <= radius * radius] for v in (a, b))
     share = np.where(a == 0, 1 / 8, np.where((b == 0) | (a == b), 1 / 2, 1.0))
@@ -338,7 +340,9 @@ def _octets(radius: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _rows_of_planes(
     picture: Picture, reach: Widths, border: str
 ) -> tuple[Planes, Callable[[Planes], Filtered]]:
-    """A padded picture as (n, h, c, w), and the inverse function."""
+    """Return a padded picture as (n, h, c, w), and the function that restores a picture from that
+    layout.
+    """
     image, restore = as_planes(picture)
     wide = materialise(lambda f: jnp.moveaxis(pad(f, reach, border=border), -1, 2), image)
     return wide, lambda planes: restore(jnp.moveaxis(planes, 2, -1))
@@ -368,7 +372,7 @@ def _gaussian_bank(
 
 @jax.jit
 def _blend(members: list[Filtered], position: ScaleMap) -> Filtered:
-    """The kernels of a bank, weighted with hat functions of `position`."""
+    """Blend the filtered pictures of a bank, weighted by hat functions of `position`."""
     bands = 1 if members[0].ndim == 2 else members[0].shape[-1]
     batch = (1,) * max(members[0].ndim - 3, 0)
     # rows of numbers, whatever the bands: see `_methods.correlate_shifts`
@@ -384,7 +388,7 @@ def _blend(members: list[Filtered], position: ScaleMap) -> Filtered:
 
 
 def _plane(picture: Picture) -> tuple[int, ...]:
-    """Return (h, w) of a picture. Raises `ValueError` for any other array."""
+    """Return (h, w) of a picture. Raise `ValueError` for any other array."""
     check_picture(picture)
     return picture.shape if picture.ndim == 2 else picture.shape[-3:-1]
 

@@ -28,7 +28,7 @@ def box(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """The mean over a rectangle of pixels.
+    """Replace each pixel by the mean over a rectangle about it.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -63,7 +63,7 @@ def binomial(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """The mean with binomial weights, of variance (size - 1) / 4 pixels^2 each way.
+    """Blur with binomial weights, of variance (size - 1) / 4 pixels^2 in each direction.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -98,9 +98,10 @@ def unsharp_mask(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> Filtered:
-    """f + amount (f - gaussian(f)), which adds `amount` times the detail finer than `sigma`.
+    """Sharpen a picture: f + amount (f - gaussian(f)), which adds `amount` times the detail finer
+    than `sigma`.
 
-    The overshoot is not limited.
+    Overshoot at edges is not limited.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -133,11 +134,12 @@ def unsharp_mask(
 def blur_straight(
     picture: Float[Array, "... h w channels"], *, blur: Callable[[Filtered], Filtered]
 ) -> Float[Array, "... h w channels"]:
-    """Any blur of a picture with transparency and straight (not premultiplied) colours.
+    """Blur a picture with transparency and straight (not premultiplied) colours, by any linear
+    filter.
 
-    Light is weighted by its coverage: the result is blur(alpha light) / blur(alpha) with coverage
-    blur(alpha), so the colour of fully transparent pixels has no effect. For a premultiplied layer,
-    blur all channels with the same filter instead.
+    Light is weighted by its coverage alpha: the result is blur(alpha light) / blur(alpha), with the
+    coverage blur(alpha). The colour of fully transparent pixels thus has no effect. For a
+    premultiplied layer, blur all channels with the same filter instead.
 
     Args:
         picture: (..., h, w, channels): straight light in any unit, then the coverage alpha. An

@@ -63,7 +63,8 @@ def directional_derivative(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> Filtered:
-    """The derivative of a Gaussian-filtered picture along an angle: cos f_x + sin f_up.
+    """Return the derivative of a Gaussian-filtered picture in the direction of an angle: cos f_x +
+    sin f_up.
 
     This is the steerable filter of first order.
 
@@ -101,11 +102,11 @@ def quadrature_basis(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> QuadratureBasis:
-    """The seven separable responses from which G2 and H2 follow at every orientation.
+    """Compute the seven separable responses from which G2 and H2 follow at every orientation.
 
-    From a width of 2 on, the sum of squares of G2 is 1 (to 4e-5), and that of H2, the paper's fit
-    to a Hilbert transform, is 0.99. Narrower filters are sampled too coarsely: at width 1 the two
-    are 1.18 to 1.41 and 0.53 to 0.81, depending on the angle.
+    For a width of at least 2, the squared weights of G2 sum to 1 (within 4e-5). Those of H2, the
+    paper's fit to a Hilbert transform, sum to 0.99. Narrower filters are sampled too coarsely: at
+    width 1 the two sums are 1.18 to 1.41 and 0.53 to 0.81, depending on the angle.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -137,7 +138,7 @@ def quadrature_basis(
 
 
 def steer(basis: QuadratureBasis, angle: Angle | float) -> tuple[Filtered, Filtered]:
-    """The responses of G2 and H2, rotated to an angle.
+    """Return the responses of G2 and H2, rotated to an angle.
 
     With y up, their basis functions use x cos + y sin to the second and third power, so all signs
     are plus. (In the paper y points down, and some signs are minus.)
@@ -156,10 +157,10 @@ def steer(basis: QuadratureBasis, angle: Angle | float) -> tuple[Filtered, Filte
 
 
 def oriented_energy(basis: QuadratureBasis, angle: Angle | float) -> Filtered:
-    """G2^2 + H2^2 at an angle: the strength of a line or an edge across that direction.
+    """Return G2^2 + H2^2 at an angle, the strength of a line or an edge across that direction.
 
-    It is independent of the phase, that is of the position of the line within the period of the
-    pair.
+    The energy is independent of the phase, the position of the line within the period of the
+    filters.
 
     Args:
         basis: the responses of `quadrature_basis`.
@@ -173,11 +174,11 @@ def oriented_energy(basis: QuadratureBasis, angle: Angle | float) -> Filtered:
 
 
 def dominant_orientation(basis: QuadratureBasis) -> tuple[Filtered, Filtered]:
-    """The angle at which the energy's lowest harmonic, C_2 cos 2 theta + C_3 sin 2 theta, is
-    largest.
+    """Return the angle theta at which the lowest harmonic of the energy, C_2 cos 2 theta + C_3 sin
+    2 theta, is largest.
 
-    C_2 and C_3 are sums of products of the responses without the isotropic part of the energy,
-    which would cause cancellation.
+    C_2 and C_3 are computed as sums of products of the responses, without the energy's isotropic
+    part, which would cause cancellation.
 
     Args:
         basis: the responses of `quadrature_basis`.
@@ -207,7 +208,7 @@ def _weight(weights: tuple[Angle, ...], basis: Basis) -> Filtered:
 
 
 def _map_kernels(weight: Angle, picture: Filtered) -> Float[Array, "..."]:
-    """A number, or a map of numbers, in the axes of a picture."""
+    """Reshape a number, or a map of numbers, to broadcast over the axes of a picture."""
     if weight.ndim == 0 or picture.ndim == 2:
         return weight.astype(picture.dtype)
     shape = (1,) * (picture.ndim - 3) + weight.shape + (1,)
