@@ -18,7 +18,9 @@ print_by_name(globals(), "Colours")
 
 
 def checked(colours: Colours) -> Colours:
-    """Return colours as floating numbers, and raise `ValueError` unless they have three components."""
+    """Return colours as floating numbers, and raise `ValueError` unless they have three
+    components.
+    """
     colours = as_relative(colours)
     if colours.shape[-1:] != (3,):
         raise ValueError(f"colours must have a last axis of 3, got shape {colours.shape}.")

@@ -59,7 +59,9 @@ def ycbcr_to_rgb(
 
 
 def _ycbcr(standard: str, levels: str, bits: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the matrix from R'G'B' to Y'CbCr, its inverse, and the offset added after the matrix."""
+    """Return the matrix from R'G'B' to Y'CbCr, its inverse, and the offset added after the
+    matrix.
+    """
     check_choice("levels", levels, ("full", "legal"))
     check_count("bits", bits, 8)
     luma = np.asarray(luma_weights(standard))

@@ -202,7 +202,9 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
             return _choose_direction(lead, near(difference, 1), near(difference, 0))
 
         def at_green(from_green: Plane) -> tuple[Plane, Plane]:
-            """Interpolate both other bands minus green at the green pixels, from their neighbours."""
+            """Interpolate both other bands minus green at the green pixels, from their
+            neighbours.
+            """
             rows, columns = _mean_of_two(from_green, 1), _mean_of_two(from_green, 0)
             return jnp.where(first_rows, rows, columns), jnp.where(first_rows, columns, rows)
 

@@ -120,7 +120,9 @@ def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> 
 
 
 def _places(border: str, n: int, taps: int, anchor: int) -> np.ndarray:
-    """Return the source index of each position along a padded axis, or n where the border is zero."""
+    """Return the source index of each position along a padded axis, or n where the border is
+    zero.
+    """
     source, own, *_ = ghosts(border, n, anchor, taps - 1 - anchor)
     return np.where(own == 0, n, source)
 

@@ -119,7 +119,9 @@ def weighted_mean(
 
 
 def _signs_of_infinity(guide: Planes) -> Plane:
-    """Encode in one number per pixel which bands are +inf, -inf or finite, as digits to the base 3."""
+    """Encode in one number per pixel which bands are +inf, -inf or finite, as digits to the base
+    3.
+    """
     signs = (jnp.where(jnp.isinf(g), jnp.sign(g), 0) * 3.0**k for k, g in enumerate(guide))
     return lax.stop_gradient(functools.reduce(jnp.add, signs))
 

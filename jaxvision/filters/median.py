@@ -136,7 +136,9 @@ def _selection_network(n: int, rank: int) -> Comparators:
 
 
 def _merge_sort(n: int) -> list[tuple[int, int]]:
-    """Return the comparators of Return the comparators of Batcher's odd-even merge sort of n wires."""
+    """Return the comparators of Batcher's odd-even merge sort of n
+    wires.
+    """
     pairs, run = [], 1
     while run < n:
         gap = run
