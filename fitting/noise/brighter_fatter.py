@@ -1,9 +1,10 @@
-"""Brighter-fatter effect and mixing of neighbouring pixels of a calibrated camera.
+"""Estimates of a camera's brighter-fatter effect and of the linear mixing of neighbouring pixels.
 
-For the brighter-fatter effect, a_00 follows from variances and covariances, the a_ij of the
-neighbours from their covariances, and the kernel of a sensor from all of them. For linear mixing of
-pixels after charge collection, the likelihood gives the share of the variance, and the covariances
-give its distribution among the neighbours.
+a_ij is the relative change of a pixel's area per electron in the pixel i rows and j columns away
+(Astier et al. 2019). The variances and covariances together give a_00, the covariances give the
+a_ij of the neighbours, and all of them give the kernel of a sensor. For linear mixing after charge
+collection, the likelihood gives the share of the variance that a pixel loses, and the covariances
+give its distribution over the neighbours.
 """
 
 from dataclasses import dataclass
@@ -28,14 +29,14 @@ STEPS = 6  # Gauss-Newton steps; the model is nearly linear
 
 @dataclass(frozen=True)
 class AreaChanges:
-    """The relative change of pixel areas per electron."""
+    """The relative changes a_ij of pixel areas per electron, with standard errors."""
 
     values: Lags  # (lags, lags) a_ij per electron, at offsets of 0, 1, ... rows and columns
     errors: Lags  # standard errors; a_00 has its error from the likelihood
 
 
 def own_area_change(fit: LikelihoodFit) -> tuple[float, float]:
-    """a_00 and its standard error, per electron."""
+    """Return a_00 and its standard error, per electron."""
     labels = [parameter.name for parameter in fit.space]
     beta, gain = (float(fit.values[name]) for name in ("brighter_fatter", "system_gain"))
     scale = gain / float(fit.data.top_signal)
@@ -48,7 +49,8 @@ def own_area_change(fit: LikelihoodFit) -> tuple[float, float]:
 def fitted_area_changes(
     measurement: PhotonTransfer, usable: np.ndarray, fit: LikelihoodFit
 ) -> AreaChanges | None:
-    """The closed form of Astier et al. (2019) fitted to the covariances of all levels."""
+    """Fit the closed form of Astier et al. (2019) to the covariances of all levels; None if the
+    covariances of neighbouring pixels are unknown."""
     above = above_dark(measurement)
     if above is None:
         return None
@@ -65,7 +67,8 @@ def fitted_area_changes(
 
 
 def electrons_and_steps(fit: LikelihoodFit) -> tuple[Array, np.ndarray]:
-    """mu of each level, and the DN per additional electron there."""
+    """Return the expected electrons mu of each level, and the DN per additional electron at that
+    level."""
     values, data = fit.values, fit.data
     mu = jax.vmap(lambda *at: expected_electrons(values, data, *at))(
         data.light, data.lit, data.exposure
@@ -78,8 +81,8 @@ def electrons_and_steps(fit: LikelihoodFit) -> tuple[Array, np.ndarray]:
 def _fitted(
     own: Array, mu: Array, found: Array, variances: Array, *, mixing: bool
 ) -> tuple[Array, Array]:
-    """a_ij at fixed a_00, and their errors. If pixels are mixed, a term linear in mu is fitted at
-    each offset."""
+    """Fit the a_ij at fixed a_00; return them and their standard errors. If pixels are mixed, a
+    term linear in mu is fitted at each offset."""
     size = (REACH + 1) ** 2 - 1
     weight = 1 / jnp.sqrt(variances)
 
@@ -106,7 +109,7 @@ def _fitted(
 def fitted_kernel(
     measurement: PhotonTransfer, usable: np.ndarray
 ) -> Float[np.ndarray, "rows columns"]:
-    """Return the kernel with a_00 = -1 whose area changes best fit the measured ones."""
+    """Return the kernel, scaled to a_00 = -1, whose area changes fit the measured ones best."""
     weight = np.sqrt(np.maximum(COPIES, 1))
     of_kernel = np.asarray(jax.jacfwd(area_changes)(jnp.zeros((REACH, REACH))))
     design = (weight[:, :, None, None] * of_kernel).reshape(weight.size, -1)
@@ -120,7 +123,8 @@ def fitted_effect(
     values: dict[str, Array],
     top: Array | np.ndarray,
 ) -> BrighterFatter | None:
-    """The effect as a record of a sensor."""
+    """Return the fitted brighter-fatter effect as a field of a sensor; None if it was not
+    fitted."""
     if kernel is None or "brighter_fatter" not in values:
         return None
     change = jnp.maximum(values["brighter_fatter"], 0) * values["system_gain"] / top
@@ -130,8 +134,8 @@ def fitted_effect(
 def fitted_mixing(
     shares: Lags | Float[Array, "lags lags"] | None, values: dict[str, Array]
 ) -> Mixing | None:
-    """The mixing of a sensor: the kernel, even in both axes, whose autocorrelation gives the
-    covariances of neighbours.
+    """Return the fitted mixing as a field of a sensor; None if it was not fitted. Its kernel is
+    even in both axes, and its autocorrelation gives the covariances of neighbours.
     """
     if shares is None or "pixel_mixing" not in values:
         return None

@@ -1,14 +1,14 @@
-"""Calibration of a camera's noise from photon transfer: the EMVA 1288 sheet, twice.
+"""Calibration of a camera's noise from photon transfer, by EMVA 1288 and by maximum likelihood.
 
-The first version of the sheet uses the standard's regressions (`emva1288`), the second uses maximum
-likelihood (`model`). The likelihood weights every level by its precision. It detects a nonlinear
-camera, and then gives gain and efficiency at zero signal. Every figure has a standard error and
-intervals. If the measurement cannot give a figure, the sheet states the reason instead.
+The figures of the EMVA 1288 data sheet are computed twice, by the standard's regressions
+(`emva1288`) and by maximum likelihood (`model`). The likelihood weights every level by its
+precision. It also tests the response for nonlinearity; for a nonlinear camera it gives gain and
+efficiency at zero signal. Every figure has a standard error and 68 % and 95 % intervals. If the
+measurement cannot give a figure, the sheet states the reason instead.
 
-Noise shared by rows or columns in flats beyond that of the darks, as from flickering light under a
-rolling shutter, is subtracted first. No model includes it, and in a variance it looks like shot
-noise. The analysis of variance that detects it also removes it, row by row, which leaves the noise
-of the pixels.
+If rows or columns share more noise in flats than in darks, as under flickering light with a rolling
+shutter, the excess is subtracted before the fits. No model includes it, and in the variance it
+resembles shot noise. An analysis of variance detects this noise and estimates the part to subtract.
 """
 
 from dataclasses import dataclass, replace
@@ -63,7 +63,8 @@ from .window import needed_window, offset_data
 def extra_in_flats(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> dict[str, Found]:
-    """Noise that rows or columns share in flats beyond that of the darks."""
+    """Return the noise that rows or columns share in flats beyond that in darks, where it is
+    significant."""
     found = {
         name: extra_lines(measurement.bright, measurement.dark, usable, axis)
         for axis, name in enumerate(LINES)
@@ -72,7 +73,8 @@ def extra_in_flats(
 
 
 def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> PhotonTransfer:
-    """The measurement with flats whose row and column noise is reduced to that of the darks."""
+    """Return the measurement with the row and column noise of its flats reduced to that of the
+    darks."""
     bright = measurement.bright
     if not flicker or bright.shared is None:
         return measurement
@@ -96,7 +98,7 @@ _evaluated = compiled_briefly(evaluate)
 
 @dataclass(frozen=True)
 class Likelihood:
-    """The maximum-likelihood results for a camera."""
+    """The results of the maximum-likelihood fits to a camera."""
 
     linear: LikelihoodFit  # the fit of a linear camera
     # the fit of the model that describes the camera; `linear` where the linear model does
@@ -108,7 +110,7 @@ class Likelihood:
 
 @dataclass(frozen=True, repr=False)
 class NoiseCalibration(ShownInNotebooks):
-    """A calibrated camera, which findings, figures and report read.
+    """The complete calibration of a camera, from which findings, figures and report are made.
 
     Attributes:
         measurement: the calibrated levels.
@@ -163,20 +165,20 @@ class NoiseCalibration(ShownInNotebooks):
 
     @property
     def gain(self) -> float:
-        """K, DN/e-, as in the table: from the likelihood, or from the standard if the likelihood
-        failed."""
+        """The gain K, DN/e-, as in the report's table: by the likelihood, or by the standard's
+        regression if the likelihood has no maximum."""
         estimate = self.shown.get("system_gain")
         of_standard = float(self.standard.values["system_gain"])
         return of_standard if estimate is None or estimate.value is None else estimate.value
 
     @property
     def unequal(self) -> float:
-        """Relative rms deviation of the gains of the pixel classes in `periodic`."""
+        """Relative rms deviation between the gains of the pixel classes in `periodic`."""
         return unequal_gains_of(self.periodic)
 
     @property
     def shown(self) -> dict[str, Estimate]:
-        """The likelihood's figures and parameters by name, as tables show them."""
+        """The likelihood's figures and parameters by name, as the report's tables give them."""
         if self.likelihood is None:
             return {}
         by_name = {found.name: found for found in estimates(self.posterior)}
@@ -184,9 +186,9 @@ class NoiseCalibration(ShownInNotebooks):
 
     @property
     def efficiency(self) -> float | None:
-        """Electrons per photon, as in the table. The sensor uses the value at the posterior mode;
-        if only that value exceeds 1, which means an error in the input, it is returned instead.
-        None if photons are not known."""
+        """The quantum efficiency, electrons per photon, as in the report's table. A sensor uses the
+        value at the posterior mode. If only that value exceeds 1, which means an error in the
+        input, it is returned instead. None if photons are not known."""
         if not self.measurement.photons_known:
             return None
         if self.likelihood is None:
@@ -277,7 +279,8 @@ def calibrate(
 
 
 def refitted(calibration: NoiseCalibration, terms: tuple[Parameter, ...]) -> NoiseCalibration:
-    """The calibration with these terms added to the chosen model, by Laplace if it lacked them."""
+    """Return the calibration with `terms` added to the chosen model; if the model lacks any, it is
+    fitted again with Laplace's approximation."""
     chosen, likelihood = calibration.chosen, calibration.likelihood
     lacking = tuple(term for term in terms if term not in chosen.space)
     if not lacking or likelihood is None:
@@ -289,7 +292,8 @@ def refitted(calibration: NoiseCalibration, terms: tuple[Parameter, ...]) -> Noi
 
 
 def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternVariance:
-    """Return the pattern with the likelihood's DSNU if rounding distorts the measured DSNU."""
+    """Return the fixed pattern with the likelihood's estimate of DSNU if rounding distorts the
+    measured one."""
     labels = names(posterior.space)
     if OFFSET_SPREAD.name not in labels:
         return pattern
@@ -302,8 +306,8 @@ def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternV
 
 
 def _posterior(fit: LikelihoodFit, sampling: Emcee | None, seed: int) -> Posterior:
-    """The posterior of the chosen model. If the model has a scatter, whose prior shifts the mode,
-    the posterior is taken about its own mode."""
+    """Return the posterior of the chosen model. If the model has a random scatter of levels, the
+    posterior is taken about its own mode, because the prior of the scatter shifts the mode."""
     vector, covariance = fit.optimum.vector, fit.inflation * fit.covariance
     problem = posterior_problem(fit)
     if problem.inputs.jeffreys:
@@ -319,7 +323,8 @@ def _posterior(fit: LikelihoodFit, sampling: Emcee | None, seed: int) -> Posteri
 def _likelihood_estimates(
     fit: LikelihoodFit, posterior: Posterior, within: Ranges, usable: np.ndarray
 ) -> tuple[Estimate, ...]:
-    """The sheet of the chosen model: by the delta method for Laplace, from the draws for emcee."""
+    """Return the sheet of the chosen model, with errors by the delta method (Laplace) or from the
+    draws (emcee)."""
     linearity = np.zeros(fit.data.lit.size, bool)
     linearity[: len(usable)] = np.asarray(within.linearity)[usable]
     args = (fit.space, fit.data, jnp.asarray(linearity))
@@ -338,7 +343,8 @@ def _likelihood_estimates(
 
 
 def widened(estimate: Estimate, unequal: float) -> Estimate:
-    """An estimate whose error includes the effect of unequal gains of the pixels."""
+    """Return an estimate whose error includes the effect of the unequal gains of pixel classes,
+    `unequal` relative rms."""
     if not unequal or estimate.value is None or estimate.name not in ON_GAIN:
         return estimate
     error = float(np.hypot(estimate.standard_error or 0.0, unequal * abs(estimate.value)))
@@ -347,15 +353,15 @@ def widened(estimate: Estimate, unequal: float) -> Estimate:
 
 
 def finest_read_noise(fit: LikelihoodFit) -> float:
-    """The read noise, in e-, below which the data give only a limit because of rounding; 0 if not
-    needed."""
+    """Return the read noise, in e-, below which rounding leaves only an upper limit; 0 if read
+    noise is large enough to ignore rounding."""
     if fit.data.window is None:
         return 0.0
     return FINEST_READ_NOISE * fit.data.converter.step / float(fit.values["system_gain"])
 
 
 def _with_limits(sheet: tuple[Estimate, ...], fit: LikelihoodFit) -> tuple[Estimate, ...]:
-    """The sheet, with a limit in place of a read noise that the converter hides."""
+    """Return the sheet, with an upper limit in place of a read noise that rounding hides."""
     finest, found = finest_read_noise(fit), []
     for one in sheet:
         low, high = one.interval_95 or (0.0, 0.0)
@@ -369,7 +375,8 @@ def _with_limits(sheet: tuple[Estimate, ...], fit: LikelihoodFit) -> tuple[Estim
 
 @compiled_briefly
 def _sheet_and_slopes(mode: Array, saturation: Array | None, args: tuple) -> tuple[dict, dict]:
-    """The sheet, and for each figure its slopes in the parameters and in the saturation point."""
+    """Return the sheet, and the derivatives of each figure with respect to the parameters and to
+    the saturation point."""
     slopes = jax.jacfwd(likelihood_sheet, argnums=(0, 1))(mode, saturation, args)
     return likelihood_sheet(mode, saturation, args), slopes
 
@@ -391,13 +398,13 @@ def _drawn_estimates(posterior: Posterior, within: Ranges, args: tuple) -> tuple
 
 @eqx.filter_jit
 def _sheets(vectors: Array, lights: Array | None, args: tuple) -> Sheet:
-    """The sheet of each draw."""
+    """Compute the sheet for each posterior draw."""
     return jax.vmap(lambda vector, light: likelihood_sheet(vector, light, args))(vectors, lights)
 
 
 def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) -> float:
-    """The gain that the standard's regression gives for the means and variances of the fitted
-    model."""
+    """Return the gain that the standard's regression gives for the means and variances that the
+    fitted model predicts."""
     predicted = eqx.filter_jit(predicted_moments)
     moments = predicted(fit.values, fit.data, fit.data.light)
     unlit_data = eqx.tree_at(lambda data: data.lit, fit.data, jnp.zeros_like(fit.data.lit))
@@ -409,6 +416,6 @@ def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) ->
 
 
 def sheet_estimate(quantity: Quantity, value: float, error: float, method: str) -> Estimate:
-    """Return a line of the sheet as an estimate, with intervals symmetric in the value or in its
-    logarithm."""
+    """Return a figure of the sheet as an estimate. Its intervals are symmetric in the value, or in
+    its logarithm if it must be positive."""
     return gaussian_estimate(quantity, value, error, method=method, log_scale=quantity.positive)

@@ -1,20 +1,22 @@
-"""Tables of codes at levels of few electrons: the choice of the levels, the counts, and their fit.
+"""Histograms of codes at light levels of few electrons: which levels are counted, the counts, and
+the fit to them.
 
-With a read noise below about one electron, the histogram of the codes has a peak for each count
-of electrons, or is skewed. Mean and variance lose most of this information. The black levels of
-pixels differ (DSNU), which would blur the peaks. The pixel's own black level, its mean over the
-dark frames of the same exposure, is therefore subtracted from each code. The noise of that mean is
-known, and no distribution of the offsets is assumed. The gains of pixels are assumed to agree
-within a fifth of the read noise over the counted electrons, which limits the light of the levels.
+If read noise is below about one electron, the histogram of the codes has a peak for each number of
+electrons, or is skewed. Mean and variance lose most of this information. The black levels of
+pixels differ (DSNU), which would blur the peaks. Therefore each pixel's own black level is
+subtracted from its codes; it is the pixel's mean over the dark frames of the same exposure. The
+noise of that mean is known and enters the fit, and no distribution of the black levels is assumed.
+Only levels are counted at which unequal gains of the pixels shift the codes by less than a fifth of
+the read noise.
 
-The fit uses the exact distribution of a code,
+The fit uses the exact distribution of a code at level l,
 
     c = black + K (n + sigma_d z) rounded,   n ~ Poisson(mu_l)
 
-for each level l, with one gain and read noise. Each dark has a black level, whose error from its
-dark frames is common to all pixels. The fit is a `Problem` under `SensorCounts`. Its result is a
-Gaussian in the logarithms of K, sigma_d and mu_l, which replaces the moments of these levels in the
-likelihood of photon transfer.
+with one gain K (DN/e-) and read noise sigma_d (e-) for all levels. Each exposure of the darks has
+its own black level, with the standard error of its mean as the prior. The fit is a `Problem` with
+the likelihood `SensorCounts`. Its result, a Gaussian in the logarithms of K, sigma_d and mu_l,
+replaces the means and variances of these levels in the likelihood of photon transfer.
 """
 
 from collections.abc import Callable, Sequence
@@ -95,7 +97,7 @@ def code_tables(
     plane: Callable[[str], np.ndarray],
     live: Bool[np.ndarray, "h w"] | None,
 ) -> CodeTables:
-    """Count the codes of some levels, which reads their frames and darks again."""
+    """Count the codes at some light levels, from their flats and darks, which are read again."""
     bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
     matched = np.asarray(measurement.dark_of)[levels]
     wander = drift(dark).variance / converter.step**2 if drift(dark).believed else 0.0
@@ -149,7 +151,7 @@ TREND = 3  # exposures of darks needed to separate dark electrons from the black
 
 @dataclass(frozen=True)
 class CodeFit:
-    """The fit to tables of codes."""
+    """The result of the fit to histograms of codes."""
 
     levels: Int[np.ndarray, " m"]  # indices of the bright levels
     # (2 + m,) logarithms of gain (DN/e-), read noise (e-) and electrons of each level
@@ -159,8 +161,8 @@ class CodeFit:
     failures: tuple[str, ...]  # why the fit is not used, in sentences; empty where it is used
 
     def among(self, usable: Int[np.ndarray, " usable"]) -> CountedLevels | None:
-        """The result in the form for the likelihood of photon transfer with the bright levels
-        `usable`; None where it is not used."""
+        """Return the result as an input of the likelihood of photon transfer with the bright levels
+        `usable`; None if the fit failed."""
         if self.failures:
             return None
         place = np.searchsorted(usable, self.levels)
@@ -175,7 +177,8 @@ class CodeFit:
 def counts_problem(
     measurement: PhotonTransfer, tables: CodeTables
 ) -> tuple[Problem, dict[str, np.ndarray]]:
-    """The problem of the tables, and its starting point from the moments."""
+    """Return the problem for histograms of codes, and its starting point from means and
+    variances."""
     dark, converter = measurement.dark, measurement.converter
     levels, level = np.unique(np.asarray(tables.level), return_inverse=True)
     darks, of = np.unique(np.asarray(tables.dark), return_inverse=True)
@@ -235,7 +238,7 @@ def _light_of_tables(electrons: Array, inputs: dict[str, Array]) -> Array:
 
 
 def fitted_tables(measurement: PhotonTransfer) -> CodeFit | None:
-    """The fit to the tables of a measurement."""
+    """Fit the histograms of codes of a measurement; None if it has none."""
     tables = measurement.tables
     if tables is None:
         return None
@@ -265,8 +268,8 @@ def fitted_tables(measurement: PhotonTransfer) -> CodeFit | None:
 
 def _dark_signal(measurement: PhotonTransfer) -> np.ndarray:
     """Return the dark signal of each dark in DN, from a line through their means over exposure.
-    With too few exposures it is 0, and dark electrons count as read noise, as in the likelihood of
-    the moments."""
+    With fewer than three exposures it is 0, and dark electrons count as read noise, as in the
+    likelihood of means and variances."""
     dark = measurement.dark
     exposure, mean = np.asarray(dark.exposure), np.asarray(dark.mean)
     if len(np.unique(exposure)) < TREND:
@@ -278,9 +281,9 @@ def _dark_signal(measurement: PhotonTransfer) -> np.ndarray:
 def _frames_in_common(
     measurement: PhotonTransfer, tables: CodeTables, read_noise: float, log_gain: float
 ) -> float:
-    """Return the factor on variances because all flats of a pixel share the error of its black
-    level. If the codes of F flats have the correlation rho, their squares have the correlation
-    rho^2."""
+    """Return the factor by which the covariance grows because all flats of a pixel share the error
+    of its black level. If the codes of a pixel in F flats have correlation rho, their squares have
+    correlation rho^2, so the factor is 1 + (F - 1) rho^2."""
     step, most = measurement.converter.step, 1.0
     own = (read_noise * np.exp(log_gain)) ** 2 + measurement.converter.rounding
     for d in np.unique(np.asarray(tables.dark)):

@@ -1,20 +1,24 @@
-"""Checks of a series of levels for frames that do not come from one camera in one state.
+"""Checks for frames that do not come from one camera in one state, over all light levels of a
+series.
 
-multiplied  skewed flats of an EMCCD, whose variance over signal is no gain (`multiplied`)
-averaged    fractions in the darks alone, or in the flats alone, whose noise is then too small
+multiplied  flats as skewed as those of an EMCCD, whose variance over signal is not the gain
+            (`multiplied`)
+averaged    fractional values in the darks alone, or in the flats alone: an average has too little
+            noise
 afterglow   darks that fade in the order in which they were taken, in proportion to the flats of
             their level: persistence of the flats, not dark current
-two gains   variance over signal that is constant up to a level, and another constant from there on
+two gains   variance over signal that is constant up to one level, and has another constant value
+            from the next level on
 two modes   the same for the variance of the darks alone: another gain of the darks, or an exposure
             from which the camera subtracts a dark frame of its own
 drifting    flats whose signal drifts in one direction from frame to frame, as while a lamp or a
             camera warms up; between levels such a drift resembles a curved response
 printed     exposure times that a camera rounded for display, so that the light seems to scatter
 
-Without multiplication of electrons, a signal x has variance K x and third cumulant K^2 x. A
-register of many stages turns each electron into an exponentially distributed number of mean g. The
-variance over the signal is then K' = 2 g K (an excess noise factor of 2), and the third cumulant is
-3 / 2 K'^2 x.
+Without electron multiplication, a signal of x DN at the gain K has variance K x and third cumulant
+K^2 x. The multiplication register of an EMCCD turns each electron into an exponentially distributed
+number with mean g. The ratio of variance to signal is then K' = 2 g K (an excess noise factor of
+2), and the third cumulant is 3 / 2 K'^2 x.
 """
 
 from collections.abc import Sequence
@@ -84,7 +88,8 @@ def multiplied(
 
 
 def _third_cumulant(frames: Sequence[FrameSample], variance: float) -> tuple[float, float]:
-    """The third cumulant over the pixels of each frame, averaged, DN^3, and its standard error."""
+    """Return the third cumulant over the pixels of a frame, averaged over frames, DN^3, and its
+    standard error."""
     apart = [frame.sample - frame.sample.mean(dtype=float) for frame in frames]
     found = float(np.mean([np.vdot(one * one, one) / one.size for one in apart]))
     return found, float(np.sqrt(6 * variance**3 / sum(one.size for one in apart)))
@@ -95,7 +100,7 @@ CHANCE_OF_DRIFT = 1e-6  # probability of a false drift for a steady or flickerin
 
 
 class Drifting(NamedTuple):
-    """A drift of the signal."""
+    """A steady drift of the flats' signal from frame to frame."""
 
     share: float  # relative change from one frame of a level to the next
     error: float  # its standard error
@@ -103,12 +108,12 @@ class Drifting(NamedTuple):
 
     @property
     def total(self) -> float:
-        """Relative change over all flats if they were taken in sequence."""
+        """Relative change of the signal over all flats, if they were taken one after another."""
         return self.share * (self.frames - 1)
 
 
 def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
-    """The drift of the flats, or None if it is not significant."""
+    """Return the drift of the flats' signal; None if it is not significant."""
     bright = measurement.bright
     if bright.trend is None or len(usable) < FEWEST_DRIFTING:
         return None
@@ -135,7 +140,8 @@ FEWEST_TIMES = 6
 def printed_times(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> dict[str, str | float] | None:
-    """The numbers of the finding on rounded exposure times; None if they are exact."""
+    """Return the numbers for the finding on exposure times that were rounded for display; None if
+    the times are exact."""
     times = np.asarray(measurement.bright.exposure)[usable]
     signal = signal_of(measurement)[usable]
     if measurement.photons_known or len(times) < FEWEST_TIMES or np.any(times * signal <= 0):
@@ -150,7 +156,7 @@ def printed_times(
 
 
 def _scatter(signal: Float[np.ndarray, " levels"], times: Float[np.ndarray, " levels"]) -> float:
-    """Rms of ln(signal / time) about a smooth curve."""
+    """Return the rms deviation of ln(signal / time) from a smooth curve over time."""
     x = times / times.max()
     design = np.stack([np.ones_like(x), x, times.min() / times], axis=1)
     rates = np.log(signal / times)
@@ -186,7 +192,7 @@ def doubts(
     flats: Sequence[Sequence[FrameSample]],
     darks: Sequence[Sequence[FrameSample]],
 ) -> tuple[Doubt, ...]:
-    """Return the doubts about figures that use all levels of a series."""
+    """Run the checks and return their doubts, each with the figures that must not be reported."""
     found = (
         _fading(measurement, darks),
         multiplied(measurement, flats, darks),
@@ -265,8 +271,9 @@ def _step(
     errors: Float[np.ndarray, " levels"],
     levels: Int[np.ndarray, " levels"],
 ) -> _Step | None:
-    """Two groups of neighbouring levels with one positive value each; None if there are none.
-    `errors` are relative, and `levels` are the indices of the levels."""
+    """Split successive levels into two groups with a sudden step between two nearly constant
+    positive values; None if there is no such step. `errors` are relative standard errors, and
+    `levels` are the indices of the levels."""
     best, place, logs = np.inf, None, np.log(values)
     for i in range(2, len(logs) - 1):
         left = float(sum(np.sum((part - part.mean()) ** 2) for part in (logs[:i], logs[i:])))

@@ -1,4 +1,5 @@
-"""The data sheet of EMVA Standard 1288, release 3.1, by the standard's own regressions.
+"""The data sheet of EMVA Standard 1288, release 3.1, by the regressions that the standard
+prescribes.
 
     responsivity    mu_y - mu_y.dark = R mu_p                      through the origin, to 70 %
     gain            var_y - var_y.dark = K (mu_y - mu_y.dark)      through the origin, to 70 %
@@ -12,13 +13,13 @@
     fixed pattern   s^2 = s^2_measured - var_y / L;  DSNU = s_dark / K;
                     PRNU = sqrt(s_50^2 - s_dark^2) / (mu_50 - mu_dark)
 
-Percentages are of the saturation signal. The sheet is a pure function of the measured means and
-variances, so each figure's standard error follows from their sampling covariance by the delta
-method. If a quantity scatters about its own regression more than pixel noise allows (p < 1 %), its
-variances are multiplied by chi-square per degree of freedom (Birge 1932). The regressions stay
-those of the standard, and the errors include the scatter.
+The limits in per cent are of the saturation signal. The sheet is a differentiable function of the
+measured means and variances, so the delta method gives each figure's standard error from their
+sampling covariance. If measured values scatter about their regression more than pixel noise
+explains (p < 1 %), their sampling variances are multiplied by chi-square per degree of freedom
+(Birge 1932). This widens the errors but leaves the standard's estimates unchanged.
 
-Decibels are 20 log10. Usable bits are log2 of the dynamic range.
+Decibels are 20 log10. Usable bits are the base-2 logarithm of the dynamic range.
 """
 
 from collections.abc import Callable
@@ -54,7 +55,7 @@ Sheet = dict[str, Float[Array, ""]]
 
 
 class Ranges(eqx.Module):
-    """The bright levels that enter each regression."""
+    """The ranges of bright levels that enter each regression."""
 
     sensitivity: Bool[Array, " levels"]  # indices of the levels for responsivity and gain
     linearity: Bool[Array, " levels"]  # indices of the levels for the linearity errors
@@ -68,7 +69,7 @@ class Ranges(eqx.Module):
 
 
 class Statistics(eqx.Module):
-    """The statistics from which the sheet is computed."""
+    """The measured statistics from which the sheet is computed."""
 
     bright_mean: Float[Array, " levels"]  # DN
     bright_variance: Float[Array, " levels"]  # DN^2
@@ -78,7 +79,7 @@ class Statistics(eqx.Module):
 
 
 class Evaluation(eqx.Module):
-    """The sheet with its errors."""
+    """The figures of a sheet with their standard errors."""
 
     values: Sheet  # figures by name
     errors: Sheet  # their standard errors
@@ -88,7 +89,7 @@ class Evaluation(eqx.Module):
 
 
 def ranges(measurement: PhotonTransfer) -> Ranges:
-    """The standard's ranges of a measurement.
+    """Return the levels of a measurement that the standard uses in each regression.
 
     If there is no saturation point, the brightest usable level replaces it, and figures that need
     saturation are not given.
@@ -116,13 +117,13 @@ def ranges(measurement: PhotonTransfer) -> Ranges:
 
 
 def statistics(measurement: PhotonTransfer, saturation: Array | None) -> Statistics:
-    """The measured statistics of a sheet."""
+    """Collect the measured statistics from which a sheet is computed."""
     bright, dark = measurement.bright, measurement.dark
     return Statistics(bright.mean, bright.variance, dark.mean, dark.variance, saturation)
 
 
 def sheet(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> Sheet:
-    """Return the standard's figures, without those that the measurement cannot give.
+    """Return the standard's figures; those that the measurement cannot give are missing.
 
     Source:
         EMVA Standard 1288, release 3.1.
@@ -152,20 +153,22 @@ def sheet(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> She
 def _dark_variance(
     stats: Statistics, measurement: PhotonTransfer, within: Ranges
 ) -> tuple[Array, Array | float]:
-    """sigma_y.dark^2 at zero exposure, and its slope over exposure."""
+    """Return the dark variance sigma_y.dark^2 at zero exposure, DN^2, and its slope over
+    exposure."""
     if within.dark_exposures > 2:
         return line(measurement.dark.exposure, stats.dark_variance)
     return stats.dark_variance[0], 0.0
 
 
 def is_floored(measurement: PhotonTransfer, within: Ranges) -> bool:
-    """Whether the dark noise is at the standard's floor and therefore only a bound."""
+    """Return whether the measured dark noise is below the standard's minimum, so that the reported
+    value is only an upper bound."""
     found, _ = _dark_variance(statistics(measurement, None), measurement, within)
     return float(found) < least_dark_variance(measurement)
 
 
 def least_dark_variance(measurement: PhotonTransfer) -> float:
-    """The standard's floor of sigma_y.dark^2, DN^2."""
+    """Return the smallest dark variance that the standard allows, DN^2."""
     converter = measurement.converter
     return max(LEAST_DARK_VARIANCE * converter.width**2, 1.2 * converter.rounding)
 
@@ -179,7 +182,7 @@ def derived_figures(
     photons_known: bool,
     converter: Converter,
 ) -> Sheet:
-    """The figures that follow from gain, responsivity, dark noise and saturation."""
+    """Compute the figures that follow from gain, responsivity, dark noise and saturation."""
     efficiency = responsivity / gain
     threshold = jnp.sqrt(dark_variance) / gain + 0.5
     figures = {
@@ -214,8 +217,8 @@ def derived_figures(
 def linearity_errors(
     light: Float[Array, " levels"], signal: Float[Array, " levels"], within: Bool[Array, " levels"]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Extreme relative deviations of the signal from the line that minimises the sum of (deviation
-    / signal)^2.
+    """Return the smallest and the largest relative deviation, in per cent, of the signal from a
+    line. The line minimises the sum of (deviation / signal)^2.
     """
     deviation = linearity_deviation(light, signal, within)
     return (
@@ -227,8 +230,8 @@ def linearity_errors(
 def linearity_deviation(
     light: Float[Array, " levels"], signal: Float[Array, " levels"], within: Bool[Array, " levels"]
 ) -> Float[Array, " levels"]:
-    """Return the deviation of each level from the linearity line; NaN with too few levels, so that
-    their slopes do not enter other figures."""
+    """Return the relative deviation of each level from the linearity line, in per cent; NaN if
+    fewer than three levels are in the range."""
     enough = jnp.sum(within) >= FEWEST_FOR_LINE
     within = within | ~enough
     safe = jnp.where(within, signal, 1)
@@ -245,7 +248,8 @@ def evaluate(
     shared: SharedNoise | None = None,
     figures: Callable[[Statistics, PhotonTransfer, Ranges], Sheet] = sheet,
 ) -> Evaluation:
-    """The sheet, or that of another release, and its standard errors by the delta method."""
+    """Compute the sheet with standard errors by the delta method. `figures` selects the release of
+    the standard."""
     stats = statistics(measurement, within.saturation)
     values = figures(stats, measurement, within)
     bright, dark, factors = _sampling(stats, measurement, within, values["system_gain"], shared)
@@ -286,8 +290,8 @@ def _sampling(
     gain: Array,
     shared: SharedNoise | None,
 ) -> tuple[SamplingErrors, SamplingErrors, Float[Array, "4"]]:
-    """Sampling errors of bright and dark levels, inflated for each block whose regression has a
-    significant misfit, and the factors."""
+    """Return the sampling errors of the bright and the dark levels, inflated where a regression has
+    a significant misfit, and the four inflation factors."""
     shot = _shot_variance(stats, measurement)
     bright = sampling_errors(measurement.bright, shot, gain, shared=shared)
     unlit = jnp.zeros_like(stats.dark_mean)

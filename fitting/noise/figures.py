@@ -1,4 +1,5 @@
-"""Pictures of a noise calibration: photon transfer, responsivity, signal to noise, dark signal."""
+"""Figures of a noise calibration: photon transfer, responsivity, signal-to-noise ratio and dark
+signal."""
 
 from functools import partial
 from typing import TYPE_CHECKING
@@ -27,7 +28,7 @@ POINTS = 300  # points of a drawn curve
 
 
 def noise_pictures(calibration: NoiseCalibration) -> tuple[Picture, ...]:
-    """The four figures, drawn on request."""
+    """Return the four figures of a calibration, each drawn when it is requested."""
     return (
         Picture(
             "photon_transfer",
@@ -65,7 +66,8 @@ def noise_pictures(calibration: NoiseCalibration) -> tuple[Picture, ...]:
 
 
 def photon_transfer_figure(calibration: NoiseCalibration) -> "Figure":
-    """Log-log variance against mean, with residuals."""
+    """Draw the photon transfer curve, variance against mean on logarithmic axes; below, the
+    residuals."""
     measurement = calibration.measurement
     signal, shot = signal_of(measurement), shot_of(measurement)
     gain = float(calibration.standard.values["system_gain"])
@@ -112,7 +114,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> "Figure":
 
 
 def responsivity_figure(calibration: NoiseCalibration) -> "Figure":
-    """Signal against light, with the linearity deviations."""
+    """Draw the signal against light; below, the deviations from linearity."""
     measurement = calibration.measurement
     light = np.asarray(measurement.bright.light)
     signal = signal_of(measurement)
@@ -186,7 +188,7 @@ def signal_to_noise_figure(calibration: NoiseCalibration) -> "Figure":
 
 
 def dark_signal_figure(calibration: NoiseCalibration) -> "Figure":
-    """Dark mean and variance against exposure."""
+    """Draw the mean and the variance of the darks against exposure."""
     from matplotlib.figure import Figure
 
     dark = calibration.measurement.dark
@@ -218,7 +220,8 @@ def dark_signal_figure(calibration: NoiseCalibration) -> "Figure":
 
 
 def two_panels(*, height: float = 1.4) -> "tuple[Figure, Axes, Axes]":
-    """Return a figure of two panels with a common abscissa, with heights 3 and `height`."""
+    """Return a figure and its two panels with a common abscissa, whose heights are in the ratio 3
+    to `height`."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=SIZE, layout="constrained")
@@ -229,8 +232,9 @@ def two_panels(*, height: float = 1.4) -> "tuple[Figure, Axes, Axes]":
 def _model_curve(
     calibration: NoiseCalibration, *, spacing: str = "log", faintest: float | None = None
 ) -> tuple[np.ndarray, Moments, Moments]:
-    """(light, moments of the chosen model there, and without light), at the median exposure. The
-    light offset is left out, because it is a property of the test bench."""
+    """Return light values, and the chosen model's mean and variance with that light and without
+    light, at the median exposure. The model's light offset is set to 0, because it is a property of
+    the test bench."""
     fit = calibration.chosen
     data = fit.data
     bright = np.asarray(data.light)[np.asarray(data.lit) > 0]

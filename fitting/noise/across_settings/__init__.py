@@ -1,9 +1,11 @@
-"""Photon transfer of one camera at several gains and temperatures, in one fit.
+"""One fit to the photon transfer of a camera at several gains and temperatures.
 
-setting         flats and darks of a rig, setting by setting, and the estimates of each
-statement       the laws of gain and temperature as a `Problem`, and their tests
-calibration     everything together, with full well and fixed pattern averaged over settings
-sensor          the camera at any gain and temperature
-findings        every sentence of a report, with its condition
-figures section what else a report shows
+setting         the flats and darks of each setting, and their estimates
+statement       the laws of gain and temperature as a `Problem`, with tests of the laws
+calibration     all fits of a camera, with full well and fixed pattern averaged over settings
+sensor          the camera as a sensor at any gain and temperature
+prediction      prediction of levels that were held out of the fit
+findings        the sentences of a report, each with its condition
+figures         the figures of a report
+section         the report, with its estimates and tables
 """

@@ -1,11 +1,12 @@
-"""Calibration of a camera over its gains and temperatures: each setting separately, and all
-together.
+"""Calibration of a camera at several settings (pairs of gain and temperature): each setting is
+fitted separately, then all are fitted together.
 
-Full well and fixed pattern, which do not depend on the gain, are averaged over settings. Each
-setting sees the same pixels, so settings differ only by temporal noise. The sampling error of
-n pixels as a sample of their population is added once, to the average. Full well comes from the
-settings whose well fills before the end of the converter's range. Their grids of levels are the
-same or similar, so the error of the average is that of the best setting.
+Full well and fixed pattern, which do not depend on the gain, are averaged over settings. All
+settings use the same pixels, so their estimates differ only by temporal noise. The error because
+these n pixels are one sample of their population is common to all settings and is added once, to
+the average. The full well comes from the settings at which the well fills before the converter's
+range ends. The settings have the same or similar light levels, whose spacing limits the full well,
+so its error is that of the best setting and does not decrease by averaging.
 """
 
 from collections.abc import Sequence
@@ -56,7 +57,8 @@ class Pooled:
 
     @property
     def serves(self) -> bool:
-        """Whether one value is reported: the settings agree, or differ by little."""
+        """Whether the report gives one value for all settings, because they agree or differ by less
+        than 10 %."""
         return self.holds or self.spread < ALIKE * abs(self.value)
 
     @property
@@ -70,7 +72,7 @@ class Pooled:
 
 
 def full_well(calibrations: Sequence[NoiseCalibration | None]) -> Pooled | None:
-    """Full well in electrons; None where no well was filled."""
+    """Average the full well over the settings, electrons; None if no setting fills the well."""
     found = {
         i: find(one.sheet, "saturation_electrons", method=LIKELIHOOD)
         for i, one in enumerate(calibrations)
@@ -89,7 +91,8 @@ def full_well(calibrations: Sequence[NoiseCalibration | None]) -> Pooled | None:
 def pattern(
     calibrations: Sequence[NoiseCalibration | None], gains: np.ndarray, which: str
 ) -> Pooled | None:
-    """DSNU or PRNU squared, for gains in DN/e-; None where only sums over pixels are known."""
+    """Average the variance of DSNU (e-^2) or PRNU (relative) over the settings, whose gains are in
+    DN/e-; None if only sums over pixels are known."""
     found = []
     for i, one in enumerate(calibrations):
         if one is None or one.patterns is None:
@@ -107,7 +110,8 @@ def pattern(
 
 
 def _average(settings: tuple[int, ...], values: np.ndarray, errors: np.ndarray) -> Pooled:
-    """Weighted mean, its standard error, its chi-square, and the scatter between settings."""
+    """Return the weighted mean of the settings' values, with its standard error, chi-square, and
+    rms deviation of the settings."""
     weights = 1 / errors**2
     average = float(np.average(values, weights=weights))
     chi_square = float(np.sum(weights * (values - average) ** 2))
@@ -117,7 +121,7 @@ def _average(settings: tuple[int, ...], values: np.ndarray, errors: np.ndarray) 
 
 @dataclass(frozen=True, repr=False)
 class CameraCalibration(ShownInNotebooks):
-    """A camera calibrated over its settings.
+    """The calibration of a camera at several gains and temperatures.
 
     Attributes:
         frames: of each setting.
@@ -151,7 +155,7 @@ class CameraCalibration(ShownInNotebooks):
 
     @property
     def is_impossible(self) -> bool:
-        """Whether the quantum efficiency exceeds 1 at some setting, by more than its error
+        """Whether the quantum efficiency exceeds 1 at any setting, by more than its error
         explains."""
         draws = zip(names(self.posterior.space), self.posterior.samples.T, strict=True)
         own = [one for name, one in draws if name.partition("[")[0] == "quantum_efficiency"]
@@ -159,7 +163,7 @@ class CameraCalibration(ShownInNotebooks):
 
     @property
     def processed(self) -> tuple[str, ...]:
-        """Labels of the settings whose frames were not raw."""
+        """Labels of the settings whose frames were not raw (compressed or denoised)."""
         return tuple(
             setting.label
             for setting, own in zip(self.settings, self.calibrations, strict=True)
@@ -176,9 +180,9 @@ def calibrate_settings(
 ) -> CameraCalibration:
     """Calibrate a camera's noise over its gains and temperatures.
 
-    Quantum efficiency is shared, read noise follows from noise before and behind the amplifier, and
-    dark current follows Arrhenius' law. Each of these assumptions is tested and dropped if it
-    fails. A setting that cannot be fitted by itself is left out and named.
+    The model has one quantum efficiency for all settings, a read noise from parts before and behind
+    the amplifier, and a dark current by Arrhenius' law. Each of these assumptions is tested and
+    dropped if it fails. A setting whose separate fit fails is left out, and `left_out` names it.
 
     Args:
         frames: of at least two settings, as `read_by_setting` returns them.
@@ -242,8 +246,9 @@ def calibrate_settings(
 def calibrate_one(
     one: FramesOfSetting, *, sampling: Emcee | None, seed: int
 ) -> NoiseCalibration | InputError | None:
-    """The fit of one setting, by emcee or Laplace. It is None for darks alone, and the error where
-    the fit has no maximum or the gain is not identifiable."""
+    """Fit one setting separately, by emcee or Laplace's approximation. Return None for a setting of
+    darks alone, and the InputError if the likelihood has no maximum or the gain is not
+    identifiable."""
     if isinstance(one.frames, Levels):
         return None
     try:

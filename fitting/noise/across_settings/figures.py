@@ -1,4 +1,4 @@
-"""Pictures of a camera over its settings: gain, read noise, dark current."""
+"""Figures of a camera at several gains and temperatures: gain, read noise and dark current."""
 
 from functools import partial
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ ZERO_CELSIUS = 273.15  # K
 
 
 def camera_pictures(calibration: CameraCalibration) -> tuple[Picture, ...]:
-    """The figures that show how settings differ, drawn when they are requested."""
+    """Return the figures that show how settings differ. Each is drawn when it is requested."""
     gains = {setting.gain for setting in calibration.settings}
     found = []
     if len(gains) > 1:
@@ -64,7 +64,8 @@ def camera_pictures(calibration: CameraCalibration) -> tuple[Picture, ...]:
 
 
 def gain_figure(calibration: CameraCalibration) -> "Figure":
-    """K against the stated gain, and its deviations from proportionality."""
+    """Draw the conversion gain K against the stated gain; below, the deviations of K from
+    proportionality."""
     fit = calibration.fit
     factor = np.array([setting.gain_factor for setting in calibration.settings])
     proportion = proportional_gain(fit)
@@ -97,7 +98,8 @@ def gain_figure(calibration: CameraCalibration) -> "Figure":
 
 
 def read_noise_figure(calibration: CameraCalibration) -> "Figure":
-    """Read noise against the conversion gain, with its law."""
+    """Draw read noise against the conversion gain, with its law (parts before and behind the
+    amplifier)."""
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
     figure, axis, lower = two_panels(height=1.6)
@@ -130,7 +132,7 @@ def read_noise_figure(calibration: CameraCalibration) -> "Figure":
 
 
 def dark_current_figure(calibration: CameraCalibration) -> "Figure":
-    """Dark current against the inverse of temperature."""
+    """Draw dark current against the inverse of temperature (Arrhenius' plot)."""
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
     points = [own.dark_current(k) for own, k in zip(fit.by_setting, gain, strict=True)]
@@ -175,8 +177,8 @@ def dark_current_figure(calibration: CameraCalibration) -> "Figure":
 def _draw_law(
     upper: "Axes", lower: "Axes", x: np.ndarray, curve: np.ndarray, drawn: np.ndarray, label: str
 ) -> float:
-    """Draw a law with the 95 % band of its draws; below, the band in per cent of the law. Return
-    the lowest value of the band."""
+    """Draw a fitted law with the 95 % band of its posterior draws; below, the band in per cent of
+    the law. Return the lowest value of the band."""
     band = np.quantile(drawn, HALF_BAND, axis=0)
     upper.plot(x, curve, color=ORANGE, lw=1.5, label=label)
     for axis, (low, high) in ((upper, band), (lower, 100 * (band / curve - 1))):
@@ -193,8 +195,8 @@ def _draw_settings(
     off: np.ndarray,
     error: np.ndarray,
 ) -> None:
-    """Draw the estimates of single settings with 95 % bars; below, how far they are off the fit,
-    with their relative standard errors."""
+    """Draw the separate estimates of the settings with 95 % bars; below, their deviations from the
+    joint fit in per cent."""
     style = {"fmt": ".", "color": BLUE, "lw": 0.8}
     upper.errorbar(x, value, bars, ms=6, label="each setting by itself", **style)
     lower.errorbar(x, 100 * off, 196 * error, ms=5, **style)
@@ -203,14 +205,15 @@ def _draw_settings(
 
 
 def _alone(calibration: CameraCalibration, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The settings that determine a quantity separately, with estimates and errors."""
+    """Return the indices of the settings whose separate fits determine a quantity, with the
+    estimates and their standard errors."""
     value, error = np.array([one.of(name) for one in calibration.fit.by_setting]).T
     alone = np.flatnonzero(np.isfinite(value))
     return alone, value[alone], error[alone]
 
 
 def _beside(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
-    """Factors that separate overlapping points horizontally."""
+    """Return factors for the abscissas that move points of equal abscissa apart."""
     order = np.zeros(len(x))
     for place in np.unique(x):
         own = np.flatnonzero(x == place)
@@ -219,7 +222,7 @@ def _beside(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
 
 
 def _plain_ticks(axis: "Axis") -> None:
-    """Label an axis that spans few decades with plain numbers instead of powers."""
+    """Label a logarithmic axis with plain numbers instead of powers of ten."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axis.set_major_locator(LogLocator(subs=(1, 2, 5)))

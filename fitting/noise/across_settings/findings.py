@@ -1,5 +1,5 @@
-"""Every finding on a camera over its settings, with its condition. Quantities that the settings do
-not share come first."""
+"""The findings on a camera at several settings, each with the condition under which it is reported.
+Assumptions that failed, so that settings have separate values, come before all others."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -31,7 +31,8 @@ def findings(calibration: CameraCalibration) -> tuple[str, ...]:
 
 
 def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
-    """The finding for an assumption that failed, with its largest deviations."""
+    """Return the numbers for the finding on an assumption that failed: its largest deviations and
+    its test; None if it did not fail."""
     claim = next((one for one in calibration.fit.claims if one.law == law), None)
     if claim is None or claim.holds:
         return None
@@ -50,7 +51,8 @@ def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _rivals(law: Law, calibration: CameraCalibration) -> Numbers | None:
-    """The quantities that disagreed together with an assumption, but agree without it."""
+    """Return the numbers for the finding on other assumptions that failed together with this one,
+    but passed after it was dropped; None if there are none."""
     claim = _claim(law, calibration)
     return claim if claim and claim["rivals"] else None
 
@@ -74,7 +76,7 @@ def _given_up(quantity: Quantity, axis: Axis, sentence: str) -> tuple[Finding, F
 
 
 def _relative(one: OwnDeviation) -> OwnDeviation:
-    """The relative difference for a difference of logarithms."""
+    """Convert a deviation from a difference of logarithms to a relative difference."""
     return replace(one, value=np.expm1(one.value), error=np.exp(one.value) * one.error)
 
 
@@ -83,7 +85,8 @@ def _signed(one: OwnDeviation, scale: float = 100) -> str:
 
 
 def _misfit(beyond: bool, calibration: CameraCalibration) -> Numbers | None:
-    """The chi-square of the fit, and whether it is significant."""
+    """Return the numbers for the finding on the chi-square of the fit; None unless its significance
+    is that of `beyond`."""
     fit = calibration.fit
     if (fit.fit.noise > 1) != beyond:
         return None
@@ -97,7 +100,8 @@ def _misfit(beyond: bool, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
-    """Whether the measured gains are proportional to the stated gains."""
+    """Return the numbers for the finding on proportionality between measured and stated gains; None
+    unless the test's result is `holds`."""
     found = proportional_gain(calibration.fit)
     if found is None or (found[1] >= MISFIT) != holds:
         return None
@@ -111,7 +115,8 @@ def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _unknown_dark_law(determined: bool, calibration: CameraCalibration) -> bool:
-    """Whether dark current at several temperatures has no accepted law."""
+    """Whether dark current at several temperatures is fitted without a law although none was
+    rejected. `determined` selects whether its values are known."""
     fit = calibration.fit
     free = {parameter.name for parameter in fit.fit.problem.free}
     several = len({setting.temperature for setting in fit.settings}) > 1
@@ -121,7 +126,8 @@ def _unknown_dark_law(determined: bool, calibration: CameraCalibration) -> bool:
 
 
 def _energy(calibration: CameraCalibration) -> Numbers | None:
-    """The finding for an activation energy that is not plausible for silicon."""
+    """Return the numbers for the finding on an activation energy that is implausible for silicon;
+    None if it is plausible."""
     labels = [parameter.name for parameter in calibration.fit.fit.problem.space]
     if "activation_energy" not in labels:
         return None
@@ -134,7 +140,8 @@ def _energy(calibration: CameraCalibration) -> Numbers | None:
 
 
 def _differs(name: str, calibration: CameraCalibration) -> Numbers | None:
-    """The finding for an average over settings that disagree."""
+    """Return the numbers for the finding on an average over settings that disagree; None if they
+    agree."""
     pooled = getattr(calibration, name)
     if pooled is None or pooled.holds:
         return None

@@ -1,7 +1,8 @@
-"""Prediction of kept-out levels by the camera over its settings.
+"""Prediction of held-out light levels by the joint fit to all settings of a camera.
 
-Each setting is fitted again without every second level, and the camera over the settings from these
-fits. Its sensor at a setting, written to a file and read back, predicts the levels left out.
+Each setting is fitted again without every second level, and the joint fit is repeated with these
+estimates. The sensor of the joint fit at each setting is written to a file, read back, and predicts
+the levels left out.
 """
 
 from dataclasses import replace
@@ -24,7 +25,8 @@ SHOWN = 3  # most settings whose missing effects are named
 
 @double_precision
 def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
-    """Predict the levels that were kept out of the fit, by the camera over all settings."""
+    """Predict the held-out levels of each setting by a joint fit to the other levels of all
+    settings."""
     lit = {
         setting: own
         for setting, own in zip(calibration.settings, calibration.calibrations, strict=True)
@@ -56,8 +58,8 @@ def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
 
 
 def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
-    """Return how well the settings are predicted, and which effects the camera lacks if they are
-    not."""
+    """Return findings on how well the held-out levels are predicted and, if badly, on the effects
+    that the model lacks."""
     if not predictions:
         return ()
     sums: dict[str, Agreement] = {}
@@ -87,7 +89,7 @@ def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
 
 
 def table(predictions: tuple[Prediction, ...]) -> Table:
-    """A row for each setting and quantity."""
+    """Return the table of prediction tests, with a row for each setting and predicted quantity."""
     rows = tuple(
         (one.camera, one.labels[0], name, own.degrees, own.ratio, own.p_value)
         for one in predictions

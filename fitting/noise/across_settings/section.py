@@ -1,4 +1,4 @@
-"""The report of a camera over its settings: estimates, findings, tables and figures."""
+"""The report on a camera at several settings: estimates, findings, tables and figures."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -55,7 +55,7 @@ OWN_HEADINGS = {
 
 
 def section(calibration: CameraCalibration) -> Section:
-    """The section of a camera over its settings: shared parameters, and each gain."""
+    """Return the report section of the joint fit: the shared parameters, and those of each gain."""
     gains = dict.fromkeys((s.gain, s.gain_label) for s in calibration.settings)
     writers = {
         f"sensor_{word_for_file(t)}".rstrip("_"): partial(write_sensor_at, calibration, g)
@@ -86,15 +86,15 @@ def section(calibration: CameraCalibration) -> Section:
 
 
 def sections(calibration: CameraCalibration) -> list[Section]:
-    """The section of the camera, then one for each setting."""
+    """Return the report section of the joint fit, then one of each setting."""
     return [section(calibration), *_of_settings(calibration.frames, calibration.calibrations)]
 
 
 def records_of_sites(
     calibrations: Mapping[str, CameraCalibration], camera: Camera
 ) -> dict[str, Callable[[Path], None]]:
-    """The function that writes one sensor for all sites at each gain; None if a site has no
-    sensor."""
+    """Return, by file name, a function for each gain that writes one sensor for all sites of the
+    mosaic; empty if any site has no sensor."""
     each = calibrations.values()
     if len(calibrations) < len(camera.sites) or any(c.is_impossible or c.processed for c in each):
         return {}
@@ -112,7 +112,7 @@ def without_whole(
     calibrations: Sequence[NoiseCalibration | InputError | None],
     why: str,
 ) -> list[Section]:
-    """The sections of the settings if the joint fit failed, with the reason."""
+    """Return a section that states why the joint fit failed, then one of each setting."""
     return [failed_section(KIND, TITLE, why), *_of_settings(frames, calibrations)]
 
 
@@ -154,7 +154,7 @@ def _about(calibration: CameraCalibration) -> str:
 
 
 def _middle(calibration: CameraCalibration) -> float:
-    """The middle of the range of temperatures, K."""
+    """Return the middle of the range of temperatures, K."""
     warmth = [s.temperature for s in calibration.settings if s.temperature is not None]
     return (min(warmth) + max(warmth)) / 2
 
@@ -200,8 +200,8 @@ def _root(
     scale: float = 1.0,
     parts: tuple[Part, ...] = (),
 ) -> Estimate:
-    """The square root of a variance estimate that may be negative, with parts known from few
-    samples."""
+    """Return the standard deviation for an estimated variance `square`, which may be negative. If
+    it is not significant, state an upper bound. `parts` are components known from few samples."""
     if square < SEEN * error:
         bound = scale * np.sqrt(max(square, 0) + SEEN * error)
         return not_determined(what, f"below {bound:.3g} {what.unit}, hidden under {under}")

@@ -1,9 +1,10 @@
-"""A calibrated camera as a sensor at any gain and temperature in its range.
+"""Conversion of a calibrated camera to a sensor at any gain and temperature in the measured range.
 
-The shared parameters (gain, efficiency, read noise, dark current, fixed pattern) follow from the
-fit over all settings. All other effects come from the nearest setting with flats, whose fit is
-conditioned on the shared parameters. If its draws are (s, r), with s shared, r not shared and
-covariance C, and s* is a draw of the fit over all settings, r becomes r + C_rs C_ss^-1 (s* - s).
+The shared parameters (gain, efficiency, read noise, dark current, fixed pattern) come from the
+joint fit to all settings. All other effects come from the nearest setting with flats, whose fit is
+conditioned on the shared parameters. Let a draw of that setting's own fit be (s, r), with s the
+shared parameters, r the others and C their covariance. If s* is a draw of the joint fit, r becomes
+r + C_rs C_ss^-1 (s* - s).
 
 Source:
     Journel & Huijbregts, "Mining Geostatistics", 1978, section VII.A (Matheron's conditioning).
@@ -52,18 +53,18 @@ def sensor_at(
     gain: float | None = None,
     temperature: float | None = None,
 ) -> tuple[Sensor, Sensor]:
-    """The sensor of a camera at one gain and temperature.
+    """Return the sensor of a calibrated camera at one gain and temperature.
 
-    Between two measured gains, ln K is linear in the logarithm of the stated gain. So are the black
-    level and the logarithm of a read noise without a law. Dark current follows its law of
-    temperature (`ArrheniusDarkCurrent`) if there is one. Otherwise it is interpolated linearly
-    between the temperatures. Compression, light offset, mixing, the brighter-fatter effect and
-    noise of rows, columns and frames are those of the nearest setting with flats, in electrons.
-    The full well comes from settings at which the pixel fills before the converter's range ends.
-    Fixed patterns have the values of the best fit in every draw. The exposure is the median of the
-    flats' exposures, so light is a rate in photons per pixel and second. If the numbers of the
-    nearest setting are multiples of a step, as left-aligned ones are, the sensor gives the
-    converter's own codes.
+    Between two measured gains, ln K is linear in the logarithm of the stated gain. The black level
+    and, if it has no law, the logarithm of the read noise are interpolated in the same way. Dark
+    current follows its law of temperature (`ArrheniusDarkCurrent`) if there is one. Otherwise dark
+    current is interpolated linearly between the temperatures. Compression, light offset, mixing,
+    the brighter-fatter effect and noise of rows, columns and frames are those of the nearest
+    setting with flats, in electrons. The full well comes from settings at which the well fills
+    before the converter's range ends. In every draw, DSNU and PRNU have the values of the best fit.
+    The sensor's exposure time is the median of the flats' exposures, and its light is in photons
+    per pixel and second. If all numbers in the frames of the nearest setting are multiples of a
+    step, as left-aligned numbers are, the sensor's output is the number divided by that step.
 
     Args:
         calibration: of the camera.
@@ -87,7 +88,7 @@ def sensor_without(
     gain: float | None,
     temperature: float | None,
 ) -> tuple[Sensor, Sensor]:
-    """Like `sensor_at`, with fits of the settings that leave out some of their levels."""
+    """Like `sensor_at`, from fits of the settings without the levels in `left_out`."""
     if calibration.is_impossible:
         raise InputError("More electrons are counted than photons arrive; correct the photons.")
     settings, posterior = calibration.settings, calibration.posterior
@@ -143,7 +144,8 @@ def sensor_without(
 
 
 def _sensor(own: Sensor, shared: dict[str, Array], law: tuple[Array, ...] | None) -> Sensor:
-    """One draw of a setting's own sensor with the fields that the settings share."""
+    """Return one draw of a setting's own sensor, with the fields that the settings share replaced
+    by their joint values."""
     if law is not None:
         current, warmth, reference, energy = law
         current = ArrheniusDarkCurrent(
@@ -174,7 +176,8 @@ def _weights(
 
 
 def _distance(setting: Setting, factor: float, warmth: float | None) -> tuple[float, float]:
-    """Return a distance that sorts by gain first, then by temperature."""
+    """Return the distance of a setting in log gain and in temperature, for sorting by gain
+    first."""
     by_gain = abs(float(np.log(setting.gain_factor / factor)))
     return by_gain, abs((setting.temperature or 0.0) - (warmth or 0.0))
 
@@ -185,7 +188,8 @@ def _given_all(
     at: Figures,
     left_out: Bool[np.ndarray, " levels"] | None,
 ) -> Numbers:
-    """Return the parameters of one setting's own fit, conditioned on the shared ones."""
+    """Return draws of the parameters of setting `i` by its own fit, conditioned on the shared
+    parameters of the joint fit."""
     own, known = calibration.calibrations[i], calibration.fit.by_setting[i].names
     assert own is not None
     numbers, covariance = drawn_numbers(own, left_out=left_out), own.posterior.covariance
@@ -230,7 +234,7 @@ def _black_level(
 
 
 def _pattern(calibration: CameraCalibration) -> dict[str, float]:
-    """Fixed pattern, averaged over the settings, as fields of a sensor."""
+    """Return DSNU and PRNU, averaged over the settings, as fields of a sensor."""
     found = {}
     for name in ("dsnu", "prnu"):
         pooled = getattr(calibration, name)
@@ -247,8 +251,8 @@ def _pattern(calibration: CameraCalibration) -> dict[str, float]:
 
 
 def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Path) -> None:
-    """Write the sensor at a stated gain and the warmest temperature, with its draws in a second
-    file."""
+    """Write the sensor at a stated gain and the warmest temperature, and its posterior draws to a
+    second file."""
     warmest = calibration.fit.reference
     best, draws = sensor_at(calibration, gain=gain, temperature=warmest)
     at = Setting(gain, calibration.settings[0].gain_unit, warmest)
@@ -265,7 +269,7 @@ def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Pa
 def write_sensor_of_sites_at(
     calibrations: Mapping[str, CameraCalibration], camera: Camera, gain: float | None, path: Path
 ) -> None:
-    """Like `write_sensor_at`, for a camera whose sites were calibrated separately."""
+    """Like `write_sensor_at`, for a camera whose mosaic sites were calibrated separately."""
     warmest = next(iter(calibrations.values())).fit.reference
     each = [sensor_at(calibrations[s], gain=gain, temperature=warmest) for s in camera.sites]
     best, draws = joined_sensors(each, camera)

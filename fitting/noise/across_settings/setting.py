@@ -1,14 +1,16 @@
-"""Flats and darks of a rig for each setting, and the setting's estimates of the shared parameters.
+"""Reduction of a rig's flats and darks, setting by setting, and each setting's estimates of the
+parameters that settings share.
 
-For flats and darks these are ln K, ln R, ln sigma_d and the dark current I of the likelihood fit,
-with their covariance. The other parameters of that fit are marginalised. For darks alone, weighted
-lines over the exposure t,
+From flats and darks, the estimates are ln K (gain), ln R (responsivity), ln sigma_d (read noise)
+and the dark current I of the likelihood fit, with their covariance. The other parameters of that
+fit are marginalised. For darks alone, weighted lines over the exposure t,
 
     mean      y   = black + K I t
     variance  s^2 = K^2 sigma_d^2 + 1/12 + K^2 I t
 
-give K I, K^2 sigma_d^2 and K^2 I. The means determine K I a hundred times better than the variances
-determine K^2 I. The correlation of the two through the skewness of shot noise is neglected.
+give K I, K^2 sigma_d^2 and K^2 I. The standard error of K I, from the means, is relatively a
+hundred times smaller than that of K^2 I, from the variances. The correlation between means and
+variances by the skewness of shot noise is neglected.
 """
 
 import os
@@ -41,7 +43,7 @@ FEWEST_EXPOSURES = 3  # exposures of darks alone, for a line and a test of it
 
 @dataclass(frozen=True)
 class FramesOfSetting:
-    """Reduced frames of one setting.
+    """Statistics of the frames of one setting.
 
     Attributes:
         setting: gain and temperature.
@@ -54,21 +56,25 @@ class FramesOfSetting:
 
 @dataclass(frozen=True)
 class SettingEstimates:
-    """Estimates of one setting: ln DN/e-, ln DN/photon, ln e-, e-/s; or DN/s, DN^2, DN^2/s."""
+    """Estimates from one setting. Flats and darks give ln K (K in DN/e-), ln R (DN/photon), ln
+    sigma_d (e-) and I (e-/s); darks alone give K I (DN/s), K^2 sigma_d^2 (DN^2) and K^2 I
+    (DN^2/s)."""
 
     names: tuple[str, ...]  # some of `ESTIMATED`
     values: Float[np.ndarray, " quantities"]
     covariance: Float[np.ndarray, "quantities quantities"]
 
     def of(self, name: str) -> tuple[float, float]:
-        """Value and standard error of a quantity; NaN if this setting does not determine it."""
+        """Return the value and standard error of a quantity; NaN if this setting does not determine
+        it."""
         if name not in self.names:
             return np.nan, np.nan
         place = self.names.index(name)
         return float(self.values[place]), float(np.sqrt(self.covariance[place, place]))
 
     def dark_current(self, gain: float) -> tuple[float, float]:
-        """Dark current and its standard error, e-/s, for darks alone with a known gain in DN/e-."""
+        """Return the dark current and its standard error, e-/s. The gain, DN/e-, is used for darks
+        alone."""
         if "dark_current" in self.names:
             return self.of("dark_current")
         rate, error = self.of("dark_signal_rate")
@@ -78,8 +84,8 @@ class SettingEstimates:
 def estimates_from_calibration(
     calibration: NoiseCalibration, *, left_out: Bool[np.ndarray, " levels"] | None = None
 ) -> SettingEstimates:
-    """The estimates from flats and darks: ln K, ln R if photons are known, ln read noise if
-    determined, and a fitted dark current. `left_out` marks levels that are excluded from the
+    """Return the estimates from flats and darks: ln K, ln R if photons are known, ln sigma_d if it
+    is determined, and I if it was fitted. `left_out` marks levels that are excluded from the
     fit."""
     posterior = calibration.posterior
     labels = names(posterior.space)
@@ -98,7 +104,8 @@ def estimates_from_calibration(
 
 
 def estimates_from_darks(setting: Setting, darks: Levels) -> SettingEstimates:
-    """The estimates from darks alone; `InputError` for fewer than three different exposures."""
+    """Return the estimates from darks alone. Raises InputError for fewer than three different
+    exposures."""
     exposure, mean, variance, frames = (
         np.asarray(x) for x in (darks.exposure, darks.mean, darks.variance, darks.frames)
     )
@@ -124,8 +131,8 @@ def estimates_from_darks(setting: Setting, darks: Levels) -> SettingEstimates:
 
 
 def _line(x: np.ndarray, y: np.ndarray, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(slope, intercept) and their covariance. A significant misfit multiplies the covariance by
-    chi-square per degree of freedom (Birge)."""
+    """Fit a weighted line; return (slope, intercept) and their covariance. If the misfit is
+    significant, the covariance is multiplied by chi-square per degree of freedom (Birge)."""
     found, covariance = np.polyfit(x, y, 1, w=variances**-0.5, cov="unscaled")
     chi_square = float(np.sum((y - np.polyval(found, x)) ** 2 / variances))
     return found, covariance * inflation(chi_square, len(x) - 2)
@@ -135,9 +142,9 @@ def _line(x: np.ndarray, y: np.ndarray, variances: np.ndarray) -> tuple[np.ndarr
 def read_by_setting(
     path: str | os.PathLike[str], *, channel: str = ""
 ) -> tuple[FramesOfSetting, ...]:
-    """Photon transfer of a rig at several gains and temperatures.
+    """Read and reduce the photon transfer frames of a rig at several gains and temperatures.
 
-    A setting may have darks alone, for the dark current of its temperature.
+    A setting may have darks without flats, which give the dark current at its temperature.
 
     Args:
         path: a rig folder or file.
@@ -159,8 +166,8 @@ def reduce_by_setting(
     channel: str = "",
     failed: dict[Setting, InputError] | None = None,
 ) -> tuple[FramesOfSetting, ...]:
-    """Like `read_by_setting`, for a loaded rig. `failed` collects unusable settings, which are
-    left out, with the reason; if it is None, the rig is refused."""
+    """Like `read_by_setting`, for a loaded rig. Unusable settings are left out and added to
+    `failed` with the reason. If `failed` is None, an unusable setting raises InputError."""
     rigs = by_setting(rig)
     found: dict[Setting, FramesOfSetting] = {}
     lit = {setting.gain for setting, own in rigs.items() if own.flat}
@@ -181,7 +188,7 @@ def reduce_by_setting(
 def _reduced(
     place: Path, setting: Setting, own: Rig, lit: set[float | None], channel: str
 ) -> FramesOfSetting:
-    """One setting; `lit` has the gains for which there are flats."""
+    """Reduce the frames of one setting. `lit` holds the gains that have flats."""
     if not own.dark:
         raise InputError(f"{place}: its flats have no darks of their gain and temperature.")
     if own.flat:

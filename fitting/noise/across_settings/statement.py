@@ -1,4 +1,5 @@
-"""A camera over its settings as a problem. Its data are the estimates of each setting.
+"""The joint fit to all settings of a camera, as a `Problem`. Its data are the estimates from each
+setting's separate fit.
 
 At setting s of gain g and temperature T,
 
@@ -8,18 +9,21 @@ At setting s of gain g and temperature T,
     I        = I_ref exp(-E / k (1 / T - 1 / T_ref))    dark current, e-/s
 
 sigma_0 is the noise before the amplifier of variable gain, e-. sigma_1 is the noise behind it, DN,
-mainly of the converter. The activation energy E lies between half of silicon's band gap (generation
-in the depletion region) and the whole gap (diffusion).
+mainly of the converter. For silicon, the activation energy E lies between half the band gap
+(generation in the depletion region) and the whole gap (diffusion).
 
-Each setting's estimates are Gaussian with the covariance of its own fit, so the fit is generalised
-least squares. To first order it equals a fit of all frames at once. Each law is an assumption ("the
-quantum efficiency is the same at every gain") with a score test. The residuals r are projected on
-the deviations D from the assumption, after removal of the parameters' own derivatives J:
+Each setting's estimates are treated as Gaussian with the covariance of its own fit, so the joint
+fit is generalised least squares. To first order it equals a single fit to all frames. Each law is
+an assumption, such as "the quantum efficiency is the same at every gain", and has a score test. Let
+r be the residuals, J their derivatives with respect to the parameters, and D their derivatives with
+respect to deviations from the assumption, all whitened. The test projects r on the part D' of D
+that the parameters cannot explain:
 
     D' = D - J J^+ D,    chi^2 = |P_D' r|^2    with rank(D') degrees of freedom,
 
-This chi^2 is the decrease of chi-square if the assumption were dropped, without another fit. An
-assumption that fails (p < 0.1 %) is dropped, the worst first, and the fit is repeated.
+This chi^2 is the decrease of chi-square that dropping the assumption would give; it needs no second
+fit. Of the assumptions that fail (p < 0.1 %) the worst is dropped, and the fit and the tests are
+repeated.
 
 Source:
     Janesick, "Photon Transfer", 2007, chapters 7 and 11; EMVA 1288, release 4.0 (linear model);
@@ -79,8 +83,9 @@ REFERENCE_CURRENT = Parameter(symbol="I_ref", unit="e⁻/s", transform="log")
 
 
 class Figures(eqx.Module):
-    """(settings,) ln DN/e-; ln electrons per photon, None if photons are unknown; e-^2; e-/s, None
-    if no setting determines it."""
+    """The camera's parameters at each setting: ln K (K in DN/e-), ln eta (None if photons are
+    unknown), the variance of read noise (e-^2), and the dark current (e-/s, None if no setting
+    determines it)."""
 
     log_gain: Float[Array, " settings"]
     log_efficiency: Float[Array, " settings"] | None
@@ -89,7 +94,7 @@ class Figures(eqx.Module):
 
 
 def figures(values: Values, inputs: Mapping[str, Array]) -> Figures:
-    """The parameters of a camera at each setting, from the laws and from `deviations` of ln K, ln
+    """Return the camera's parameters at each setting, from the laws plus `deviations` of ln K, ln
     eta, ln sigma_d and I."""
     off_gain, off_efficiency, off_read_noise, off_dark = values["deviations"]
     log_gain = jnp.log(values["system_gain"])[inputs["system_gain"]]
@@ -115,7 +120,7 @@ def figures(values: Values, inputs: Mapping[str, Array]) -> Figures:
 
 
 def predict(values: Values, inputs: Mapping[str, Array]) -> Float[Array, " data"]:
-    """The noise-free estimates of all settings, whitened."""
+    """Return the model's prediction of the estimates of all settings, whitened."""
     at = figures(values, inputs)
     nothing, gain = jnp.zeros_like(at.log_gain), jnp.exp(at.log_gain)
     dark = nothing if at.dark_current is None else at.dark_current
@@ -133,9 +138,10 @@ def predict(values: Values, inputs: Mapping[str, Array]) -> Float[Array, " data"
 
 @dataclass(frozen=True)
 class OwnDeviation:
-    """Deviation of the settings of one gain or temperature from the others. It is a difference of
-    logarithms; for dark current it is relative (over gain) or in e-/s (over temperature), and for
-    the proportionality of gains it is relative."""
+    """The deviation of one gain, or of one temperature, from the assumption that all settings
+    share. `value` and `error` are differences of logarithms. For dark current they are relative
+    (over gain) or in e-/s (over temperature), and for the proportionality of gains they are
+    relative."""
 
     label: str
     value: float
@@ -164,8 +170,8 @@ class Claim:
 
     @property
     def significance(self) -> float:
-        """The equivalent standard deviations of a normal variable, also where p underflows to 0
-        (Wilson & Hilferty, PNAS 17, 1931)."""
+        """The test's chi-square as an equivalent number of standard deviations of a normal
+        variable, finite where p underflows to 0 (Wilson & Hilferty, PNAS 17, 1931)."""
         spread = 2 / (9 * self.degrees)
         return ((self.chi_square / self.degrees) ** (1 / 3) - (1 - spread)) / spread**0.5
 
@@ -176,7 +182,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class SharedFit:
-    """A camera over its settings."""
+    """The joint fit to all settings of a camera."""
 
     settings: tuple[Setting, ...]  # in the order of gain and temperature
     by_setting: tuple[SettingEstimates, ...]  # estimates of each setting
@@ -205,15 +211,16 @@ class SharedFit:
 
     @property
     def covariance(self) -> Float[np.ndarray, "parameters parameters"]:
-        """(P, P) on the unconstrained scale, inflated if the misfit is significant."""
+        """(P, P) covariance of the parameters on the unconstrained scale, inflated if the misfit is
+        significant."""
         return self.fit.noise**2 * np.linalg.inv(self.fit.optimum.information)
 
 
 def fitted(
     settings: Sequence[Setting], estimates: Sequence[SettingEstimates], *, seed: int = 0
 ) -> SharedFit:
-    """The fit after all failed assumptions were dropped; `InputError` if a parameter is not
-    identifiable."""
+    """Fit all settings together, and drop assumptions until none fails. Raises InputError if a
+    parameter is not identifiable."""
     freed: frozenset[Law] = frozenset()
     failed: list[Claim] = []
     reference = max((s.temperature for s in settings if s.temperature is not None), default=None)
@@ -241,7 +248,8 @@ def fitted(
 
 
 def _named(found: Fit, labels: Mapping[str, Sequence[str]]) -> Posterior:
-    """The posterior, with gain, temperature or setting in place of an index in each name."""
+    """Return the posterior with parameters named by gain, temperature or setting instead of an
+    index."""
     space = tuple(
         replace(parameter, name=parameter.name + f"[{label}]" * bool(label), shape=())
         for parameter in found.problem.free
@@ -259,8 +267,8 @@ def _stated(
     freed: frozenset[Law],
     reference: float | None,
 ) -> tuple[Problem, dict[str, Any], dict[str, tuple[str, ...]]]:
-    """The problem without the dropped assumptions, its starting point, and labels of the parameters
-    that have several values."""
+    """Return the problem without the dropped assumptions `freed`, its starting point, and labels
+    for parameters that have several values."""
     table = np.array(
         [[one.of(name) for name in ESTIMATED] for one in estimates]
     )  # (settings, quantities, 2)
@@ -286,8 +294,8 @@ def _stated(
     labels: dict[str, tuple[str, ...]] = {}
 
     def averages(name: str, values: np.ndarray) -> np.ndarray:
-        """Averages over the settings that share each value of a parameter; over all settings if
-        these do not determine it."""
+        """Average `values` over the settings that share each value of a parameter, or over all
+        settings if these have no estimate."""
         labels[name] = tuple(dict.fromkeys(shared[name]))
         inputs[name] = np.array([labels[name].index(word) for word in shared[name]])
         known = np.isfinite(values)
@@ -353,8 +361,8 @@ def _stated(
 def _nearest_with_flats(
     settings: Sequence[Setting], estimates: Sequence[SettingEstimates], i: int
 ) -> int:
-    """The setting itself, or for darks alone the setting with flats at the same gain and the
-    nearest temperature."""
+    """Return the index of the setting with flats at the same gain and the nearest temperature; `i`
+    itself if it has flats."""
 
     def distance(j: int) -> float:
         return abs((settings[i].temperature or 0) - (settings[j].temperature or 0))
@@ -365,8 +373,8 @@ def _nearest_with_flats(
 
 @eqx.filter_jit
 def _slopes(vector: Array, problem: Problem) -> tuple[Array, Array, Array, Array]:
-    """(data,) residuals, their derivatives with respect to the (P,) vector and the (4, settings)
-    deviations, and (settings,) dark current."""
+    """Return the (data,) residuals, their derivatives with respect to the (P,) parameters and to
+    the (4, settings) deviations, and the (settings,) dark current."""
 
     def missed(vector: Array, deviations: Array) -> Array:
         values = values_at(problem, vector) | {"deviations": deviations}
@@ -385,7 +393,7 @@ def _slopes(vector: Array, problem: Problem) -> tuple[Array, Array, Array, Array
 def _tested(
     problem: Problem, vector: np.ndarray, settings: Sequence[Setting], freed: frozenset[Law]
 ) -> tuple[Claim, ...]:
-    """The remaining assumptions that the data can contradict."""
+    """Test the assumptions that were not dropped; return those that the data can contradict."""
     missed, by_vector, by_deviation, dark = (
         np.asarray(x) for x in _slopes(jnp.asarray(vector), problem)
     )
@@ -419,9 +427,10 @@ def _tested(
 
 
 def proportional_gain(fit: SharedFit) -> tuple[float, float, tuple[OwnDeviation, ...]] | None:
-    """The test of K = c times the stated gain, by generalised least squares of ln K; None with one
-    gain. It returns c in DN/e- per stated unit, the p-value, and the relative deviation of each
-    outlying gain, worst first. With outliers, c belongs to the other gains."""
+    """Test whether the measured gain K is c times the stated gain, by generalised least squares of
+    ln K; None if there is only one gain. Return c in DN/e- per stated unit, the p-value, and the
+    relative deviations of outlying gains, worst first. If there are outliers, c comes from the
+    other gains."""
     labels = fit.labels["system_gain"]
     index = np.asarray(fit.fit.problem.inputs["system_gain"])
     first = [int(np.argmax(index == i)) for i in range(len(labels))]
