@@ -1,4 +1,4 @@
-"""Each calibration of a folder: read its images, fit, and return the sections of a report with
+"""Run each calibration of a folder: read its images, fit, and return the sections of a report with
 figures. A calibration needs only the path, so any process can run it.
 
 The numerical libraries are imported after the rig has been checked.
@@ -30,14 +30,16 @@ Found = tuple["list[Section]", "dict[str, np.ndarray]"]
 
 
 def existing(path: Path) -> Path:
-    """The path, if it exists."""
+    """Return the path, or raise if it does not exist."""
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; check the name.")
     return path
 
 
 def read_rig(path: Path, purpose: "Purpose") -> "Rig":
-    """A rig with the entries that a calibration needs, and whose images exist."""
+    """Read a rig. Raise if it lacks an entry that the calibration needs, or if an image does not
+    exist.
+    """
     from .rig import load_rig, require, require_images
 
     rig = load_rig(path)
@@ -47,9 +49,10 @@ def read_rig(path: Path, purpose: "Purpose") -> "Rig":
 
 
 def init(folder: Path) -> "tuple[Path, FoundRig]":
-    """Write the rig of a folder of images into the folder. Return its path, and the rig with a list
-    of missing values. If the pixels of flats and darks show several amplifiers, the rig states
-    them."""
+    """Write the rig of a folder of images into the folder. Return the rig's path, and the rig with
+    a list of missing values. If the pixels of flats and darks reveal several amplifiers, the rig
+    names them as taps.
+    """
     from .rig_from_folder import write_rig
 
     path, found = write_rig(folder)
@@ -83,8 +86,9 @@ def init(folder: Path) -> "tuple[Path, FoundRig]":
 def _attempted(
     kind: str, title: str, make: Callable[[], "Section"], *, known: Sequence[str] = ()
 ) -> "Section":
-    """Return the section of a calibration. If its fit fails, the section gives the reason and the
-    known results."""
+    """Return the report section of a calibration. If its fit fails, the section gives the reason
+    and the results that are known nevertheless.
+    """
     import numpy as np
 
     from .report.section import failed_section
@@ -107,8 +111,8 @@ def noise(
     channel: str = "",
     release: str = "3.1",
 ) -> Found:
-    """Photon transfer from flats and darks, or from a CSV of sums per exposure. Several gains or
-    temperatures are fitted separately and together.
+    """Calibrate the noise by photon transfer, from flats and darks or from a CSV of sums per
+    exposure. Several gains or temperatures are fitted separately and together.
 
     Args:
         path: folder of a rig, or the CSV.
@@ -179,7 +183,7 @@ def noise(
 def _release_4(
     path: Path, sites: Sequence[str], step: Step, draws: Draws, bits: int | None
 ) -> "list[Section]":
-    """The sheets of release 4.0 of each site."""
+    """Return the sections of each site with the EMVA 1288 data sheet of release 4.0."""
     from .noise.release_4.section import sections
     from .noise.release_4.sheet import release_4_sheet
     from .noise.release_4.stacks import read_stacks
@@ -200,7 +204,7 @@ def _release_4(
 
 
 def _flats_and_darks(path: Path, bits: int | None, channel: str) -> "Rig | None":
-    """The rig of a photon transfer, or None for a table."""
+    """Return the rig for a photon-transfer calibration, or None if the path is a CSV table."""
     if path.suffix.lower() != ".csv":
         if bits is not None:
             raise InputError(f"{path}: the rig's camera.bits is used; leave out the bits, {bits}.")
@@ -220,7 +224,7 @@ def predict(
     channel: str = "",
     light_error: float = 0.0,
 ) -> Found:
-    """Flats and darks compared with the prediction of a camera.
+    """Compare flats and darks with the prediction from a camera's file.
 
     Args:
         camera: a file of a sensor or a camera, the folder that a noise calibration wrote, or the
@@ -285,7 +289,9 @@ def predict(
 
 
 def _camera_file(camera: str) -> Path:
-    """The camera file; for a folder, the file that a calibration wrote there."""
+    """Return the path of a camera's file; for a folder, of the file that a calibration wrote
+    there.
+    """
     folder = Path(camera)
     if not folder.is_dir():
         return folder
@@ -328,8 +334,9 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
 def _each_site(
     rig: "Rig", step: Step, draws: Draws, *, chains: bool = True
 ) -> "tuple[dict[str, NoiseCalibration], list[tuple[str, InputError]]]":
-    """Return the calibration of each site, and the sites that fail. Without `chains`, all use
-    Laplace's approximation."""
+    """Return the calibration of each site, and the sites whose calibration failed. With
+    `chains=False`, all use Laplace's approximation.
+    """
     from .noise.calibration import calibrate
     from .noise.read import read_photon_transfer
 
@@ -405,7 +412,7 @@ def _settings_of_site(
 def response(
     path: Path, step: Step, draws: Draws, *, skipped: Callable[[str], None] = lambda label: None
 ) -> Found:
-    """Response curves and radiance of an exposure stack.
+    """Calibrate the response curves of an exposure stack and merge its radiance.
 
     Args:
         path: folder of a rig.
@@ -443,8 +450,10 @@ def response(
 
 
 def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
-    """Reflectance from images of a known shape under known lights, as one section, or one for each
-    colour of a mosaic. `settings` are arguments of `reflectance.calibrate`."""
+    """Calibrate the reflectance from images of a known shape under known lights. Return one
+    section, or one for each colour of a mosaic. `settings` are arguments of
+    `reflectance.calibrate`.
+    """
     rig = read_rig(path, "a reflectance calibration")
     from .reflectance.from_images.calibration import calibrate
     from .reflectance.from_images.read import read_reflectance_observation
@@ -456,8 +465,9 @@ def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
 
 
 def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
-    """Surface, response and sensor in one posterior, from the same images and from flats and darks.
-    `settings` are arguments of `joint.calibrate`."""
+    """Calibrate surface, response and sensor in one posterior, from images of a known shape and
+    from flats and darks. `settings` are arguments of `joint.calibrate`.
+    """
     rig = read_rig(path, "a reflectance calibration")
     from .joint.calibration import calibrate
     from .joint.read import read_joint_measurement
@@ -476,8 +486,9 @@ def _photographs(
     read: Callable[..., Any],
     calibrate: Callable[..., Any],
 ) -> "list[Section]":
-    """One section, or one for each colour of a mosaic; `words` are a section's kind, title and
-    progress text."""
+    """Calibrate from photographs of a known shape. Return one section, or one for each colour of a
+    mosaic; `words` are a section's kind, title and progress text.
+    """
     from .report.inputs import with_inputs
     from .rig import COLOURS
 

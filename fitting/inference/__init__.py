@@ -1,5 +1,6 @@
-"""Statistics without physics: parameters, priors and likelihoods, searches and samplers, and
-estimates with intervals."""
+"""Estimate parameters without any physics: parameters, priors and likelihoods, searches and
+samplers, and estimates with intervals.
+"""
 
 from jaxvision.core.lazy_names import names_of
 

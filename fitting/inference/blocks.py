@@ -1,8 +1,9 @@
-"""Chains in blocks, each stored when it is complete, so that a killed run loses at most one.
+"""Store the chains of a sampler in blocks. Each block is written when it is complete, so that a
+killed run loses at most one block.
 
-A block is a record of arrays: the draws, the state from which the next block continues, and the
-fingerprint of everything that determines the chain. Blocks end at whole multiples of their size, so
-a resumed run gives the same bits as an uninterrupted one.
+A block is a record of arrays: the draws, the state from which the next block continues, and a hash
+of everything that determines the chain. Blocks end at whole multiples of their size, so a resumed
+run gives bit-identical results to an uninterrupted one.
 """
 
 import hashlib
@@ -30,8 +31,8 @@ def resume_blocks(
     folder: Path | str | None, before: Sequence[Block], fingerprint: str
 ) -> list[Block]:
     """Return the blocks from which a run continues: those in memory or those in the checkpoint
-    folder (None for no folder), whichever holds more blocks. Missing blocks are written to the
-    folder."""
+    folder (None for no folder), whichever are more. Blocks that the folder lacks are written to it.
+    """
     stored = [] if folder is None else _stored(Path(folder))
     other = "the chain of another run (other data, density, seed, settings or package versions)"
     if not _all_of(stored, fingerprint):
@@ -55,7 +56,7 @@ def store(folder: Path | str | None, index: int, block: Block) -> None:
 
 
 def _stored(folder: Path) -> list[Block]:
-    """The blocks in a folder that are complete and without a gap."""
+    """Read the blocks of a folder; raise if one is missing or incomplete."""
     found: list[Block] = []
     for file in sorted(folder.glob("block-*.npz")):
         due = _place(folder, len(found))
@@ -77,17 +78,19 @@ def _place(folder: Path | str, index: int) -> Path:
 
 
 def length(blocks: Sequence[Block]) -> int:
-    """Total steps of all blocks."""
+    """Return the number of steps in all blocks."""
     return sum(len(block["chain"]) for block in blocks)
 
 
 def next_length(done: int, size: int, ceiling: int) -> int:
-    """Steps of the next block, up to the next multiple of its size and at most the ceiling."""
+    """Return the number of steps of the next block. The block ends at the next multiple of its size
+    or at the largest number of steps, whichever comes first.
+    """
     return min(size - done % size, ceiling - done)
 
 
 def stack_blocks(blocks: Sequence[Block], name: str) -> np.ndarray:
-    """All blocks as one array along their steps."""
+    """Concatenate one array of all blocks along their steps."""
     return np.concatenate([block[name] for block in blocks])
 
 
@@ -109,8 +112,8 @@ def fingerprint(
 ) -> str:
     """Return a hash of a density with its data, of the start of a sampler, and of its settings.
 
-    The density is represented by its name, the text of its jaxpr and the constants that it closes
-    over. The same name with another formula therefore gives another hash."""
+    The density enters with its name, the text of its jaxpr and the constants that it closes over.
+    Two formulas of the same name therefore give different hashes."""
     closed = eqx.filter_make_jaxpr(log_density)(mode, args)[0]
     name = getattr(log_density, "__module__", ""), getattr(log_density, "__qualname__", "")
     packages = [f"{known} {version(known)}" for known in (package, *PACKAGES)]

@@ -1,10 +1,10 @@
-"""Optional terms of a model, which are kept only if the data support them.
+"""Test optional terms of a model, which are kept only if the data support them.
 
-A term with k numbers must pass two tests. Its squared Wald ratio against the absent value, (x -
-x_0)^T C^-1 (x - x_0), must exceed k ln n, which is Schwarz' criterion (BIC) for n data. And a ratio
-this large must occur by chance in at most one of a hundred fits to data without the term. The
-second test is needed because the errors of the other parameters do not allow for the selection of
-terms.
+A term with k numbers x must pass two tests. Let x_0 be the value that means absence of the term and
+C the covariance of the estimates. First, the squared Wald ratio (x - x_0)^T C^-1 (x - x_0) must
+exceed k ln n, which is Schwarz' criterion (BIC) for n data. Second, a ratio this large must occur
+by chance in at most one of a hundred fits to data without the term. The second test limits false
+positives, because the errors of the other parameters do not allow for the selection of terms.
 
 Source:
     Schwarz, Ann. Statist. 6, 1978; the squared Wald ratio approximates twice the difference in log
@@ -83,13 +83,13 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """The name of its parameter."""
+        """Return the name of its parameter."""
         return self.parameter.name
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Whether a candidate was kept, with the evidence.
+    """The decision whether a candidate was kept, with the evidence for it.
 
     Attributes:
         name: of the candidate.
@@ -123,10 +123,10 @@ def squared_ratios(
     information: Float[np.ndarray, "parameters parameters"],
     candidates: Sequence[Candidate],
 ) -> Float[np.ndarray, " candidates"]:
-    """Squared Wald ratio of each candidate, 0 if the data do not determine it.
+    """Return the squared Wald ratio of each candidate, 0 if the data do not determine it.
 
-    For a positive scale (`log`, absent at 0), or a value above a bound at which it is absent, the
-    distance is 1 / sd(u) standard errors, with u the unconstrained value."""
+    Some candidates are absent at the lower end of their range: a positive scale (`log`) at 0, or a
+    value at its lower bound. Their ratio is 1 / sd(u), with u the unconstrained value."""
     at = jnp.asarray(vector)
     natural, slope = jax.jvp(lambda u: to_natural(space, u), (at,), (jnp.ones_like(at),))
     natural, slope = np.asarray(natural, np.float64), np.asarray(slope, np.float64)
@@ -154,7 +154,7 @@ def price(
     freedom: float = np.inf,
     scatter: tuple[int, int] | None = None,
 ) -> float:
-    """The squared Wald ratio above which a term is kept."""
+    """Return the squared Wald ratio above which a term is kept."""
     larger = 1.0
     if scatter is not None:
         freedom = max(scatter[0] - scatter[1], 1)
@@ -180,10 +180,10 @@ def weakest(
 
 
 def numbers_of(candidate: Candidate, space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
-    """The indices of the candidate's numbers in a space."""
+    """Return a mask of the numbers in a parameter space that belong to the candidate."""
     return np.array([candidate.name in (one.name, whole_name(one.name)) for one in space])
 
 
 def whole_name(name: str) -> str:
-    """The parameter to which a number's name belongs: "a" for "a[0,1]"."""
+    """Return the name of the parameter to which a number belongs: "a" for "a[0,1]"."""
     return name.rpartition("[")[0] if name.endswith("]") else name

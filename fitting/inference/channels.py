@@ -1,4 +1,4 @@
-"""One problem for several channels, some of whose parameters are shared."""
+"""Combine several channels into one problem in which they share some parameters."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -22,12 +22,12 @@ from .records import is_path
 def by_channel(
     problem: Problem, data: Any, *, shared: Sequence[str] = (), inputs: Any = None
 ) -> Problem:
-    """Make one problem for several channels from the problem of one channel, as one compiled
+    """Turn the problem of one channel into one problem for several channels, which compiles to one
     program.
 
-    A parameter becomes an array with a leading axis of channels, unless it is shared. Numbers of
-    the likelihood and labels of groups are the same for every channel. A parameter that the
-    likelihood names is shared.
+    A parameter that is not shared becomes an array with a leading axis of channels. Numbers of the
+    likelihood and labels of groups are the same for every channel. A parameter that the likelihood
+    names must be shared.
 
     Args:
         problem: of one channel; its own data give the shape.
@@ -104,7 +104,7 @@ def by_channel(
 
 
 class _Channels:
-    """`predict` for every channel, with the arguments of `predict` for one."""
+    """A function that calls `predict` for every channel, with the same named arguments."""
 
     def __init__(self, predict: Any, asks: Any, several: Any, axes: Any) -> None:
         self.key = predict, asks, several, tuple(jax.tree.leaves(axes, is_leaf=_is_none))
@@ -140,7 +140,7 @@ def _is_none(x: Any) -> bool:
 
 
 def _inputs(own: Any, given: Any, count: int) -> tuple[Any, Any]:
-    """Inputs of all channels, and the axis of the channels in each leaf."""
+    """Return the inputs of all channels, and the axis of the channels in each leaf."""
     if given is None:
         return own, jax.tree.map(lambda x: None, own) if own is not None else None
     leaves, form = jax.tree.flatten(own)
@@ -160,7 +160,7 @@ def _inputs(own: Any, given: Any, count: int) -> tuple[Any, Any]:
 
 
 def _likelihood(likelihood: Any, shape: tuple[int, ...]) -> Any:
-    """The likelihood of all channels, with the same fields for each."""
+    """Return the likelihood of all channels, with the same fields for each."""
     if isinstance(likelihood, Clustered):
         labels = jax.tree.map(
             lambda x: np.broadcast_to(on_host(x)[..., None], shape), likelihood.labels
@@ -172,7 +172,9 @@ def _likelihood(likelihood: Any, shape: tuple[int, ...]) -> Any:
 
 
 def _start(problem: Problem, several: tuple[str, ...], axes: Any) -> Any:
-    """Compute a start for every channel from its data; for shared parameters take the median."""
+    """Compute start values of every channel from its data. A shared parameter starts at the median
+    over channels.
+    """
 
     def start(data: Any, inputs: Any) -> Mapping[str, Any]:
         def one(data: Any, inputs: Any) -> Mapping[str, Any]:

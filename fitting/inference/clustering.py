@@ -1,26 +1,28 @@
-"""Covariance of a fit where model errors are correlated within clusters of observations.
+"""Compute the covariance of a fit whose model errors are correlated within clusters of data.
 
-Model errors are shared by the pixels of one image (if the intensity of a light is wrong) or by one
-pixel under all lights (its gain, a stain). Then N pixels are not N independent observations. The
-gradient of the log likelihood, summed within such clusters, has a covariance J that exceeds the
-information I. I^-1 J I^-1 is the sandwich covariance (Liang & Zeger, Biometrika 73, 1986; for two
-kinds of clusters together: Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011). trace(I^-1 J)
-/ P is the design effect, the factor by which the number of independent observations is reduced.
+All pixels of an image share a model error if, for example, the intensity of its light is wrong. One
+pixel has the same error under all lights if, for example, its gain is wrong or the surface is
+stained there. Then N pixels are not N independent observations. The gradient of the log likelihood,
+summed within such clusters, has a covariance J that exceeds the Fisher information I. I^-1 J I^-1
+is the sandwich covariance (Liang & Zeger, Biometrika 73, 1986; for two kinds of clusters together:
+Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011). With P parameters, trace(I^-1 J) / P is
+the design effect, the factor by which the number of independent observations is reduced.
 
-A fit follows the errors of a cluster partly, in proportion to the cluster's share of the
-information, so the residuals are too small. With parameters in units in which I = 1, and A_g the
-share of cluster g, its summed scores s_g are therefore increased (CR2: Bell & McCaffrey, Survey
-Methodology 28, 2002),
+The residuals of a cluster are smaller than its errors, because the fit partly follows them, in
+proportion to the cluster's share A_g of the information. Let the parameters have units in which I =
+1. The summed scores s_g of cluster g are therefore increased by a matrix B_g (CR2: Bell &
+McCaffrey, Survey Methodology 28, 2002),
 
     V = sum_g B_g s_g s_g^T B_g,    B_g = (1 - A_g)^(-1/2),
 
-This makes E V = sum_g A_g if residuals are independent. With few clusters V is itself uncertain.
-The variance c^T V c of a coefficient is a quadratic form of the residuals with the matrix G,
+If the residuals are independent, the expectation of V is then sum_g A_g, as it should be. With few
+clusters V is itself uncertain. The variance c^T V c of a linear combination c of the parameters is
+a quadratic form of the residuals with the matrix G,
 
     G_gh = delta_gh b_g.a_g - a_g.a_h,    b_g = B_g c,    a_g = A_g b_g,
 
-It is approximately chi-square distributed with (tr G)^2 / tr G^2 degrees of freedom
-(Satterthwaite). The interval of the coefficient uses Student's t with these degrees of freedom
+The variance is approximately chi-square distributed with (tr G)^2 / tr G^2 degrees of freedom
+(Satterthwaite). The interval of the combination uses Student's t with these degrees of freedom
 (Imbens & Kolesar, Rev. Econ. Stat. 98, 2016).
 """
 
@@ -40,7 +42,7 @@ LEVEL = 0.975  # quantile at which a Gaussian replaces Student's t
 
 @dataclass(frozen=True)
 class Robustness:
-    """Covariance of a fit, and the correlation of its residuals within clusters.
+    """The covariance of a fit, and the correlation of its residuals within clusters.
 
     Attributes:
         covariance: (parameters, parameters) the sandwich estimate; the inverse information where
@@ -59,17 +61,19 @@ class Robustness:
 
     @property
     def by_light(self) -> float:
-        """The design effect of the first level."""
+        """Return the design effect of the first level of clusters, such as lights."""
         return self.effects[0]
 
     @property
     def by_pixel(self) -> float:
-        """The design effect of the second level, or NaN if there is only one level."""
+        """Return the design effect of the second level of clusters, such as pixels; NaN if there is
+        only one level.
+        """
         return self.effects[1] if len(self.effects) > 1 else np.nan
 
     @property
     def gaussian_covariance(self) -> Float[np.ndarray, "parameters parameters"]:
-        """The covariance of the Gaussian whose 95 % intervals are those of Student's t."""
+        """Return the covariance of the Gaussian whose 95 % intervals equal those of Student's t."""
         return gaussian_equivalent(self.covariance, self.freedom)
 
 
@@ -77,14 +81,15 @@ def gaussian_equivalent(
     covariance: Float[np.ndarray, "parameters parameters"],
     freedom: Float[np.ndarray, " parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """The covariance of the Gaussian whose 95 % intervals are those of Student's t."""
+    """Return the covariance of the Gaussian whose 95 % intervals equal those of Student's t."""
     wider = stdtrit(freedom, LEVEL) / ndtri(LEVEL)
     return covariance * np.outer(wider, wider)
 
 
 @dataclass(frozen=True)
 class _Clustering:
-    """One level of clusters, with parameters in units of I = 1.
+    """The matrices of one level of clusters, with parameters in units in which the information I is
+    1.
 
     Attributes:
         shares: (clusters, P, P) A_g.
@@ -108,12 +113,13 @@ def cluster_robust(
     slopes: Float[np.ndarray, "parameters samples"] | None = None,
     prior: Float[np.ndarray, "parameters parameters"] | None = None,
 ) -> Robustness:
-    """Covariance with residuals shared within clusters, of one or several levels.
+    """Compute the covariance of a fit whose residuals are correlated within clusters, of one or
+    several levels.
 
     The first level (lights, say) always enters, because a test with few clusters overlooks errors
-    that matter. The other level (pixels, say) enters if its test, with many clusters, is
-    significant. Levels may cross, as rows and columns do, or be nested. The clusters that two
-    levels have in common count once.
+    that matter. The other level (pixels, say) has many clusters and enters only if its test is
+    significant. Levels may be crossed, as rows and columns are, or nested. The intersections of the
+    clusters of two levels are counted once.
 
     Args:
         scores: (parameters, samples), gradient of each sample's log likelihood.
@@ -183,14 +189,18 @@ def cluster_robust(
 
 
 def _common(*levels: np.ndarray) -> np.ndarray:
-    """(samples,) numbers of the intersections of several levels' clusters."""
+    """Number the intersections of several levels' clusters, and return (samples,) the number for
+    each sample.
+    """
     return np.unique(np.stack(levels), axis=1, return_inverse=True)[1].ravel()
 
 
 def _clustering(
     whitened: np.ndarray, leverage: np.ndarray, cluster: np.ndarray, from_data: np.ndarray
 ) -> _Clustering:
-    """Shares of the clusters that occur, and V."""
+    """Return the information shares A_g of the clusters that occur, their corrections B_g, and
+    V.
+    """
     count = len(whitened)
     present = np.bincount(cluster) > 0
 
@@ -215,7 +225,7 @@ def _clustering(
 
 
 def _power(matrices: np.ndarray, power: float) -> np.ndarray:
-    """A power of symmetric matrices, (..., P, P); null directions stay 0."""
+    """Raise symmetric matrices (..., P, P) to a power; zero eigenvalues stay 0."""
     values, directions = np.linalg.eigh((matrices + np.swapaxes(matrices, -1, -2)) / 2)
     extended = values > WHOLE
     powers = np.where(extended, np.where(extended, values, 1) ** power, 0)
@@ -223,8 +233,10 @@ def _power(matrices: np.ndarray, power: float) -> np.ndarray:
 
 
 def _freedom(found: _Clustering, contrasts: np.ndarray) -> Float[np.ndarray, " parameters"]:
-    """(tr G)^2 / tr G^2 of each coefficient; NaN if clusters leave no residual. With a single
-    cluster and a prior, the residual shows only how well the middle of the prior was guessed."""
+    """Return the degrees of freedom (tr G)^2 / tr G^2 of each coefficient; NaN if clusters leave no
+    residual. A single cluster and a prior also give NaN, because the residual then shows only how
+    far the prior's mean is from the truth.
+    """
     if len(found.shares) < 2:
         return np.full(len(contrasts), np.nan)
     b = np.einsum("gij,kj->kgi", found.widening, contrasts)
@@ -238,9 +250,10 @@ def _freedom(found: _Clustering, contrasts: np.ndarray) -> Float[np.ndarray, " p
 
 
 def _chance_effect(found: _Clustering) -> float:
-    """The design effect that independent residuals exceed with probability `CHANCE`. tr V is a
-    quadratic form with the matrix delta_gh C_g - D_g D_h^T, where C_g = B_g A_g B_g and D_g = B_g
-    A_g."""
+    """Return the design effect that independent residuals exceed with probability `CHANCE`. tr V is
+    a quadratic form of the residuals with the matrix delta_gh C_g - D_g D_h^T, where C_g = B_g A_g
+    B_g and D_g = B_g A_g.
+    """
     d = found.widening @ found.shares
     c = d @ found.widening
     outer = np.einsum("gij,gik->jk", d, d)
@@ -254,8 +267,9 @@ def curvature_stretch(
     information: Float[np.ndarray, "parameters parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Return C with C^T information C = covariance^-1, so that log density(mode + C (vector -
-    mode)) has the inverse of the covariance as its curvature."""
+    """Return the matrix C with C^T information C = covariance^-1. The function log density(mode + C
+    (vector - mode)) then has the curvature covariance^-1 at its mode.
+    """
     own = np.linalg.cholesky(information)
     wanted = np.linalg.cholesky(np.linalg.inv(covariance))
     return np.linalg.solve(own.T, wanted.T)

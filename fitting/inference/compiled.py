@@ -1,4 +1,4 @@
-"""Compilation without optimisation, for programs that take longer to optimise than to run."""
+"""Compile without optimisation, for programs that take longer to optimise than to run."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -18,11 +18,10 @@ MANY = 50_000  # array elements from which a program takes longer to run than to
 
 
 def compiled_briefly(function: Callable[P, R], *, always: bool = True) -> Callable[P, R]:
-    """Like `equinox.filter_jit`, but without XLA's optimisation.
+    """Compile a function like `equinox.filter_jit`, but without XLA's optimisation.
 
-    Inside another compiled function, or a derivative, the function is compiled with that one.
-    `always`: skip the optimisation whatever the size of the arguments; otherwise XLA optimises the
-    program for large arguments."""
+    If the function is called inside another compiled function or a derivative, it becomes part of
+    that program. If `always` is false, XLA optimises the program for large arguments."""
     part = eqx.filter_jit(function)
     whole = cast(Any, eqx.filter_jit)(function, compiler_options=briefly())
 

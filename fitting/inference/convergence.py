@@ -1,8 +1,10 @@
-"""Convergence of chains: the effective number of independent draws, and the agreement of chains.
+"""Assess the convergence of chains: the effective number of independent draws, and the agreement of
+chains.
 
-The autocorrelation time of an ensemble is Sokal's, as in emcee, with one autocorrelation function
-for all walkers. R-hat and the effective number of draws of independent chains use ranks (Vehtari,
-Gelman, Simpson, Carpenter & Bürkner, Bayesian Analysis 16, 2021), so that heavy tails do no harm.
+For an ensemble, the autocorrelation time is Sokal's, as in emcee, computed from the mean
+autocorrelation function of all walkers. For independent chains, R-hat and the effective number of
+draws use ranks, so that they are valid for heavy tails (Vehtari, Gelman, Simpson, Carpenter &
+Bürkner, Bayesian Analysis 16, 2021).
 """
 
 import math
@@ -19,7 +21,7 @@ WINDOW = 5.0  # autocorrelation times after which Sokal's sum ends
 def autocorrelation_times(
     chain: Float[np.ndarray, "steps walkers parameters"],
 ) -> Float[np.ndarray, " parameters"]:
-    """Integrated autocorrelation times of an ensemble's chain.
+    """Compute the integrated autocorrelation times of an ensemble's chain.
 
     The results equal `emcee.autocorr.integrated_time`. The walkers' spectra are averaged before the
     inverse transform, which takes a seventh of the time.
@@ -46,11 +48,12 @@ def autocorrelation_times(
 
 
 def without_bias(time: float, length: int) -> float:
-    """The autocorrelation time corrected for the bias of a short chain.
+    """Correct an autocorrelation time for the bias of a short chain.
 
-    Relative to the mean of its own N steps, every correlation is too small by tau / N. The sum over
-    a window of `WINDOW` estimates to either side is therefore too small by tau / N for each of its
-    2 `WINDOW` estimates: estimate = tau / (1 + 2 `WINDOW` tau / N).
+    Let tau be the true autocorrelation time and N the number of steps. Because the mean of the same
+    N steps is subtracted, every autocorrelation is too small by tau / N. Sokal's window extends
+    over `WINDOW` times the estimate to either side, so the sum over it is too small by tau / N for
+    each of these steps: estimate = tau / (1 + 2 `WINDOW` tau / N).
 
     Returns tau in steps; infinite if the chain is too short."""
     share = 1 - 2 * WINDOW * time / length
@@ -58,8 +61,8 @@ def without_bias(time: float, length: int) -> float:
 
 
 def split_r_hat(draws: Float[np.ndarray, "chains draws"]) -> float:
-    """Return split R-hat: the width of all chains together over that of half chains, 1 if they
-    agree.
+    """Return split R-hat: the standard deviation of all half chains together, divided by that
+    within half chains. It is 1 if they agree.
 
     Source:
         Vehtari et al., Bayesian Analysis 16, 2021, eqs. 1-4 and 14.
@@ -70,7 +73,8 @@ def split_r_hat(draws: Float[np.ndarray, "chains draws"]) -> float:
 
 
 def effective_draws(draws: Float[np.ndarray, "chains draws"]) -> float:
-    """Effective sample size of the bulk, from rank-normalised draws.
+    """Compute the effective sample size for the centre of the distribution (bulk ESS), from
+    rank-normalised draws.
 
     Source:
         Vehtari et al., Bayesian Analysis 16, 2021, eqs. 7-13; Geyer, Statistical Science 7, 1992.
@@ -97,14 +101,14 @@ def _halves(draws: np.ndarray) -> np.ndarray:
 
 
 def _normal_scores(draws: np.ndarray) -> np.ndarray:
-    """Blom's normal scores: the normal quantiles of the ranks among all draws."""
+    """Return Blom's normal scores: the normal quantiles of the draws' ranks among all draws."""
     from scipy.stats import rankdata
 
     return ndtri((rankdata(draws).reshape(draws.shape) - 3 / 8) / (draws.size + 1 / 4))
 
 
 def _variances(draws: np.ndarray) -> tuple[float, float]:
-    """The variance within chains, and the variance of all chains together."""
+    """Return the mean variance within chains, and the variance of all chains together."""
     length = draws.shape[1]
     within = float(draws.var(axis=1, ddof=1).mean())
     return within, within * (length - 1) / length + float(draws.mean(axis=1).var(ddof=1))

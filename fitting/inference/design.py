@@ -1,8 +1,8 @@
-"""Optimal design: measurements ranked by how much they would reduce the variance of a chosen
-quantity.
+"""Rank possible measurements by how much they would reduce the variance of a chosen quantity
+(optimal design).
 
-A measurement adds its Fisher information F to a posterior of covariance C. Near the mode, the
-variance of a quantity of gradient g decreases from g^T C g to
+A measurement adds its Fisher information F to the inverse of the posterior covariance C. Near the
+mode, the variance of a quantity with gradient g decreases from g^T C g to
 
     g^T (C^-1 + F)^-1 g,
 
@@ -24,7 +24,7 @@ from .formatting import format_with_error
 
 @dataclass(frozen=True)
 class Candidate:
-    """The effect of one further measurement.
+    """The effect that one further measurement would have.
 
     Attributes:
         name: of the candidate.
@@ -41,7 +41,8 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Plan:
-    """Candidate measurements, the most informative about the target first. Print it.
+    """Candidate measurements, the most informative about the target first. Print the record to see
+    them.
 
     Attributes:
         target: in words.
@@ -70,7 +71,7 @@ class Plan:
 
     @property
     def best(self) -> str:
-        """Name of the first candidate."""
+        """Return the name of the best candidate."""
         return self.candidates[0].name
 
     def __str__(self) -> str:
@@ -92,7 +93,7 @@ class Plan:
         ]
 
     def _repr_html_(self) -> str:
-        """The table that a notebook shows."""
+        """Return the HTML table that a notebook shows."""
         heads = ("measure", "s.d. then", "variance less by", "gain / nat")
         return record_html(heads, self._rows(), title=self._heading())
 
@@ -104,9 +105,10 @@ def rank(
     covariance: Float[np.ndarray, "parameters parameters"],
     added: Mapping[str, Float[np.ndarray, "parameters parameters"]],
 ) -> Plan:
-    """Rank measurements by their information.
+    """Rank candidate measurements by how much their Fisher information would reduce a target's
+    variance.
 
-    `value`: of the target, in its unit."""
+    `value` is the target's value in its unit."""
     root = np.linalg.cholesky(covariance)
     along = root.T @ slope
     now = float(along @ along)

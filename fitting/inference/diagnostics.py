@@ -1,10 +1,10 @@
-"""Identifiability of parameters from the Fisher information, as findings.
+"""Find the parameters that the data do not identify, from the Fisher information.
 
-The information matrix F is scaled to unit diagonal. Eigenvectors with small eigenvalues are
-combinations of parameters that are not identifiable from the data. sqrt(VIF_i) = sqrt(F_ii
-(F^-1)_ii) is the factor by which the uncertainty of the other parameters increases the error of
-parameter i (variance inflation; Belsley, Kuh & Welsch 1980). An unidentifiable combination is
-reported, and never hidden by a pseudo-inverse.
+The information matrix F is scaled to unit diagonal. Eigenvectors of its smallest eigenvalues are
+combinations of parameters that the data do not identify. sqrt(VIF_i) = sqrt(F_ii (F^-1)_ii) is the
+factor by which the uncertainty of the other parameters increases the error of parameter i (variance
+inflation; Belsley, Kuh & Welsch 1980). An unidentifiable combination is reported, never hidden by a
+pseudo-inverse.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ OPEN = 1.0  # standard deviation of a log parameter from which it counts as not 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """The identifiability of the parameters from an information matrix.
+    """The result of testing an information matrix for parameters that it does not determine.
 
     Attributes:
         inflation: (parameters,) sqrt(VIF), infinite where undetermined.
@@ -44,10 +44,10 @@ def identifiability(
     rounding: float = UNDETERMINED,
     vector: Float[ArrayLike, " parameters"] | None = None,
 ) -> Identifiability:
-    """Assess an information matrix.
+    """Test whether an information matrix determines all parameters.
 
-    `vector`: (P,) unconstrained best fit; None if only the errors of logarithms decide which
-    parameters matter.
+    `vector` is the unconstrained best fit (P,). If it is None, relative errors are known only for
+    parameters on a logarithmic scale.
 
     Source:
         Belsley, Kuh & Welsch, "Regression Diagnostics", 1980.
@@ -77,8 +77,9 @@ def identifiability(
 
 
 def _relative_slopes(space: ParameterSpace, vector: ArrayLike | None) -> np.ndarray:
-    """The relative change of a parameter per unit of its unconstrained value; infinite if
-    unknown."""
+    """Return the relative change of each parameter per unit of its unconstrained value; infinite if
+    unknown.
+    """
     if vector is None:
         free = [p.transform == "log" and scaled_ends(p) == (-np.inf, np.inf) for p in space]
         return np.where(free, 1.0, np.inf)
@@ -115,5 +116,5 @@ def _confused(
 
 
 def listed(words: list[str]) -> str:
-    """`a, b and c`."""
+    """Join words to "a, b and c"."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -1,10 +1,10 @@
-"""Finite differences, where automatic derivatives neglect a part of the change.
+"""Use finite differences where automatic derivatives miss a part of the change.
 
-A picture is discontinuous at the edge of a shadow or an outline, and its gradient neglects the
-motion of the edge. Rounded values and branches have the same problem. The test compares residuals
-on both sides of an optimum, half a standard deviation away, with the prediction of the gradient. If
-the difference exceeds the curvature of smooth residuals and a tenth of the change, the optimum, its
-curvature and the verdict use finite differences.
+A picture is discontinuous at the edge of a shadow or an outline, and automatic differentiation
+misses the motion of the edge. It also misses jumps at rounding and branches. The test computes the
+residuals half a standard deviation to both sides of an optimum and compares their change with the
+derivative's prediction. If the discrepancy exceeds a tenth of the change and more than curvature
+explains, the optimum, its curvature and the verdict use finite differences.
 """
 
 from dataclasses import replace
@@ -30,7 +30,9 @@ _SHARES = np.array([1.0, 0.5, 0.25, 0.125])  # of a step
 
 
 def correct_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
-    """The optimum, tested and corrected by finite differences if its gradient is incomplete."""
+    """Test the gradient at an optimum by finite differences. If the gradient is incomplete, return
+    the optimum found by finite differences.
+    """
     squares = problem.likelihood.least_squares and problem.stream is None
     if not squares or not np.isfinite(optimum.information).all():
         return optimum
@@ -56,7 +58,8 @@ def correct_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
 
 def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
     """Return the lowest point reached by Gauss-Newton steps with finite differences and by steps
-    along the axes."""
+    along the axes.
+    """
     dtype, best = problem.data.dtype, int(np.argmin(optimum.costs))
     vector, settled, begun = np.asarray(optimum.vector, np.float64), False, np.nan
     cost, decrement, information = np.nan, optimum.decrement, optimum.information
@@ -98,9 +101,10 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
 def _widened(
     problem: Problem, vector: np.ndarray, cost: float, information: np.ndarray
 ) -> np.ndarray:
-    """The information with each standard deviation doubled until the cost rises to both sides. Over
-    a jump of the prediction, differences grow as their steps shrink, and beside it the cost is
-    flat."""
+    """Return the information matrix after doubling each parameter's standard deviation until the
+    cost rises on both sides. At a jump of the prediction, a difference quotient grows as its step
+    shrinks, and next to the jump the cost is flat, so that the curvature alone is unreliable.
+    """
     sizes = _deviations(information)
     if not np.isfinite(sizes).all():
         return information
@@ -117,7 +121,7 @@ def _widened(
 
 
 def _deviations(information: np.ndarray) -> np.ndarray:
-    """(P,) standard deviations from an information matrix; NaN if it has no inverse."""
+    """Return the standard deviations (P,) from an information matrix; NaN if it has no inverse."""
     scale = np.sqrt(np.abs(np.diagonal(information)))
     with np.errstate(all="ignore"):
         try:
@@ -131,9 +135,11 @@ def _deviations(information: np.ndarray) -> np.ndarray:
 def _compared(
     vector: Vector, sizes: Float[Array, " parameters"], problem: Problem
 ) -> Float[Array, "parameters 4"]:
-    """Return four norms over all residuals for each parameter: of D, the central difference over
-    half of `sizes`; of D minus the derivative; of D minus the difference over all of `sizes`; and
-    of the rounding error."""
+    """Compare the residuals' derivative with finite differences, for each parameter. Let D be the
+    change of the residuals by a central difference over half of `sizes`. Return four norms over all
+    residuals: of D, of D minus the derivative, of D minus the difference over all of `sizes`, and
+    of the rounding error.
+    """
 
     def residuals(vector: Array) -> Array:
         return least_squares_residuals(vector, problem)
@@ -158,7 +164,9 @@ def _compared(
 def _differenced(
     vector: Vector, sizes: Float[Array, " parameters"], problem: Problem
 ) -> tuple[Array, Array, Array]:
-    """Cost, gradient and curvature as `squares` gives them, by central differences."""
+    """Compute cost, gradient and curvature by central differences, in the form in which `squares`
+    returns them.
+    """
 
     def residuals(vector: Array) -> Array:
         return least_squares_residuals(vector, problem)

@@ -1,9 +1,9 @@
-"""Runs of emcee's ensemble sampler in blocks, until the chain can be trusted.
+"""Run emcee's ensemble sampler in blocks until the chain is long enough.
 
 The sampler (Foreman-Mackey et al. 2013) evaluates half of its walkers in one call. A chain shorter
-than 50 autocorrelation times is marked as too short (Sokal's window, as emcee documents it),
-because its estimated autocorrelation time is itself unreliable. It continues from memory or from
-its checkpoint, with the same result as without interruption.
+than 50 autocorrelation times is marked as too short, as emcee's documentation advises, because its
+estimated autocorrelation time is itself unreliable. A chain can continue from memory or from its
+checkpoint, with the same result as without interruption.
 """
 
 import math
@@ -36,7 +36,7 @@ BEYOND = 1e9  # standard deviations from the mode, which only walkers of an impr
 
 
 class Unbounded(InputError):
-    """A chain that diverged.
+    """The error raised if a chain diverges.
 
     Attributes:
         parameter: name of the parameter that moved furthest.
@@ -52,7 +52,7 @@ class Unbounded(InputError):
 
 @dataclass(frozen=True)
 class Emcee:
-    """Draws by emcee's ensemble, which needs no gradient.
+    """Options of emcee's ensemble sampler, which needs no gradient.
 
     Attributes:
         walkers: smallest number of walkers, even and at least 4; P parameters take at least 2 P +
@@ -126,9 +126,9 @@ class SamplingOptions(Emcee):
 
 
 def for_group(options: Emcee | None, group: str) -> Emcee | None:
-    """The same options with a separate checkpoint folder for one group (a colour channel).
+    """Return the options with a separate checkpoint folder for one group (a colour channel).
 
-    `options`: for all groups; None stays None."""
+    If `options` is None, the result is None."""
     if options is None or options.checkpoint is None:
         return options
     name = group.replace(" ", "_").replace("/", "_")
@@ -136,13 +136,13 @@ def for_group(options: Emcee | None, group: str) -> Emcee | None:
 
 
 def enough_walkers(options: Emcee, dimension: int) -> int:
-    """The number of walkers of an ensemble."""
+    """Return the number of walkers of an ensemble for a number of parameters."""
     return max(options.walkers, 2 * dimension + 2)
 
 
 @dataclass(frozen=True)
 class Chain:
-    """The draws of an ensemble after burn-in.
+    """The draws of an ensemble after its burn-in.
 
     Attributes:
         vectors: (draws, walkers, parameters).
@@ -175,7 +175,9 @@ def run_ensemble(
     fingerprint: str,
     before: Sequence[Block] = (),
 ) -> Chain:
-    """Run or resume an ensemble until its chain is long enough or the ceiling is reached."""
+    """Run or resume an ensemble until its chain is long enough or has the largest allowed number of
+    steps.
+    """
     import emcee
 
     walkers = enough_walkers(options, mode.size)
@@ -212,19 +214,23 @@ def run_ensemble(
 def _refuse_without_end(
     walkers: np.ndarray, mode: np.ndarray, covariance: np.ndarray, names: Sequence[str]
 ) -> None:
-    """Refuse an improper posterior before emcee's own moves overflow."""
+    """Refuse an improper posterior before its diverging walkers overflow in emcee."""
     reached = np.max(np.abs(walkers - mode), axis=0) / np.sqrt(np.diagonal(covariance))
     if not np.all(reached < BEYOND):
         raise Unbounded(names[int(np.argmax(np.nan_to_num(reached, nan=np.inf)))])
 
 
 def _moves(dimension: int) -> list[tuple[Any, float]]:
-    """Moves and their shares. emcee 3.1.6's snooker is left out because it is biased."""
+    """Return emcee's moves and the share of steps that each takes. The snooker move is left out,
+    because that of emcee 3.1.6 is biased.
+    """
     from emcee.moves import DEMove, KDEMove
 
     class KDEOfSome(KDEMove):
-        """A KDE move whose proposal uses a random subset of the complementary walkers. If these lie
-        in a plane, which has no density, their differences are used."""
+        """A move that proposes from a kernel density estimate of a random subset of the other
+        walkers. If these walkers lie in a plane, where the estimate fails, the proposal uses their
+        differences.
+        """
 
         def get_proposal(self, s: Any, c: Any, random: Any) -> Any:
             still = np.concatenate(c, axis=0)
@@ -244,8 +250,9 @@ def _moves(dimension: int) -> list[tuple[Any, float]]:
 
 
 def _block(sampler: Any, state: Any, fingerprint: str) -> Block:
-    """Return the results of the sampler since its last reset, and the state from which to
-    continue."""
+    """Return a block: the sampler's results since its last reset, and the state from which to
+    continue.
+    """
     _, keys, position, has_gauss, gauss = state.random_state
     return {
         "fingerprint": np.array(fingerprint),
@@ -279,7 +286,9 @@ def _start(walkers: int, mode: np.ndarray, covariance: np.ndarray, seed: int) ->
 def _made_possible(
     evaluate: Callable[[np.ndarray], np.ndarray], walkers: np.ndarray, mode: np.ndarray
 ) -> np.ndarray:
-    """The log density of walkers. Walkers that start at density zero are moved toward the mode."""
+    """Return the log density of the walkers, after moving those whose density is zero towards the
+    mode.
+    """
     found = evaluate(walkers)
     for _ in range(HALVINGS):
         nowhere = ~np.isfinite(found)
@@ -294,9 +303,11 @@ def _made_possible(
 
 
 def _due(steps: int, block: int) -> bool:
-    """Whether the chain is assessed here: after 1, 2, 3, ... blocks, then less and less often,
-    because an assessment costs as much as many steps. It depends only on the number of steps, not
-    on interruptions."""
+    """Return whether to assess the chain after this number of steps. The chain is assessed after 1,
+    2, 3, ... blocks and then less and less often, because an assessment costs as much as many
+    steps. The decision depends only on the number of steps, so that an interrupted run gives the
+    same chain.
+    """
     blocks, rest = divmod(steps, block)
     if rest or blocks < 2:
         return rest == 0 and blocks == 1
@@ -305,7 +316,8 @@ def _due(steps: int, block: int) -> bool:
 
 def _chain_if_done(blocks: list[Block], options: Emcee) -> Chain | None:
     """Return the chain if it is long enough or has reached the limit of steps; None if it must
-    continue."""
+    continue.
+    """
     steps = length(blocks)
     last = steps >= options.steps
     if not (last or _due(steps, options.block)):
@@ -330,9 +342,9 @@ def _chain_if_done(blocks: list[Block], options: Emcee) -> Chain | None:
 
 
 def _missing(steps: int, settled: int, tau: float) -> int:
-    """The approximate number of steps that a chain lacks, in whole hundreds; 0 if it is long
-    enough. It needs `TIMES_TAU` of the estimated autocorrelation times, after a burn-in of
-    several."""
+    """Estimate the number of steps that a chain lacks, in whole hundreds; 0 if it is long enough.
+    The chain must span `TIMES_TAU` estimated autocorrelation times after a burn-in of several.
+    """
     if settled >= TIMES_TAU * tau:
         return 0
     needed = min((TIMES_TAU + BURN_IN_TAU) * without_bias(tau, settled), 10 * steps)

@@ -1,4 +1,4 @@
-"""Estimates: named numbers with units, standard errors and intervals."""
+"""Report estimates: named numbers with units, standard errors and intervals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Named(Protocol):
 
 @dataclass(frozen=True)
 class Estimate:
-    """One number with its uncertainty.
+    """A number with its name, unit and uncertainty.
 
     Attributes:
         name: of the quantity, a word.
@@ -67,7 +67,7 @@ class Estimate:
     reason: str = ""
 
     def _repr_html_(self) -> str:
-        """The line that a notebook shows."""
+        """Return the HTML line that a notebook shows."""
         named = {"of": self.group, "": format_name(self.name), "by": self.method}
         cells = {
             **{head: text for head, text in named.items() if text},
@@ -89,7 +89,9 @@ def quantile_estimate(
     method: str = "",
     group: str = "",
 ) -> Estimate:
-    """Return an estimate with the given intervals; without a value if they are infinite."""
+    """Return an estimate with given quantiles as its intervals. If a quantile is infinite, the
+    estimate has no value.
+    """
     if not np.all(np.isfinite(np.asarray([value, standard_error, *quantiles], float))):
         why = "the data do not determine it: its interval exceeds all floating-point numbers"
         return not_determined(what, why, method=method, group=group)
@@ -110,7 +112,7 @@ def gaussian_estimate(
     log_scale: bool = False,
     freedom: float = np.inf,
 ) -> Estimate:
-    """Estimate with Gaussian intervals, or those of Student's t."""
+    """Return an estimate with Gaussian intervals, or those of Student's t."""
     steps = stdtrit(freedom, QUANTILES) * standard_error
     with np.errstate(over="ignore"):  # an infinite end is reported as such
         ends = value * np.exp(steps / value) if log_scale and value > 0 else value + steps
@@ -120,9 +122,11 @@ def gaussian_estimate(
 def reach_from_end(
     distance: Float[np.ndarray, "draws ..."], level: float
 ) -> tuple[Bool[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """Whether draws accumulate at an end of their range, so that the shortest interval begins
-    there. The density at that end must be at least the density at the other end of the interval. An
-    equal-tailed interval never covers the end itself."""
+    """Return whether draws accumulate at the end of their range, so that the shortest interval
+    begins there, and the length of that interval. For this, the density at the end must be at least
+    the density at the other end of the interval. An equal-tailed interval would never cover the end
+    itself.
+    """
     reach = np.quantile(distance, level, axis=0)
     width = AT_AN_END * reach
     first = np.sum(distance < width, axis=0)
@@ -139,8 +143,9 @@ def sampled_estimate(
     ends: Sequence[float] | Float[np.ndarray, "5"] | None = None,
     value: float | None = None,
 ) -> Estimate:
-    """Median (or a given value), standard deviation and equal-tailed quantile intervals of draws,
-    or the intervals with these `ends` at `QUANTILES`."""
+    """Return an estimate from draws: their median or a given value, their standard deviation, and
+    intervals from their quantiles or from `ends`, the values at `QUANTILES`.
+    """
     ends = np.quantile(draws, QUANTILES) if ends is None else ends
     value = float(ends[2]) if value is None else value
     return quantile_estimate(
@@ -149,7 +154,7 @@ def sampled_estimate(
 
 
 def not_determined(what: Named, reason: str, *, method: str = "", group: str = "") -> Estimate:
-    """The estimate of something that the input cannot give."""
+    """Return an estimate without a value, for a quantity that the input does not determine."""
     why = reason.rstrip(".")
     return Estimate(what.name, what.symbol, what.unit, None, method=method, group=group, reason=why)
 
@@ -157,7 +162,7 @@ def not_determined(what: Named, reason: str, *, method: str = "", group: str = "
 def find(
     estimates: Sequence[Estimate], name: str, *, method: str = "", group: str = ""
 ) -> Estimate:
-    """The first estimate with a given name.
+    """Return the first estimate with a given name.
 
     Args:
         estimates: to search.

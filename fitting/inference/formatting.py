@@ -1,4 +1,4 @@
-"""Numbers formatted to the digits that their uncertainty supports."""
+"""Format numbers with the digits that their uncertainty supports."""
 
 import math
 import re
@@ -25,15 +25,16 @@ class Uncertain(Protocol):
 
 
 def decimals_for(uncertainty: float) -> int | None:
-    """Decimal places that keep two significant digits of an uncertainty, negative for tens and
-    more; None if the uncertainty is zero or not finite."""
+    """Return the number of decimal places that keep two significant digits of an uncertainty. It is
+    negative for tens and more, and None if the uncertainty is zero or not finite.
+    """
     if not math.isfinite(uncertainty) or uncertainty <= 0:
         return None
     return DIGITS - 1 - math.floor(math.log10(uncertainty))
 
 
 def format_name(name: str) -> str:
-    """The name of a quantity in words: `snr_max` becomes "SNR max".
+    """Return the name of a quantity in words: `snr_max` becomes "SNR max".
 
     Args:
         name: with underscores.
@@ -45,24 +46,25 @@ def format_name(name: str) -> str:
 
 
 def format_p(p_value: float) -> str:
-    """A p-value as `p = 0.03`; a p-value that underflows as `p < 1e-300`."""
+    """Format a p-value as `p = 0.03`, or as `p < 1e-300` if it underflows."""
     return f"p = {p_value:.2g}" if p_value > 1e-300 or math.isnan(p_value) else "p < 1e-300"
 
 
 def format_percent(share: float, *, decimals: int = 0) -> str:
-    """Format a share in per cent: 0.125 with one decimal is "12.5 %"."""
+    """Format a fraction as a percentage: 0.125 with one decimal is "12.5 %"."""
     return f"{100 * share:.{decimals}f} %"
 
 
 def format_spread(values: np.ndarray) -> tuple[str, str]:
-    """The median, and the interval of the middle 90 %, of finite values."""
+    """Format the median of finite values, and the interval that contains their middle 90 %."""
     low, middle, high = np.percentile(values, (5, 50, 95))
     return f"{middle:.4g}", f"[{low:.4g}, {high:.4g}]"
 
 
 def format_number(value: float, decimals: int | None, *, beside: float | None = None) -> str:
-    """A number rounded to the given decimal places (negative for tens, hundreds and so on; None for
-    six digits), with or without an exponent as `beside` has, if given."""
+    """Format a number, rounded to the given decimal places (negative for tens, hundreds and so on;
+    None for six digits). It has an exponent if `beside`, the number printed next to it, has one.
+    """
     if decimals is None or not math.isfinite(value):
         return f"{value:.6g}"
     size = abs(value if beside is None else beside)
@@ -73,14 +75,14 @@ def format_number(value: float, decimals: int | None, *, beside: float | None = 
 
 
 def format_with_error(value: float, error: float, *, signed: bool = False) -> str:
-    """`value ± error`, both to two digits of the error."""
+    """Format `value ± error`, both to two significant digits of the error."""
     places = decimals_for(error)
     sign = "+" if signed and value > 0 else ""
     return f"{sign}{format_number(value, places)} ± {format_number(error, places, beside=value)}"
 
 
 def format_within(value: float, width: float) -> str:
-    """A number known to within a width, to two digits of the width."""
+    """Format a number whose uncertainty is `width`, to two significant digits of that width."""
     return format_number(value, decimals_for(width))
 
 
@@ -101,7 +103,7 @@ def format_value(estimate: Uncertain) -> str:
 
 
 def format_interval(estimate: Uncertain, level: int) -> str:
-    """The 68 or 95 % interval as `[low, high]`.
+    """Format the 68 or 95 % interval as `[low, high]`.
 
     Args:
         estimate: with or without an interval.
@@ -121,7 +123,7 @@ def format_interval(estimate: Uncertain, level: int) -> str:
 
 
 def format_unit(unit: str) -> str:
-    """`sr^-1` as sr⁻¹; empty for the unit one.
+    """Format a unit: `sr^-1` as sr⁻¹, and the unit one as an empty text.
 
     Args:
         unit: with powers after `^`.
@@ -135,20 +137,20 @@ def format_unit(unit: str) -> str:
 
 
 def split_symbol(symbol: str) -> tuple[str, str]:
-    """A symbol such as `σ_d` split into its letter and its subscript (empty if it has none)."""
+    """Split a symbol such as `σ_d` into its letter and its subscript (empty if it has none)."""
     letter, _, subscript = symbol.partition("_")
     return letter, subscript
 
 
 def format_axis(symbol: str, unit: str) -> str:
-    """An axis label: the symbol in mathematical type, and its unit in brackets."""
+    """Return the label of an axis: the symbol as mathematical text, and its unit in brackets."""
     letter, subscript = split_symbol(symbol)
     mathematics = f"${letter}_{{\\rm {subscript}}}$" if subscript else f"${letter}$"
     return f"{mathematics} [{format_unit(unit)}]" if format_unit(unit) else mathematics
 
 
 def size_in_words(bytes: int) -> str:
-    """The size of files in words: 154 kB."""
+    """Format the size of files: 154 kB."""
     for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if bytes >= size:
             return f"{bytes / size:.3g} {unit}"
@@ -156,8 +158,9 @@ def size_in_words(bytes: int) -> str:
 
 
 def format_cell(cell: object) -> str:
-    """A table cell. Floats have four significant digits, and below 10 million no exponent; None is
-    a dash; other values are unchanged."""
+    """Format a table cell. Floats have four significant digits, and below 10 million no exponent.
+    None becomes a dash, and other values are unchanged.
+    """
     if cell is None:
         return "–"
     if not isinstance(cell, float):

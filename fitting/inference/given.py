@@ -1,4 +1,4 @@
-"""Checks of a user's numbers: whole numbers, widths and ranges, each refused in one sentence."""
+"""Check a user's numbers: integers, widths and ranges. Each error is one sentence."""
 
 from collections.abc import Callable, Mapping
 from numbers import Number
@@ -20,7 +20,7 @@ LARGEST_SEED = 2**32 - 1  # largest seed that every random generator accepts
 
 
 def plain_numbers(what: str, value: Any) -> Any:
-    """An argument as an array of real numbers; else an error that names it."""
+    """Return an argument as an array of real numbers, or raise an error that names the argument."""
     plain = plain_array(what, value)
     if not hasattr(plain, "dtype"):
         try:
@@ -44,7 +44,9 @@ def plain_numbers(what: str, value: Any) -> Any:
 
 
 def refuse_complex(what: str, plain: Any) -> None:
-    """Refuse complex numbers where real ones are needed: a cast would drop the imaginary part."""
+    """Refuse complex numbers where real ones are needed, because a cast would drop the imaginary
+    part.
+    """
     if np.iscomplexobj(plain):
         raise InputError(
             f"{what} holds complex numbers, and real ones are wanted; give their real and "
@@ -53,7 +55,9 @@ def refuse_complex(what: str, plain: Any) -> None:
 
 
 def is_concrete(tree: Any) -> bool:
-    """Whether all numbers of a tree are known, outside any transformation."""
+    """Return whether all numbers of a tree are known values, not tracers of a JAX
+    transformation.
+    """
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
@@ -70,7 +74,7 @@ def require_whole(
 
 
 def require_kind(what: str, value: Any, kind: type, *, source: str = "") -> None:
-    """Refuse values of a type that a function does not accept."""
+    """Refuse a value that is not of the given type."""
     if not isinstance(value, kind):
         named = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
         hint = f"; {source} gives one" if source else ""
@@ -90,7 +94,9 @@ def require_seed(value: Any) -> None:
 
 
 def number_or_name(what: str) -> Callable[[Any], Any]:
-    """The converter of a likelihood's field: numbers become arrays, names stay."""
+    """Return the converter of a likelihood's field. It makes numbers arrays and leaves names of
+    parameters unchanged.
+    """
 
     def convert(value: Any) -> Any:
         if isinstance(value, str) and value:
@@ -113,13 +119,13 @@ def number_or_name(what: str) -> Callable[[Any], Any]:
 
 
 def end_or_name(what: str) -> Callable[[Any], Any]:
-    """Like `number_or_name`, for a bound that may be None."""
+    """Return a converter like that of `number_or_name`, for a bound that may be None."""
     convert = number_or_name(what)
     return lambda value: None if value is None else convert(value)
 
 
 def require_positive(what: str, value: Any) -> None:
-    """Refuse a width that is not positive. The name of a parameter or a traced value passes."""
+    """Refuse a width that is not positive. A parameter's name or a traced value is not checked."""
     if isinstance(value, str) or not is_concrete(value):
         return
     values = on_host(value)
@@ -129,8 +135,9 @@ def require_positive(what: str, value: Any) -> None:
 
 
 def require_ascending(what: str, low: Any, high: Any) -> None:
-    """Refuse an empty interval. An end that is open (None), a parameter's name or a traced value is
-    not checked."""
+    """Refuse an empty interval. An open end (None), a parameter's name or a traced value is not
+    checked.
+    """
     ends = {"low": low, "high": high}
     known = {
         name: on_host(end)
@@ -156,7 +163,7 @@ def require_ascending(what: str, low: Any, high: Any) -> None:
 
 
 def whole_labels(labels: Any) -> dict[str, Any] | Int[np.ndarray, "..."]:
-    """Group labels as whole numbers."""
+    """Return the labels of groups as integers."""
     if isinstance(labels, Mapping):
         if not labels:
             raise InputError("Clustered: give at least one level of labels.")
