@@ -1,5 +1,6 @@
 """The findings on surface, response and sensor with their conditions, and the tables."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax.numpy as jnp
@@ -16,13 +17,14 @@ from ..reflectance.from_images.findings import (
     quoted,
     said_of_channels,
 )
+from ..reflectance.from_images.lights import light_in_shadows
 from ..reflectance.from_images.read import ASSUMED_BLACK, Photographs
 from ..report.section import Table
 from ..report.sentences import Finding, Numbers, said
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
 from .misfit import APART, NOISE, UnequalPixels, unequal_pixels
-from .model import MISFIT_AT
+from .model import MISFIT_AT, given_black_level
 from .prediction import Score
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation above which the prior dominates
@@ -145,6 +147,17 @@ def hiding_pixels(of: OfChannel) -> tuple[UnequalPixels, bool] | None:
     return seen, seen.hide_noise(calibration.observation.camera.prnu_sd is not None)
 
 
+def _shadows(of: OfChannel) -> Numbers | None:
+    """The light in attached shadows, by which the fit lets the black level vary."""
+    observation, fit = of[0].observation, of[1]
+    channel = observation.channels.index(fit.channel)
+    black, sd = given_black_level(observation, channel)
+    glow = light_in_shadows(replace(observation, black=black), channel)
+    if not glow or abs(glow) <= NOTABLE * (sd or 0.0):
+        return None
+    return {"size": abs(glow), "word": "above" if glow > 0 else "below", "black": black}
+
+
 def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
     """Unequal pixels that are significant, or that could bias gain and read noise without being
     significant."""
@@ -242,8 +255,8 @@ GIVEN = (
         lambda c: darker_than_darks(c.observation),
         "Pixels that face away from the light have {median:.1f} DN (median of {count}),"
         " {below:.1f} DN less than the darks ({darks:.1f} DN), although light can only add. The"
-        " darks have another temperature, exposure or setting, and bias the surface's estimates."
-        " Leave them out, or take darks together with the images.",
+        " darks have another temperature, exposure or setting, and bias gain and read noise. Leave"
+        " them out, or take darks together with the images.",
     ),
 )
 OF_CHANNEL = (
@@ -261,6 +274,13 @@ OF_CHANNEL = (
         " bright ones would explain it. Causes are a surface that differs from the model, an"
         " intensity_sd, direction_sd, stray_sd or prnu_sd that the rig does not state, or a wrong"
         " black level, gain or read noise.",
+    ),
+    Finding(
+        "glowing shadows",
+        _shadows,
+        "Pixels that face away from a light read {size:.1f} DN {word} the black level of"
+        " {black:.1f} DN. Causes are a wrong black level, stray light or interreflection. The fit"
+        " takes that black level as uncertain by as much and estimates it from the images.",
     ),
     Finding(
         "unequal pixels",

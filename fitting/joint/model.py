@@ -41,6 +41,7 @@ from jaxvision import Vec
 
 from ..inference.parameters import Parameter, ParameterSpace, log_prior, names, to_natural
 from ..inference.priors import LogNormal, Normal
+from ..reflectance.from_images.lights import light_in_shadows
 from ..reflectance.from_images.read import Photographs, UniformLevels
 from ..reflectance.from_images.signal import (
     GAMMA,
@@ -127,7 +128,15 @@ def parameters(
 
 def black_level(observation: Photographs, channel: int) -> tuple[float, float | None]:
     """The black level and its standard deviation, from the rig, from the darks, or from both with
-    weights by precision."""
+    weights by precision. Attached shadows that are not black add their light to the standard
+    deviation, since no light of the rig reaches them."""
+    black, sd = given_black_level(observation, channel)
+    glow = light_in_shadows(replace(observation, black=black), channel)
+    return black, float(np.hypot(sd or 0.0, glow)) if glow else sd
+
+
+def given_black_level(observation: Photographs, channel: int) -> tuple[float, float | None]:
+    """The black level and its standard deviation, without the attached shadows."""
     black, sd = observation.black, observation.camera.black_sd
     stated = observation.camera.black_level is not None
     levels = None if observation.levels is None else observation.levels[channel]

@@ -7,6 +7,7 @@ import pytest
 
 from fitting import joint, reflectance
 from fitting.checks.reflectance import GAIN, RADIUS, SIZE, WHITE, Sphere, directions, photographs
+from fitting.inference.estimates import find
 from fitting.rig import Camera, SphereGeometry
 
 BALL = SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS)
@@ -58,3 +59,26 @@ def test_a_joint_fit_without_errors_is_reported():
     told = replace(found, fits=(lost,), posteriors={}, robust={}, halves={}).section
     assert "The fit did not converge; do not use its numbers." in told.findings
     assert all(estimate.value is None for estimate in told.estimates)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("camera", [{"gain": GAIN, "read_noise": 6.0}, {}])
+@pytest.mark.parametrize("wrong", [-40, 10])
+def test_a_wrong_black_level_is_estimated_from_the_shadows(wrong, camera):
+    """The rig states 60 DN. Without the shadows k_d was 34 standard errors off, unsaid if gain and
+    read noise are free."""
+    sphere = Sphere(lights=10, black=60.0 + wrong)
+    found = joint.calibrate(of(photographs(sphere, 0), lights=10, **camera)).section
+    side = "above" if wrong > 0 else "below"
+    assert any(f"{side} the black level of 60.0 DN" in s for s in found.findings)
+    truths = {"diffuse": 0.4, "specular": 0.45, "exponent": 40.0, "black_level": 60.0 + wrong}
+    for name, truth in truths.items():
+        estimate = find(found.estimates, name)
+        assert abs(estimate.value - truth) < 3 * estimate.standard_error
+
+
+@pytest.mark.slow
+def test_a_right_black_level_stays_as_stated():
+    found = joint.calibrate(of(photographs(Sphere(), 0), gain=GAIN, read_noise=6.0)).section
+    assert not any("Pixels that face away" in s for s in found.findings)
+    assert "black_level" not in [estimate.name for estimate in found.estimates]
