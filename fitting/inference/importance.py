@@ -1,15 +1,16 @@
-"""A test of Laplace's approximation, and importance sampling where the posterior is not Gaussian
+"""Test Laplace's approximation, and sample by importance where the posterior is not Gaussian
 enough.
 
-Along the line x = mode + s c_i / sqrt(C_ii), with c_i the column of the covariance C for parameter
-i, a Gaussian log density decreases by s^2 / 2. If the density differs from this by more than
-`TOLERATED` at two standard deviations, importance sampling is used. Draws come from Student's t
-about the mode, in a quasi-random sequence, and are weighted by density over proposal. The proposal
-then takes the mean and covariance of the weighted draws, until their effective number is large
-enough (adaptive importance sampling: Oh & Berger, J. Stat. Comput. Simul. 41, 1992). If numbers
-have bounds, half of the proposals are made on the scale of the numbers themselves. A ridge that is
-straight on that scale is curved on the unconstrained one, where a Student's t distribution does not
-reach both of its ends. The returned draws are resampled by their weights.
+Let c_i be the column of the covariance C for parameter i. Along the line x = mode + s c_i /
+sqrt(C_ii), a Gaussian log density decreases by s^2 / 2. If the decrease differs from this by more
+than `TOLERATED` at two standard deviations (s = 2), importance sampling is used. The proposals are
+a quasi-random sequence from Student's t about the mode, and each has the ratio of posterior to
+proposal density as its weight. The proposal distribution is then given the mean and covariance of
+the weighted draws. This is repeated until the effective number of draws is large enough (adaptive
+importance sampling: Oh & Berger, J. Stat. Comput. Simul. 41, 1992). If numbers have bounds, half of
+the proposals are made on the scale of the numbers themselves. A ridge that is straight on that
+scale is curved on the unconstrained one, where a Student's t distribution does not reach both of
+its ends. The returned draws are resampled by their weights.
 """
 
 from collections.abc import Callable, Sequence
@@ -52,10 +53,10 @@ def laplace_where_it_holds(
     missed: Float[np.ndarray, " parameters"] | None = None,
     by_chain: bool = True,
 ) -> Posterior:
-    """Laplace's posterior if the density is Gaussian enough. Otherwise draws by importance
-    sampling, or by emcee if the proposals do not converge. If the chain is too short, or if the
-    posterior is improper because the data bound a parameter on one side only, the result stays
-    Laplace's, and the parameter is named.
+    """Return Laplace's approximation if the density is Gaussian enough. Otherwise return draws by
+    importance sampling, or by emcee if the proposals do not converge. The result remains Laplace's,
+    and names a parameter, if emcee's chain is too short or if the data bound that parameter on one
+    side only, so that the posterior is improper.
 
     Args:
         log_density: module-level function of (vector, args).
@@ -129,8 +130,9 @@ def miss_about(
     centre: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> Float[np.ndarray, " parameters"]:
-    """Like `gaussian_miss`, for a function that returns the log density of each of (n, P)
-    vectors."""
+    """Compute the same as `gaussian_miss`, for a function that returns the log density of each of
+    (n, P) vectors.
+    """
     steps = FAR * covariance / np.sqrt(np.diagonal(covariance))
     values = log_density(np.concatenate([centre[None], centre + steps.T, centre - steps.T]))
     fall = values[0] - values[1:].reshape(2, -1)
@@ -145,7 +147,9 @@ def _importance(
     args: Any,
     seed: int,
 ) -> tuple[np.ndarray, float] | None:
-    """Return (draws, P) and their effective number; None if it is too small."""
+    """Return draws (draws, P) by importance sampling and their effective number; None if this
+    number is too small.
+    """
     from scipy.stats import qmc
 
     size = len(covariance)
@@ -192,7 +196,7 @@ Proposal = tuple[np.ndarray, np.ndarray]  # centre and covariance
 
 @dataclass(frozen=True)
 class _Proposed:
-    """Vectors that were proposed.
+    """Vectors drawn from the proposals, with their proposal densities.
 
     Attributes:
         vectors: (n, P) unconstrained.
@@ -220,9 +224,11 @@ def _proposals(space: ParameterSpace, mode: Array, covariance: np.ndarray) -> li
 
 
 def _proposed(space: ParameterSpace, proposals: Sequence[Proposal], units: np.ndarray) -> _Proposed:
-    """Equally many points for each proposal, and the density of their mixture (deterministic
-    mixture: Owen & Zhou, J. Am. Stat. Assoc. 95, 2000). Each proposal takes a contiguous run,
-    because every other point of a Sobol sequence fills only half of the space."""
+    """Draw equally many points from each proposal, and return them with the density of the
+    proposals' mixture (deterministic mixture: Owen & Zhou, J. Am. Stat. Assoc. 95, 2000). Each
+    proposal takes a contiguous part of the Sobol sequence, because every other point of the
+    sequence would fill only half of the space.
+    """
     dtype = jnp.result_type(float)
     roots = [np.linalg.cholesky(spread) for _, spread in proposals]
     parts = [
@@ -249,15 +255,16 @@ def _proposed(space: ParameterSpace, proposals: Sequence[Proposal], units: np.nd
 
 
 def _log_student(places: np.ndarray, centre: np.ndarray, root: np.ndarray) -> np.ndarray:
-    """ln of Student's t density, up to a constant."""
+    """Return ln of a multivariate Student's t density, up to a constant."""
     z = solve_triangular(root, (places - centre).T, lower=True)
     fall = (FREEDOM + len(centre)) / 2 * np.log1p(np.sum(z**2, axis=0) / FREEDOM)
     return -fall - np.sum(np.log(np.diagonal(root)))
 
 
 def _moved(proposal: Proposal, places: np.ndarray, weight: np.ndarray, share: float) -> Proposal:
-    """A proposal with the mean of weighted draws, and with their covariance as far as it is
-    determined."""
+    """Return a proposal with the mean of the weighted draws. Its covariance is a mixture of theirs,
+    with weight `share`, and of the old one, because few draws determine a covariance poorly.
+    """
     centre = weight @ places
     away = places - centre
     return centre, share * (away * weight[:, None]).T @ away + (1 - share) * proposal[1]

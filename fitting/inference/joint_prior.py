@@ -1,14 +1,16 @@
-"""A posterior as the prior of another fit: numbers with their correlations.
+"""Use the posterior of one fit as the prior of another: the density of each number, and their
+correlations.
 
-Each number keeps its posterior density on the unconstrained scale u of its fit, Gaussian or
-Student's t with scale s about m, as a prior for one parameter. With F the distribution function of
-(u - m) / s and R the correlations, z = Phi^-1(F((u - m) / s)) is N(0, R). The joint density is the
-product of the marginal densities times
+On the unconstrained scale u of the first fit, the posterior density of each number is Gaussian or
+Student's t, with scale s about m. It becomes the prior of one parameter of the other fit. Let F be
+the distribution function of (u - m) / s, Phi that of N(0, 1), and R the matrix of correlations.
+Then z = Phi^-1(F((u - m) / s)) is N(0, R), and the joint density is the product of the marginal
+densities times
 
     exp(-z^T (R^-1 - I) z / 2).
 
-With infinite degrees of freedom it is the Gaussian N(m, s R s). The density is in each parameter's
-own unit, so another fit may search on another scale.
+With infinite degrees of freedom the joint density is the Gaussian N(m, s R s). The density refers
+to each parameter in its own unit, so that the other fit may search on another scale.
 """
 
 import math
@@ -52,7 +54,7 @@ CONSTANT = 1e-12  # relative spread of draws below which a number counts as cons
 
 @dataclass(frozen=True)
 class Marginal:
-    """The prior of one number from an earlier estimate.
+    """The prior density of one number, taken from an earlier fit's estimate.
 
     Attributes:
         centre: unconstrained.
@@ -67,7 +69,7 @@ class Marginal:
     number: Parameter
 
     def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
-        """ln p(x), -inf outside of the bounds."""
+        """Return ln p(x), -inf outside the bounds."""
         lower, upper = ends(self.number)
         there = (x > lower) & (x < upper)
         inside = float(natural_numbers((self.number,), np.array([self.centre]))[0])
@@ -85,7 +87,7 @@ class Marginal:
         return jnp.where(there, shape - math.log(self.sd) - slope, -jnp.inf)
 
     def quantile(self, p: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-        """Inverse distribution function."""
+        """Return the values with the cumulative probabilities p."""
         steps = ndtri(p)
         if not math.isinf(self.freedom):  # at the ends `stdtrit` has no sign
             steps = np.where(np.isinf(steps), steps, stdtrit(self.freedom, p))
@@ -93,7 +95,7 @@ class Marginal:
         return natural_numbers((self.number,), u[..., None])[..., 0]
 
     def score(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
-        """A value on the scale on which the prior is N(0, 1)."""
+        """Return x transformed to the scale on which the prior is N(0, 1)."""
         u = to_unconstrained((self.number,), jnp.asarray(x)[..., None])[..., 0]
         t = (u - self.centre) / self.sd
         return t if math.isinf(self.freedom) else _gaussian_score(self.freedom, t)
@@ -101,7 +103,7 @@ class Marginal:
 
 @jax.custom_jvp
 def _gaussian_score(freedom: Any, t: Array) -> Array:
-    """Phi^-1 of Student's distribution function."""
+    """Return Phi^-1(F(t)), with F the distribution function of Student's t."""
     size = jnp.finfo(t.dtype)
     beyond = betainc(freedom / 2, jnp.asarray(0.5, t.dtype), freedom / (freedom + t**2)) / 2
     return -jnp.sign(t) * gaussian_quantile(jnp.maximum(beyond, size.tiny))
@@ -109,7 +111,9 @@ def _gaussian_score(freedom: Any, t: Array) -> Array:
 
 @_gaussian_score.defjvp
 def _(primals: tuple[Any, Array], tangents: tuple[Any, Array]) -> tuple[Array, Array]:
-    """The derivative as the ratio of the two densities, because `betainc` has none at 0."""
+    """Return the score and its tangent. The derivative is the ratio of the two densities, because
+    `betainc` has no derivative at 0.
+    """
     freedom, t = primals
     half, z = freedom / 2, _gaussian_score(freedom, t)
     norm = math.lgamma(half + 0.5) - math.lgamma(half) - math.log(math.pi * freedom) / 2
@@ -118,7 +122,8 @@ def _(primals: tuple[Any, Array], tangents: tuple[Any, Array]) -> tuple[Array, A
 
 
 class JointPrior(eqx.Module):
-    """Earlier information on several numbers, with their correlations.
+    """A joint prior for several parameters, with their correlations, from an earlier fit or from
+    draws.
 
     `Fit.as_prior` and `as_prior` make one; `Problem(..., prior=...)` takes it.
 
@@ -196,7 +201,7 @@ def posterior_prior(
     *,
     words: tuple[str, ...] = (),
 ) -> JointPrior:
-    """A posterior as a prior."""
+    """Return a posterior as a prior for another problem."""
     renamed, required = select_names(selection, list(shapes))
     sizes = [int(np.prod(shape)) for shape in shapes.values()]
     parts = np.split(np.arange(len(posterior.space)), np.cumsum(sizes)[:-1])
@@ -225,10 +230,10 @@ def posterior_prior(
 
 
 def as_prior(draws: Mapping[str, Any], names: Selection) -> JointPrior:
-    """Draws of numbers, such as those of a calibrated camera, as a prior.
+    """Make a prior from draws of numbers, such as those of a calibrated camera.
 
-    Numbers whose draws are all positive and far from 0 are Gaussian in their logarithm, others on
-    their own scale. Numbers that do not vary are left out.
+    If the draws of a number are all positive and far from 0, the prior is Gaussian in its
+    logarithm, otherwise in the number itself. Numbers that do not vary are left out.
 
     Args:
         draws: by name, of an array or of a record such as a `Sensor`, each number with a leading
@@ -305,8 +310,9 @@ def _prior(
 
 
 def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) -> None:
-    """Compare the ends of the central 95 % of the draws with a Gaussian's, for each number and each
-    principal axis."""
+    """Refuse draws that are not Gaussian. The ends of their central 95 % are compared with a
+    Gaussian's, for each number and along each principal axis.
+    """
     z = (vectors - vectors.mean(axis=0)) / vectors.std(axis=0)
     _, axes = np.linalg.eigh(np.corrcoef(z.T).reshape(len(space), -1))
     along = z @ axes
@@ -331,8 +337,9 @@ def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) 
 def apply_joint_prior(
     free: tuple[Parameter, ...], prior: JointPrior
 ) -> tuple[tuple[Parameter, ...], JointPrior]:
-    """Return the free parameters of a problem with their part of a joint prior attached, and that
-    part."""
+    """Attach the joint prior's marginals to the free parameters of a problem. Return these
+    parameters and the part of the prior that concerns them.
+    """
     by_name = {parameter.name: parameter for parameter in free}
     for name in prior.required:
         if name not in by_name:
@@ -360,7 +367,7 @@ def apply_joint_prior(
 
 
 def restrict(prior: JointPrior, kept: Collection[str]) -> JointPrior | None:
-    """A prior marginalised over the numbers with other names; None if none remains."""
+    """Marginalise a prior over all numbers but those of the given names; None if none remains."""
     sizes = [math.prod(shape) for shape in prior.shapes]
     chosen = np.flatnonzero(np.repeat([name in kept for name in prior.names], sizes))
     if not chosen.size:
@@ -378,7 +385,7 @@ def restrict(prior: JointPrior, kept: Collection[str]) -> JointPrior | None:
 
 
 def _nested(flat: tuple[Marginal, ...], shape: tuple[int, ...]) -> Any:
-    """Arrays as nested tuples, which can be part of a compile key."""
+    """Return an array's elements as nested tuples, which can be part of a compile key."""
     if not shape:
         return flat[0]
     size = math.prod(shape[1:])
@@ -387,7 +394,7 @@ def _nested(flat: tuple[Marginal, ...], shape: tuple[int, ...]) -> Any:
 
 
 def places_of(prior: JointPrior, space: ParameterSpace) -> np.ndarray:
-    """The indices of a prior's numbers in a space."""
+    """Return the indices of a prior's numbers in a parameter space."""
     order = {parameter.name: i for i, parameter in enumerate(space)}
     found = []
     for name, shape in zip(prior.names, prior.shapes, strict=True):
@@ -405,7 +412,7 @@ def scores(prior: JointPrior, space: ParameterSpace, vectors: Array) -> Float[Ar
 
 
 def log_dependence(prior: JointPrior, space: ParameterSpace, vectors: Array) -> Float[Array, "..."]:
-    """The contribution of the correlations to the log density, up to a constant."""
+    """Return the contribution of the correlations to the log prior density, up to a constant."""
     assert prior.coupling is not None
     z = scores(prior, space, vectors)
     return jnp.sum((z @ prior.coupling.astype(z.dtype)) * z, axis=-1) / 2

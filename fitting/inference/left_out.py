@@ -1,13 +1,14 @@
-"""Errors that a likelihood can neglect, because no fit can detect them.
+"""Find errors that a likelihood can neglect because no fit can detect them.
 
-In units of their noise, the data have the covariance 1 without an error h that they share, and 1 +
-h h' with it. The 2-Wasserstein distance of the two distributions is
+Suppose that all data share an error with a standard deviation of h_i in datum i. In units of the
+noise, the data have the identity as covariance without this error, and 1 + h h' with it. The
+2-Wasserstein distance of the two distributions is
 
     sqrt(1 + |h|^2) - 1,     |h|^2 = sum of h^2 / Var,
 
-The squared distances of independent parts of the data add. A fixed shift h of all data has the
-distance |h|. If the distance is at most .1, an error h moves no estimate by more than a tenth of
-its standard deviation. The likelihood then omits the error.
+where Var is the noise variance. The squared distances of independent parts of the data add. For a
+fixed shift h of all data the distance is |h|. If the distance is at most 0.1, the error moves no
+estimate by more than a tenth of its standard deviation, and the likelihood omits it.
 
 Source:
     Dowson and Landau, "The Frechet distance between multivariate normal distributions", J.
@@ -42,12 +43,14 @@ class LeftOut:
 def distance(
     squares: Float[np.ndarray, "..."], *, parts: float | Float[np.ndarray, "..."] = 1.0
 ) -> float:
-    """The change of the data's distribution by errors of independent parts."""
+    """Return the 2-Wasserstein distance by which errors of independent parts change the data's
+    distribution.
+    """
     return float(np.sqrt(np.sum(parts * (np.sqrt(1 + squares) - 1) ** 2)))
 
 
 def negligible(errors: Iterable[LeftOut]) -> tuple[LeftOut, ...]:
-    """The errors that may be omitted together."""
+    """Return the errors that may be omitted together."""
     found = sorted(errors, key=lambda own: own.bound)
     total = np.cumsum([own.bound for own in found])
     return tuple(own for own, moved in zip(found, total, strict=True) if moved <= TOLERANCE)

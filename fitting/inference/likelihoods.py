@@ -1,17 +1,17 @@
 """Likelihoods: the distribution of the data about a prediction.
 
-Each is a record with
+A likelihood is a record with
 
     log_density(prediction, data)       ln p of every datum, (data)
     residuals(prediction, data, chance) standard normal for every datum if the model holds, (data)
     draw(key, prediction)               simulated data, (data)
 
 `least_squares` says whether ln p is -residual^2 / 2 plus constants, so that a fit may use the
-Levenberg-Marquardt method. `surrogate` is a least-squares likelihood with a similar best fit, for a
-likelihood that is hard to search, or None. A record of your own with these parts works as well. It
-may also have `check_data(data)`, which refuses invalid data, and `for_data(data)`, which returns it
-with what its draws need of the data. A field that is a string names a
-parameter or a path into a record, and is replaced by its value.
+Levenberg-Marquardt method. `surrogate` is None, or for a likelihood that is hard to optimise a
+least-squares likelihood with a similar best fit. A record of your own with these parts works as
+well. It may also have `check_data(data)`, which refuses invalid data, and `for_data(data)`, which
+returns the likelihood adapted to the data. A field that is a string names a parameter or a path
+into a record, and is replaced by its value.
 
 Residuals are quantile residuals (Dunn & Smyth, J. Comput. Graph. Stat. 5, 1996): the standard
 normal quantile of the cumulative probability of a datum. If a datum covers an interval, such as a
@@ -60,12 +60,14 @@ class Likelihood(Protocol):
 
 
 def numerics(*known: Any) -> tuple[Any, Any]:
-    """The library for residuals: NumPy, which compiles nothing, or JAX for traced values."""
+    """Return the libraries for residuals: NumPy and SciPy, which need no compilation, or JAX for
+    traced values.
+    """
     return (np, scipy.special) if is_concrete(known) else (jnp, jax.scipy.special)
 
 
 class Gaussian(eqx.Module):
-    """data = prediction + sd * Normal(0, 1).
+    """Gaussian noise: data = prediction + sd * Normal(0, 1).
 
     Do not use the square root of each datum as the standard deviation of counts: low data would get
     too much weight, and the fit would be too low. For counts use `SensorCounts`.
@@ -88,32 +90,35 @@ class Gaussian(eqx.Module):
 
     @property
     def least_squares(self) -> bool:
-        """Whether the standard deviation is known."""
+        """Return whether the standard deviation is known, so that the log density is a sum of
+        squares.
+        """
         return not isinstance(self.sd, str)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """-((data - prediction) / sd)^2 / 2 - ln(sqrt(2 pi) sd)."""
+        """Return -((data - prediction) / sd)^2 / 2 - ln(sqrt(2 pi) sd) for each datum."""
         z = (data - prediction) / self.sd
         return -(z**2) / 2 - jnp.log(self.sd) - HALF_LOG_2PI
 
     def residuals(self, prediction: Numbers, data: Numbers, chance: Numbers) -> Numbers:
-        """(data - prediction) / sd."""
+        """Return (data - prediction) / sd for each datum."""
         del chance
         xp, _ = numerics(prediction, data, self)
         return (xp.asarray(data) - xp.asarray(prediction)) / xp.asarray(self.sd)
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Simulated data."""
+        """Return simulated data."""
         noise = jax.random.normal(key, prediction.shape, prediction.dtype)
         return prediction + self.sd * noise
 
 
 class StudentT(eqx.Module):
-    """data = prediction + scale * t, with Student's t; outliers have little weight.
+    """Noise with heavy tails, so that outliers have little weight: data = prediction + scale * t,
+    with t from Student's t distribution.
 
     Far from the best fit all data are outliers, and the gradient nearly vanishes. The search
-    therefore begins with least squares, unless the scale is unknown. An unknown scale grows until
-    the data have weight again.
+    therefore begins with least squares, unless the scale is fitted. A fitted scale grows until the
+    data have weight again.
 
     Attributes:
         scale: in the unit of the data; the standard deviation is sqrt(dof / (dof - 2)) times that:
@@ -155,14 +160,15 @@ class StudentT(eqx.Module):
 
     @property
     def surrogate(self) -> "Gaussian | Censored | None":
-        """The Gaussian with the same scale and ends, if the scale is known."""
+        """Return the Gaussian likelihood with the same scale and ends, if the scale is known."""
         if isinstance(self.scale, str):
             return None
         return Censored(self.scale, self.low, self.high) if self._ends else Gaussian(self.scale)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """-(dof + 1) / 2 ln(1 + z^2 / dof) with z = (data - prediction) / scale, normalised; at an
-        end, ln of the probability beyond."""
+        """Return the normalised log density -(dof + 1) / 2 ln(1 + z^2 / dof) with z = (data -
+        prediction) / scale. For a clipped datum, return ln of the probability beyond the end.
+        """
         dof = jnp.asarray(self.dof)
         z = (data - prediction) / self.scale
         density = student_log_density(z, dof) - jnp.log(self.scale)
@@ -175,15 +181,17 @@ class StudentT(eqx.Module):
         return density
 
     def residuals(self, prediction: Numbers, data: Numbers, chance: Numbers) -> Numbers:
-        """Normal deviates of the probabilities under Student's t; for a clipped datum, of a random
-        point beyond the end."""
+        """Return the standard normal quantiles of the data's cumulative probabilities under
+        Student's t; for a clipped datum, of a random point beyond the end.
+        """
         xp, special = numerics(prediction, data, self)
         data, prediction = xp.asarray(data), xp.asarray(prediction)
         dof, scale = xp.asarray(self.dof), xp.asarray(self.scale)
 
         def deviate(z: Numbers, chance: Numbers | float = 1.0) -> Numbers:
-            """The normal deviate of `chance` times the probability below, from its logarithm if
-            that underflows."""
+            """Return the normal quantile of `chance` times the probability below z. If this
+            probability underflows, its logarithm is used.
+            """
             half = special.betainc(dof / 2, 0.5, dof / (dof + z**2)) / 2  # F(-|z|)
             share = chance * xp.where(z > 0, 1 - half, half)
             rare = share <= xp.finfo(share.dtype).tiny
@@ -204,7 +212,7 @@ class StudentT(eqx.Module):
         return found
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Simulated data, clipped."""
+        """Return simulated data, clipped at the ends."""
         noise = jax.random.t(key, self.dof, prediction.shape, prediction.dtype)
         return jnp.clip(prediction + self.scale * noise, self.low, self.high)
 
@@ -213,8 +221,8 @@ _FAR = -12.0  # deviations; beyond, float32 and then float64 lose the normal dis
 
 
 class Censored(eqx.Module):
-    """A Gaussian signal that saturates. A datum at an end of the range states only that the signal
-    is beyond.
+    """Gaussian noise on a signal that saturates: a datum at an end of the range states only that
+    the signal is beyond that end.
 
     Attributes:
         sd: standard deviation of the signal, in the unit of the data: a number, an array of the
@@ -243,7 +251,9 @@ class Censored(eqx.Module):
         require_ascending("Censored", self.low, self.high)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """Gaussian log density between the ends; at an end, ln of the probability beyond."""
+        """Return the Gaussian log density between the ends; for a clipped datum, ln of the
+        probability beyond the end.
+        """
         density = Gaussian(self.sd).log_density(prediction, data)
         if self.low is not None:
             below = log_ndtr((self.low - prediction) / self.sd)
@@ -254,7 +264,9 @@ class Censored(eqx.Module):
         return density
 
     def residuals(self, prediction: Numbers, data: Numbers, chance: Numbers) -> Numbers:
-        """Normal deviates; for a clipped datum, of a random point beyond the end."""
+        """Return the residuals in standard deviations; for a clipped datum, that of a random point
+        beyond the end.
+        """
         xp, _ = numerics(prediction, data, self)
         data, prediction, sd = (xp.asarray(part) for part in (data, prediction, self.sd))
         z = (data - prediction) / sd
@@ -267,13 +279,14 @@ class Censored(eqx.Module):
         return z
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Simulated data, clipped."""
+        """Return simulated data, clipped at the ends."""
         return jnp.clip(Gaussian(self.sd).draw(key, prediction), self.low, self.high)
 
 
 def _deviate_below(end: Numbers, chance: Numbers) -> Numbers:
-    """Return the normal deviate with probability `chance` below it, in the distribution truncated
-    at `end` deviations."""
+    """Return the normal deviate with cumulative probability `chance` in the distribution below
+    `end` standard deviations.
+    """
     xp, special = numerics(end, chance)
     far = end < _FAR
     above = xp.where(far, -end, 2)
@@ -286,11 +299,11 @@ def _deviate_below(end: Numbers, chance: Numbers) -> Numbers:
 
 
 class Clustered(eqx.Module):
-    """Groups of data that share an error unknown to the likelihood.
+    """A likelihood for groups of data that share an unknown error.
 
-    The best fit is the same as with `likelihood` alone. Its errors are widened for the correlation
-    of the residuals within groups (a sandwich covariance, `clustering`). `draw` does not simulate
-    the shared error, whose form is unknown.
+    The best fit is the same as with `likelihood` alone. The standard errors are widened for the
+    correlation of the residuals within groups (a sandwich covariance, `clustering`). `draw` does
+    not simulate the shared error, whose form is unknown.
 
     Attributes:
         likelihood: of each datum, without groups.
@@ -334,17 +347,17 @@ class Clustered(eqx.Module):
         check_data(self.likelihood, data)
 
     def for_data(self, data: Numbers) -> "Clustered":
-        """The same with the inner likelihood for these data."""
+        """Return the same groups with the inner likelihood adapted to these data."""
         return eqx.tree_at(lambda own: own.likelihood, self, for_data(self.likelihood, data))
 
     @property
     def least_squares(self) -> bool:
-        """Whether the inner likelihood is least squares."""
+        """Return whether the inner likelihood is a sum of squares."""
         return self.likelihood.least_squares
 
     @property
     def surrogate(self) -> Likelihood | None:
-        """The `surrogate` of the likelihood that this one contains."""
+        """Return the `surrogate` of the inner likelihood."""
         return self.likelihood.surrogate
 
     def log_density(self, prediction: Array, data: Array) -> Array:
@@ -356,7 +369,7 @@ class Clustered(eqx.Module):
         return self.likelihood.residuals(prediction, data, chance)
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Simulated data without the shared error."""
+        """Return simulated data without the shared error."""
         return self.likelihood.draw(key, prediction)
 
 
@@ -384,7 +397,9 @@ def with_noise_scaled(likelihood: Any, factor: Any) -> Any:
 
 
 def named_width(likelihood: Any) -> str | None:
-    """The name of the parameter that is the width of the noise; None if no parameter is."""
+    """Return the name of the parameter that is the width of the noise; None if the width is no
+    parameter.
+    """
     if isinstance(likelihood, Clustered):
         return named_width(likelihood.likelihood)
     width = getattr(likelihood, "sd", getattr(likelihood, "scale", None))
@@ -392,10 +407,10 @@ def named_width(likelihood: Any) -> str | None:
 
 
 def with_values(likelihood: Any, value_of: Callable[[str], Any]) -> Any:
-    """A likelihood with values in place of the names of parameters and records."""
+    """Return a likelihood with values in place of the names of parameters and records."""
     return jax.tree.map(lambda leaf: value_of(leaf) if isinstance(leaf, str) else leaf, likelihood)
 
 
 def names_within(likelihood: Any) -> set[str]:
-    """The parameters and records that a likelihood names."""
+    """Return the names of parameters and records that a likelihood contains."""
     return {leaf for leaf in jax.tree.leaves(likelihood) if isinstance(leaf, str)}

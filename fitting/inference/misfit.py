@@ -1,12 +1,12 @@
-"""Tests of a model against its data: chi-square, and the correlation of neighbouring residuals.
+"""Test a model against its data by chi-square and by the correlation of neighbouring residuals.
 
 Under the model, standardised residuals r are standard normal and independent. Then sum r^2 is
 chi-square distributed, and the correlation of neighbours along an axis,
 
     rho = sum r_i r_(i+1) / sqrt(sum r_i^2 sum r_(i+1)^2),    rho sqrt(pairs) ~ Normal(0, 1).
 
-A wrong optimum leaves structure in the residuals, even if a fitted noise level makes chi-square
-normal.
+The second test reveals a wrong optimum by the structure of its residuals, even if a fitted noise
+level makes chi-square plausible.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ CHANCE = 1e-3  # probability that each of the two tests calls a good fit a misfi
 
 @dataclass(frozen=True)
 class Misfit:
-    """The results of both tests on the residuals of a fit.
+    """The results of the two tests: chi-square and the correlation of neighbouring residuals.
 
     Attributes:
         chi_square: sum of squared residuals.
@@ -48,8 +48,9 @@ class Misfit:
 def sums(
     residuals: Float[np.ndarray, "..."], *, before: Float[np.ndarray, "..."] | None = None
 ) -> Float[np.ndarray, " sums"]:
-    """Sums of standardised residuals (NaN where a datum is missing) for both tests. The sums of
-    parts of the data add up to those of all data."""
+    """Return the sums over standardised residuals (NaN where a datum is missing) that both tests
+    need. The sums over parts of the data add up to those over all data.
+    """
     present = ~np.isnan(residuals)
     found = [float(present.sum()), float(np.sum(residuals[present] ** 2))]
     for axis in range(residuals.ndim):
@@ -64,12 +65,12 @@ def sums(
 
 
 def judge(residuals: Float[np.ndarray, "..."], parameters: float) -> Misfit:
-    """Both tests, from standardised residuals, NaN where a datum is missing."""
+    """Run both tests on standardised residuals, NaN where a datum is missing."""
     return judge_sums(sums(residuals), parameters)
 
 
 def judge_sums(totals: Float[np.ndarray, " sums"], parameters: float) -> Misfit:
-    """Both tests, from the sums of all data."""
+    """Run both tests on the sums over all data."""
     count, chi_square = int(totals[0]), float(totals[1])
     dof = float(count - parameters)
     faults, remarks = [], []
@@ -113,7 +114,9 @@ def judge_sums(totals: Float[np.ndarray, " sums"], parameters: float) -> Misfit:
 
 
 def _correlation(product: float, one: float, other: float, pairs: float) -> tuple[float, float]:
-    """Correlation of neighbours along an axis, and its value in standard deviations."""
+    """Return the correlation of neighbours along an axis, and its ratio to its standard
+    deviation.
+    """
     size = float(np.sqrt(one * other))
     if size == 0:
         return 0.0, 0.0
@@ -122,5 +125,5 @@ def _correlation(product: float, one: float, other: float, pairs: float) -> tupl
 
 
 def _largest(dof: float) -> float:
-    """The chi-square per degree of freedom that chance exceeds with the stated probability."""
+    """Return the chi-square per degree of freedom that chance exceeds with probability `CHANCE`."""
     return float(chdtri(dof, CHANCE)) / dof

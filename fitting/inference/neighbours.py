@@ -1,11 +1,12 @@
-"""Clusters whose errors are correlated between neighbours, such as images with nearby lights.
+"""Merge clusters whose errors are correlated between neighbours, such as images with nearby lights.
 
 The residual of a wrong surface model changes slowly with the position of the light, so images of
-neighbouring lights are not independent. The test uses the scores y_g of the clusters, scaled to
-unit variance without correlations between parameters. It compares the mean of y_g . y_h over pairs
-of neighbours with its value for permuted positions. If it is significantly larger, the clusters are
-merged into regions, which are treated as independent (Conley, J. Econometrics 92, 1999; regions of
-many clusters: Bester, Conley & Hansen, J. Econometrics 165, 2011).
+neighbouring lights are not independent. The test uses the clusters' scores y_g, transformed so that
+they are uncorrelated between parameters and have unit variance. It compares the mean of y_g . y_h
+over pairs of neighbours g and h with its value for permuted positions. If the mean is significantly
+larger, the clusters are merged into regions, which are treated as independent (Conley, J.
+Econometrics 92, 1999; regions of many clusters: Bester, Conley & Hansen, J. Econometrics 165,
+2011).
 """
 
 import numpy as np
@@ -22,7 +23,9 @@ def regions(
     cluster: Int[np.ndarray, " samples"],
     places: Float[np.ndarray, "clusters axes"],
 ) -> Int[np.ndarray, " clusters"]:
-    """The region of each cluster, from positions in comparable units."""
+    """Return the number of the region to which each cluster belongs, from positions in comparable
+    units.
+    """
     count = len(places)
     sums = np.stack([np.bincount(cluster, row, count) for row in scores], axis=1)
     present = np.flatnonzero(np.bincount(cluster, minlength=count))
@@ -51,7 +54,9 @@ def _correlated(sums: np.ndarray, places: np.ndarray) -> bool:
 
 
 def _halved(places: np.ndarray, parts: int) -> np.ndarray:
-    """Labels of regions with equal numbers of positions, each half cut along its longest axis."""
+    """Divide positions into regions of equally many: cut along the longest axis into halves, and
+    each half again. Return each position's region.
+    """
     if parts == 1:
         return np.zeros(len(places), int)
     centred = places - places.mean(axis=0)

@@ -1,9 +1,9 @@
-"""Maximum likelihood in a few unconstrained parameters, by a damped Newton method that escapes
+"""Minimise a function of a few unconstrained parameters by a damped Newton method that escapes
 saddles.
 
-For likelihoods that are not sums of squares, the curvature comes from forward-over-reverse
-differentiation, so the final Hessian is the observed information. For sums of squares, exact or
-approximate, `derivatives` may give the Gauss-Newton curvature instead.
+The curvature is the exact Hessian, by forward-over-reverse differentiation, so that at the end it
+is the observed information. For sums of squares, exact or approximate, `derivatives` may return the
+Gauss-Newton curvature instead.
 """
 
 from collections.abc import Callable
@@ -31,7 +31,7 @@ SAME_COST = 45  # increase of the cost, in units of rounding, that still counts 
 
 
 class NewtonSolution(eqx.Module):
-    """The end of a minimisation.
+    """The point at which a minimisation ended, and the objective's derivatives there.
 
     Attributes:
         vector: (parameters,).
@@ -80,9 +80,10 @@ def minimise(
     max_steps: int | Int[Array, ""] = 100,
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
-    """Minimise objective(vector, args) until a step predicts a decrease below the tolerance, from
-    its cost, gradient and curvature by `derivatives` (None differentiates it twice). A step to a
-    point where the objective is not finite is refused."""
+    """Minimise objective(vector, args) until the predicted decrease of a step is below the
+    tolerance. `derivatives` returns cost, gradient and curvature; if None, the objective is
+    differentiated twice. A step to a point where the objective is not finite is refused.
+    """
     most, enough = jnp.asarray(max_steps), jnp.asarray(tolerance, start.dtype)
     return _minimise(objective, start, args, derivatives, most, enough)
 
@@ -124,10 +125,11 @@ def minimise_many(
     """Run `minimise` from several starts at once, in NumPy. Only the derivatives are compiled; they
     are evaluated for the searches that have not ended. Returns a `NewtonSolution` of NumPy arrays.
 
-    `derivatives` gives (n,) costs, (n, P) gradients and (n, P, P) curvatures at (n, P) vectors.
-    `digit` is the unit of rounding of the costs. With `careful` the damping also limits steps along
-    numbers that the data hardly determine, as a prior of width 1 would. Without it a first step may
-    end far away, where all slopes vanish. `progress` is called with the count of ended searches."""
+    `derivatives` returns costs (n,), gradients (n, P) and curvatures (n, P, P) at vectors (n, P).
+    `digit` is the relative rounding error of the costs. With `careful` the damping also limits
+    steps along numbers that the data hardly determine, as a prior of width 1 would. Without it a
+    first step may end far away, where all slopes vanish. `progress` is called with the count of
+    ended searches."""
     state = _initial_state(np.array(start, np.float64), CAREFUL if careful else FIRST_DAMPING)
     how = {"digit": digit, "least": float(careful)}
     active = np.ones(len(start), bool)
@@ -152,8 +154,9 @@ def minimise_read(
     *,
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
-    """Like `minimise`, for an objective whose data are read again at every step, by several
-    programs."""
+    """Do the same as `minimise`, for an objective whose data are read in chunks at every step and
+    whose derivatives are therefore summed outside of JAX.
+    """
 
     def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         found = derivatives(vectors[0].astype(start.dtype))
@@ -171,7 +174,7 @@ def _goes_on(state: _State, max_steps: Any, tolerance: Any) -> Any:
 
 
 def _initial_state(start: Any, damping: float = FIRST_DAMPING) -> _State:
-    """One search from (P,), or many from (searches, P)."""
+    """Return the first state of one search from (P,), or of many from (searches, P)."""
     xp, one = numpy_or_jax(start), start[..., 0]
     return _State(
         vector=start,
@@ -236,8 +239,10 @@ def _solution(end: _State, tolerance: Any) -> NewtonSolution:
 def second_derivatives(
     objective: Objective, vector: Float[Array, " parameters"], args: Any
 ) -> tuple[Array, Array, Array]:
-    """Cost, gradient and Hessian, one column at a time. For large data this takes half the time of
-    all columns together, whose intermediate arrays exceed the cache."""
+    """Return cost, gradient and Hessian. The Hessian is computed one column at a time. For large
+    data this takes half the time of all columns together, whose intermediate arrays exceed the
+    cache.
+    """
     slope = jax.value_and_grad(objective)
 
     def column(along: Array) -> tuple[tuple[Array, Array], Array]:
@@ -250,14 +255,14 @@ def second_derivatives(
 
 def _steps(state: _State, digit: float, least: float) -> tuple[Any, Any, Any, Any]:
     """Return Newton's damped step, the undamped step, the decrease of the cost that the undamped
-    step predicts, and the lowest eigenvalue. The Hessian is scaled to unit diagonal, with each
-    diagonal element taken as at least `least`, and `damping` is added to the absolute values of its
-    eigenvalues. The step goes downhill from any point, also away from saddles (Dauphin et al.
+    step predicts, and the lowest eigenvalue. The Hessian is scaled to unit diagonal, where each
+    diagonal element counts as at least `least`, and `damping` is added to the absolute values of
+    its eigenvalues. The step goes downhill from any point, and away from saddles (Dauphin et al.
     2014).
 
-    There is only one decomposition, whose results are used for everything. If two decompositions of
-    a batch run at the same time, each waits in XLA's pool for threads that the other holds, which
-    deadlocks on two cores (jaxlib 0.10)."""
+    All results come from one eigendecomposition. Two decompositions of a batch at the same time
+    would deadlock on two cores (jaxlib 0.10), because each waits in XLA's pool for threads that the
+    other holds."""
     xp = numpy_or_jax(state.vector)
     diagonal = xp.diagonal(state.information, axis1=-2, axis2=-1)
     size = xp.sqrt(xp.maximum(xp.abs(diagonal), least))

@@ -1,13 +1,14 @@
-"""Draws by the No-U-Turn sampler (Hoffman & Gelman, JMLR 15, 2014) of blackjax, an optional extra.
+"""Sample a posterior by the No-U-Turn sampler (Hoffman & Gelman, JMLR 15, 2014) of blackjax, an
+optional extra.
 
 The chains use coordinates z in which Laplace's Gaussian is isotropic,
 
     vector = mode + L z,    L L^T = covariance,
 
-so that only the step size is adapted, by dual averaging during the warm-up, to the mean acceptance
-of all chains. Draw i has its own key, so neither the size of the blocks nor an interruption changes
-a chain. Chains are accepted from 400 effective draws and up to an R-hat of 1.01 (Vehtari et al.,
-Bayesian Analysis 16, 2021).
+so that only the step size has to be adapted. During the warm-up, dual averaging adapts it to the
+mean acceptance of all chains. Draw i has its own random key, so neither the size of the blocks nor
+an interruption changes a chain. Chains are accepted if they have at least 400 effective draws and
+an R-hat of at most 1.01 (Vehtari et al., Bayesian Analysis 16, 2021).
 """
 
 import math
@@ -50,7 +51,7 @@ SHRINKING = (1.0, 0.5, 0.25, 0.1, 0.0)  # distances tried, of a start's from the
 
 @dataclass(frozen=True)
 class Nuts:
-    """Draws by the No-U-Turn sampler, whose chains follow the gradient (the `nuts` extra).
+    """Options of the No-U-Turn sampler, whose chains follow the gradient (the `nuts` extra).
 
     Attributes:
         draws: number of draws of each chain, at least 10, after a warm-up of 300 steps.
@@ -115,8 +116,10 @@ class NutsOptions(Nuts):
 
 
 class _State(eqx.Module):
-    """The chains and the adaptation of their step: log of the step, of its average, count, mean
-    error and centre (Nesterov's dual averaging)."""
+    """The positions of the chains, and the adaptation of their step size. The adaptation holds the
+    log of the step, the log of its average, the count, the mean error and the centre (Nesterov's
+    dual averaging).
+    """
 
     position: Float[Array, "chains parameters"]
     log_density: Float[Array, " chains"]
@@ -135,10 +138,11 @@ def nuts(
     seed: int = 0,
     after: Posterior | None = None,
 ) -> Posterior:
-    """Draws by NUTS, with starts from the Gaussian (mode, covariance).
+    """Draw from a posterior by NUTS, in chains that start from the Gaussian (mode, covariance).
 
-    Chains that are not yet reliable are kept and report how many draws they lack. With `after`, or
-    with their checkpoint, and more draws they continue, with the same bits as uninterrupted chains.
+    Chains that are not yet reliable are returned too, and report how many draws they lack. To
+    continue them, ask for more draws and give `after` or their checkpoint. The result is
+    bit-identical to that of uninterrupted chains.
     """
     _ = require_blackjax()
     options = options or Nuts()
@@ -168,7 +172,7 @@ def nuts(
 
 
 def require_blackjax() -> ModuleType:
-    """The blackjax package, or an error that says how to install it."""
+    """Return the blackjax package, or raise an error that says how to install it."""
     try:
         import blackjax
     except ImportError as error:
@@ -179,7 +183,7 @@ def require_blackjax() -> ModuleType:
 
 
 def _whitened(log_density: LogDensity, mode: Array, spread: Array, args: Any) -> Any:
-    """The density of z; -inf where it is NaN."""
+    """Return the log density as a function of z; -inf where it is NaN."""
 
     def density(z: Array) -> Array:
         value = log_density(mode + spread @ z, args)
@@ -203,7 +207,9 @@ def _start(
 def _started(
     log_density: LogDensity, mode: Array, spread: Array, args: Any, key: PRNGKeyArray, chains: int
 ) -> _State:
-    """Starts from Laplace's Gaussian, each moved toward the mode until its density is positive."""
+    """Draw the starts of the chains from Laplace's Gaussian, and move each towards the mode until
+    its density is positive.
+    """
     density = _whitened(log_density, mode, spread, args)
     z = jax.random.normal(key, (chains, mode.size), mode.dtype)
     nearer = jnp.asarray(SHRINKING, mode.dtype)[:, None, None] * z[None]
@@ -234,7 +240,9 @@ def _advance(
     block: int,
     acceptance: float,
 ) -> tuple[_State, dict[str, Array]]:
-    """The steps of a block, (first, number), and their draws."""
+    """Advance the chains by the steps of one block, given as (first, number), and return their
+    draws.
+    """
     from blackjax.adaptation.step_size import DualAveragingAdaptationState
     from blackjax.mcmc.hmc import HMCState
 
@@ -284,7 +292,7 @@ def _resumed(last: Block) -> _State:
 def _posterior(
     space: ParameterSpace, mode: np.ndarray, spread: np.ndarray, blocks: list[Block], seed: int
 ) -> Posterior:
-    """The draws after warm-up, and whether they are reliable."""
+    """Return the draws after the warm-up as a posterior, with the measures of their reliability."""
     settled = {
         name: stack_blocks(blocks, name)[WARM_UP:]
         for name in ("chain", "log_chain", "acceptances", "divergent")
@@ -314,8 +322,9 @@ def _posterior(
 
 
 def _missing(draws: int, effective: float, r_hat: float) -> int:
-    """The approximate number of draws that each chain lacks, in whole hundreds. If chains disagree
-    although they have enough draws, the number doubles."""
+    """Estimate the number of draws that each chain lacks, in whole hundreds. If the chains disagree
+    although they have enough draws, twice as many draws are asked for.
+    """
     if effective >= FEWEST_EFFECTIVE and r_hat <= LARGEST_R_HAT:
         return 0
     needed = draws * max(FEWEST_EFFECTIVE / effective, 2.0 if r_hat > LARGEST_R_HAT else 1.0)

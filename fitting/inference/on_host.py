@@ -1,4 +1,4 @@
-"""Conversion of distributed arrays to NumPy.
+"""Convert JAX arrays, also those distributed over processes, to NumPy.
 
 With `jax.distributed`, each process runs the same program and holds a part of each distributed
 array. Decisions in NumPy need the whole array in every process.
@@ -14,8 +14,9 @@ from jaxvision.errors import InputError
 
 
 def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
-    """All values, gathered from the processes if no process has them all. Every process must call
-    it."""
+    """Return all values as a NumPy array. They are gathered from the processes if no process has
+    them all, so every process must call this function.
+    """
     if _off_device(values):
         from jax.experimental.multihost_utils import process_allgather
 
@@ -24,8 +25,9 @@ def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
 
 
 def require_here(name: str, values: Any) -> None:
-    """Refuse arrays that are distributed over several processes, for data that are read in
-    parts."""
+    """Refuse arrays that are distributed over several processes, because data that are read in
+    parts must be in one process.
+    """
     if any(_off_device(leaf) for leaf in jax.tree.leaves(values)):
         raise InputError(
             f"{name}: an array lies on several hosts, and what is read in parts must lie on one; "

@@ -1,21 +1,22 @@
-"""Named parameters with units, bounds and priors, and their map to an unconstrained vector.
+"""Named parameters with units, bounds and priors, and their transformation to an unconstrained
+vector.
 
-A solver or a sampler uses a vector in R^P, and a user needs numbers with units. The map of one
-number has two steps. The first is the scale of the parameter, v = x (`identity`) or v = ln x
-(`log`). The second is the map into the bounds a < v < b:
+A solver or a sampler works on a vector u in R^P, whereas a user works with numbers x that have
+units. The transformation of one number has two steps. The first is to the scale of the parameter, v
+= x (`identity`) or v = ln x (`log`). The second relates v with bounds a < v < b to u:
 
     v = u                            no bound
     v = a + exp(u)                   lower bound alone
     v = b - exp(-u)                  upper bound alone
     v = a + (b - a) / (1 + exp(-u))  both
 
-A prior is a density of x in its own unit, p(x). Without one a parameter has a flat prior in v
-within its bounds. `log_prior` is the corresponding density of u, ln p(x) + ln |dx/du|, so that the
+A prior is a density p(x) of x in its own unit. A parameter without one has a flat prior in v within
+its bounds. `log_prior` is the corresponding log density of u, ln p(x) + ln |dx/du|, so that the
 mode, the Gaussian approximation and a chain all refer to the same posterior. The mode of a fit is
-taken in u.
+the maximum of the density of u.
 
-A parameter that a fit does not need is not in the space and never traced. Natural and unconstrained
-values are vectors (..., P) in the order of the space.
+A parameter that a fit does not need is not part of the space and is never traced. Natural values x
+and unconstrained values u are vectors (..., P) in the order of the space.
 """
 
 import math
@@ -44,7 +45,7 @@ FLAT_QUANTILES = (np.arange(400) + 0.5) / 400  # probabilities whose quantiles g
 
 
 def _frozen(value: Any) -> Any:
-    """Numbers as nested tuples, which can be part of a compile key."""
+    """Return numbers as nested tuples, which can be part of a compile key."""
     if value is None:
         return None
     value = plain_numbers("a number of a Parameter", value)
@@ -143,7 +144,7 @@ ParameterSpace = tuple[Parameter, ...]
 
 
 def _objects(priors: Any) -> np.ndarray:
-    """A prior, or nested tuples of them, as an array of objects."""
+    """Return a prior, or nested tuples of priors, as an array of objects."""
     if not isinstance(priors, tuple):
         one = np.empty((), object)
         one[()] = priors
@@ -152,12 +153,12 @@ def _objects(priors: Any) -> np.ndarray:
 
 
 def names(space: ParameterSpace) -> tuple[str, ...]:
-    """The parameters' names, in order."""
+    """Return the parameters' names, in order."""
     return tuple(parameter.name for parameter in space)
 
 
 def scalars(parameter: Parameter, shape: tuple[int, ...]) -> ParameterSpace:
-    """The names of the numbers in an array parameter, in row-major order."""
+    """Return the scalar parameters that make up an array parameter, in row-major order."""
     short = parameter.symbol or parameter.name.rpartition(".")[2]
     start = np.nan if parameter.start is None else np.asarray(parameter.start)
     each = parameter.lower, parameter.upper, _objects(parameter.prior), start
@@ -187,7 +188,9 @@ def scalars(parameter: Parameter, shape: tuple[int, ...]) -> ParameterSpace:
 
 
 def ends(parameter: Parameter) -> tuple[float, float]:
-    """Lower and upper bound of a scalar parameter, including those of its prior, in its unit."""
+    """Return the lower and upper bound of a scalar parameter in its unit, including the bounds of
+    its prior.
+    """
     lower, upper = float(np.asarray(parameter.lower)), float(np.asarray(parameter.upper))
     if parameter.prior is not None:
         low, high = support(parameter.prior)
@@ -196,7 +199,9 @@ def ends(parameter: Parameter) -> tuple[float, float]:
 
 
 def scaled_ends(parameter: Parameter) -> tuple[float, float]:
-    """Lower and upper bound of a scalar parameter on its own scale (identity or logarithm)."""
+    """Return the lower and upper bound of a scalar parameter on the scale of its transform
+    (identity or logarithm).
+    """
     lower, upper = ends(parameter)
     if parameter.transform == "identity":
         return lower, upper
@@ -204,17 +209,19 @@ def scaled_ends(parameter: Parameter) -> tuple[float, float]:
 
 
 def _natural(parameter: Parameter, v: Array) -> Array:
-    """x(v)."""
+    """Return the natural value x at the scaled value v."""
     return v if parameter.transform == "identity" else numpy_or_jax(v).exp(v)
 
 
 def numpy_or_jax(values: Any) -> Any:
-    """NumPy for its own arrays, which compile no program for their shape."""
+    """Return NumPy for a NumPy array, for which nothing is compiled, and `jax.numpy` for any
+    other.
+    """
     return np if isinstance(values, np.ndarray) else jnp
 
 
 def _into_bounds(u: Array, a: float, b: float) -> Array:
-    """v(u)."""
+    """Return the scaled value v at the unconstrained value u, with a < v < b."""
     xp, sigmoid = (np, expit) if isinstance(u, np.ndarray) else (jnp, jax.nn.sigmoid)
     match bool(np.isfinite(a)), bool(np.isfinite(b)):
         case True, True:
@@ -227,7 +234,7 @@ def _into_bounds(u: Array, a: float, b: float) -> Array:
 
 
 def _out_of_bounds(v: Array, a: float, b: float) -> Array:
-    """u(v)."""
+    """Return the unconstrained value u at the scaled value v, with a < v < b."""
     xp = numpy_or_jax(v)
     match bool(np.isfinite(a)), bool(np.isfinite(b)):
         case True, True:
@@ -240,7 +247,7 @@ def _out_of_bounds(v: Array, a: float, b: float) -> Array:
 
 
 def _log_slope(u: Array, a: float, b: float) -> Array | None:
-    """ln dv/du; None where it is 0."""
+    """Return ln dv/du; None where it is 0."""
     xp = numpy_or_jax(u)
     match bool(np.isfinite(a)), bool(np.isfinite(b)):
         case True, True:
@@ -253,7 +260,7 @@ def _log_slope(u: Array, a: float, b: float) -> Array | None:
 
 
 def _bend(u: Array, a: float, b: float) -> Array:
-    """v'' / v' by u, which is the slope of ln v'."""
+    """Return v'' / v' with derivatives with respect to u, which is the slope of ln v'."""
     xp = numpy_or_jax(u)
     match bool(np.isfinite(a)), bool(np.isfinite(b)):
         case True, True:
@@ -282,20 +289,22 @@ def _to_unconstrained(space: ParameterSpace, natural: Any) -> Any:
 
 @partial(jax.jit, static_argnums=0)
 def to_natural(space: ParameterSpace, unconstrained: Vector) -> Vector:
-    """Unconstrained values to values in the parameters' own units."""
+    """Convert unconstrained values to values in the parameters' units."""
     return _to_natural(space, unconstrained)
 
 
 @partial(jax.jit, static_argnums=0)
 def to_unconstrained(space: ParameterSpace, natural: Vector) -> Vector:
-    """Inverse of `to_natural`."""
+    """Convert values in the parameters' units to unconstrained values."""
     return _to_unconstrained(space, natural)
 
 
 def natural_numbers(
     space: ParameterSpace, unconstrained: Float[np.ndarray, "... parameters"]
 ) -> Float[np.ndarray, "... parameters"]:
-    """`to_natural` in NumPy, because JAX would compile it for every space and shape."""
+    """Convert unconstrained values to natural ones in NumPy, because JAX would compile `to_natural`
+    for every space and shape.
+    """
     with np.errstate(all="ignore"):
         return _to_natural(space, unconstrained)
 
@@ -303,14 +312,15 @@ def natural_numbers(
 def unconstrained_numbers(
     space: ParameterSpace, natural: Float[np.ndarray, "... parameters"]
 ) -> Float[np.ndarray, "... parameters"]:
-    """Inverse of `natural_numbers`."""
+    """Convert natural values to unconstrained ones in NumPy."""
     with np.errstate(all="ignore"):
         return _to_unconstrained(space, natural)
 
 
 def natural_slopes(space: ParameterSpace, unconstrained: Any) -> tuple[Any, Any]:
-    """Return x' and x'' / x' for each natural value x, derivatives with respect to the
-    unconstrained value, (..., P) each."""
+    """Return x' and x'' / x' for each natural value x, each (..., P). Primes are derivatives with
+    respect to the unconstrained value.
+    """
 
     def both(parameter: Parameter, u: Any) -> tuple[Any, Any]:
         xp, (a, b) = numpy_or_jax(u), scaled_ends(parameter)
@@ -330,7 +340,7 @@ def natural_slopes(space: ParameterSpace, unconstrained: Any) -> tuple[Any, Any]
 def log_flat_slopes(
     space: ParameterSpace, unconstrained: Any
 ) -> tuple[Float[Array, "... parameters"], Float[Array, "... parameters"]]:
-    """First and second derivatives of `log_prior` of a space without priors."""
+    """Return the first and second derivatives of `log_prior` for parameters without priors."""
 
     def second(parameter: Parameter, u: Any) -> Any:
         bend = _bend(u, *scaled_ends(parameter))
@@ -342,8 +352,9 @@ def log_flat_slopes(
 
 @partial(jax.jit, static_argnums=0)
 def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Float[Array, "..."]]:
-    """Unconstrained values on the scale of each number (identity or logarithm), inside its bounds,
-    and the logarithm of the volume ratio."""
+    """Return unconstrained values on the scale of each number (identity or logarithm), inside its
+    bounds, and ln of the Jacobian determinant of this transformation.
+    """
     slopes = jnp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
     for parameter, index in _kinds(space):
         slope = _log_slope(unconstrained[..., np.array(index)], *scaled_ends(parameter))
@@ -357,7 +368,9 @@ def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Flo
 
 @partial(jax.jit, static_argnums=0)
 def from_scaled(space: ParameterSpace, scaled: Vector) -> Vector:
-    """Inverse of `to_scaled`; NaN outside the bounds."""
+    """Return unconstrained values from those on the scale of each number; NaN outside the
+    bounds.
+    """
 
     def columns(parameter: Parameter, v: Array) -> Array:
         return _out_of_bounds(v, *scaled_ends(parameter))
@@ -366,7 +379,7 @@ def from_scaled(space: ParameterSpace, scaled: Vector) -> Vector:
 
 
 def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "..."]:
-    """Log prior density of the unconstrained values, up to a constant."""
+    """Return the log prior density of unconstrained values, up to a constant."""
     xp = numpy_or_jax(unconstrained)
     total = xp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
     for parameter, index in _kinds(space):
@@ -384,8 +397,9 @@ def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "...
 
 
 def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation (infinite if nothing is known) of each unconstrained value before
-    any data."""
+    """Return the mean and standard deviation of each unconstrained value under its prior or its
+    bounds. The standard deviation is infinite if neither limits the value.
+    """
     known = [prior_values(parameter) for parameter in space]
     nothing = np.full(len(FLAT_QUANTILES), np.nan)
     table = np.stack([nothing if x is None else x for x in known], axis=-1)
@@ -395,8 +409,10 @@ def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
 
 
 def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None:
-    """Evenly spaced quantiles of a scalar parameter's prior within its bounds, in its unit; None if
-    neither prior nor bounds limit it."""
+    """Return evenly spaced quantiles of a scalar parameter's prior within its bounds, in its unit.
+    Without a prior they are those of the flat density between the bounds; without both the result
+    is None.
+    """
     if (prior := parameter.prior) is not None:
         low, high = (share_below(prior, end) for end in ends(parameter))
         return np.asarray(prior.quantile(low + (high - low) * FLAT_QUANTILES))
@@ -408,7 +424,7 @@ def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None
 
 
 def share_below(prior: Prior, x: float) -> float:
-    """The probability below x, from the quantile function by bisection."""
+    """Return the prior probability below x, found by bisection of the quantile function."""
     low, high = 0.0, 1.0
     while high - low > LEAST_PRIOR / 1e6:
         middle = (low + high) / 2
@@ -420,8 +436,9 @@ Kind = tuple[Parameter, list[int]]
 
 
 def _kinds(space: ParameterSpace) -> list[Kind]:
-    """Groups of scalars with the same map, and their indices, so that many numbers need few
-    operations."""
+    """Group the scalars with equal transformation and prior, and return the groups with their
+    indices. Many numbers then need few operations.
+    """
     found: dict[Any, Kind] = {}
     for i, parameter in enumerate(space):
         key = (parameter.transform, *ends(parameter), parameter.prior)

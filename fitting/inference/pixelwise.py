@@ -1,8 +1,9 @@
-"""Many small problems of one form with separate data, fitted in one program.
+"""Fit many small problems that differ only in their data, in one compiled program.
 
-Every search is a damped Newton method from each of the starts, and the end with the lowest cost is
-kept. The curvature is the one that `fit` uses: J^T J for a sum of squares, the Hessian otherwise. A
-problem with missing or non-finite data fails without affecting the others.
+For each problem, a damped Newton method runs from each of the starts, and the end with the lowest
+cost is returned. The curvature is the one that `fit` uses: J^T J with the residuals' Jacobian J for
+a sum of squares, the Hessian otherwise. A problem with missing or non-finite data fails without
+affecting the others.
 """
 
 from functools import partial
@@ -38,7 +39,7 @@ TOLERANCE = 1e-10  # decrease of the cost predicted for one more step, at which 
 
 
 class Ends(eqx.Module):
-    """The ends of the searches of some problems.
+    """The results of the searches, one for each problem.
 
     Attributes:
         vector: (problems, P) the modes, unconstrained.
@@ -74,8 +75,9 @@ def fit_side_by_side(
     max_steps: Int[Array, ""],
     chance: Float[Array, "..."],
 ) -> Ends:
-    """The modes of problems that differ in their data (NaN where missing) and in some leaves of the
-    inputs; None is a leaf that all problems share."""
+    """Return the modes of problems that differ in their data (NaN where missing) and in some arrays
+    of the inputs. An entry of None in `own` marks an array that all problems share.
+    """
     leaves, form = jax.tree.flatten(problem.inputs)
 
     def one(data: Array, own: list[Any]) -> Ends:

@@ -1,8 +1,8 @@
-"""The posterior of a fit: Laplace's approximation, or draws by emcee (`nuts` has NUTS).
+"""Compute the posterior of a fit by Laplace's approximation or by emcee (for NUTS see `nuts`).
 
-A log density is a module-level pure function of an unconstrained vector and its data. Laplace's
-approximation uses its curvature at the mode. The ensemble sampler evaluates it for half of its
-walkers in one compiled call (`emcee_run`).
+The log density is a module-level pure function of an unconstrained vector and its data. Laplace's
+approximation uses its curvature at the mode. The ensemble sampler evaluates the density of half of
+its walkers in one compiled call (`emcee_run`).
 """
 
 from collections.abc import Callable
@@ -50,7 +50,7 @@ _OF_KERNEL = 128  # factor on BATCH for an accelerator, where each operation cos
 
 @dataclass(frozen=True)
 class Posterior:
-    """Draws from a posterior and their provenance.
+    """Draws from a posterior, and how they were made.
 
     Attributes:
         space: the P parameters.
@@ -102,24 +102,26 @@ class Posterior:
 
     @property
     def samples(self) -> Float[np.ndarray, "samples parameters"]:
-        """All draws as one array, (samples, P)."""
+        """Return all draws as one array (samples, P)."""
         return self.draws.reshape(-1, len(self.space))
 
     @property
     def by_name(self) -> dict[str, Float[np.ndarray, "chains draws"]]:
-        """(chains, draws) of every parameter by name, in natural units."""
+        """Return the draws (chains, draws) of every parameter by name, in natural units."""
         return {name: self.draws[..., i] for i, name in enumerate(names(self.space))}
 
     @property
     def sampled(self) -> bool:
-        """Whether the draws come from a sampler, so that intervals are their quantiles."""
+        """Return whether the draws come from a sampler, so that their quantiles are the
+        intervals.
+        """
         return self.method != "Laplace"
 
 
 @dataclass(frozen=True)
 class Laplace:
-    """A Gaussian about the mode of the unconstrained values, or draws by importance sampling if the
-    posterior is not Gaussian enough.
+    """Laplace's approximation, a Gaussian about the mode of the unconstrained values. If the
+    posterior is not Gaussian enough, draws by importance sampling replace it.
 
     Example:
         >>> from fitting import Gaussian, Laplace, Parameter, Problem, fit
@@ -140,7 +142,7 @@ def laplace_or_emcee(
     sampling: Emcee | None,
     seed: int,
 ) -> Posterior:
-    """Draws from a posterior by emcee, or by Laplace's approximation if `sampling` is None."""
+    """Draw from a posterior by emcee, or from Laplace's approximation if `sampling` is None."""
     if sampling is None:
         return laplace(log_density, space, mode, args, covariance=covariance, seed=seed)
     return sample(log_density, space, mode, covariance, args, options=sampling, seed=seed)
@@ -157,10 +159,11 @@ def laplace(
     seed: int = 0,
     draws: int = 4000,
 ) -> Posterior:
-    """The Gaussian approximation of the posterior about its mode, on the unconstrained scale, with
-    the given covariance or the inverse of the negative Hessian at the mode. With degrees of freedom
-    of the variances, the draws of every parameter follow Student's t, with the dependence of the
-    Gaussian."""
+    """Return the Gaussian approximation of the posterior about its mode, on the unconstrained
+    scale. Its covariance is given, or is the inverse of the negative Hessian at the mode. If
+    degrees of freedom of the variances are given, every parameter's draws follow Student's t, with
+    the correlations of the Gaussian.
+    """
     if covariance is None:
         information = on_host(_information(log_density, mode, args), dtype=np.float64)
         judged = identifiability(space, information)
@@ -204,11 +207,11 @@ def sample(
     seed: int = 0,
     after: Posterior | None = None,
 ) -> Posterior:
-    """Draws by emcee, with walkers that start from the Gaussian (mode, covariance).
+    """Draw from a posterior by emcee, with walkers that start from the Gaussian (mode, covariance).
 
-    A chain that reaches the ceiling of steps before it has 50 autocorrelation times is kept and
-    reports how many steps it lacks. With `after`, or with its checkpoint, and a higher ceiling it
-    continues, with the same bits as an uninterrupted run.
+    A chain that reaches the largest number of steps before it spans 50 autocorrelation times is
+    returned too, and reports how many steps it lacks. To continue it, allow more steps and give
+    `after` or its checkpoint. The result is bit-identical to that of an uninterrupted run.
     """
     options = options or Emcee()
 
@@ -249,11 +252,12 @@ def sample(
 
 
 def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
-    """Value, standard error and 68 / 95 % intervals of each parameter in its own unit.
+    """Return the value, standard error, and 68 and 95 % intervals of each parameter in its own
+    unit.
 
-    Laplace: the mode, and the Gaussian or Student quantiles through the transform. Samplers:
-    median, standard deviation and quantiles of the draws. If draws accumulate at a bound, the
-    intervals begin there."""
+    For Laplace's approximation the value is the mode, and the intervals are Gaussian or Student
+    quantiles converted to natural units. For samplers they are the median and the quantiles of the
+    draws. If draws accumulate at a bound, the intervals begin there."""
     if posterior.sampled:
         return tuple(
             sampled_estimate(
@@ -280,9 +284,10 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
 
 
 def piled_at(parameter: Parameter, draws: Float[np.ndarray, " draws"]) -> str:
-    """The bound of a number at which its draws accumulate: "lower", "upper" or none.
+    """Return the bound at which a number's draws accumulate: "lower", "upper" or "".
 
-    A posterior about as wide as the prior accumulates at no bound, or at both."""
+    The result is "" for a posterior about as wide as the prior, because it may be dense at both
+    bounds."""
     known = prior_values(parameter)
     if known is not None and np.std(draws) > NEARLY_PRIOR * np.std(known):
         return ""
@@ -295,7 +300,7 @@ def piled_at(parameter: Parameter, draws: Float[np.ndarray, " draws"]) -> str:
 def _from_bounds(
     parameter: Parameter, draws: Float[np.ndarray, " draws"]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
-    """Distances from the finite bounds, on the scale of the number."""
+    """Return the distances of the draws from the finite bounds, on the scale of the number."""
     low, high = scaled_ends(parameter)
     scaled = np.log(draws) if parameter.transform == "log" else draws
     found = {}
@@ -309,7 +314,9 @@ def _from_bounds(
 def _sampled_ends(
     parameter: Parameter, draws: Float[np.ndarray, " draws"]
 ) -> Float[np.ndarray, "5"]:
-    """Ends of intervals and the middle, at `QUANTILES`."""
+    """Return the ends of the intervals and the middle, which belong to the probabilities
+    `QUANTILES`.
+    """
     found = np.quantile(draws, QUANTILES)
     if not (side := piled_at(parameter, draws)):
         return found
@@ -333,12 +340,12 @@ def _information(log_density: LogDensity, vector: Array, args: Any) -> Array:
 def evaluate_density(
     log_density: LogDensity, vectors: Float[Array, "draws parameters"], args: Any
 ) -> Float[np.ndarray, " draws"]:
-    """A log density at many vectors, in batches; minus infinity where it is NaN."""
+    """Evaluate a log density at many vectors, in batches; the result is -inf where it is NaN."""
     return on_host(_evaluate(log_density, vectors, args), dtype=float)
 
 
 def walkers_at_a_time() -> int:
-    """How many walkers are evaluated at a time on this device."""
+    """Return how many walkers are evaluated at a time on this device."""
     return BATCH if on_processor() else BATCH * _OF_KERNEL
 
 

@@ -1,4 +1,4 @@
-"""Optimisation in float64, because sums over many samples in float32 have at most 7 digits."""
+"""Run fits in float64, because sums over many samples in float32 have at most 7 digits."""
 
 from collections.abc import Callable, Mapping
 from functools import wraps
@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 def double_precision(function: Callable[P, T]) -> Callable[P, T]:
-    """Return the function in double precision, for any setting of the caller."""
+    """Return a function that runs in double precision, whatever JAX's setting is."""
     parameters = signature(function).parameters.values()
     by_name = [one.name for one in parameters if one.kind is Parameter.KEYWORD_ONLY]
     placed = len(parameters) - len(by_name)
@@ -37,7 +37,9 @@ def double_precision(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def refuse_word_of_command(function: Callable[..., object], given: Mapping[str, object]) -> None:
-    """Refuse `mcmc`, a keyword of the command only, and name the function's argument."""
+    """Refuse the keyword `mcmc`, which only the command has, and name the function's argument to
+    use instead.
+    """
     if "mcmc" in given and "mcmc" not in signature(function).parameters:
         raise TypeError(
             f"{getattr(function, '__name__', 'function')} has no argument mcmc, which the command "
