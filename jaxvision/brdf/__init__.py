@@ -1,9 +1,10 @@
 """Reflectance models, one file per family, and the functions that serve every family.
 
-A family's file contains its record and its equations, and registers them. No other code knows the
-family. `register` does the same for a record that a user defines. In the local frame the normal is
-+z. `wi` points toward the light and `wo` toward the viewer, both unit. All functions are for one
-point, and the caller vmaps. A spectrum is (bands,), or (1,) if it is neutral and broadcasts.
+The file of a family contains its record and its equations, and registers them. No other code
+depends on the family. `register` adds a record that a user defines. In the local frame the normal
+is +z. `wi` is the unit vector toward the light, and `wo` the unit vector toward the viewer. All
+functions are for one point; use `jax.vmap` for many. A spectrum has the shape (bands,), or (1,) if
+it is the same for all bands.
 
     evaluate   f_r in sr^-1, 0 where either direction lies below the surface
     sample     a direction `wi` from three uniform numbers, near where f_r is large
@@ -12,8 +13,8 @@ point, and the caller vmaps. A spectrum is (bands,), or (1,) if it is neutral an
     albedo     integral of f_r cos(theta_i) over wi
     shading    f_r cos(theta_i), which multiplies the irradiance of a surface that FACES the light
 
-Mirrors and glass are delta functions without a density. `register_delta` registers their families,
-whose `Specular` gives the direction in which a ray continues.
+The BRDFs of mirrors and glass are delta functions, which have no density. `register_delta`
+registers such a family. Its `Specular` contains the directions in which a ray continues.
 """
 
 from ..core.lazy_names import names_of

@@ -1,12 +1,12 @@
-"""Three conventions for the factor of a specular lobe, in the BRDF and in the shading.
+"""Three conventions for the factor that multiplies a specular lobe, in the BRDF and in the shading.
 
     convention    specular term of f_r         ... of the shading, f_r cos(theta_i)
     shading       k_s lobe / cos(theta_i)      k_s lobe                the textbook's SHADING
     brdf          k_s lobe                     k_s lobe cos(theta_i)   the lobe as a BRDF
     normalised    k_s C lobe                   k_s C lobe cos(theta_i)
 
-The diffuse term of the BRDF is k_d = albedo / pi in all three. C makes the lobe's albedo along the
-normal equal k_s. Local frame, normal = +z.
+The diffuse term of the BRDF is k_d = albedo / pi in all three. The constant C is chosen so that the
+lobe's albedo along the normal is k_s. In the local frame the normal is +z.
 """
 
 from collections.abc import Callable
@@ -27,8 +27,8 @@ Convention = Literal["shading", "brdf", "normalised"]
 
 
 class Lobe(NamedTuple):
-    """A lobe without its factor. The functions take the material for the parameters of its
-    shape."""
+    """The functions that describe the shape of a specular lobe, without the factor of its
+    convention. Each takes the material, which contains the parameters of the shape."""
 
     value: Callable[[Any, Vec, Vec], Scalar]  # `value(material, wi, wo)`, () in [0, 1], no unit
     # `direction(material, wo, u)`, a unit direction by `u`, (3,) uniform in [0, 1)
@@ -48,8 +48,8 @@ class Lobe(NamedTuple):
 def register_lobe(
     record: type, lobe: Lobe, convention: Convention, bound: Callable[..., Reflection]
 ) -> None:
-    """Register a record with fields `diffuse` and `specular` as k_d plus k_s times a lobe.
-    `bound(ends, convention)` returns the suprema of its shading."""
+    """Register a record whose BRDF is `diffuse` (k_d) plus `specular` (k_s) times a lobe.
+    `bound(ends, convention)` returns upper bounds on its shading."""
 
     def scaled(material: Any, value: Scalar) -> Scalar:
         if convention != "normalised" or lobe.normalisation is None:
@@ -105,6 +105,6 @@ def register_lobe(
 
 
 def _two_terms(material: Any, wi: Vec, wo: Vec, body: Scalar, lobe: Scalar) -> Colour:
-    """Return k_d body + k_s lobe, (bands,) in sr^-1; 0 if the surface is not visible or not lit."""
+    """Return k_d body + k_s lobe, (bands,) in sr^-1; 0 if light or viewer is below the surface."""
     body, lobe = where_seen(wi, wo, body), where_seen(wi, wo, lobe)
     return map_bands(lambda k_d, k_s: k_d * body + k_s * lobe, material.diffuse, material.specular)

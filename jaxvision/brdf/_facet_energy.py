@@ -1,11 +1,12 @@
-"""How much light a surface of Smith's facets loses, and how much clear facets reflect.
+"""The share of light that a microfacet surface with Smith's masking loses to multiple reflections,
+and the share that clear facets reflect.
 
-Both are Chebyshev polynomials, fitted to quadratures of a single reflection
-(`tests/oracles/facet_energy.py` writes the file). One is the share of light that white facets lose,
-the other the amount that the roughness of clear facets adds to Fresnel's reflectance. The
-polynomials depend on the cosine c of the view by x = (asinh(c / 2 alpha) / asinh(1 / 2
-alpha))^0.6, which resolves grazing views at every roughness alpha. Errors are at most 5e-4. Nothing
-here has a unit.
+Chebyshev polynomials approximate two quantities: the share of light that white facets lose, and the
+amount that roughness adds to the Fresnel reflectance of clear facets. They were fitted to
+quadratures of a single reflection by `tests/oracles/facet_energy.py`. Their variable is x =
+(asinh(c / 2 alpha) / asinh(1 / 2 alpha))^0.6, where c is the cosine of the view and alpha the
+roughness. This x resolves grazing views at every roughness. The polynomials have an absolute error
+of at most 5e-4. All quantities in this file are dimensionless.
 """
 
 from functools import cache
@@ -28,8 +29,9 @@ _NODES, _WEIGHTS = _T**3, 6 * _T**5 * _DT  # for the weight 2 c dc, with c = t^3
 
 @cache
 def _coefficients(distribution: Distribution) -> tuple[np.ndarray, np.ndarray]:
-    """Return the coefficients of the loss, (x, y), and of the reflectance that clear facets add,
-    (x, y, index); x depends on cosine and roughness, y on roughness."""
+    """Return the Chebyshev coefficients of the share of light lost, (x, y), and of the reflectance
+    added by roughness, (x, y, index). Here x depends on cosine and roughness, y on roughness
+    alone."""
     with np.load(Path(__file__).with_name("facet_energy.npz")) as file:
         return file[f"{distribution}_lost"], file[f"{distribution}_clear"]
 
@@ -56,8 +58,8 @@ def _polynomial(alpha: Scalar) -> Scalar:
 
 
 def _cosine_basis(cosine: Array, alpha: Scalar, count: int) -> Array:
-    """Return the Chebyshev polynomials T_k at cosines. Below the smallest fitted alpha, facets of
-    equal cosine / alpha are treated alike."""
+    """Return the Chebyshev polynomials T_k in the variable x of the module, for given cosines.
+    Below the smallest fitted alpha, the result depends on cosine / alpha alone."""
     a = _polynomial(alpha)
     scaled = cosine * (a / jnp.clip(alpha, LEAST_ROUGHNESS, ROUGHEST))
     ratio = jnp.arcsinh(jnp.clip(scaled, 1e-6, 1) / (2 * a)) / jnp.arcsinh(0.5 / a)
@@ -65,21 +67,21 @@ def _cosine_basis(cosine: Array, alpha: Scalar, count: int) -> Array:
 
 
 def lost(cosine: Array, alpha: Scalar, distribution: Distribution) -> Array:
-    """Return the share of light that white facets lose for a view at this cosine."""
+    """Return the share of light that white facets lose, for a view at `cosine` to the normal."""
     table = jnp.asarray(_coefficients(distribution)[0], alpha.dtype)
     line = table @ _roughness_basis(alpha, table.shape[1])
     return jnp.clip(line @ _cosine_basis(cosine, alpha, table.shape[0]), 0, 1)
 
 
 def mean_lost(alpha: Scalar, distribution: Distribution) -> Scalar:
-    """Return the mean of `lost` under uniform light, with weight 2 c for the cosine c."""
+    """Return the mean of `lost` over the cosine c of the view, weighted by 2 c (uniform light)."""
     nodes, weights = (jnp.asarray(x, alpha.dtype) for x in (_NODES, _WEIGHTS))
     return weights @ lost(nodes, alpha, distribution)
 
 
 def reflected(cosine: Scalar, alpha: Scalar, eta: Colour, distribution: Distribution) -> Colour:
-    """Return the share of light that clear facets of relative indices `eta` reflect, (bands,), for
-    a view at this cosine."""
+    """Return the share of light that clear facets with relative refractive indices `eta` reflect,
+    (bands,), for a view at `cosine` to the normal."""
     table = jnp.asarray(_coefficients(distribution)[1], alpha.dtype)
     by_index = jnp.einsum("xyz,y->xz", table, _roughness_basis(alpha, table.shape[1]))
     span = float(np.log(LARGEST_INDEX / LEAST_INDEX))

@@ -1,7 +1,8 @@
-"""Interpolation of tables: find the position of a number among the nodes of an axis, and the value.
+"""Linear interpolation of tables: locate a number between the nodes of each axis, and weight the
+entries there.
 
-A position is a list of (index, weight) for the nodes around the number. Nodes increase. On an axis
-with one node, every position is that node.
+A `Place` is a list of (index, weight), one for each node next to the number. Nodes increase. On an
+axis with a single node, every number is assigned to that node.
 """
 
 from itertools import product
@@ -24,8 +25,8 @@ def _only(x: Scalar) -> Place:
 def among(
     nodes: Float[Array, " n"], x: Scalar, *, outside: Literal["clamp", "extrapolate"] = "clamp"
 ) -> Place:
-    """Return the position of `x` among nodes, for linear interpolation. Outside the nodes it takes
-    the outermost value or extrapolates the last two."""
+    """Return the nodes next to `x` with their weights for linear interpolation. Outside the nodes,
+    "clamp" takes the outermost node and "extrapolate" continues the line through the last two."""
     if nodes.shape[0] == 1:
         return _only(x)
     i = jnp.clip(jnp.sum(nodes <= x, dtype=jnp.int32) - 1, 0, nodes.shape[0] - 2)
@@ -36,8 +37,8 @@ def among(
 
 
 def around_circle(nodes: Float[Array, " n"], angle: Scalar) -> Place:
-    """Return the position of an angle (rad) among nodes that span less than a full circle. Beyond
-    the last node the first one follows."""
+    """Return the nodes next to an angle (rad), with their weights, for nodes that span less than a
+    full circle. Between the last node and the first one, interpolation closes the circle."""
     if nodes.shape[0] == 1:
         return _only(angle)
     turned = nodes[0] + jnp.mod(angle - nodes[0], 2 * jnp.pi)
@@ -47,7 +48,8 @@ def around_circle(nodes: Float[Array, " n"], angle: Scalar) -> Place:
 
 
 def place_in_unit(position: Scalar, count: int) -> Place:
-    """Return the position of a number in [0, 1] among `count` equally spaced nodes from 0 to 1."""
+    """Return the nodes next to a number in [0, 1], with their weights, for `count` equally spaced
+    nodes from 0 to 1."""
     if count == 1:
         return _only(position)
     scaled = jnp.clip(position, 0, 1) * (count - 1)
@@ -57,7 +59,8 @@ def place_in_unit(position: Scalar, count: int) -> Place:
 
 
 def bin_centre_position(position: Scalar, count: int, *, periodic: bool = False) -> Place:
-    """Return the position of a number in [0, 1] among the centres of `count` equal bins."""
+    """Return the bins whose centres are next to a number in [0, 1], with their weights, for `count`
+    bins of equal width."""
     scaled = position * count - np.asarray(0.5, position.dtype)
     low = jnp.floor(scaled)
     w, i = scaled - low, low.astype(jnp.int32)
@@ -67,13 +70,15 @@ def bin_centre_position(position: Scalar, count: int, *, periodic: bool = False)
 
 
 def containing_bin(position: Scalar, count: int) -> Place:
-    """Return the bin, of `count` equal ones, that contains a number in [0, 1]."""
+    """Return the bin that contains a number in [0, 1], with weight 1, for `count` bins of equal
+    width."""
     i = jnp.clip(jnp.floor(position * count).astype(jnp.int32), 0, count - 1)
     return [(i, jnp.ones_like(position))]
 
 
 def multilinear(table: Float[Array, "..."], *places: Place) -> Float[Array, "..."]:
-    """Interpolate a table to one position on each of its leading axes; the other axes remain."""
+    """Interpolate a table along its leading axes, one for each of `places`; the other axes
+    remain."""
     value = jnp.zeros(table.shape[len(places) :], table.dtype)
     for corner in product(*places):
         entry = table.at[tuple(index for index, _ in corner)].get(mode="promise_in_bounds")

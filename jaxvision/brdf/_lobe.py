@@ -1,4 +1,5 @@
-"""Common parts of families with a diffuse part and a lobe about one axis. Local frame."""
+"""Functions for families with a diffuse part and a specular lobe about one axis, in the local
+frame."""
 
 from collections.abc import Callable
 
@@ -27,7 +28,7 @@ ColourOrNeutral = Colour | Float[Array, "1"]
 
 
 class PowerLobe(Material):
-    """The fields of Phong's and Blinn's records. Each record describes its lobe and its convention.
+    """The fields that the records of Phong and Blinn have in common.
 
     `diffuse`, `specular`: (bands,); a `specular` of shape (1,) is neutral. `exponent`: () >= 0, no
     unit. `ambient`: (bands,) k_a, no unit, or None.
@@ -50,25 +51,25 @@ def mirrored(w: Vector) -> Vec:
 
 
 def where_above(height: Scalar, value: Scalars) -> Scalars:
-    """Return `value` if the height above the surface is positive, else 0; NaN if the height is
+    """Return `value` if `height`, the z component of a direction, is positive, else 0; NaN if it is
     NaN."""
     return jnp.where(height > 0, value, jnp.where(height <= 0, 0, height))
 
 
 def where_seen(wi: Direction, wo: Direction, value: Scalars) -> Scalars:
-    """Return `value` if both directions lie above the surface, else 0; NaN if one of them is
+    """Return `value` if light and viewer are above the surface, else 0; NaN if one of them is
     NaN."""
     return where_above(jnp.minimum(as_vec(wi).z, as_vec(wo).z), value)
 
 
 def divisor(cosine: Scalar) -> Scalar:
-    """Limit a cosine to at least `smallest_divisor`, to divide by it."""
+    """Return the cosine, raised to at least `smallest_divisor` so that division by it is safe."""
     return jnp.maximum(cosine, smallest_divisor(cosine.dtype))
 
 
 def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " specular"]) -> Scalar:
-    """Return the share of samples for the diffuse part, in proportion to its albedo; a half if both
-    albedos are 0."""
+    """Return the probability of sampling the diffuse part: its share of the total albedo, or 1/2 if
+    both albedos are 0."""
     body, lobe = diffuse.sum() / diffuse.size, specular.sum() / specular.size
     # relative to the larger one, so that the square of a tiny albedo does not underflow
     size = jax.lax.stop_gradient(jnp.maximum(body, lobe))
@@ -82,19 +83,19 @@ def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " sp
 
 
 def choose(diffuse_part: Scalar, u: Float[Array, "3"], lobe: Vec) -> Vec:
-    """Return the lobe's direction, or a cosine-distributed one if u_2 falls into the diffuse
-    part."""
+    """Return a cosine-distributed direction if u_2 < `diffuse_part`, else the direction `lobe`."""
     body, diffuse = cosine_direction(u[:2]), u[2] < diffuse_part
     return where(diffuse, body, lobe)
 
 
 def mixed_pdf(diffuse_part: Scalar, wi: Direction, lobe_pdf: Scalar) -> Scalar:
-    """Return the density of `choose`, in the unit of `lobe_pdf`."""
+    """Return the density of the directions that `choose` returns, in sr^-1."""
     return diffuse_part * cosine_pdf(wi) + (1 - diffuse_part) * lobe_pdf
 
 
 def about(axis: Vector, one_minus_cos: Scalar, phi: Scalar) -> Vec:
-    """Return the direction at a polar angle, given by 1 - cos, and an azimuth about `axis`."""
+    """Return the direction at the azimuth `phi` about `axis`, whose angle to the axis is given as 1
+    - cos."""
     return as_vec(to_world(local_frame(axis), direction_at(one_minus_cos, phi)))
 
 
@@ -103,7 +104,8 @@ def about(axis: Vector, one_minus_cos: Scalar, phi: Scalar) -> Vec:
 
 def log_cosine(angle: Scalars) -> Scalars:
     """Return log(cos(angle)) for `angle` in [0, pi / 2] rad, and `log_of_zero` at pi / 2. Near 0 it
-    uses 1 - cos = 2 sin^2(angle / 2), which keeps the digits that a narrow lobe amplifies."""
+    is computed from 1 - cos = 2 sin^2(angle / 2), because a narrow lobe amplifies rounding
+    errors."""
     near = angle < 1
     small = log1p(-2 * jnp.square(jnp.sin(jnp.minimum(angle, 1.25) / 2)))
     return jnp.where(near, small, safe_log(jnp.cos(angle)))
@@ -115,14 +117,15 @@ _NODES = 48
 def circles(
     cos_axis: Scalar, *, width: Scalar, end: float
 ) -> tuple[tuple[Scalars, Scalars], tuple[Scalars, Scalars], tuple[Scalars, Scalars]]:
-    """Return quadrature nodes for circles at angles alpha about an axis, which the horizon may cut.
-    theta is the polar angle of the axis, with cos(theta) in [0, 1]. Circles with alpha < pi / 2 -
-    theta lie above the horizon. Of larger circles, up to pi / 2 + theta, the part |phi| < phi_m
-    lies above it, with cos(phi_m) = -cot(alpha) cot(theta). The result is (alpha, weight) for the
-    complete circles, the same for the cut circles, and (p, q) for the cut circles, with p =
-    cos(alpha) cos(theta), q = sqrt(sin^2(alpha) sin^2(theta) - p^2) and phi_m = atan2(q, -p). Each
-    part ends at `width` from its start, or at `end`. Nodes of the cut circles are transformed by
-    sin^2, because phi_m has square-root behaviour at both ends."""
+    """Return quadrature nodes for circles at angles alpha about a lobe's axis, some of which are
+    cut by the horizon. The axis has the polar angle theta, with cos(theta) in [0, 1]. Circles with
+    alpha < pi / 2 - theta lie above the horizon. Of larger circles, up to pi / 2 + theta, the arc
+    |phi| < phi_m lies above the horizon, with cos(phi_m) = -cot(alpha) cot(theta). The result is
+    (alpha, weight) for the complete circles, the same for the cut circles, and (p, q) for the cut
+    circles, with p = cos(alpha) cos(theta), q = sqrt(sin^2(alpha) sin^2(theta) - p^2) and phi_m =
+    atan2(q, -p). Neither range of alpha is longer than `width`, and the second ends at `end` at the
+    latest. Nodes of the cut circles are transformed by sin^2, because phi_m behaves like a square
+    root at both ends."""
     t, dt = gauss_legendre(_NODES)
     ease, d_ease = np.sin(np.pi / 2 * t) ** 2, np.pi / 2 * np.sin(np.pi * t) * dt
     t, dt, ease, d_ease = (jnp.asarray(a, cos_axis.dtype) for a in (t, dt, ease, d_ease))
@@ -140,13 +143,13 @@ def circles(
 def lobe_integrals(
     lobe: Callable[[Scalars], Scalars], cos_axis: Scalar, *, width: Scalar, end: float
 ) -> tuple[Scalar, Scalar]:
-    """Return the integrals of lobe(alpha) over directions above the horizon, without and with the
+    """Return two integrals of lobe(alpha) over directions above the horizon, without and with the
     factor cos(theta_i), in sr:
 
         int lobe sin(alpha) 2 phi_m dalpha
         int lobe sin(alpha) 2 (phi_m p + q) dalpha
 
-    with phi_m, p and q of `circles` about an axis at theta.
+    `circles` defines phi_m, p and q.
     """
     (inner, inner_weight), (outer, outer_weight), (p, q) = circles(cos_axis, width=width, end=end)
     whole = inner_weight * 2 * jnp.sin(inner) * lobe(inner)

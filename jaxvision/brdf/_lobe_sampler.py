@@ -1,9 +1,10 @@
-"""Sampling of a tabulated material in proportion to the reflected light.
+"""Importance sampling of a tabulated material in proportion to the light that it reflects.
 
-For some directions `wo` the reflected luminance is tabulated over the square of half vectors, and
-samples are warped onto it (`_warp`). For directions between these, the densities are interpolated.
-One draw in eight follows the cosine instead, so that no weight f_r cos(theta_i) / pdf exceeds 8 pi
-f_r, even where the table is too small. Local frame; angles in radians, densities in sr^-1.
+For a grid of directions `wo`, the reflected luminance is tabulated over the unit square of half
+vectors, and `_warp` maps uniform numbers to this density. For directions between the nodes of the
+grid, the densities are interpolated. One sample in eight is cosine-distributed instead, so that the
+weight f_r cos(theta_i) / pdf never exceeds 8 pi f_r, even where the table underestimates.
+Directions are in the local frame, angles in radians, densities in sr^-1.
 """
 
 from functools import partial
@@ -38,9 +39,9 @@ ALBEDO_ORDER = 64
 
 
 class LobeSampler(eqx.Module):
-    """`lobe`: the warp of uniform numbers onto half vectors, for nodes (phi, theta) of `wo`.
-    With one node of phi the material is isotropic, and half vectors are relative to the azimuth
-    of `wo`."""
+    """A sampler for a tabulated material. `lobe` maps uniform numbers to half vectors, for nodes
+    (phi, theta) of `wo`. If phi has a single node, the material is isotropic, and the azimuths of
+    half vectors are relative to that of `wo`."""
 
     lobe: Warp
 
@@ -49,8 +50,9 @@ class LobeSampler(eqx.Module):
 def tabulated_lobe(
     material: Any, phi: Float[Array, " p"], theta: Float[Array, " t"], rows: int, columns: int
 ) -> LobeSampler:
-    """Tabulate the material's shading, averaged over bands, times the solid angle per area of the
-    square, at rows x columns half vectors for every `wo` at (phi, theta) rad."""
+    """Return a sampler that tabulates a material's shading, averaged over bands, at rows x columns
+    half vectors for every `wo` at (phi, theta) rad. The shading is multiplied by `stretch`, the
+    solid angle per unit of area of the square."""
     shading = family(material).shading
     y, x = jnp.linspace(0, 1, rows, dtype=phi.dtype), jnp.linspace(0, 1, columns, dtype=phi.dtype)
 
@@ -88,8 +90,8 @@ def _lobe_pdf(sampler: LobeSampler, wi: Vec, wo: Vec) -> Scalar:
 
 
 def sample(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """Draw `wi` from the material's `sampler`, or from the cosine distribution if that is None.
-    `u`: (3,) uniform in [0, 1)."""
+    """Draw `wi` from the material's `sampler`, or from the cosine distribution if the sampler is
+    None, by the numbers `u`, (3,) uniform in [0, 1)."""
     if material.sampler is None:
         return cosine_direction(u[:2])
     part = jnp.asarray(COSINE_PART, u.dtype)
@@ -105,9 +107,9 @@ def pdf(material: Any, wi: Direction, wo: Direction) -> Scalar:
 
 
 def albedo(material: Any, wo: Direction) -> Colour:
-    """Compute the directional albedo, (bands,), no unit. With a sampler it uses the midpoint rule
-    on the unit squares of the lobe and of the cosine distribution, which resolves narrow lobes;
-    otherwise the default product quadrature."""
+    """Compute the directional albedo, (bands,), no unit. For a material with a sampler, the
+    midpoint rule on the unit squares of the lobe and of the cosine distribution resolves narrow
+    lobes. Other materials use the default product quadrature."""
     shading = family(material).shading
     sampler, wo = material.sampler, as_vec(wo)
     if sampler is None:
@@ -128,8 +130,8 @@ def albedo(material: Any, wo: Direction) -> Colour:
 
 
 def table_bound(x: Ends[Any]) -> Reflection:
-    """Return the largest entry of a table as its bound. It bounds linear interpolation between
-    nodes; a table that is extrapolated has no bound."""
+    """Return the largest entry of a table as an upper bound on the BRDF. Linear interpolation never
+    exceeds the entry; extrapolation may, so the bound is then infinite."""
     values = np.maximum(*(np.abs(numbers(end.values)) for end in x))
     body = values.reshape(-1, values.shape[-1]).max(0)
     if getattr(x.low, "outside", "clamp") == "extrapolate":

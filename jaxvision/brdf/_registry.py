@@ -1,6 +1,8 @@
-"""The table of BRDF families, with the registered functions of each record and their defaults.
+"""The registry of BRDF families: the functions of each material class, with defaults for those that
+are not given.
 
-A family works in the local frame: normal = +z, `wi` toward the light, `wo` toward the viewer.
+All functions of a family use the local frame: normal = +z, `wi` toward the light, `wo` toward the
+viewer.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,12 +32,13 @@ Bound = Callable[[Ends], Reflection]
 
 
 class Family(NamedTuple):
-    """The functions of one family. `brdf/__init__` describes their results.
+    """The functions of one family of materials. `brdf/__init__` describes what each returns.
 
-    `specular(material, w)`: the continuation of a ray that came from `w`, for a family of delta
-    functions, else None. `absorption(material)`: (bands,) m^-1 of the body behind the surface; None
-    for a family that encloses no body. `bound`: the suprema of the shading, or None if they are
-    unknown. `table`: the table in scene files, or None.
+    `specular(material, w)` returns how a ray that came from `w` continues; it is None unless the
+    BRDF is a sum of delta functions. `absorption(material)` returns the absorption of the body
+    behind the surface, (bands,) m^-1; it is None for a family that encloses no body. `bound`
+    returns the suprema of the shading; it is None if no bound is known. `table` describes the
+    material's table in scene files, or is None.
     """
 
     evaluate: Callable[[Any, Vector, Vector], Colour]
@@ -78,7 +81,7 @@ def register(
 ) -> None:
     """Register the class of a material with its functions, so that all integrators can use it.
 
-    The functions are called with unit directions as `Vec`, in the local frame.
+    Integrators call the functions with unit directions in the local frame, as `Vec`.
 
     Args:
         record: the class of the material.
@@ -135,8 +138,9 @@ def register_delta(
     """Register the class of a mirror-like or clear material with its functions, so that all
     integrators can use it.
 
-    Its `evaluate`, `shading` and `pdf` are 0, because no point light and no quadrature node lies
-    exactly in one of its directions. `sample` returns one of them.
+    The `evaluate`, `shading` and `pdf` of the material are 0, because no point light and no
+    quadrature node lies exactly in a mirrored or refracted direction. `sample` returns one of these
+    directions.
 
     Args:
         record: the class of the material.
@@ -178,7 +182,7 @@ def register_delta(
 
 
 def family(material: Any) -> Family:
-    """Return the functions of a material's family. Raise `TypeError` if its record was never
+    """Return the registered functions of a material. Raise `TypeError` if its class was never
     registered, and `ValueError` for a material that varies over its surface."""
     own = _family(material)
     for name, _ in maps_of(material):
@@ -199,7 +203,7 @@ def _family(material: Any) -> Family:
 
 
 def suprema(material: Ends[Any]) -> Reflection:
-    """Return the suprema of a material's shading.
+    """Return upper bounds on a material's shading over all directions.
 
     Args:
         material: at both ends of the range of a fit; for a map, the smallest and largest values
@@ -220,7 +224,7 @@ def suprema(material: Ends[Any]) -> Reflection:
 
 
 def is_delta(material: Any) -> bool:
-    """Whether a material reflects into one or two directions only, as mirrors and glass do.
+    """Return whether a material reflects into one or two directions only, as mirrors and glass do.
 
     Args:
         material: any registered material.
@@ -236,8 +240,8 @@ def is_delta(material: Any) -> bool:
 
 
 def is_body(material: Any) -> bool:
-    """Whether a material fills the shape that it covers, as glass does, so that light continues
-    inside.
+    """Return whether a material fills the shape that it covers, as glass does, so that light
+    continues inside.
 
     Args:
         material: any registered material.
@@ -253,7 +257,8 @@ def is_body(material: Any) -> bool:
 
 
 def lambertian(material: Any) -> Material:
-    """Return the Lambertian surface with a material's k_d and k_a.
+    """Return a Lambertian surface with the diffuse coefficient k_d and the ambient coefficient k_a
+    of a material.
 
     Args:
         material: with `diffuse` and `ambient`.
@@ -267,7 +272,7 @@ def lambertian(material: Any) -> Material:
 
 
 def absorption(material: Any) -> Colour | None:
-    """Return the absorption of a material that fills its shape.
+    """Return the absorption coefficient of a material that fills its shape, such as glass.
 
     Args:
         material: any registered material.
@@ -287,7 +292,7 @@ def absorption(material: Any) -> Colour | None:
 
 @takes_numbers
 def specular(material: Any, w: Vector) -> Specular:
-    """Return the continuation of a ray at a mirror or a clear surface.
+    """Return the directions in which a ray continues at a mirror or a clear surface.
 
     Args:
         material: a mirror or glass.
@@ -307,7 +312,7 @@ def specular(material: Any, w: Vector) -> Specular:
 
 @takes_numbers
 def seen_in_mirror(material: Any, wo: Direction) -> tuple[Vec, Colour] | None:
-    """Return the reflection that a viewer sees in an opaque mirror.
+    """Return the direction that a viewer sees reflected in an opaque mirror, and the reflectance.
 
     Args:
         material: any registered material.
@@ -331,13 +336,14 @@ def seen_in_mirror(material: Any, wo: Direction) -> tuple[Vec, Colour] | None:
 
 
 def sample_cosine(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """Draw a direction with density cos(theta) / pi, for any material."""
+    """Draw a cosine-distributed direction above the surface, whatever the material and the
+    viewer."""
     del material, wo
     return cosine_direction(u[:2])
 
 
 def pdf_cosine(material: Any, wi: Direction, wo: Direction) -> Scalar:
-    """Return max(cos(theta), 0) / pi in sr^-1."""
+    """Return the density of cosine-distributed directions, max(cos(theta), 0) / pi in sr^-1."""
     del material, wo
     return cosine_pdf(wi)
 
@@ -350,7 +356,8 @@ def integrate_shading(
     polar: int = POLAR,
     azimuths: int = AZIMUTHS,
 ) -> Colour:
-    """Integrate a family's shading over the light directions, by product quadrature."""
+    """Return the integral of a family's shading over the directions of the light, by product
+    quadrature."""
     viewer = as_vec(wo)
     nodes, weights = (jnp.asarray(x, viewer.z.dtype) for x in product_nodes(polar, azimuths))
     values = jax.vmap(lambda wi: shading(material, wi, viewer))(as_vec(nodes))

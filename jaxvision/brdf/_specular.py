@@ -1,15 +1,14 @@
-"""Mirrors and clear interfaces: reflection and refraction of a ray at a smooth surface. Local
-frame.
+"""Reflection and refraction of a ray at a smooth surface: a mirror or a clear interface.
 
-Such a surface sends light from one direction into one or two directions. Its BRDF is a sum of delta
-functions and has no value in sr^-1. Its family therefore gives the continuation of a ray and the
-share of the flux, as a `Specular`.
+A smooth surface sends light from one direction into one or two directions. The BRDF of a smooth
+surface is a sum of delta functions and has no value in sr^-1. A `Specular` therefore contains the
+directions in which a ray continues, in the local frame, and the share of the flux in each.
 
-`reflectance` and `transmittance` are the shares of the flux. Refraction also changes the solid
-angle: L / n^2 is constant along a ray (Veach, "Robust Monte Carlo Methods for Light Transport
-Simulation", 1997, section 5.2), with the index n of the medium. Radiance followed from the eye is
-therefore multiplied by 1 / eta^2, and light followed from a source is not. The factors at the
-entrance into a body and at the exit from it cancel.
+`reflectance` and `transmittance` are shares of the flux. Refraction also changes the solid angle:
+where the medium has the index n, the radiance L divided by n^2 is constant along a ray (Veach,
+"Robust Monte Carlo Methods for Light Transport Simulation", 1997, section 5.2). A path traced from
+the eye is therefore multiplied by 1 / eta^2 where it is refracted, and a path traced from a light
+is not. The factors where a path enters a body and where it leaves the body cancel.
 """
 
 from typing import Literal
@@ -68,7 +67,8 @@ def transmitted(ways: Specular, carries: Carries) -> Colour:
 
 
 def draw_way(ways: Specular, u: Scalar, *, carries: Carries) -> tuple[Vec, Colour]:
-    """Draw one of the directions, with its share of the flux as the probability.
+    """Draw one of the two directions of a clear surface, each with a probability equal to its share
+    of the flux.
 
     Args:
         ways: the directions.

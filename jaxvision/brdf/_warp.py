@@ -1,10 +1,10 @@
-"""Warps of the unit square onto a tabulated density, with their inverse.
+"""Maps of uniform numbers in the unit square to samples of a tabulated density, and their inverse.
 
-The density is given at equally spaced nodes, rows (y) by columns (x), and is bilinear between them.
-The density depends on a direction (phi, theta); it is given at nodes and linear between them. Rows
-are drawn from the marginal and columns from the conditional density. Both draws solve the quadratic
-equation of a linear density, so `warp` and `unwarp` are exact inverses. Source: Dupuy & Jakob, "An
-Adaptive
+The density is tabulated at equally spaced nodes of the square, rows (y) by columns (x), and is
+bilinear between the nodes. There is one such table for each node of a direction (phi, theta), and
+the density is linear between these directions. Rows are drawn from the marginal density, and
+columns from the conditional density. Because each density is piecewise linear, a draw solves a
+quadratic equation, and `unwarp` inverts `warp` exactly. Source: Dupuy & Jakob, "An Adaptive
 Parameterization for Efficient Material Acquisition and Rendering", 2018, section 4.2.
 """
 
@@ -25,10 +25,12 @@ Square = tuple[Scalar, Scalar]
 
 
 class Warp(eqx.Module):
-    """`phi`: (p,), `theta`: (t,) rad, increasing nodes of the direction, which is clamped to them.
-    `density`: (p, t, rows, columns), each slice with integral 1. `conditional`: the integral of the
-    density along x up to each node. `marginal`: (p, t, rows), its integral over all x and over y up
-    to each row.
+    """A density tabulated over the unit square for several directions, with running integrals.
+
+    `phi`: (p,), `theta`: (t,) rad, increasing nodes of the direction, which is clamped to them.
+    `density`: (p, t, rows, columns), with integral 1 over the square for each direction.
+    `conditional`: (p, t, rows, columns), the integral of the density along x up to each node.
+    `marginal`: (p, t, rows), the integral of the density over all x and over y up to each row.
     """
 
     phi: Float[Array, " p"]
@@ -49,8 +51,8 @@ def _running_integral(values: Float[Array, "... n"]) -> Float[Array, "... n"]:
 def tabulated_warp(
     phi: Float[Array, " p"], theta: Float[Array, " t"], density: Float[Array, "p t rows columns"]
 ) -> Warp:
-    """Return the warp onto a density >= 0, which is normalised here. A slice of zeros counts as
-    uniform."""
+    """Normalise a tabulated density >= 0 and return the map to its samples. Where the table is 0
+    for a direction, the density is uniform."""
     total = _running_integral(_running_integral(density)[..., -1])[..., -1][..., None, None]
     density = divide(density, total, otherwise=1)
     conditional = _running_integral(density)
@@ -58,28 +60,29 @@ def tabulated_warp(
 
 
 def slices(w: Warp, phi: Scalar, theta: Scalar) -> Slices:
-    """Return the tabulated directions around (phi, theta) and their weights, which sum to 1. There
-    are four directions, or two if one axis has a single node."""
+    """Return the tabulated directions next to (phi, theta) and their interpolation weights, which
+    sum to 1. There are four such directions, or two if phi or theta has a single node."""
     return [((p, t), wp * wt) for p, wp in among(w.phi, phi) for t, wt in among(w.theta, theta)]
 
 
 def mixed(table: Float[Array, "..."], at: Slices, *index: Int[Array, ""] | int) -> Array:
-    """Return the entry `index` of a table (p, t, ...), interpolated between the directions `at`."""
+    """Return the entry `index` of a table (p, t, ...), interpolated between directions with weights
+    `at`."""
     return sum(
         weight * table.at[(*slot, *index)].get(mode="promise_in_bounds") for slot, weight in at
     )  # pyright: ignore[reportReturnType]
 
 
 def bilinear(table: Float[Array, "p t rows columns *rest"], at: Slices, position: Square) -> Array:
-    """Interpolate a table (p, t, rows, columns, ...) to the directions `at` and a position (x, y)
-    of the unit square: (...)."""
+    """Interpolate a table (p, t, rows, columns, ...) to the direction with weights `at` and to a
+    position (x, y) of the unit square. The result has the shape (...)."""
     x, y = place_in_unit(position[0], table.shape[3]), place_in_unit(position[1], table.shape[2])
     return sum(wy * wx * mixed(table, at, row, column) for row, wy in y for column, wx in x)  # pyright: ignore[reportReturnType]
 
 
 def _last_below(count: int, cdf: Callable[[Int[Array, ""]], Scalar], target: Scalar) -> Array:
-    """Find the largest i in [0, count - 2] with cdf(i) <= target, or 0, by bisection. The loop is
-    not unrolled, because XLA would repeat each step in all later ones."""
+    """Find the largest i in [0, count - 2] with cdf(i) <= target, or 0, by bisection. The bisection
+    is a rolled loop: if it were unrolled, XLA would recompute each step in all later ones."""
 
     def halve(_: Int[Array, ""], bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
@@ -101,7 +104,8 @@ def _invert_linear(c0: Scalar, c1: Scalar, area: Scalar) -> Scalar:
 
 @one_program
 def warp(w: Warp, at: Slices, u: Square) -> tuple[Square, Scalar]:
-    """Map uniform numbers in [0, 1]^2 to a position (x, y), and return the density there too."""
+    """Map uniform numbers in [0, 1]^2 to a position (x, y) of the square. Return the position and
+    the density there."""
     ux, uy = u
     rows, columns = w.density.shape[2:]
     row = _last_below(rows, lambda i: mixed(w.marginal, at, i), uy)
@@ -121,7 +125,7 @@ def warp(w: Warp, at: Slices, u: Square) -> tuple[Square, Scalar]:
 
 
 def unwarp(w: Warp, at: Slices, position: Square) -> tuple[Square, Scalar]:
-    """Invert `warp`: return the uniform numbers of a position, and the density there."""
+    """Invert `warp`. Return the uniform numbers that map to a position, and the density there."""
     rows, columns = w.density.shape[2:]
     (column, _), (_, x) = place_in_unit(position[0], columns)
     (row, _), (_, y) = place_in_unit(position[1], rows)

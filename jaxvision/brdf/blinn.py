@@ -1,6 +1,7 @@
 """Blinn: an ideal diffuse part plus a power of the cosine between normal and half vector.
 
-Three records share the lobe [n.h]^n and differ in its factor, like the records of `phong`:
+Three records have the lobe (n.h)^n, where n.h is the cosine between normal and half vector. They
+multiply the lobe by different factors, like the records of `phong`:
 
     record             specular term of f_r         ... of the shading, f_r cos(theta_i)
     Blinn              k_s lobe / cos(theta_i)      k_s lobe                SHADING, as published
@@ -9,11 +10,12 @@ Three records share the lobe [n.h]^n and differ in its factor, like the records 
 
     C(n) = (n + 2) (n + 4) / (8 pi (n + 2^(-n / 2)))
 
-C(n) makes the lobe's albedo k_s along the normal, and at most k_s elsewhere. Blinn is not
-reciprocal, and reflects more than it receives under a grazing light. The other two are reciprocal.
-The lobe is as wide as Phong's with a quarter of the exponent. It narrows at grazing angles, as real
-lobes do. Sources: Blinn, "Models of Light Reflection for Computer Synthesized Pictures", SIGGRAPH
-1977; C(n) by integration. Local frame, normal = +z; angles in radians.
+With C(n), the lobe's albedo is k_s along the normal and at most k_s elsewhere. Blinn is not
+reciprocal, and reflects more light than it receives if the light is grazing. BlinnBRDF and
+NormalisedBlinn are reciprocal. The lobe is as wide as a Phong lobe with a quarter of the exponent,
+and it narrows at grazing angles, as measured lobes do. Sources: Blinn, "Models of Light Reflection
+for Computer Synthesized Pictures", SIGGRAPH 1977; C(n) was derived by integration. Local frame,
+normal = +z; angles in radians.
 """
 
 import jax.numpy as jnp
@@ -34,7 +36,8 @@ from .phong import phong_lobe
 
 
 class Blinn(PowerLobe):
-    """SHADING k_d cos+ + k_s (n.h) ** exponent, no cosine on the specular term.
+    """Blinn's SHADING, k_d cos(theta_i) + k_s (n.h) ** exponent, without a cosine in the specular
+    term.
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
@@ -51,7 +54,7 @@ class Blinn(PowerLobe):
 
 
 class BlinnBRDF(PowerLobe):
-    """The BRDF k_d + k_s (n.h) ** exponent.
+    """A material with the BRDF k_d + k_s (n.h) ** exponent, h being the half vector.
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
@@ -68,8 +71,8 @@ class BlinnBRDF(PowerLobe):
 
 
 class NormalisedBlinn(PowerLobe):
-    """The BRDF k_d + k_s C(exponent) (n.h) ** exponent, energy-conserving: the lobe's albedo is
-    at most k_s, and less away from the normal.
+    """A material with the BRDF k_d + k_s C(exponent) (n.h) ** exponent, where h is the half vector.
+    The lobe conserves energy: its albedo is k_s along the normal and less elsewhere.
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
@@ -97,18 +100,19 @@ def log_cos_half(wi: Direction, wo: Direction) -> Scalars:
 
 
 def normalisation(exponent: Scalar) -> Scalar:
-    """Return the factor C(n) of the table at the top of this file, () in sr^-1."""
+    """Return the factor C(n) that normalises Blinn's lobe with exponent n, () in sr^-1."""
     n = exponent
     rest = jnp.exp2(-n / 2)
     return (1 + (2 - rest) / (n + rest)) * (n + 4) / (8 * jnp.pi)
 
 
 def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
-    """Return the integrals of (n.h)^exponent, and of the same times cos(theta_i), over light above
-    the horizon, () each in sr, with a relative error of 1e-10. With the half vector's polar angle t
-    and azimuth phi, dwi = 4 d dh, d = wo.h = P + Q cos(phi), P = cos_o cos(t), Q = sin_o sin(t),
-    and cos(theta_i) = 2 d cos(t) - cos_o. The integrals over phi are closed forms for polynomials
-    in cos(phi), up to cos(phi_m) = -cot(2 t) cot(theta_o). The integral over t is a quadrature."""
+    """Return the integrals of (n.h)^exponent and of (n.h)^exponent cos(theta_i) over directions
+    `wi` above the horizon, () each in sr, with a relative error of 1e-10. With the half vector's
+    polar angle t and azimuth phi, dwi = 4 d dh, d = wo.h = P + Q cos(phi), P = cos_o cos(t), Q =
+    sin_o sin(t), and cos(theta_i) = 2 d cos(t) - cos_o. The integrals over phi, up to cos(phi_m) =
+    -cot(2 t) cot(theta_o), are polynomials in cos(phi) and have closed forms. The integral over t
+    is computed by quadrature."""
     width = 2 * 8.5 / jnp.sqrt(exponent + 1)
     (inner, inner_weight), (outer, outer_weight), (p, q) = circles(cos_o, width=width, end=np.pi)
     sin_o = jnp.sqrt(jnp.maximum((1 - cos_o) * (1 + cos_o), jnp.finfo(cos_o.dtype).tiny))
@@ -133,14 +137,16 @@ def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scal
 
 
 def _direction(material: PowerLobe, wo: Vec, u: Float[Array, "3"]) -> Vec:
-    """Mirror `wo` about a random half vector of density (n + 1) / (2 pi) (n.h)^n."""
+    """Draw a half vector h with the density (n + 1) / (2 pi) (n.h)^n, and return `wo` mirrored
+    about it."""
     shortfall = -jnp.expm1(log1p(-u[0]) / (material.exponent + 1))
     h = direction_at(shortfall, 2 * jnp.pi * u[1])
     return 2 * dot(wo, h) * h - wo
 
 
 def _density(material: PowerLobe, wi: Vec, wo: Vec) -> Scalar:
-    """Return the density of `_direction`, that of the half vector divided by 4 wo.h, sr^-1."""
+    """Return the density of the directions that `_direction` draws, in sr^-1: the density of the
+    half vector h divided by 4 wo.h."""
     both = wi + wo
     upright = Vec(both.x, both.y, jnp.abs(both.z))
     zero = jnp.zeros_like(both.z)
@@ -167,7 +173,8 @@ _LOBE = Lobe(
 
 
 def _bound(x: Ends[Material], convention: Convention) -> Reflection:
-    """Bound k_s (n.h)^n. With dwi = 4 wo.h dh, the lobe's integral is at most 8 pi / (n + 1)."""
+    """Return upper bounds on k_s (n.h)^n and on its integral. The integral of the lobe is at most 8
+    pi / (n + 1), because dwi = 4 wo.h dh."""
     n, top = least(x, "exponent"), largest(x, "exponent")
     scale = 1.0
     if convention == "normalised":

@@ -1,19 +1,19 @@
-"""A body under a clear coat: plastic, varnished wood, glazed ceramics.
+"""A diffuse body under a clear coat, such as plastic, varnished wood or glazed ceramics.
 
     f_r = F D V                                                         at the interface
         + T_i T_o / eta^2 (f_b(wi', wo') + a_i a_o R / (pi (1 - a R)))  from the body
 
-The first term is the lobe of `TorranceSparrow`. Its facets transmit the share T, 1 minus the share
-that they reflect, so that a coat without absorption loses nothing: light that facets send to each
-other is transmitted in the end. wi' and wo' are the refracted directions, f_b is the body's own
-BRDF and eta the index of the coat. The interface reflects the share R of the body's light back to
-it. The body reflects light by its albedo: a_i and a_o for the two directions, a on average. Without
-absorption R = 1 - (1 - M) / eta^2 by reciprocity, where M is the reflectance of the interface for
-uniform light from outside. A coat of optical depth tau along the normal multiplies the light by
-exp(-tau / cos') on each way through. The model is exact for a Lambertian body under a smooth
-interface; for other bodies, light from the inside of the interface is taken as uniform. A white
-Lambertian body under a clear coat reflects all light. The model is reciprocal. Local frame, normal
-= +z.
+The first term is the lobe of `TorranceSparrow`. The facets of the interface transmit the share T of
+the light, which is 1 minus the share that they reflect. A coat without absorption therefore loses
+no light, because light that one facet sends to another is counted as transmitted. wi' and wo' are
+the refracted directions, f_b is the body's own BRDF and eta the index of the coat. The interface
+reflects the share R of the light from the body back to the body. The body's albedo is a_i and a_o
+for the two directions, and a on average over all directions. Without absorption R = 1 - (1 - M) /
+eta^2 by reciprocity, where M is the reflectance of the interface for uniform light from outside. A
+coat of optical depth tau along the normal multiplies the light by exp(-tau / cos') on each way
+through. The model is exact for a Lambertian body under a smooth interface. For other bodies, light
+that the interface reflects back to the body is assumed to be uniform. A white Lambertian body under
+a coat without absorption reflects all light. The model is reciprocal. Local frame, normal = +z.
 """
 
 from typing import Annotated
@@ -53,7 +53,7 @@ from .torrance_sparrow import TorranceSparrow
 
 
 class Coated(Material):
-    """A body under a clear coat, which together reflect no more than they receive.
+    """A body under a clear coat, with an albedo of at most 1.
 
     Attributes:
         body: the material under the coat, which has a BRDF, such as `Lambert` or `EON`.
@@ -109,7 +109,7 @@ class Coated(Material):
 
 
 def _facets(material: Coated) -> TorranceSparrow:
-    """Return the facets of the interface as a material without a body."""
+    """Return the interface as a microfacet material whose diffuse part is black."""
     dtype = material.roughness.dtype
     return TorranceSparrow(
         jnp.zeros(1, dtype),
@@ -128,7 +128,8 @@ def _refracted_inside(material: Coated, w: Vec) -> Vec:
 
 
 def _transmitted_by_coat(material: Coated, w: Vec) -> Colour:
-    """Return T exp(-tau / cos') of the module's text, (bands,) or (1,), no unit."""
+    """Return the transmittance T exp(-tau / cos') of interface and coat for the direction `w`,
+    (bands,) or (1,), no unit. tau is the optical depth, and cos' the cosine inside the coat."""
     eta = material.interface.eta
     passed = 1 - reflected(w.z, material.roughness, eta, material.distribution)
     if material.optical_depth is None:
@@ -137,9 +138,10 @@ def _transmitted_by_coat(material: Coated, w: Vec) -> Colour:
 
 
 def _internal_reflectance(material: Coated) -> Colour:
-    """Return R, (bands,) or (1,), no unit: the integral of 2 c exp(-2 tau / c) r(c) over the cosine
-    c inside the coat, with the reflectance r. Beyond the critical angle r = 1. At smaller angles
-    c dc = c_o dc_o / eta^2, with the cosine c_o outside."""
+    """Return R, the share of the body's light that the interface returns to it, (bands,) or (1,),
+    no unit. R is the integral of 2 c exp(-2 tau / c) r(c) over the cosine c inside the coat, where
+    r is the reflectance of the interface. Beyond the critical angle r = 1. At smaller angles c dc =
+    c_o dc_o / eta^2, where c_o is the cosine outside the coat."""
     eta = material.interface.eta
     critical = safe_sqrt((eta - 1) * (eta + 1)) / eta
 
@@ -161,7 +163,7 @@ def _internal_reflectance(material: Coated) -> Colour:
 
 
 def _mean_albedo(material: Coated) -> Colour:
-    """Return a, the body's albedo under uniform light, (bands,), no unit."""
+    """Return the mean albedo a of the body under uniform light, (bands,), no unit."""
     if isinstance(material.body, Lambert):
         return jnp.pi * material.body.diffuse
     t, dt = (jnp.asarray(x, material.roughness.dtype) for x in gauss_legendre(8))
@@ -174,7 +176,7 @@ def _albedo_of_body(material: Coated, w: Vec) -> Colour:
 
 
 def _from_body(material: Coated, wi: Direction, wo: Direction) -> Colour:
-    """Return the second term of f_r, the light from the body, (bands,) in sr^-1."""
+    """Return the part of f_r that is due to light from the body, (bands,) in sr^-1."""
     light, viewer = as_vec(wi), as_vec(wo)
     i, o = _refracted_inside(material, light), _refracted_inside(material, viewer)
     again = _internal_reflectance(material)
@@ -196,7 +198,7 @@ def evaluate(material: Coated, wi: Direction, wo: Direction) -> Colour:
 
 
 def _body_part(material: Coated, wo: Direction) -> Scalar:
-    """Return the share of samples for the body."""
+    """Return the probability of sampling the body, not the interface."""
     passed = 1 - reflected(
         as_vec(wo).z, material.roughness, material.interface.eta, material.distribution
     )
@@ -220,7 +222,7 @@ def pdf(material: Coated, wi: Direction, wo: Direction) -> Scalar:
 
 
 def albedo(material: Coated, wo: Direction) -> Colour:
-    """Return the albedo of the interface plus, by quadrature, that of the body, (bands,), no
+    """Return the sum of the interface's albedo and, by quadrature, the body's albedo, (bands,), no
     unit."""
 
     def from_body(own: Coated, wi: Vec, viewer: Vec) -> Colour:
@@ -231,10 +233,11 @@ def albedo(material: Coated, wo: Direction) -> Colour:
 
 
 def _bound(x: Ends[Coated]) -> Reflection:
-    """Bound the shading by the lobe of the facets and a bound on the body's light. The latter is
-    (b + A^2 R / (pi (1 - A R))) / eta^2, with all light transmitted. b is the largest f_b / cos', A
-    the body's largest albedo, and R <= 1 - (1 - M) / eta^2. M <= 0.6 holds for all indices up to
-    2.5, also for a rough interface."""
+    """Return an upper bound on the shading: the bound on the lobe of the facets plus a bound on the
+    light from the body. The light from the body is at most (b + A^2 R / (pi (1 - A R))) / eta^2,
+    its value if the interface transmits all light. b is the largest f_b / cos', A the body's
+    largest albedo, and R <= 1 - (1 - M) / eta^2. M is at most 0.6 for all indices up to 2.5, also
+    for a rough interface."""
     body = suprema(x.of("body"))
     lobe = suprema(Ends(*(_facets(end) for end in x))).lobe
     eta = least(x.of("interface"), "eta"), most(x.of("interface"), "eta")

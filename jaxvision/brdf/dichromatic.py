@@ -1,12 +1,14 @@
-"""Shafer's dichromatic reflection: two terms, each a geometry factor times a spectrum.
+"""Shafer's dichromatic reflection model: a body term and an interface term, each a geometry factor
+times a spectrum.
 
     f_r(wi, wo; lambda) = m_b(wi, wo) c_b(lambda) + m_i(wi, wo) c_i(lambda)
 
-The body term is light that entered the material and took its colour. The interface term is light
-reflected at the surface. The geometry factors are any two neutral materials (one band) with a BRDF
-in sr^-1, such as Lambert and a microfacet lobe. Mirror and glass are delta functions and are not
-allowed. `dichromatic_separation` separates a picture into the two terms. Local frame, normal = +z;
-f_r in sr^-1. Source: Shafer, "Using Color to Separate Reflection Components", Color Research and
+The body term, with geometry factor m_b and spectrum c_b, is light that entered the material and
+took its colour. The interface term, with m_i and c_i, is light reflected at the surface. The
+geometry factors are any two neutral materials (one band) with a BRDF in sr^-1, such as Lambert and
+a microfacet lobe. Mirrors and glass are not allowed, because their BRDFs are delta functions.
+`dichromatic_separation` separates a picture into the two terms. Local frame, normal = +z; f_r in
+sr^-1. Source: Shafer, "Using Color to Separate Reflection Components", Color Research and
 Application 10(4) (1985).
 """
 
@@ -32,7 +34,7 @@ print_by_name(globals(), "Body", "Interface")
 
 
 class Dichromatic(Material):
-    """Two reflections of one material, each a geometry factor times a spectrum.
+    """A material with a body and an interface reflection, each a geometry factor times a spectrum.
 
     Attributes:
         body: material of one band, the geometry factor m_b in sr^-1.
@@ -90,13 +92,13 @@ def _two_terms(material: Dichromatic, of_part: Callable[[Material], Colour]) -> 
 
 
 def _body_part(material: Dichromatic) -> Scalar:
-    """Return the share of samples for the body, computed from the spectra alone."""
+    """Return the probability of sampling the body, computed from the two spectra alone."""
     return diffuse_share(material.body_spectrum, material.interface_spectrum)
 
 
 def sample(material: Dichromatic, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """Draw a unit direction by the sampler of the body or of the interface. u_2 selects the
-    sampler, and the rescaled u_2 is passed on to it.
+    """Draw a unit direction with the sampler of the body or of the interface. The number u_2
+    selects the sampler, and is then rescaled to [0, 1) for use in that sampler.
     """
     part = _body_part(material)
     from_body = u[2] < part
@@ -115,8 +117,8 @@ def pdf(material: Dichromatic, wi: Direction, wo: Direction) -> Scalar:
 
 
 def _bound(x: Ends[Dichromatic]) -> Reflection:
-    """Return the sum of the suprema of both parts, each times its spectrum. A diffuse part of the
-    interface counts as body."""
+    """Return upper bounds on the shading: the sum of the bounds of body and interface, each times
+    its spectrum. A diffuse part of the interface is added to the bound of the body."""
     body, interface = (suprema(x.of(name)) for name in ("body", "interface"))
     c_b, c_i = peak(x, "body_spectrum"), peak(x, "interface_spectrum")
     diffuse = c_b * body.body + c_i * interface.body

@@ -1,29 +1,29 @@
 """Separate a picture of ONE material into Shafer's two terms, body and interface.
 
-Each pixel is m_b c_b + m_i c_i. The colours lie in a plane through black, the dichromatic plane,
-which is spanned by the body's colour c_b and the illuminant's c_i. m_b and m_i >= 0 are the
-coordinates.
+Each pixel is m_b c_b + m_i c_i. The colours lie in the dichromatic plane, which contains black, the
+body's colour c_b and the illuminant's colour c_i. The factors m_b and m_i, both >= 0, are the
+coordinates of a pixel in this plane.
 
     illuminant known, body not   c_b is the edge of the cloud of colours farthest from c_i, see
                                  `body_colour`
     illuminant unknown           with two materials or more, c_i is the line in which their planes
                                  meet, see `plane_normal` and `illuminant_from_planes`
 
-The separation fails in these cases, and fields of `Separation` show them:
+The separation fails in three cases, which fields of `Separation` reveal:
 
 * Body and illuminant have similar colours (a neutral or metallic body, `angle` near 0). The noise
-  of both factors grows as 1 / sin(angle), `noise_gain`. With equal colours the terms are not
-  identifiable.
+  of m_b and m_i grows as 1 / sin(angle), which is `noise_gain`. If body and illuminant have the
+  same colour, the two terms are not identifiable.
 * The illuminant's colour is wrong, there are several materials, or there is light of another colour
-  or interreflection. Pixels then leave the plane, and `residual` exceeds the noise. A wrong
-  illuminant INSIDE the plane mixes the terms and cannot be detected, unless pixels are outside
-  the wedge of the two colours.
-* No pixel is free of the interface term. Then `body_colour` is tinted, and m_i is too low by a
-  multiple of m_b.
+  or interreflection. Pixels then lie outside the dichromatic plane, and `residual` exceeds the
+  noise. A wrong illuminant INSIDE the plane mixes the terms. It is detected only if some pixels
+  need a negative factor.
+* Every pixel contains some interface reflection. Then `body_colour` is biased toward the
+  illuminant, and m_i is too low by a multiple of m_b.
 
-Mask dark and saturated pixels in `valid`. Colours are linear, relative; (..., bands),
-bands >= 2. Sources: Shafer, Color Research and Application 10(4) (1985); Klinker, Shafer & Kanade,
-"The Measurement of Highlights in Color Images", IJCV 2 (1988); Lee, JOSA A 3(10) (1986).
+Exclude dark and saturated pixels by `valid`. Colours are linear, relative; (..., bands), bands >=
+2. Sources: Shafer, Color Research and Application 10(4) (1985); Klinker, Shafer & Kanade, "The
+Measurement of Highlights in Color Images", IJCV 2 (1988); Lee, JOSA A 3(10) (1986).
 """
 
 import jax
@@ -42,7 +42,7 @@ print_by_name(globals(), "Pixels", "Mask", "Factors")
 
 
 class Separation(Shown):
-    """The two terms of a picture, with measures of their reliability.
+    """The body and interface terms of a picture, with measures of their reliability.
 
     Attributes:
         body: (...) >= 0, the geometry factor m_b for a body colour of unit length, in the picture's
@@ -90,10 +90,11 @@ def separate(
     valid: Mask | None = None,
     quantile: float = 0.02,
 ) -> Separation:
-    """Find the two non-negative factors of each pixel by least squares.
+    """Find the non-negative body and interface factors of each pixel by least squares.
 
-    All pixels are separated. The non-negative optimum has a closed form: the unconstrained optimum
-    if both its factors are positive, else the better of the two single terms.
+    All pixels are separated, also those that `valid` excludes. The non-negative optimum has a
+    closed form: it is the unconstrained optimum if both factors are positive there, else the better
+    fit of the two with a single term.
 
     Args:
         image: (..., bands) linear, relative.
@@ -151,10 +152,11 @@ def body_colour(
     image: Pixels, illuminant: Colour, *, valid: Mask | None = None, quantile: float = 0.02
 ) -> Colour:
     """Estimate the colour of a material, (bands,) of length 1, no unit, from a linear picture in
-    which some pixels have no highlight. Each pixel has a component along the illuminant and one
-    across it. The colour is the main direction of the components across, plus the illuminant times
-    the smallest ratio along / across. This ratio is taken as a `quantile` in (0, 1), weighted by
-    the component across. For a neutral body the result is the illuminant."""
+    which some pixels have no highlight. Each pixel is decomposed into a component parallel to the
+    illuminant and one perpendicular to it. The colour is the mean direction of the perpendicular
+    components, plus the illuminant times the smallest ratio parallel / perpendicular. The smallest
+    ratio is estimated as the `quantile`, in (0, 1), of the ratios, weighted by the perpendicular
+    component. For a neutral body the result is the illuminant."""
     c_i = _unit(illuminant)
     used = image if valid is None else jnp.where(valid[..., None], image, 0)
     image = image / magnitude(used, axis=None)
@@ -180,7 +182,8 @@ def body_colour(
 def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, Colour]:
     """Return the unit normal, (3,), of a material's dichromatic plane in a linear picture, and the
     root mean squares of the colours along their main axes, (3,), ascending, in the picture's unit.
-    If the second one is also at the noise level, the colours lie on a line."""
+    If the first two root mean squares are both at the noise level, the colours lie on a line and
+    the plane is not determined."""
     check_shape("one pixel", image[(0,) * (image.ndim - 1)], (3,))
     pixels = image.reshape(-1, 3)
     weight = jnp.ones_like(pixels[:, 0]) if valid is None else valid.reshape(-1).astype(image.dtype)
@@ -191,9 +194,9 @@ def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, C
 
 @takes_numbers
 def illuminant_from_planes(normals: Float[Array, "planes 3"]) -> tuple[Colour, Scalar]:
-    """Return the colour common to the planes with unit `normals`, (planes, 3), by least squares
-    (Lee 1986). The colour, (3,), has a norm of 1 and a positive sum. Also return a measure () in
-    [0, 1] of how well the planes determine it."""
+    """Return the illuminant's colour, (3,), as the direction common to the dichromatic planes with
+    unit `normals`, (planes, 3), by least squares (Lee 1986). The colour has a norm of 1 and a
+    positive sum. Also return a measure () in [0, 1] of how well the planes determine the colour."""
     moments = normals.T @ normals
     sizes, axes = _eigh(moments)
     colour = axes[:, 0]

@@ -1,15 +1,16 @@
-"""EON, the energy-preserving Oren-Nayar: a rough matt surface whose facets light each other.
+"""EON, the energy-preserving Oren-Nayar model: a rough matt surface whose facets illuminate each
+other.
 
     f_r = k_d A (1 + r s / t)                                single reflection (Fujii's form)
         + k_m A r (c_1 - G_i / pi) (c_1 - G_o / pi) / (c_1 - c_2)    further reflections
 
-with the roughness r, s = wi.wo - cos(theta_i) cos(theta_o), t the larger of the two cosines if
+where r is the roughness, s = wi.wo - cos(theta_i) cos(theta_o), t the larger of the two cosines if
 s > 0, else 1, A = 1 / (1 + c_1 r), c_1 = 1/2 - 2 / (3 pi) and c_2 = 2/3 - 28 / (15 pi). rho = pi
 k_d is the albedo of the facets, E = A (1 + c_2 r) the mean albedo of a single reflection by white
-facets, and k_m = k_d rho E / (1 - rho (1 - E)). G is the closed form in `_missing`. White facets
-(rho = 1) reflect all light in every view, and r = 0 is Lambert. The model is reciprocal. Local
-frame, normal = +z. Source: Portsmouth, Kutz & Hill, "EON: A Practical Energy-Preserving Rough
-Diffuse BRDF", JCGT 14(1) (2025).
+facets, and k_m = k_d rho E / (1 - rho (1 - E)). G_i and G_o are values of the function G in
+`_missing` for the two directions. White facets (rho = 1) reflect all light in every view, and r = 0
+is Lambert. The model is reciprocal. Local frame, normal = +z. Source: Portsmouth, Kutz & Hill,
+"EON: A Practical Energy-Preserving Rough Diffuse BRDF", JCGT 14(1) (2025).
 """
 
 from typing import Annotated, Any
@@ -40,7 +41,7 @@ _C2 = 2 / 3 - 28 / (15 * np.pi)
 
 
 class EON(Material):
-    """Diffuse reflection of a rough surface that loses no light.
+    """A rough diffuse surface that loses no light between its facets.
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1 of the facets, their albedo / pi.
@@ -67,8 +68,8 @@ class EON(Material):
 
 
 def _missing(w: Vec) -> Scalar:
-    """Return c_1 - G / pi, at least 0: the light that a single reflection loses, divided by A r; no
-    unit. G is 0 along the normal and pi c_1 at the horizon."""
+    """Return c_1 - G / pi >= 0, no unit: the share of light that a single reflection loses, divided
+    by A r. The function G is 0 along the normal and pi c_1 at the horizon."""
     sine = safe_sqrt(w.x * w.x + w.y * w.y)
     theta = arctan2(sine, divisor(w.z))
     # (1 - sin^3) / cos = cos (1 + sin + sin^2) / (1 + sin), which is finite at the horizon
@@ -77,8 +78,7 @@ def _missing(w: Vec) -> Scalar:
 
 
 def _between(material: EON) -> Colour:
-    """Return k_m / k_d, (bands,), no unit: the light that leaves after more than one reflection,
-    relative to that of white facets and per k_d."""
+    """Return k_m / k_d, the factor of the term for further reflections, (bands,), no unit."""
     rho = material.facet_albedo
     if rho is None:
         rho = jnp.minimum(jnp.pi * material.diffuse, 1)
@@ -99,8 +99,8 @@ def evaluate(material: EON, wi: Direction, wo: Direction) -> Colour:
 
 
 def albedo(material: EON, wo: Direction) -> Colour:
-    """Return pi k_d (1 - L) + pi k_m L, (bands,), no unit, where L = A r (c_1 - G / pi) is the
-    share of light that a single reflection loses; 0 from below."""
+    """Return the albedo pi k_d (1 - L) + pi k_m L, (bands,), no unit, where L = A r (c_1 - G / pi)
+    is the share of light that a single reflection loses; 0 for a viewer below the surface."""
     viewer = as_vec(wo)
     lost = material.roughness * _missing(viewer) / (1 + _C1 * material.roughness)
     whole = jnp.pi * material.diffuse * (1 - lost * (1 - _between(material)))
@@ -108,10 +108,10 @@ def albedo(material: EON, wo: Direction) -> Colour:
 
 
 def _bound(x: Ends[EON]) -> Reflection:
-    """Bound both terms of f_r times cos(theta_i). The first is at most k_d (cos(theta_i) + r),
-    because cos(theta_i) s / t is at most 1. The second is at most k_d r c_1^2 / (c_1 - c_2) < 0.4
-    k_d r. Apart from the term in s, Lambert's shading differs by at most the second bound, because
-    1 - A <= c_1 r is smaller.
+    """Return upper bounds on both terms of f_r cos(theta_i). The first term is at most k_d
+    (cos(theta_i) + r), because cos(theta_i) s / t is at most 1. The second term is at most k_d r
+    c_1^2 / (c_1 - c_2) < 0.4 k_d r. Without the term in s, the shading differs from Lambert's by at
+    most the bound on the second term, because 1 - A <= c_1 r is smaller.
     """
     r = most(x, "roughness")
     further = r * _C1 * _C1 / (_C1 - _C2)

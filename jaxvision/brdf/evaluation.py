@@ -1,4 +1,4 @@
-"""The BRDF of any material, its sampler and its albedo. Local frame, unless stated."""
+"""The BRDF of any material, with its sampler and its albedo, in the local frame unless stated."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +15,7 @@ from ._registry import family
 
 @takes_numbers
 def evaluate(material: Material, wi: Direction, wo: Direction) -> Colour:
-    """Evaluate the BRDF of any material, f_r(wi, wo).
+    """Evaluate the BRDF of any material for a direction to the light and one to the viewer.
 
     Args:
         material: any material.
@@ -71,7 +71,7 @@ def at_angles(
 
 @takes_numbers
 def sample(material: Material, wo: Direction, u: Float[Array, "3"]) -> Vector:
-    """Draw a direction toward the light, with a large density where f_r is large.
+    """Draw a direction toward the light, with a density that is large where the BRDF f_r is large.
 
     Args:
         material: any material.
@@ -114,8 +114,8 @@ def pdf(material: Material, wi: Direction, wo: Direction) -> Scalar:
 def albedo(material: Material, wo: Direction) -> Colour:
     """Compute the directional albedo, the integral of f_r(wi, wo) cos(theta_i) over wi.
 
-    It is the relative radiance under uniform light from all directions. For a reciprocal BRDF it is
-    also the reflected share of the light from `wo`.
+    The albedo is the radiance toward the viewer under uniform light of radiance 1 from all
+    directions. For a reciprocal BRDF it is also the share of the light from `wo` that is reflected.
 
     Args:
         material: any material.
@@ -136,7 +136,7 @@ def albedo(material: Material, wo: Direction) -> Colour:
 def shading(material: Material, wi: Direction, wo: Direction) -> Colour:
     """Return the radiance toward the viewer per unit of irradiance on a surface facing the light.
 
-    The cosine of incidence is included: f_r cos(theta_i).
+    The shading is f_r cos(theta_i), so the cosine of incidence is included.
 
     Args:
         material: any material.
@@ -155,7 +155,7 @@ def shading(material: Material, wi: Direction, wo: Direction) -> Colour:
 
 
 def _direction(name: str, w: Vector) -> Vec:
-    """Return the components of a direction; raise `ValueError` for an array not of shape (3,)."""
+    """Return a direction as a `Vec`. Raise `ValueError` for an array whose shape is not (3,)."""
     if not isinstance(w, Vec):
         check_shape(name, w, (3,))
     return as_vec(w)
@@ -170,7 +170,7 @@ def reflect(
     *,
     tangent: Vector | None = None,
 ) -> Colour:
-    """Compute `shading` in world coordinates.
+    """Compute the shading f_r cos(theta_i) of a material for directions in world coordinates.
 
     Args:
         material: any material.

@@ -1,9 +1,9 @@
 """Fresnel reflectance of a smooth interface for unpolarised light, (bands,), no unit, in [0, 1].
 
 `cos_theta` is the cosine between the ray and the interface's normal, clipped to [0, 1]. Indices of
-refraction are relative to the side of the incident light. They are limited to 1e9 in float32 and
-1e76 in float64. The formulas are arranged without cancellation, also near equal indices and at
-grazing angles. At 90 degrees every interface reflects everything.
+refraction are relative to the medium of the incident light, and are clipped to 1e9 in float32 and
+1e76 in float64. The formulas avoid cancellation near equal indices and at grazing angles. At an
+angle of incidence of 90 degrees every interface has the reflectance 1.
 """
 
 from collections.abc import Callable
@@ -91,7 +91,8 @@ _COSINE = Range(-1.001, 1.001, nan=True)  # allows for rounding
 
 @takes_numbers
 def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
-    """Return the reflectance of any interface, (bands,), no unit, at a cosine of incidence, ().
+    """Return the reflectance of any interface, (bands,), no unit, at the cosine of incidence
+    `cos_theta`, ().
 
     Example:
         >>> print(np.asarray(jv.brdf.fresnel.fresnel(jv.Dielectric([1.33]), 1.0)).round(3))  # water
@@ -109,8 +110,8 @@ def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
 @takes_numbers
 def mean_reflectance(interface: Interface) -> Colour:
     """Return the reflectance of a smooth interface for uniform light from a hemisphere, (bands,),
-    no unit: the integral of 2 c F(c) over the cosine c, with the reflectance F, by 24
-    Gauss-Legendre nodes (error 3e-6 for glass).
+    no unit. It is the integral of 2 c F(c) over the cosine of incidence c, where F is the
+    reflectance, by 24 Gauss-Legendre nodes (error 3e-6 for glass).
 
     Example:
         >>> print(np.asarray(jv.brdf.fresnel.mean_reflectance(jv.Dielectric([1.5]))).round(4))
@@ -126,14 +127,14 @@ def mean_reflectance(interface: Interface) -> Colour:
 @in_range(cos_theta=_COSINE, eta=DIVISOR)
 def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     """Return the reflectance of a clear interface of relative index eta, (bands,), no unit; 1 in
-    total reflection (g^2 <= 0). It is (r_s^2 + r_p^2) / 2 with c = cos_theta, g^2 = eta^2 - 1 + c^2
-    and
+    total reflection (g^2 <= 0). The reflectance is (r_s^2 + r_p^2) / 2, where c = cos_theta, g^2 =
+    eta^2 - 1 + c^2 and
 
         r_s = (c - g) / (c + g)                = (1 - eta^2) / (c + g)^2
         r_p = (eta^2 c - g) / (eta^2 c + g)    = (eta^2 - 1) (c^2 (eta^2 + 1) - 1) / (eta^2 c + g)^2
 
-    The right-hand forms have rational numerators and keep full precision where the fractions are
-    small.
+    The forms on the right have no root in the numerator, and keep full precision where the
+    reflectance is small.
 
     Source: Cook & Torrance, ACM TOG 1(1) (1982).
 
@@ -160,7 +161,8 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
 
 
 def _index(x: Colour) -> Colour:
-    """Limit an index, or its real or imaginary part, so that its fourth power is finite."""
+    """Clip an index of refraction, or its real or imaginary part, so that its fourth power is
+    finite."""
     return jnp.minimum(x, 0.5 / smallest_divisor(x.dtype))
 
 
@@ -195,7 +197,7 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
     apart = divide(contrast + b * b, a + c, where=clear, otherwise=a - c)
 
     def ratio(difference: Colour, total: Colour, other: Colour, missing: Colour) -> Colour:
-        """Return (difference^2 + other^2) / (total^2 + other^2). Above a third it is computed from
+        """Return (difference^2 + other^2) / (total^2 + other^2). A ratio above 1/3 is computed from
         `missing` = total^2 - difference^2, which is then more precise."""
         below = total * total + other * other
         above = difference * difference + other * other
@@ -232,8 +234,8 @@ def _schlick(c: Scalar, f0: Colour) -> Colour:
 
 @_schlick.defjvp
 def _schlick_jvp(primals, tangents):
-    """Differentiate `_schlick`. The derivative with respect to f0, 1 - (1 - c)^5, is expanded to
-    avoid cancellation."""
+    """Differentiate `_schlick`. The derivative with respect to f0 is 1 - (1 - c)^5, written as an
+    expanded polynomial to avoid cancellation."""
     (c, f0), (d_c, d_f0) = primals, tangents
     fourth = jnp.square(jnp.square(1 - c))
     slope = polynomial((1.0, -5.0, 10.0, -10.0, 5.0, 0.0), c)
@@ -246,8 +248,9 @@ MONOTONE = 3.7  # index up to which a dielectric's reflectance rises with the an
 
 
 def _largest_reflectance(x: Ends[Interface | None]) -> tuple[Callable[[Any], Any], bool]:
-    """Return the function from a cosine to the largest reflectance of any band at this or larger
-    cosines, and whether the bands have the same reflectance."""
+    """Return a function and a flag. The function gives the largest reflectance of any band at a
+    cosine of incidence or any larger cosine. The flag is true if all bands have the same
+    reflectance."""
     low, high = x
     match low, high:
         case Dielectric(), Dielectric():
@@ -268,7 +271,7 @@ def _largest_reflectance(x: Ends[Interface | None]) -> tuple[Callable[[Any], Any
 
 
 def _least_reflectance(x: Ends[Interface | None]) -> float:
-    """Return the smallest reflectance of any band at any angle; 0 if unknown."""
+    """Return a lower bound on the reflectance of all bands at all angles; 0 if none is known."""
     low, high = x
     match low, high:
         case Dielectric(), Dielectric():
@@ -281,8 +284,9 @@ def _least_reflectance(x: Ends[Interface | None]) -> float:
 
 def _largest_dielectric(c: Any, least: float, most: float) -> Any:
     """Return an upper bound on Fresnel's reflectance for unpolarised light and indices between two
-    values >= 1; it is exact if they are equal. The s reflectance grows with the index. The p
-    reflectance is largest at one of the two indices, or where eta^2 is twice the squared sine."""
+    values >= 1; it is exact if the two values are equal. The reflectance of s-polarised light grows
+    with the index. The reflectance of p-polarised light is largest at one of the two indices, or
+    where eta^2 is twice the squared sine of the angle."""
 
     def amplitudes(eta: Any) -> tuple[Any, Any]:
         g = np.sqrt(eta**2 - 1 + c * c)

@@ -1,8 +1,9 @@
 """Gaussian lobe: an ideal diffuse part plus a Gaussian of the angle to the mirror direction.
 
-This is the textbook's Torrance-Sparrow term: a function of the angle theta_s to the mirror
-direction, not normalised, without Fresnel reflectance and masking (the full model is
-`torrance_sparrow`). Two records share the lobe exp(-(c_s theta_s)^2):
+Szeliski's textbook calls this lobe the Torrance-Sparrow term. It depends only on the angle theta_s
+to the mirror direction; it is not normalised, and has no Fresnel reflectance and no masking. The
+full model is in `torrance_sparrow`. Two records have the lobe exp(-(c_s theta_s)^2) with the
+concentration c_s:
 
     record             specular term of f_r       ... of the shading, f_r cos(theta_i)
     GaussianLobe       k_s lobe / cos(theta_i)    k_s lobe                SHADING, as in `phong`
@@ -32,7 +33,7 @@ from ._lobe import ColourOrNeutral, about, divisor, lobe_integrals, mirrored, wh
 
 
 class _Concentrated(Material):
-    """The fields that both records share. Each record describes its convention."""
+    """The fields that the two records of a Gaussian lobe have in common."""
 
     spectra = ("diffuse",)
     diffuse: Colour = eqx.field(converter=as_float)
@@ -45,7 +46,8 @@ class _Concentrated(Material):
 
 
 class GaussianLobe(_Concentrated):
-    """SHADING k_d cos+ + k_s exp(-(concentration theta_s)^2), no cosine on the specular term.
+    """SHADING by a Gaussian lobe, k_d cos(theta_i) + k_s exp(-(concentration theta_s)^2), without a
+    cosine in the specular term.
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
@@ -63,7 +65,8 @@ class GaussianLobe(_Concentrated):
 
 
 class GaussianLobeBRDF(_Concentrated):
-    """The BRDF k_d + k_s exp(-(concentration theta_s)^2).
+    """A material with the BRDF k_d + k_s exp(-(concentration theta_s)^2), where theta_s is the
+    angle to the mirror direction.
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
@@ -122,7 +125,7 @@ _SQUARED_ANGLE_OVER_CHORD = {
 
 @takes_numbers
 def gaussian_lobe(theta_mirror: Scalars, concentration: Scalars) -> Scalars:
-    """Return the lobe exp(-(concentration theta_s)^2).
+    """Return the Gaussian lobe exp(-(concentration theta_s)^2), theta_s being `theta_mirror`.
 
     Args:
         theta_mirror: (...) angle between view and mirror direction, radians in [0, pi], as
@@ -185,8 +188,8 @@ def _lobe_between(axis: Vector, w: Vector, concentration: Scalar) -> Scalar:
 
 def squared_angle_between(u: Vector, v: Vector) -> Scalar:
     """Return the square of the angle between unit vectors, () in [0, pi^2] rad^2, within a few ULP.
-    It is a series in the squared chord |u - v|^2, or beyond a right angle in |u + v|^2, which
-    avoids square roots that lose digits."""
+    The result is a series in the squared chord |u - v|^2, or in |u + v|^2 beyond a right angle,
+    which avoids the rounding error of square roots."""
     apart, together = u - v, u + v
     chord, other = dot(apart, apart), dot(together, together)
     coefficients = _SQUARED_ANGLE_OVER_CHORD[8 if chord.dtype == jnp.float64 else 4][::-1]
@@ -196,7 +199,8 @@ def squared_angle_between(u: Vector, v: Vector) -> Scalar:
 
 def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar, Scalar]:
     """Return the integrals of exp(-(c_s alpha)^2), c_s in rad^-1, without and with the factor
-    cos(theta_i), over directions above the horizon, () each in sr, to 1e-10."""
+    cos(theta_i), over directions above the horizon, () each in sr, with a relative error of 1e-10.
+    alpha is the angle to the lobe's axis, whose cosine to the normal is `cos_axis`."""
     width = 6 / divisor(jnp.abs(concentration))
     return lobe_integrals(
         lambda alpha: gaussian_lobe(alpha, concentration), cos_axis, width=width, end=np.pi
@@ -204,22 +208,23 @@ def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar,
 
 
 def _kappa(material: _Concentrated) -> Scalar:
-    """Return kappa of the von Mises-Fisher density proportional to exp(-(c_s chord)^2), which is at
-    least the lobe everywhere, because the chord is shorter than the angle."""
+    """Return the concentration kappa of the von Mises-Fisher density that is proportional to
+    exp(-(c_s chord)^2). This function is nowhere below the lobe, because a chord is shorter than
+    its angle."""
     kappa = 2 * jnp.square(material.concentration)
     return jnp.maximum(kappa, smallest_divisor(kappa.dtype))
 
 
 def _direction(material: _Concentrated, wo: Vec, u: Float[Array, "3"]) -> Vec:
-    """Draw a direction from a von Mises-Fisher lobe about the mirror direction,
-    1 - cos(alpha) = -log(1 - u_0 (1 - e^(-2 kappa))) / kappa."""
+    """Draw a direction from a von Mises-Fisher distribution about the mirror direction, with 1 -
+    cos(alpha) = -log(1 - u_0 (1 - e^(-2 kappa))) / kappa."""
     kappa = _kappa(material)
     one_minus_cos = jnp.clip(-log1p(u[0] * jnp.expm1(-2 * kappa)) / kappa, 0, 2)
     return about(mirrored(wo), one_minus_cos, 2 * jnp.pi * u[1])
 
 
 def _density(material: _Concentrated, wi: Vec, wo: Vec) -> Scalar:
-    """Return the density of `_direction`, sr^-1."""
+    """Return the density of the directions that `_direction` draws, in sr^-1."""
     kappa, chord = _kappa(material), wi - mirrored(wo)
     lobe = jnp.exp(-kappa / 2 * dot(chord, chord))
     return -kappa / (2 * jnp.pi * jnp.expm1(-2 * kappa)) * lobe
@@ -241,7 +246,8 @@ _LOBE = Lobe(
 
 
 def _bound(x: Ends[Material], convention: Convention) -> Reflection:
-    """Bound k_s exp(-(c theta_s)^2); the integral of the lobe is at most pi / c^2."""
+    """Return upper bounds on k_s exp(-(c theta_s)^2) and on its integral. The integral of the lobe
+    is at most pi / c^2."""
     c = min(abs(least(x, "concentration")), abs(largest(x, "concentration")))
     top = max(abs(least(x, "concentration")), abs(largest(x, "concentration")))
     cosine = convention != "shading"

@@ -1,12 +1,14 @@
-"""A smooth interface of a clear body: part of the light is reflected, the rest is refracted.
+"""The smooth surface of a clear body, which reflects part of the light and refracts the rest.
 
-The mirrored direction gets the share F of the light by Fresnel's exact equations, the refracted
-direction 1 - F. Snell's law gives the refracted angle,
+The share F of the light, from Fresnel's exact equations, continues in the mirrored direction, and
+the share 1 - F in the refracted direction. Snell's law relates the angle of refraction theta_t to
+the angle of incidence theta_i:
 
     sin(theta_t) = sin(theta_i) / eta
 
-with eta the index behind the surface divided by that in front of it. If no theta_t exists, F = 1
-(total internal reflection). Local frame with the normal +z; the body is below the surface.
+Here eta is the index behind the surface divided by the index in front of it. If no theta_t
+satisfies this law, F = 1 (total internal reflection). In the local frame the normal is +z, and the
+body is below the surface.
 """
 
 from typing import Annotated, Any
@@ -60,9 +62,9 @@ class Glass(Material):
 
 @takes_numbers
 def refracted_direction(w: Vector, eta: Scalar) -> Vec:
-    """Return the unit direction of the refracted ray on the other side of the interface: -x / eta,
-    -y / eta, and the z that makes it a unit vector; in total reflection z is 0. eta is the index
-    behind the interface divided by that in front of it."""
+    """Return the unit direction of the refracted ray behind the interface. Its x and y are -x / eta
+    and -y / eta, and z makes it a unit vector; in total reflection z is 0. `eta` is the index
+    behind the interface divided by the index in front of it."""
     v = as_vec(w)
     # 1 - (1 - z^2) / eta^2 = (eta^2 - 1 + z^2) / eta^2: nothing cancels near equal indices
     below = safe_sqrt((eta - 1) * (eta + 1) + v.z * v.z) / eta
@@ -74,17 +76,18 @@ def refracted_direction(w: Vector, eta: Scalar) -> Vec:
 
 
 def specular(material: Glass, w: Vec) -> Specular:
-    """Return the continuation of a ray that came from `w`, unit, local. The ray comes from outside
-    the body if `w` is above the surface, else from inside. Shares and `eta` have no unit. In total
-    reflection the reflectance is 1 and `refracted` is the direction along the surface."""
+    """Return the directions in which a ray that came from `w`, unit, local, continues. The ray
+    comes from outside the body if `w` is above the surface, else from inside. The shares of the
+    flux and `eta` have no unit. In total reflection the reflectance is 1, and `refracted` is a
+    direction along the surface."""
     eta = jnp.where(w.z > 0, material.index, 1 / material.index)
     reflectance = fresnel_dielectric(jnp.abs(w.z), eta[None])
     return Specular(mirrored(w), reflectance, refracted_direction(w, eta), 1 - reflectance, eta)
 
 
 def _bound(x: Ends[Glass]) -> Reflection:
-    """Return the bound for glass. In `render` glass is black; in a ray tree its reflectance and its
-    transmittance are at most 1."""
+    """Return upper bounds on the light from glass. `render` draws glass black; in a ray tree the
+    reflectance and the transmittance of glass are at most 1."""
     indices = least(x, "index"), most(x, "index")
     return Reflection(np.zeros(1), mirror=np.ones(1), indices=indices)
 

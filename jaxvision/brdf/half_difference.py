@@ -1,18 +1,18 @@
 """Half and difference angles, and the isotropic BRDF tabulated over them (the MERL layout).
 
-The half vector h = (wi + wo) / |wi + wo| has angles (theta_h, phi_h). The rotation of h to the
-normal, by -phi_h about z and then by -theta_h about y, rotates `wi` to the difference vector, with
-angles (theta_d, phi_d). theta_d is half the angle between the two directions. Exchanging wi and wo
-adds pi to phi_d. Mirroring both about the plane of h and the normal negates phi_d. Source:
-Rusinkiewicz, "A New Change of Variables for Efficient BRDF Representation", 1998.
+The half vector h = (wi + wo) / |wi + wo| has angles (theta_h, phi_h). A rotation by -phi_h about z
+and then by -theta_h about y takes h to the normal. The same rotation takes `wi` to the difference
+vector, with angles (theta_d, phi_d). theta_d is half the angle between `wi` and `wo`. Exchanging
+`wi` and `wo` adds pi to phi_d. Mirroring both in the plane of h and the normal negates phi_d.
+Source: Rusinkiewicz, "A New Change of Variables for Efficient BRDF Representation", 1998.
 
 The table has (n_h, n_d, n_p) bins over theta_h in [0, pi / 2], theta_d in [0, pi / 2] and phi_d in
-[0, pi). Bin i of theta_h starts at (i / n_h)^2 pi / 2, so that lobes get most bins; the other bins
-have equal width. phi_d is taken modulo pi, so the table is reciprocal by construction. A value
-belongs to the centre of its bin. Beyond the outermost centres the BRDF is constant. Values in
-sr^-1, angles
-in radians. Source of the layout: Matusik, Pfister, Brand, McMillan, "A Data-Driven Reflectance
-Model", 2003, and the reference reader published with it.
+[0, pi). Bin i of theta_h starts at (i / n_h)^2 pi / 2, so that bins are narrow near the normal,
+where lobes are. The bins of theta_d and phi_d have equal width. phi_d is taken modulo pi, so the
+table is reciprocal by construction. Each value of the table is the BRDF at the centre of its bin.
+Beyond the centres of the outermost bins the BRDF is constant. Values are in sr^-1, angles in
+radians. Source of the layout: Matusik, Pfister, Brand, McMillan, "A Data-Driven Reflectance Model",
+2003, and the reference reader published with it.
 """
 
 from typing import Literal
@@ -35,7 +35,7 @@ from ._registry import register
 
 
 class HalfDifference(Shown):
-    """Angles of the half vector, and of `wi` relative to it.
+    """The angles of the half vector, and the angles of `wi` relative to the half vector.
 
     Attributes:
         theta_h: () of the half vector, rad.
@@ -51,7 +51,8 @@ class HalfDifference(Shown):
 
 
 def _rotate(w: Vec, theta: Scalar, phi: Scalar) -> Vec:
-    """Rotate `w` by theta about y, then by phi about z: +z becomes spherical(theta, phi)."""
+    """Rotate `w` by theta about y and then by phi about z, a rotation that takes +z to the
+    direction with polar angle theta and azimuth phi."""
     c, s = jnp.cos(theta), jnp.sin(theta)
     x, z = c * w.x + s * w.z, c * w.z - s * w.x
     c, s = jnp.cos(phi), jnp.sin(phi)
@@ -76,8 +77,8 @@ def half_difference(wi: Direction, wo: Direction) -> HalfDifference:
 
 
 def from_half_difference(angles: HalfDifference) -> tuple[Vec, Vec]:
-    """Return (wi, wo) for half and difference angles in rad, the inverse of `half_difference`. Both
-    may lie below the surface."""
+    """Return (wi, wo) for half and difference angles in rad, the inverse of `half_difference`.
+    Either direction may lie below the surface."""
     d = spherical(angles.theta_d, angles.phi_d)
     opposite = Vec(-d.x, -d.y, d.z)
     return (
@@ -87,7 +88,7 @@ def from_half_difference(angles: HalfDifference) -> tuple[Vec, Vec]:
 
 
 class HalfDifferenceTable(Material):
-    """An isotropic BRDF over half and difference angles.
+    """An isotropic BRDF tabulated over half and difference angles.
 
     Attributes:
         values: (n_h, n_d, n_p, bands) sr^-1; 90 x 90 x 180 in MERL files.

@@ -1,4 +1,5 @@
-"""Lambert: the same radiance in every direction. Local frame, normal = +z."""
+"""Lambert's reflection: the surface has the same radiance in every direction. In the local frame
+the normal is +z."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -38,8 +39,8 @@ class Lambert(Material):
 
 @takes_numbers
 def lambert_shading(normal: Direction, wi: Direction, diffuse: Colour) -> Colour:
-    """Return Lambert's shading k_d max(n.l, 0), with l toward the light: the radiance per unit of
-    irradiance on a surface that faces the light.
+    """Return Lambert's shading k_d max(n.l, 0), where n is the normal and l points to the light.
+    Shading is radiance per unit of irradiance on a surface that faces the light.
 
     Args:
         normal: (3,) unit.

@@ -1,16 +1,16 @@
-"""Measured BRDFs: scattered samples, and tables over the angles of the two directions.
+"""Measured BRDFs, as samples at arbitrary pairs of directions or as tables over the angles.
 
 A table contains f_r(theta_i, phi_i, theta_o, phi_o; lambda) at the nodes of a grid, or the
 isotropic f_r(theta_i, theta_o, phi_o - phi_i; lambda). Between nodes f_r is linear in each angle.
 `outside` determines f_r at polar angles beyond the outermost nodes: the angles are clamped, f_r is
 extrapolated from the last two nodes (never below 0), or f_r is 0. Azimuths are periodic.
-Measurements are not exactly reciprocal. A table with `reciprocal` set returns the mean over both
-orders of the directions.
-Interpolation over these angles blurs narrow lobes between nodes. If the nodes are more than a
-lobe's width apart, `half_difference` resolves them better.
+Measurements are not exactly reciprocal. If a table has `reciprocal` set, f_r is the mean of f_r(wi,
+wo) and f_r(wo, wi). Interpolation over these angles blurs narrow lobes between nodes. If the nodes
+are more than a lobe's width apart, `half_difference` resolves them better.
 
-`i` is the direction toward the light, `o` toward the viewer; local frame, normal = +z; angles in
-rad, f_r in sr^-1 (no cosine inside), wavelengths in m.
+The index `i` stands for the direction toward the light, `o` for the direction toward the viewer. In
+the local frame the normal is +z. Angles are in rad, wavelengths in m, and f_r is in sr^-1 without
+the cosine of incidence.
 """
 
 from typing import Literal, TypeVar, get_args
@@ -35,7 +35,7 @@ Outside = Literal["clamp", "extrapolate", "zero"]
 
 
 class BRDFSamples(Shown):
-    """Measured values at scattered pairs of directions, as from a goniometer.
+    """BRDF values measured at arbitrary pairs of directions, for example by a goniometer.
 
     Attributes:
         theta_i: (n,) polar angle of the light, rad.
@@ -68,7 +68,7 @@ class BRDFSamples(Shown):
 
 
 class IsotropicTable(Material):
-    """An isotropic BRDF over (theta_i, theta_o, phi_o - phi_i).
+    """An isotropic BRDF tabulated over (theta_i, theta_o, phi_o - phi_i).
 
     Attributes:
         theta_i: (a,) rad, increasing.
@@ -113,7 +113,7 @@ class IsotropicTable(Material):
 
 
 class AnisotropicTable(Material):
-    """A BRDF over (theta_i, phi_i, theta_o, phi_o).
+    """An anisotropic BRDF tabulated over (theta_i, phi_i, theta_o, phi_o).
 
     Attributes:
         theta_i: (a,) rad, increasing.
@@ -215,9 +215,10 @@ Table = TypeVar("Table", bound=Material)
 def tabulate_sampler(
     material: Table, *, thetas: int = 16, phis: int = 1, rows: int = 33, columns: int = 91
 ) -> Table:
-    """Return a table with a sampler for its lobes, averaged over bands. The sampler is tabulated at
-    `thetas` and `phis` angles, rad, of `wo` and at rows x columns half vectors, all static. If a
-    table has no sampler, `sample` follows the cosine."""
+    """Return the table with a sampler that draws directions in proportion to its shading, averaged
+    over bands. The sampler is tabulated at `thetas` polar angles and `phis` azimuths of `wo`, and
+    at rows x columns half vectors; all four numbers are static. Without a sampler, `sample` draws
+    cosine-distributed directions."""
     dtype = jnp.result_type(*jax.tree.leaves(material))
     theta = jnp.linspace(0, 0.999 * jnp.pi / 2, thetas, dtype=dtype)
     phi = jnp.linspace(-jnp.pi, jnp.pi, phis, dtype=dtype) if phis > 1 else jnp.zeros(1, dtype)
@@ -228,7 +229,7 @@ def tabulate_sampler(
 
 
 def sample_directions(samples: BRDFSamples) -> tuple[Vec, Vec]:
-    """Return the directions of all samples.
+    """Return the light and viewing directions of measured BRDF samples.
 
     Args:
         samples: measured values at scattered angles, rad.
@@ -256,9 +257,9 @@ def samples_of(
 ) -> BRDFSamples:
     """Evaluate f_r (without the cosine) of any material on a grid of angles, as samples to fit.
 
-    The samples are all a * d * b * c combinations, in that order: theta_i is the slowest index and
-    phi_o the fastest. `values.reshape(a, b, c, bands)` has the order of an `IsotropicTable` over
-    phi_o, and `values.reshape(a, d, b, c, bands)` that of an `AnisotropicTable`.
+    The samples are all a * d * b * c combinations of the angles. theta_i is the slowest index, then
+    phi_i, theta_o and phi_o. `values.reshape(a, b, c, bands)` has the order of an `IsotropicTable`
+    over phi_o, and `values.reshape(a, d, b, c, bands)` that of an `AnisotropicTable`.
 
     Args:
         material: any material with a BRDF in sr^-1.

@@ -1,11 +1,13 @@
-"""Microfacet distributions, and shadowing and masking between facets. Local frame, unit directions.
+"""Microfacet distributions, and shadowing and masking between facets, for unit directions in the
+local frame.
 
-`alpha`: (2,), the roughness along x and y, no unit. For a Beckmann surface it is sqrt(2) times the
-root mean square slope. Below 1e-6 it counts as 1e-6 and has no gradient. `distribution`: "beckmann"
-(Gaussian slopes) or "ggx" (heavy tails). `shadowing`: "smith" (height-correlated) or "v-cavity"
-(the grooves of Torrance and Sparrow, for any distribution). Densities are in sr^-1. Sources: Walter
-et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007; Heitz, "Understanding
-the Masking-Shadowing Function in Microfacet-Based BRDFs", JCGT 3(2) (2014).
+`alpha`: (2,), the roughness along x and y, no unit. For a Beckmann surface alpha is sqrt(2) times
+the root mean square slope. An alpha below 1e-6 is replaced by 1e-6, with no gradient.
+`distribution`: "beckmann" (Gaussian slopes) or "ggx" (heavy tails). `shadowing`: "smith"
+(height-correlated) or "v-cavity" (the grooves of Torrance and Sparrow, for any distribution).
+Densities are in sr^-1. Sources: Walter et al., "Microfacet Models for Refraction through Rough
+Surfaces", EGSR 2007; Heitz, "Understanding the Masking-Shadowing Function in Microfacet-Based
+BRDFs", JCGT 3(2) (2014).
 """
 
 from typing import Literal
@@ -38,21 +40,23 @@ LEAST_ROUGHNESS = 1e-6  # smaller roughnesses count as this one
 
 
 def clamped_roughness(alpha: Alpha) -> Alpha:
-    """Return the effective roughness, no unit. Below 1e-6 it is 1e-6, without gradient."""
+    """Return the roughness clipped to at least 1e-6, no unit. A clipped roughness has no
+    gradient."""
     return jnp.maximum(alpha, LEAST_ROUGHNESS)
 
 
 def half_vector(wi: Direction, wo: Direction) -> Vec:
-    """Return the unit vector half-way between two unit directions, which is the normal of the facet
-    that mirrors one into the other; zero for opposite directions. Rounding rotates it by about eps
-    / cos(theta). In float32, a lobe with alpha cos(theta) < 1e-6 is narrower than this error."""
+    """Return the unit vector half-way between two unit directions, or zero for opposite directions.
+    A facet with this normal mirrors one direction into the other. Rounding rotates the half vector
+    by about eps / cos(theta). In float32, a lobe with alpha cos(theta) < 1e-6 is narrower than this
+    error."""
     return as_vec(normalize(as_vec(wi) + as_vec(wo)))
 
 
 def normal_distribution(h: Direction, alpha: Alpha, *, distribution: Distribution) -> Scalar:
-    """Return D(h) in sr^-1: the area of facets with normal `h`, per solid angle and per area of the
-    surface; 0 below the surface. With p = h.x / (h.z alpha_x) and q = h.y / (h.z alpha_y), the
-    slopes divided by their alphas:
+    """Return D(h) in sr^-1, the area of facets with normal `h` per solid angle and per area of the
+    surface; 0 below the surface. The slopes divided by their roughness are p = h.x / (h.z alpha_x)
+    and q = h.y / (h.z alpha_y):
 
         beckmann   exp(-(p^2 + q^2)) / (pi alpha_x alpha_y h.z^4)
         ggx        1 / (pi alpha_x alpha_y h.z^4 (1 + p^2 + q^2)^2)
@@ -79,9 +83,9 @@ def normal_distribution(h: Direction, alpha: Alpha, *, distribution: Distributio
 
 
 def hidden_cosine(w: Direction, alpha: Alpha, *, distribution: Distribution) -> Scalar:
-    """Return cos(theta) Lambda(w), no unit: the hidden part of the facet area projected toward `w`,
-    per area of the surface; the visible part is cos(theta). The product is finite at grazing
-    angles, unlike Smith's function Lambda. Source: Heitz (2014), equations 68 to 72."""
+    """Return cos(theta) Lambda(w), no unit: the facet area projected toward `w` that other facets
+    hide, per area of the surface. The visible facet area is cos(theta). The product is finite at
+    grazing angles, unlike Smith's function Lambda. Source: Heitz (2014), equations 68 to 72."""
     v, a = as_vec(w), clamped_roughness(alpha)
     squared = jnp.square(v.x * a[0]) + jnp.square(v.y * a[1])
     match distribution:
@@ -109,8 +113,9 @@ def visibility(
     distribution: Distribution,
     shadowing: Shadowing,
 ) -> Scalar:
-    """Return G / (4 cos(theta_i) cos(theta_o)), no unit, in a form that is finite at grazing angles
-    too. With c_i, c_o the cosines, H the value of `hidden_cosine` and d = wo.h:
+    """Return the visibility term G / (4 cos(theta_i) cos(theta_o)), no unit, in a form that is
+    finite at grazing angles too. Below, c_i and c_o are the cosines, H_i and H_o the values of
+    `hidden_cosine`, and d = wo.h:
 
         smith      G = 1 / (1 + Lambda_i + Lambda_o)
                    1 / (4 (c_i c_o + c_i H_o + c_o H_i))
@@ -156,9 +161,9 @@ def sample_facet(wo: Direction, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
 
 
 def facet_pdf(wi: Direction, wo: Direction, alpha: Alpha) -> Scalar:
-    """Return the density in sr^-1, over the whole sphere, of the direction `wo` mirrored about a
-    normal from `sample_facet`: D_ggx(h) / (4 (cos(theta_o) + H_o)), with H_o from
-    `hidden_cosine`."""
+    """Return the density, in sr^-1 over the whole sphere, of the direction `wo` mirrored about a
+    normal that `sample_facet` draws. The density is D_ggx(h) / (4 (cos(theta_o) + H_o)), where H_o
+    is the value of `hidden_cosine`."""
     facets = normal_distribution(half_vector(wi, wo), alpha, distribution="ggx")
     seen = as_vec(wo).z + hidden_cosine(wo, alpha, distribution="ggx")
     return facets / (4 * divisor(seen))

@@ -1,8 +1,8 @@
-"""A perfect mirror: all light goes from one direction into the mirrored one. Local frame.
+"""A perfect mirror, which reflects all light from a direction into the mirrored direction.
 
-Its BRDF is a delta function, reflectance * delta(wi - s) / cos(theta_i), where s = (-x, -y, z) for
-`wo` = (x, y, z). A sample in the direction s has the reflectance as its weight, instead of f_r
-cos(theta_i) / pdf.
+In the local frame the mirrored direction of `wo` = (x, y, z) is s = (-x, -y, z). The BRDF of a
+mirror is a delta function, reflectance * delta(wi - s) / cos(theta_i). A sample in the direction s
+has the reflectance as its weight, instead of f_r cos(theta_i) / pdf.
 """
 
 import equinox as eqx
@@ -39,7 +39,8 @@ class Mirror(Material):
 
 
 def specular(material: Mirror, w: Vec) -> Specular:
-    """Return the mirror direction of `w`, unit, local, and the reflectance, 0 from below."""
+    """Return the mirror direction of `w`, unit, local, and the reflectance; 0 if `w` is below the
+    surface."""
     return Specular(mirrored(w), where_above(w.z, material.reflectance))
 
 

@@ -5,12 +5,12 @@ retroreflection.
     full          with interreflections between facets (the paper's equations 27 to 30)
 
 alpha is the larger of the two polar angles, beta the smaller. A and B depend on the roughness
-sigma; sigma = 0 is Lambert. Both forms are reciprocal. Neither conserves energy exactly: at facet
-albedo 1 and grazing views the qualitative form reaches an albedo of 1.015 (sigma 0.2), the full
-form 1.05 (sigma 0.3). The full form is the paper's fit to simulations. Near grazing angles it can
-fall below 0 for forward light, where it is set to 0. Angles in radians; local
-frame, normal = +z. Source: Oren & Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH
-1994.
+sigma; sigma = 0 is Lambert. Both forms are reciprocal. Neither form conserves energy exactly: with
+facets of albedo 1, at grazing views, the albedo reaches 1.015 in the qualitative form (sigma 0.2)
+and 1.05 in the full form (sigma 0.3). The full form is the paper's fit to simulations. In forward
+scattering near grazing angles the fit can be negative; it is then set to 0. Angles in radians;
+local frame, normal = +z. Source: Oren & Nayar, "Generalization of Lambert's Reflectance Model",
+SIGGRAPH 1994.
 """
 
 from typing import Annotated, Any, Literal
@@ -39,7 +39,7 @@ from ._registry import register
 
 
 class OrenNayar(Material):
-    """Diffuse reflection of a rough surface.
+    """Diffuse reflection of a rough surface by the model of Oren and Nayar.
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1 of the facets, their albedo / pi.
@@ -73,8 +73,8 @@ def evaluate(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
 
 
 def _qualitative(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
-    """Return the qualitative form. It needs no angles, because sin(theta_i) sin(theta_o) cos(phi_i
-    - phi_o) = wi.x wo.x + wi.y wo.y."""
+    """Return the qualitative form, computed without angles, because sin(theta_i) sin(theta_o)
+    cos(phi_i - phi_o) = wi.x wo.x + wi.y wo.y."""
     i, o, variance = as_vec(wi), as_vec(wo), jnp.square(material.sigma)
     a = 1 - 0.5 * variance / (variance + 0.33)
     b = 0.45 * variance / (variance + 0.09)
@@ -108,12 +108,13 @@ def _full(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
 
 
 def _bound(x: Ends[OrenNayar]) -> Reflection:
-    """Bound f_r cos(theta_i). k_d (A + B sin(alpha) tan(beta)) cos(theta_i) is at most k_d (A
-    cos(theta_i) + B), because cos(theta_i) sin(alpha) tan(beta) is at most 1. Lambert's shading
-    differs by at most max((1 - A) cos(theta_i), B) k_d. In the full form (equations 27 to 30) the
-    second and the third term are not large at the same cos(phi), and the light between facets adds
-    at most .34 rho v / (v + .13), with v = sigma^2. The bound of the body is at least the k_d of
-    the Lambertian that may replace it."""
+    """Return upper bounds on f_r cos(theta_i). In the qualitative form, k_d (A + B sin(alpha)
+    tan(beta)) cos(theta_i) is at most k_d (A cos(theta_i) + B), because cos(theta_i) sin(alpha)
+    tan(beta) is at most 1. It differs from Lambert's shading by at most max((1 - A) cos(theta_i),
+    B) k_d. In the full form (equations 27 to 30) the second and the third term are not large at the
+    same cos(phi), and the light between facets adds at most .34 rho v / (v + .13), where v =
+    sigma^2 and rho is the albedo of the facets. The bound is at least k_d, so that it also holds if
+    a Lambertian surface replaces the material."""
     v_low, v = least(x, "sigma") ** 2, most(x, "sigma") ** 2
     a_most, a_least = (1 - 0.5 * s / (s + 0.33) for s in (v_low, v))
     b = 0.45 * v / (v + 0.09)

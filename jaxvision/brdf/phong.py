@@ -1,6 +1,7 @@
 """Phong: an ideal diffuse part plus a power of the cosine to the mirror direction.
 
-Three records share the lobe [cos theta_s]+^n and differ in its factor:
+Three records have the lobe max(cos(theta_s), 0)^n, where theta_s is the angle to the mirror
+direction, and multiply it by different factors:
 
     record             specular term of f_r         ... of the shading, f_r cos(theta_i)
     Phong              k_s lobe / cos(theta_i)      k_s lobe                the textbook's SHADING
@@ -8,13 +9,13 @@ Three records share the lobe [cos theta_s]+^n and differ in its factor:
                                                                             a BRDF
     NormalisedPhong    k_s (n + 2) / (2 pi) lobe    that times cos(theta_i)
 
-To convert shading into a BRDF, divide the specular term by the cosine of incidence; k_d, which is
-albedo / pi, is the same in all three. Phong is neither reciprocal nor bounded: under a grazing
-light it reflects more than it receives. PhongBRDF is reciprocal, and conserves energy if and only
-if pi k_d + 2 pi k_s / (n + 2) <= 1. NormalisedPhong (Lafortune & Willems,
-"Using the Modified Phong Reflectance Model for Physically Based Rendering", 1994) is reciprocal,
-and its albedo is at most pi k_d + k_s, reached along the normal. Local frame, normal = +z; angles
-in radians.
+To convert shading into a BRDF, divide the specular term by the cosine of incidence. The diffuse
+coefficient k_d, which is albedo / pi, is the same in all three. Phong is neither reciprocal nor
+bounded: it reflects more light than it receives if the light is grazing. PhongBRDF is reciprocal,
+and conserves energy if and only if pi k_d + 2 pi k_s / (n + 2) <= 1. NormalisedPhong (Lafortune &
+Willems, "Using the Modified Phong Reflectance Model for Physically Based Rendering", 1994) is
+reciprocal, and its albedo is at most pi k_d + k_s, reached along the normal. Local frame, normal =
++z; angles in radians.
 """
 
 import jax.numpy as jnp
@@ -35,7 +36,8 @@ from ._lobe import PowerLobe, about, lobe_integrals, log_cosine, mirrored, where
 
 
 class Phong(PowerLobe):
-    """Phong SHADING: k_d cos+ + k_s cos(theta_s) ** exponent, no cosine on the specular term.
+    """Phong's SHADING, k_d cos(theta_i) + k_s cos(theta_s) ** exponent, without a cosine in the
+    specular term.
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
@@ -53,7 +55,8 @@ class Phong(PowerLobe):
 
 
 class PhongBRDF(PowerLobe):
-    """The BRDF k_d + k_s cos(theta_s) ** exponent.
+    """A material with the BRDF k_d + k_s cos(theta_s) ** exponent, where theta_s is the angle to
+    the mirror direction.
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
@@ -70,8 +73,9 @@ class PhongBRDF(PowerLobe):
 
 
 class NormalisedPhong(PowerLobe):
-    """The BRDF k_d + k_s (n + 2) / (2 pi) cos(theta_s) ** n, which conserves energy. The lobe's
-    albedo is k_s along the normal, and less elsewhere, because the horizon cuts the lobe.
+    """A material with the BRDF k_d + k_s (n + 2) / (2 pi) cos(theta_s) ** n, whose lobe conserves
+    energy. The lobe's albedo is k_s along the normal, and less elsewhere, because the horizon cuts
+    the lobe.
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
@@ -90,7 +94,7 @@ class NormalisedPhong(PowerLobe):
 
 @takes_numbers
 def phong_lobe(log_cos_mirror: Scalars, exponent: Scalars) -> Scalars:
-    """Return the lobe max(cos(theta_s), 0) ** exponent, from the logarithm of the cosine.
+    """Return the Phong lobe max(cos(theta_s), 0) ** exponent, given the logarithm of cos(theta_s).
 
     Args:
         log_cos_mirror: (...) log of the cosine between view and mirror direction, <= 0, no unit,
@@ -160,22 +164,25 @@ def phong_shading(
 
 
 def power_direction(axis: Vector, exponent: Scalar, u: Float[Array, "2"]) -> Vec:
-    """Draw a unit direction with density `power_pdf` about an axis, from `u`, (2,) uniform in
-    [0, 1): cos(alpha) = (1 - u_0)^(1 / (n + 1))."""
+    """Draw a unit direction with density `power_pdf` about an axis, by `u`, (2,) uniform in [0, 1).
+    The angle alpha to the axis has cos(alpha) = (1 - u_0)^(1 / (n + 1)), where n is the
+    exponent."""
     return about(axis, -jnp.expm1(log1p(-u[0]) / (exponent + 1)), 2 * jnp.pi * u[1])
 
 
 def power_pdf(axis: Vector, w: Vector, exponent: Scalar) -> Scalar:
-    """Return the density of `power_direction`, (n + 1) / (2 pi) [cos alpha]+^n, () in sr^-1."""
+    """Return the density of the directions that `power_direction` draws, (n + 1) / (2 pi)
+    max(cos(alpha), 0)^n, () in sr^-1."""
     lobe = phong_lobe(log_cos_between(as_vec(axis), as_vec(w)), exponent)
     return (exponent + 1) / (2 * jnp.pi) * lobe
 
 
 def power_integrals(cos_axis: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
-    """Return the integrals of [cos alpha]+^n, without and with the factor cos(theta_i), over
-    directions above the horizon, () each in sr. If the horizon does not cut the lobe they are 2 pi
-    / (n + 1) and 2 pi cos_axis / (n + 2). The quadrature covers 8.5 widths of the lobe; its
-    relative error is 1e-10 for n >= 2, and up to 2e-5, 3e-6, 3e-9 at n = .1, .5, 1.5."""
+    """Return the integrals of max(cos(alpha), 0)^n, without and with the factor cos(theta_i), over
+    directions above the horizon, () each in sr. alpha is the angle to the lobe's axis. If the
+    horizon does not cut the lobe, the integrals are 2 pi / (n + 1) and 2 pi cos_axis / (n + 2). The
+    quadrature covers 8.5 widths of the lobe; its relative error is 1e-10 for n >= 2, and up to
+    2e-5, 3e-6, 3e-9 at n = .1, .5, 1.5."""
 
     def lobe(alpha: Scalars) -> Scalars:
         return phong_lobe(log_cosine(alpha), exponent)
@@ -204,7 +211,8 @@ def _power_slope(n: float) -> float:
 
 
 def _bound(x: Ends[Material], convention: Convention) -> Reflection:
-    """Bound k_s [cos theta_s]+^n; the smallest exponent gives the broadest lobe."""
+    """Return upper bounds on k_s max(cos(theta_s), 0)^n, for the smallest exponent, which gives the
+    broadest lobe."""
     n, top = least(x, "exponent"), largest(x, "exponent")
     scale = (top + 2) / (2 * np.pi) if convention == "normalised" else 1.0
     cosine = convention != "shading"

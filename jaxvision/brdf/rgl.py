@@ -1,21 +1,22 @@
-"""Materials of the EPFL RGL material database, in the adaptive form of the measurement.
+"""Materials of the EPFL RGL material database, in its adaptive parameterization.
 
-For each value (theta, phi) of one of its two directions, the measurement stores
+For each node (theta, phi) of the direction `wo`, a file stores the values in
 
     f_r cos(theta_i) = values(s) ndf(h) / (4 sigma(wo)),    s = vndf^-1(h)
 
-The unit square, with positions s, is warped onto the half vectors h by the material's own
-distribution of visible normals, so a small grid resolves narrow and wide lobes. `ndf` is the
-distribution of normals and sigma the projected area. `luminance` is the density of the reflected
-light over s. Warping uniform numbers by it and then by `vndf` samples the material. Source: Dupuy &
-Jakob, "An Adaptive Parameterization for Efficient Material Acquisition and Rendering", 2018,
-equations 6, 7 and 13.
+The material's distribution of visible normals, `vndf`, maps positions s of the unit square to half
+vectors h, so that a small grid resolves narrow and wide lobes. `ndf` is the distribution of facet
+normals, and sigma the projected area of the facets. `luminance` is the density of the reflected
+light over s. To sample the material, uniform numbers are mapped to positions s by `luminance`, and
+these to half vectors by `vndf`. Source: Dupuy & Jakob, "An Adaptive Parameterization for Efficient
+Material Acquisition and Rendering", 2018, equations 6, 7 and 13.
 
-The tables are indexed by the angles of `wo` here, as in other renderers (a path starts at the eye
-and samples `wi`). The goniometer lit the sample from this direction, so reciprocity is assumed. The
-stored value contains the cosine of the OTHER direction, theta_i. `shading` is therefore the stored
-value, and `evaluate` divides it by cos(theta_i). Elevations go up to pi / 2. Negative stored values
-(colours out of gamut) count as 0. Units: radiance ratios in sr^-1, angles in radians.
+The angles of the tables are those of `wo` here, as in other renderers, because a path starts at the
+eye and samples `wi`. The goniometer illuminated the sample from the tabulated direction, so this
+assumes reciprocity. A stored value contains the cosine of the OTHER direction, theta_i. `shading`
+therefore returns the stored value, and `evaluate` divides it by cos(theta_i). Polar angles extend
+to pi / 2. Negative stored values (colours out of gamut) count as 0. Units: radiance ratios in
+sr^-1, angles in radians.
 """
 
 import equinox as eqx
@@ -107,8 +108,8 @@ def rgl_material(
     scaled: bool = True,
     symmetry: int = 1,
 ) -> RGL:
-    """Make the record from a file's tables, angles in rad, with `vndf` and `luminance` as densities
-    over the unit square that are not normalised."""
+    """Make an `RGL` material from the tables of a file, with angles in rad. `vndf` and `luminance`
+    are densities over the unit square, which need not be normalised."""
     return RGL(
         theta,
         phi,
@@ -124,7 +125,8 @@ def rgl_material(
 
 
 def _unfold(material: RGL, wi: Vec, wo: Vec) -> tuple[Vec, Vec]:
-    """Rotate or mirror both directions together so that `wo` falls in the tabulated sector."""
+    """Rotate or mirror `wi` and `wo` together so that `wo` is in the tabulated sector of
+    azimuths."""
 
     def flip(w: Vec) -> Vec:
         y = jnp.where(wo.y > 0, -w.y, w.y)
@@ -135,8 +137,9 @@ def _unfold(material: RGL, wi: Vec, wo: Vec) -> tuple[Vec, Vec]:
 
 
 def _seen_from(material: RGL, wo: Vec) -> tuple[Slices, Scalar, Square]:
-    """Return, for `wo`, the slices of the tables, the azimuth from which half vectors count, and
-    the position in the square of directions."""
+    """Return three values for the viewing direction `wo`: the interpolation weights of the
+    tabulated directions, the azimuth to which half vectors are relative, and the position of `wo`
+    in the unit square of directions."""
     theta, phi = elevation(wo), azimuth(wo)
     origin = phi if len(material.phi) <= 2 else jnp.zeros_like(phi)
     place = elevation_to_unit(theta), azimuth_to_unit(phi)
@@ -165,8 +168,8 @@ def _reflected_by(
 
 
 def shading(material: RGL, wi: Direction, wo: Direction) -> Colour:
-    """Return f_r cos(theta_i), (bands,) in sr^-1, which is the tabulated quantity. It is 0 if
-    either direction is below the surface. `wi`, `wo`: unit, local frame.
+    """Return f_r cos(theta_i), the tabulated quantity, (bands,) in sr^-1; 0 if either direction is
+    below the surface. `wi`, `wo`: unit, local frame.
     """
     wi, wo = as_vec(wi), as_vec(wo)
     height = jnp.minimum(wi.z, wo.z)
@@ -186,8 +189,8 @@ def evaluate(material: RGL, wi: Direction, wo: Direction) -> Colour:
 
 
 def sample(material: RGL, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """Draw a unit local direction in proportion to the luminance reflected toward `wo`, by two of
-    the numbers `u`, (3,) uniform in [0, 1). A direction below the surface (at the edge of the
+    """Draw a unit local direction in proportion to the luminance reflected toward `wo`, by the
+    first two of the uniform numbers `u`, (3,). A direction below the surface (at the edge of the
     tables) reflects nothing."""
     wo = as_vec(wo)
     _, turned = _unfold(material, wo, wo)
@@ -199,8 +202,8 @@ def sample(material: RGL, wo: Direction, u: Float[Array, "3"]) -> Vec:
 
 
 def pdf(material: RGL, wi: Direction, wo: Direction) -> Scalar:
-    """Return the density of `sample`, sr^-1, over the whole sphere. It is 0 for `wo` below the
-    surface.
+    """Return the density of the directions that `sample` draws, in sr^-1 over the whole sphere; 0
+    if `wo` is below the surface.
     """
     wi, wo = _unfold(material, as_vec(wi), as_vec(wo))
     at, origin, _ = _seen_from(material, wo)
@@ -216,8 +219,8 @@ def pdf(material: RGL, wi: Direction, wo: Direction) -> Scalar:
 def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
     """Return the share of uniform surrounding light that is reflected to `wo`, (bands,), no unit.
 
-    It is the hemisphere integral of f_r cos(theta_i) by the midpoint rule with order x order nodes
-    on the square s, where `vndf` has flattened the lobe.
+    The integral of f_r cos(theta_i) over the hemisphere is computed by the midpoint rule with order
+    x order nodes in s. In this variable the integrand is smooth, because `vndf` maps s to the lobe.
     """
     wo = as_vec(wo)
     _, turned = _unfold(material, wo, wo)

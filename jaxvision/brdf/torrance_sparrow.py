@@ -1,22 +1,22 @@
-"""Torrance-Sparrow: a rough surface of tiny mirrors over an ideal diffuse part.
+"""The Torrance-Sparrow model: microfacets that are tiny mirrors, plus an ideal diffuse part.
 
     f_r = k_d + k_s F(wo.h) D(h) G(wi, wo) / (4 cos(theta_i) cos(theta_o))
 
-The model is complete: D is a normalised distribution of the half vector h, G masking and shadowing,
-F the exact Fresnel reflectance. (The textbook's Gaussian of the mirror angle with the same name is
+D is a normalised distribution of the half vector h, G the masking and shadowing, and F the exact
+Fresnel reflectance. (Textbooks also give this name to the Gaussian of the mirror angle in
 `gaussian_lobe`.) The model is reciprocal. Light that bounces between facets is lost, so even with F
 = 1 the lobe's albedo falls below 1 for rougher surfaces, unless `multiple_scattering` adds
 
     k_s F_m L_i L_o / (pi L)    F_m = F^2 (1 - L) / (1 - F L)
 
-where L_i and L_o are the shares that white facets lose for the two directions. L and F are here the
-means of L_o and of the reflectance under uniform light (Kulla & Conty, "Revisiting Physically Based
-Shading at Imageworks", SIGGRAPH 2017 courses). White facets then reflect all light to within 1e-3.
-k_d is not reduced by the interface's reflection (`coated` does that), so the only bound is albedo
-<= pi k_d + k_s. A bright body under glass may exceed 1 at grazing angles: pi k_d = 0.9, k_s = 1,
-eta = 1.5, alpha = 0.1 reflects 0.94, 0.99, 1.14, 1.25, 1.28 at cos(theta_o) = 1, 0.5, 0.2, 0.05,
-0.02. Local frame, normal = +z. Sources: Torrance & Sparrow, JOSA 57(9) (1967); Cook & Torrance, ACM
-TOG 1(1) (1982); see `microfacet` and `fresnel` for the parts.
+where L_i and L_o are the shares of light that white facets lose for the two directions. L and F are
+the means of L_o and of the Fresnel reflectance under uniform light (Kulla & Conty, "Revisiting
+Physically Based Shading at Imageworks", SIGGRAPH 2017 courses). White facets then reflect all light
+to within 1e-3. k_d is not reduced by the interface's reflection (`coated` does that), so the only
+bound is albedo <= pi k_d + k_s. A bright body under glass may exceed 1 at grazing angles: pi k_d =
+0.9, k_s = 1, eta = 1.5, alpha = 0.1 reflects 0.94, 0.99, 1.14, 1.25, 1.28 at cos(theta_o) = 1, 0.5,
+0.2, 0.05, 0.02. Local frame, normal = +z. Sources: Torrance & Sparrow, JOSA 57(9) (1967); Cook &
+Torrance, ACM TOG 1(1) (1982); see `microfacet` and `fresnel` for the parts.
 """
 
 from dataclasses import replace
@@ -100,7 +100,7 @@ ROUGHEST = 3.0  # largest alpha, with facets inclined by 72 degrees; measured on
 
 
 class TorranceSparrow(Material):
-    """k_d plus k_s times the microfacet lobe.
+    """A material with the BRDF k_d plus k_s times a microfacet lobe.
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1.
@@ -170,8 +170,8 @@ def _alpha(material: TorranceSparrow) -> Alpha:
 
 
 def microfacet_lobe(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
-    """Return F D G / (4 cos(theta_i) cos(theta_o)), (bands,) or (1,), in sr^-1, without k_s; 0 if
-    either direction lies below the surface."""
+    """Return the microfacet lobe F D G / (4 cos(theta_i) cos(theta_o)) without k_s, (bands,) or
+    (1,) in sr^-1; 0 if either direction lies below the surface."""
     h, alpha = half_vector(wi, wo), _alpha(material)
     facets = normal_distribution(h, alpha, distribution=material.distribution)
     seen = visibility(
@@ -194,13 +194,13 @@ def evaluate(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
 
 
 def _lost(material: TorranceSparrow, w: Direction) -> Scalar:
-    """Return L_i or L_o, the share that white facets lose for one direction, no unit."""
+    """Return the share of light that white facets lose for the direction `w`, no unit."""
     return lost(as_vec(w).z, material.roughness, material.distribution)
 
 
 def _returned(material: TorranceSparrow) -> Colour:
-    """Return F_m / (pi L), (bands,) or (1,), sr^-1, with L at least `LEAST_LOSS` in the
-    denominator."""
+    """Return F_m / (pi L), the factor of the light from multiple scattering, (bands,) or (1,) in
+    sr^-1. L in the denominator is at least `LEAST_LOSS`."""
     mean = mean_lost(material.roughness, material.distribution)
     share = 1 / (jnp.pi * jnp.maximum(mean, LEAST_LOSS))
     if material.interface is None:
@@ -210,10 +210,10 @@ def _returned(material: TorranceSparrow) -> Colour:
 
 
 def _cavity_facet(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """Draw the normal of a groove side that is visible from `wo`: first a groove in proportion to
-    its area, then one of its two sides in proportion to its area projected toward `wo`. Source:
-    Heitz & d'Eon, "Importance Sampling
-    Microfacet-Based BSDFs using the Distribution of Visible Normals", CGF 33(4) (2014)."""
+    """Draw the normal of a side of a v-shaped groove that is visible from `wo`. First a groove is
+    drawn in proportion to its area, then one of its two sides in proportion to the side's area
+    projected toward `wo`. Source: Heitz & d'Eon, "Importance Sampling Microfacet-Based BSDFs using
+    the Distribution of Visible Normals", CGF 33(4) (2014)."""
     match material.distribution:
         case "ggx":
             squared = u[0] / (1 - u[0])
@@ -230,8 +230,9 @@ def _cavity_facet(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]
 
 
 def _cavity_pdf(material: TorranceSparrow, wi: Direction, wo: Direction) -> Scalar:
-    """Return the density in sr^-1 of `wo` mirrored about a normal from `_cavity_facet`: D G1 / (4
-    cos(theta_o)) with G1 = min(1, 2 h.z cos(theta_o) / wo.h)."""
+    """Return the density, in sr^-1, of the direction `wo` mirrored about a normal that
+    `_cavity_facet` draws. The density is D G1 / (4 cos(theta_o)), where G1 = min(1, 2 h.z
+    cos(theta_o) / wo.h)."""
     h = half_vector(wi, wo)
     facets = normal_distribution(h, _alpha(material), distribution=material.distribution)
     seen = jnp.maximum(as_vec(wo).z, dot(as_vec(wo), h) / (2 * divisor(h.z)))
@@ -252,8 +253,9 @@ def sample(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Ve
     """Draw a unit direction: cosine-distributed about the normal, or `wo` mirrored by a visible
     facet.
 
-    f_r cos / pdf of the lobe is at most k_s F for v-cavities and for Smith's GGX facets, and at
-    most 2.7 k_s F for Smith's Beckmann facets, which are sampled as GGX.
+    The weight f_r cos(theta_i) / pdf of the lobe is at most k_s F for v-cavities and for GGX facets
+    with Smith's shadowing. It is at most 2.7 k_s F for Beckmann facets with Smith's shadowing,
+    which are sampled as GGX.
     """
     part = _diffuse_part(material, wo)
     match material.shadowing:
@@ -280,16 +282,16 @@ _WIDEST = 6.5  # slope, in units of alpha; only 1e-18 of a Beckmann surface's ar
 
 
 def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
-    """Return pi k_d + k_s times the lobe's albedo, (bands,), no unit. The lobe's albedo has an
-    error of 4e-4 for every roughness and view, and 1e-4 for Smith's facets where cos(theta_o) >
-    0.1.
+    """Return the albedo, pi k_d + k_s times the lobe's albedo, (bands,), no unit. The lobe's albedo
+    has an error of at most 4e-4 for every roughness and view, and of at most 1e-4 with Smith's
+    shadowing where cos(theta_o) > 0.1.
 
     The lobe's albedo is the mean of F G wo.h / (h.z cos(theta_o)) over the slopes of facets that
-    mirror light from above. In units of alpha a slope is r (cos psi, sin psi), with psi from the
-    viewer's azimuth. Along r the horizon is the positive root of a quadratic, where the quadrature
-    ends. It has 32 Gauss-Legendre nodes in r and 32 in each half turn of psi. They are denser near
-    psi = pi / 2, where the root changes fast at a grazing view. The largest error comes from the
-    kink of a v-cavity's min.
+    mirror light from above. In units of alpha a slope is r (cos psi, sin psi), where psi is
+    relative to the viewer's azimuth. The quadrature over r ends at the horizon, which is the
+    positive root of a quadratic equation. There are 32 Gauss-Legendre nodes in r and 32 in each
+    half turn of psi. The nodes in psi are denser near pi / 2, where the root changes fast at a
+    grazing view. The largest error comes from the kink of the minimum in G of a v-cavity.
     """
     viewer, alpha = as_vec(wo), _alpha(material)
     cos_o = divisor(viewer.z)
@@ -301,7 +303,8 @@ def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
     ahead_y = divide(lean.y, steep, where=tilted)
 
     def towards_light(r: Scalar, k: Scalar, slope: Vec, squared: Scalar) -> Colour:
-        """Return F G wo.h / (h.z cos(theta_o)) for the facet with slope r times `slope`."""
+        """Return F G wo.h / (h.z cos(theta_o)) for the facet whose slope is r times the vector
+        `slope`."""
         facing = cos_o + r * k  # wo.h / h.z
         h_z = 1 / jnp.sqrt(1 + r * r * squared)
         h = Vec(r * slope.x * h_z, r * slope.y * h_z, h_z)
@@ -315,7 +318,7 @@ def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
         return reflectance * (4 * facing * cos_i * seen)
 
     def ray(cos_psi: Scalar, sin_psi: Scalar) -> Colour:
-        """Return the integral over r, from the normal to the horizon."""
+        """Return the integral over the length r of the slope, from the normal to the horizon."""
         slope = Vec(
             alpha[0] * (cos_psi * ahead_x - sin_psi * ahead_y),
             alpha[1] * (cos_psi * ahead_y + sin_psi * ahead_x),
@@ -354,15 +357,15 @@ def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
 
 
 def _bound(x: Ends[TorranceSparrow]) -> Reflection:
-    """Bound k_s F D V cos(theta_i), with V = G / (4 cos(theta_i) cos(theta_o)) and each factor at
-    its largest over the angles of a cell.
+    """Return upper bounds on k_s F D V cos(theta_i), where V = G / (4 cos(theta_i) cos(theta_o)).
+    Each factor is replaced by its largest value over the angles of a cell.
 
     D = (1 + t)^2 / (pi ax ay (1 + t / a^2)^2) for GGX, with exp(-t / a^2) in place of the quotient
-    for Beckmann; t is tan^2 of the half vector's angle. Smith: V cos_i <= 1 / (4 (c_o + H_o)), with
-    c_o + H_o = (c_o + sqrt(c_o^2 + a^2 s_o^2)) / 2 for GGX and at least max(c_o, a s_o / (2 sqrt
-    pi)) for Beckmann. V-cavity: V cos_i <= 1 / (4 max(c_o, d^2 / (c_i + c_o))). The integral is at
-    most 1, because facets only lose light. The light between facets is at most its largest value
-    over a grid of cosines, times cos_i.
+    for Beckmann; t is the squared tangent of the half vector's polar angle. Smith: V cos_i <= 1 /
+    (4 (c_o + H_o)), with c_o + H_o = (c_o + sqrt(c_o^2 + a^2 s_o^2)) / 2 for GGX and at least
+    max(c_o, a s_o / (2 sqrt pi)) for Beckmann. V-cavity: V cos_i <= 1 / (4 max(c_o, d^2 / (c_i +
+    c_o))). The integral of the lobe is at most 1, because facets never add light. The term of
+    multiple scattering is at most cos_i times its largest value over a grid of cosines.
     """
     wide = max(largest(x, "roughness"), LEAST_ROUGHNESS)
     small = np.min([np.broadcast_to(numbers(end.roughness), (2,)) for end in x], axis=0)
@@ -410,8 +413,9 @@ def _bound(x: Ends[TorranceSparrow]) -> Reflection:
 
 
 def _largest_returned(x: Ends[TorranceSparrow]) -> float:
-    """Return the largest F_m L_i L_o / (pi L) for roughnesses between the two ends, sr^-1. It is
-    evaluated at some roughnesses and enlarged by 5 % for those between."""
+    """Return an upper bound on the multiple-scattering term F_m L_i L_o / (pi L) for roughnesses
+    between the two ends, in sr^-1. The term is evaluated at several roughnesses and enlarged by 5 %
+    to cover those in between."""
     if x.low.multiple_scattering is None:
         return 0.0
     ends = [float(np.clip(numbers(end.roughness), SMOOTHEST, 1)) for end in x]
