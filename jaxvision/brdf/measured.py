@@ -216,9 +216,9 @@ def tabulate_sampler(
     material: Table, *, thetas: int = 16, phis: int = 1, rows: int = 33, columns: int = 91
 ) -> Table:
     """Return the table with a sampler that draws directions in proportion to its shading, averaged
-    over bands. The sampler is tabulated at `thetas` polar angles and `phis` azimuths of `wo`, and
-    at rows x columns half vectors; all four numbers are static. Without a sampler, `sample` draws
-    cosine-distributed directions."""
+    over bands. The sampler is tabulated at `thetas` polar angles and `phis` azimuths of `wo`,
+    equally spaced in rad, and at rows x columns half vectors; all four numbers are static. Without
+    a sampler, `sample` draws cosine-distributed directions."""
     dtype = jnp.result_type(*jax.tree.leaves(material))
     theta = jnp.linspace(0, 0.999 * jnp.pi / 2, thetas, dtype=dtype)
     phi = jnp.linspace(-jnp.pi, jnp.pi, phis, dtype=dtype) if phis > 1 else jnp.zeros(1, dtype)

@@ -1,9 +1,11 @@
-"""Light sources, one file for each kind: its record, and the light from it at a point.
+"""Light sources: each file contains the record of one kind of light, and computes its light at a
+point.
 
-A light without size sends one `Incident` to a point. An extended light is a map of the unit square
-onto its directions, and a rule (`Quadrature`, `MonteCarlo`, `Balanced`) gives the sample points.
-The sum over the samples is the light. For ONE point; the caller vmaps. A new type of light needs
-one file, which ends in `register` or `register_extended`; a user's own file may do the same.
+At a point, a light without size gives one `Incident`. An extended light maps the unit square to its
+directions, and a sampling rule (`Quadrature`, `MonteCarlo`, `Balanced`) chooses points of the
+square. The sum over these samples is the light. All functions are for one point; use `jax.vmap` for
+many. A new kind of light needs one file, which ends with a call of `register` or
+`register_extended`. Users can register their own lights in the same way.
 """
 
 from ..core.lazy_names import names_of

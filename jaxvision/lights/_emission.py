@@ -1,7 +1,7 @@
-"""Emission: rays drawn from a light, each with its flux.
+"""Random rays that leave a light, each with its flux, for light tracing.
 
-The mean of any quantity of a ray, weighted by `flux`, over the uniform numbers estimates the
-contribution of the whole light. Flux in W, lengths in m. For ONE ray; the caller vmaps.
+The expectation of `flux` times any quantity of a ray is the contribution of the whole light to that
+quantity. Flux is in W, lengths are in m. All functions are for one ray; use `jax.vmap` for many.
 """
 
 import jax.numpy as jnp
@@ -84,8 +84,8 @@ def emitted_from_surface(
     two_sided: Bool[Array, ""] | bool = False,
 ) -> Emitted:
     """Draw a ray from a surface of area A and uniform radiance L, uniform by area and
-    cosine-distributed about the normal. Its flux is pi A L. A two-sided surface emits as much from
-    its back, so the flux is doubled, and half of the rays leave from each side.
+    cosine-distributed about the normal. The flux of the ray is pi A L. A two-sided surface emits
+    the same light from its back: the flux is doubled, and half of the rays leave from each side.
 
     Args:
         shape: the surface, bounded.
@@ -108,8 +108,9 @@ def emitted_from_surface(
 
 
 def _emit_from_afar(around: Ball, arriving: Incident, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray uniformly through the disc of radius R that covers the scene, perpendicular to the
-    light's direction. Its flux is E pi R^2, with the irradiance E."""
+    """Draw a ray from a light at infinity, uniformly through a disc of radius R that covers the
+    scene and is perpendicular to the light's direction. The flux of the ray is E pi R^2, where E is
+    the irradiance."""
     toward = as_vec(arriving.direction)
     radius, phi = around.radius * safe_sqrt(u[0]), 2 * jnp.pi * u[1]
     aside = Vec(radius * jnp.cos(phi), radius * jnp.sin(phi), around.radius)

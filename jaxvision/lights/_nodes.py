@@ -1,5 +1,5 @@
-"""Nodes in the unit square and their weights. Fixed nodes are NumPy float64, computed during
-tracing."""
+"""Nodes of quadrature rules in the unit square, with their weights. Fixed nodes are NumPy float64
+arrays, computed while JAX traces a function."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,8 @@ from ..core._types import Key
 def product(
     u: tuple[np.ndarray, np.ndarray], v: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the product of two one-dimensional rules: nodes (n, 2) and weights (n,), no unit."""
+    """Return the product rule of two one-dimensional quadrature rules: nodes (n, 2) and weights
+    (n,), no unit."""
     nodes = np.stack(np.meshgrid(u[0], v[0], indexing="ij"), axis=-1).reshape(-1, 2)
     return nodes, np.outer(u[1], v[1]).reshape(-1)
 
@@ -41,7 +42,8 @@ def square_nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
 def shifted_lattice(
     key: Key, samples: int, dtype: DTypeLike
 ) -> tuple[Float[Array, "samples 2"], Float[Array, " samples"]]:
-    """Return evenly spread points of [0, 1)^2, each of which is uniformly distributed.
+    """Return the points of a randomly shifted lattice in [0, 1)^2. The points cover the square
+    evenly, and each of them is uniformly distributed.
 
     Args:
         key: random key of the shift.

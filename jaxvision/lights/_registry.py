@@ -1,7 +1,7 @@
-"""The table of lights, with the registered functions of each kind.
+"""The registry of lights: the functions of each class of light.
 
-A light without size (a point, a direction) registers `incident`. An extended light registers its
-appearance along a ray, and maps of the unit square onto its directions.
+A light without size (a point or a direction) registers `incident`. An extended light registers
+`seen`, its radiance along a ray, and `sample`, a map from the unit square to directions.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,7 +21,7 @@ from ._nodes import square_nodes
 
 
 class Incident(Shown):
-    """Light at a point from one direction.
+    """The light that arrives at a point from one direction.
 
     Attributes:
         direction: (3,) unit, from the point toward the light.
@@ -43,7 +43,7 @@ class Incident(Shown):
 
 
 class Seen(Shown):
-    """The extended light that a ray sees.
+    """The radiance of an extended light along a ray, and the distance to the light.
 
     Attributes:
         distance: () m along the ray to the light; inf for a light at infinity or a miss.
@@ -55,7 +55,7 @@ class Seen(Shown):
 
 
 class Emitted(Shown):
-    """A ray that leaves a light.
+    """A ray that leaves a light, with its flux.
 
     Attributes:
         ray: the ray, away from the light; its origin in m.
@@ -72,7 +72,7 @@ Bound = Callable[[Ends], Source]
 
 
 class Discrete(NamedTuple):
-    """The registered functions of a light without size. `register` describes them."""
+    """The registered functions of a light without size, which `register` describes."""
 
     incident: Callable[..., Incident]
     emitted: Callable[..., Emitted] | None
@@ -81,7 +81,7 @@ class Discrete(NamedTuple):
 
 
 class Extended(NamedTuple):
-    """The registered functions of an extended light. `register_extended` describes them."""
+    """The registered functions of an extended light, which `register_extended` describes."""
 
     seen: Callable[..., Seen]
     sample: Callable[..., Incident]
@@ -117,7 +117,7 @@ def register(
     word: str | None = None,
     from_file: Callable[..., Any] | None = None,
 ) -> None:
-    """Register a light that reaches a point from one direction, for use in all integrators.
+    """Register a class of lights that reach a point from one direction, for use in all integrators.
 
     Args:
         light: the class of the light.
@@ -150,7 +150,8 @@ def register_extended(
     word: str | None = None,
     from_file: Callable[..., Any] | None = None,
 ) -> None:
-    """Register a light that reaches a point from many directions, for use in all integrators.
+    """Register a class of lights that reach a point from many directions, for use in all
+    integrators.
 
     Args:
         light: the class of the light.
@@ -190,7 +191,7 @@ def kind_of(light: Light) -> Discrete | Extended:
 
 
 def can_be_seen(light: Light) -> bool:
-    """Whether a ray can hit a light: points and directions have no size.
+    """Return whether a ray can hit a light, which lights without size (points, directions) exclude.
 
     Args:
         light: any registered light.
@@ -206,7 +207,8 @@ def can_be_seen(light: Light) -> bool:
 
 
 def extended_kind(light: Light) -> Extended:
-    """Return the functions of an extended light. Raise `ValueError` for a light without size."""
+    """Return the registered functions of an extended light. Raise `ValueError` for a light without
+    size."""
     kind = kind_of(light)
     if isinstance(kind, Discrete):
         raise ValueError(f"an extended light is needed, got {type(light).__name__}.")

@@ -1,4 +1,4 @@
-"""Sampling of lights by rules, one node at a time, for a loop over samples."""
+"""Sample lights at the nodes of a sampling rule, one node at a time, for a loop over samples."""
 
 from collections.abc import Sequence
 from functools import reduce
@@ -57,7 +57,7 @@ def light_nodes(
 def incident_sample(
     light: Light, rule: Rule, point: Vector, u: Float[Array, "2"], weight: Scalar
 ) -> Incident:
-    """Return the light that reaches a point from one node of `light_nodes`.
+    """Return the light that reaches a point from one node of a sampling rule (`light_nodes`).
 
     Args:
         light: any registered light.
@@ -84,7 +84,7 @@ def incident_sample(
 
 
 def rule_for(rule: AnyRule, number: Integer[Array, ""]) -> AnyRule:
-    """Return the rule for one of many points, each with its own random samples.
+    """Return a sampling rule whose random samples are specific to one of many points.
 
     Args:
         rule: sampling rule for all points.
@@ -101,7 +101,8 @@ def rule_for(rule: AnyRule, number: Integer[Array, ""]) -> AnyRule:
 def rules_of(
     scene: Scene, rule: Rule, *, numbers: Sequence[Array] = (), count: int | None = None
 ) -> tuple[Rule, ...]:
-    """Return the sampling rule of each light of a scene: its own from `Scene.rules`, else `rule`.
+    """Return the sampling rule of each light of a scene: the light's entry in `Scene.rules`, or
+    `rule` if it has none.
 
     Args:
         scene: gives the lights, and their rules if they have any.
@@ -130,7 +131,7 @@ def rules_of(
 
 
 def rule_of_each(lights: Sequence[Light], rule: Rule | Sequence[Rule]) -> tuple[Rule, ...]:
-    """Return one rule for each light.
+    """Return one sampling rule for each light.
 
     Args:
         lights: any lights.
@@ -159,7 +160,7 @@ def rule_of_each(lights: Sequence[Light], rule: Rule | Sequence[Rule]) -> tuple[
 def lights_by_rule(
     lights: Sequence[Light], rules: Sequence[Rule]
 ) -> list[tuple[tuple[int, ...], Light, Rule]]:
-    """Stack the lights that have the same structure and the same rule.
+    """Stack the lights that have the same structure and the same sampling rule.
 
     Args:
         lights: any lights.
@@ -175,7 +176,7 @@ def lights_by_rule(
 def split_by_rule(
     members: tuple[int, ...], group: Any, rules: Sequence[AnyRule]
 ) -> list[tuple[tuple[int, ...], Any, AnyRule]]:
-    """Divide a stack of sources into parts that share a rule.
+    """Divide a stack of sources into parts whose members have the same sampling rule.
 
     Args:
         members: indices of the sources in the scene.

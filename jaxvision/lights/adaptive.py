@@ -1,11 +1,11 @@
-"""The irradiance of a uniform rectangle on many receivers, by Gauss-Legendre quadrature whose order
-is selected at run time from the ratio of distance to size.
+"""The irradiance of a uniform rectangle on many receivers, by Gauss-Legendre quadrature. The order
+of the quadrature is selected at run time from the ratio of distance to size.
 
 On a receiver at distance d from an edge of length s, the error of n nodes per side is K rho^(-2 n)
-with rho = x + sqrt(1 + x^2) and x = 2 d / s. As a function of a complex position on the edge, the
+with rho = x + sqrt(1 + x^2) and x = 2 d / s. If positions on the edge are complex numbers, the
 integrand is singular where the distance is 0. rho is the sum of the half-axes of the largest
-ellipse around the edge in which the integrand is smooth (Trefethen, Approximation Theory and
-Approximation Practice, 2013, theorem 19.3). K was measured.
+ellipse, with foci at the ends of the edge scaled to [-1, 1], in which the integrand is analytic
+(Trefethen, Approximation Theory and Approximation Practice, 2013, theorem 19.3). K was measured.
 """
 
 import math
@@ -34,13 +34,13 @@ def adaptive_irradiance(
     *,
     tolerance: float = 1e-4,
 ) -> Float[Array, " receivers bands"]:
-    """Compute the irradiance on neighbouring receivers within a tolerance.
+    """Compute the irradiance of a rectangle on neighbouring receivers, within a tolerance.
 
     All receivers use the same number of nodes, the smallest that suffices for the receiver nearest
     to the light. All receivers use the closed form if the nearest receiver is too near the light
-    for quadrature, or if the light crosses the horizon of any receiver. For a large field, map this
-    function over tiles (`jax.lax.map`), so that each tile has its own rule. Under `vmap` all rules
-    are computed.
+    for quadrature, or if the light crosses the horizon of any receiver. For a large field of
+    receivers, map this function over tiles (`jax.lax.map`), so that each tile gets its own number
+    of nodes. Under `vmap`, quadratures of all orders are computed, which is slow.
 
     Args:
         light: the rectangle.
@@ -95,8 +95,8 @@ def _adaptive(light: RectangleLight, points: Vec, normals: Vec, tolerance: float
 
 
 def _rules(light: RectangleLight, points: Vec, normals: Vec, tolerance: float) -> Int[Array, "..."]:
-    """Return the rule that each receiver needs, as an index into `_ORDERS`; len(_ORDERS) stands for
-    the closed form."""
+    """Return the quadrature order that each receiver needs, as an index into `_ORDERS`. The index
+    len(_ORDERS) stands for the closed form."""
     u, v = as_vec(light.edge_u), as_vec(light.edge_v)
     apart = points - light.corner
     nearest = _nearest_offset(light, points)

@@ -1,4 +1,4 @@
-"""A source at infinity in one direction, such as the sun as a point."""
+"""A light at infinity in one direction, such as the sun if its size is neglected."""
 
 import equinox as eqx
 import numpy as np
@@ -13,7 +13,7 @@ from ._registry import Incident, register
 
 
 class DirectionalLight(Light):
-    """A source at infinity.
+    """A light at infinity, whose light is parallel.
 
     Attributes:
         direction: (3,) unit vector from the scene toward the light (its length is ignored).
@@ -36,14 +36,14 @@ class DirectionalLight(Light):
 
 
 def from_directional_light(light: DirectionalLight, point: Vector) -> Incident:
-    """Return the light at a point, which is the same everywhere: unit direction and irradiance,
-    (bands,) W m^-2, without a distance."""
+    """Return the light at any point: the unit direction and the irradiance, (bands,) W m^-2. The
+    distance is None."""
     del point
     return Incident(normalize(light.direction), light.irradiance)
 
 
 def _bound(light: Ends[DirectionalLight]) -> Source:
-    """Bound the light by its largest irradiance from a cone of directions."""
+    """Return upper bounds on the light: its largest irradiance, from a cone of directions."""
     low, high = numbers(light.low.direction), numbers(light.high.direction)
     points = unit(box_about(low, high))
     middle = unit(points.mean(0))

@@ -1,10 +1,10 @@
 """Light from infinitely far away, as a latitude-longitude picture of radiance.
 
-The picture shows the surroundings as seen from inside, with the zenith up. Row 0 looks to +z, the
-last row to -z, and the middle column to +x. Increasing columns turn clockwise as seen from above
-(+y is a quarter of the width left of the middle). Samples are at pixel centres. Between them the
-radiance is bilinear, also across the seam and the poles. Directions are unit vectors in the world.
-For ONE ray or point; the caller vmaps.
+The picture shows the surroundings as seen from inside, with the zenith at the top. Row 0 shows the
+direction +z, the last row -z, and the middle column +x. Increasing columns run clockwise as seen
+from above, so that +y is a quarter of the width left of the middle. Radiance is given at pixel
+centres and interpolated bilinearly between them, also across the seam and the poles. Directions are
+unit vectors in world coordinates. All functions are for one ray or point; use `jax.vmap` for many.
 """
 
 from typing import Annotated, Any
@@ -37,7 +37,7 @@ from ._registry import Incident, Seen, register_extended
 class EnvironmentMap(Light):
     """Radiance from all directions, infinitely far away.
 
-    `environment_map` makes it and computes the tables for sampling.
+    Use `environment_map` to make an environment from a picture, with the tables for sampling.
 
     Attributes:
         radiance: (h, w, bands) W m^-2 sr^-1.
@@ -68,7 +68,7 @@ class EnvironmentMap(Light):
 
 def environment_radiance(environment: EnvironmentMap, direction: Direction) -> Colour:
     """Return the radiance from a unit direction, (bands,) W m^-2 sr^-1, bilinear between pixels. At
-    a pole its gradient with respect to the azimuth is 0."""
+    a pole the gradient of the radiance with respect to the azimuth is 0."""
     row, column = _place(environment, _to_map(environment, direction))
     return _bilinear(environment.radiance, row, column)
 
@@ -76,8 +76,9 @@ def environment_radiance(environment: EnvironmentMap, direction: Direction) -> C
 def environment_sample(
     environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
-    """Draw a unit direction where the map is bright, by (2,) uniform numbers in [0, 1) for row and
-    column. Return it with the radiance divided by its density, (bands,) W m^-2."""
+    """Draw a unit direction in proportion to the radiance of the map, by `u`, (2,) uniform in [0,
+    1), for row and column. Return the direction, and the radiance divided by the density of the
+    direction, (bands,) W m^-2."""
     row, row_place = _invert(environment.rows, u[0])
     column, column_place = _invert(environment.columns[row], u[1])
     h, w, _ = environment.radiance.shape
@@ -93,7 +94,8 @@ def environment_sample(
 
 
 def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Direction) -> Scalar:
-    """Return the density of `environment_sample` toward a unit direction, () in sr^-1."""
+    """Return the density of the directions that `environment_sample` draws, at a unit direction, ()
+    in sr^-1."""
     del point
     h, w, _ = environment.radiance.shape
     row, column = _place(environment, _to_map(environment, wi))
@@ -103,36 +105,38 @@ def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Direction) -
 
 
 def environment_node(environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """Return, for quadrature, a unit direction that is uniform over the sphere for `u`, (2,) in
-    [0, 1], and 4 pi times its radiance, (bands,) W m^-2."""
+    """Map `u`, (2,) in [0, 1], to a unit direction, uniformly over the sphere, for quadrature.
+    Return the direction, and 4 pi times the radiance from there, (bands,) W m^-2."""
     direction = _direction(1 - 2 * u[0], u[1])
     radiance = _bilinear(environment.radiance, *_place(environment, direction))
     return Incident(_to_world(environment, direction, point), radiance * (4 * jnp.pi))
 
 
 def _radiance_along(environment: EnvironmentMap, ray: Ray) -> Seen:
-    """Return the radiance along a ray's direction, W m^-2 sr^-1, at an infinite distance."""
+    """Return the radiance of the environment along a ray, W m^-2 sr^-1, with an infinite
+    distance."""
     radiance = environment_radiance(environment, ray.direction)
     return Seen(jnp.full_like(ray.origin.x, jnp.inf), radiance)
 
 
 def _nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return `order` Gauss-Legendre nodes in cos(theta), times twice as many nodes of the trapezium
-    rule around the axis."""
+    """Return a product rule on the unit square: `order` Gauss-Legendre nodes in cos(theta), and 2
+    `order` nodes of the trapezium rule in the azimuth."""
     turns = 2 * order
     around = (np.arange(turns) + 0.5) / turns, np.full(turns, 1 / turns)
     return product(gauss_legendre(order), around)
 
 
 def _direction(cosine: Scalar, turn: Scalar) -> Vec:
-    """Return the direction in the map's axes with this cosine to the pole, at `turn` map widths
-    from the left edge."""
+    """Return the direction, in the map's axes, with this cosine to the pole and an azimuth of
+    `turn` map widths from the left edge."""
     sine, phi = safe_sqrt((1 - cosine) * (1 + cosine)), jnp.pi * (1 - 2 * turn)
     return Vec(sine * jnp.cos(phi), sine * jnp.sin(phi), cosine)
 
 
 def _place(environment: EnvironmentMap, direction: Vec) -> tuple[Scalar, Scalar]:
-    """Return (row, column) of a direction in the map's axes, whole numbers at pixel centres."""
+    """Return the (row, column) of a direction in the map's axes, as real numbers that are whole at
+    pixel centres."""
     h, w, _ = environment.radiance.shape
     x, y = direction.x, direction.y
     sine = safe_sqrt(x * x + y * y)
@@ -143,7 +147,8 @@ def _place(environment: EnvironmentMap, direction: Vec) -> tuple[Scalar, Scalar]
 
 
 def _bilinear(picture: Float[Array, "h w bands"], row: Scalar, column: Scalar) -> Colour:
-    """Interpolate bilinearly; a row continues beyond a pole half a turn away."""
+    """Interpolate a picture bilinearly. Beyond a pole, the picture continues in the columns half a
+    turn away."""
     h, w, _ = picture.shape
     above = jnp.floor(row)
     below_share = row - above
@@ -161,9 +166,10 @@ def _bilinear(picture: Float[Array, "h w bands"], row: Scalar, column: Scalar) -
 
 
 def _invert(cumulative: Float[Array, " n_1"], u: Scalar) -> tuple[Array, Scalar]:
-    """Return the cell that contains `u`, and the position in the cell as a fraction of its width.
-    The position is that of the middle of the float step of `u`, so that it is never a border, where
-    the density of another cell could be read."""
+    """Return the index of the cell of a cumulative distribution that contains `u`, and the position
+    in the cell as a fraction of its width. `u` stands for an interval between two floats, and the
+    position is the middle of the interval. A position is therefore never on a border, where the
+    density of the neighbouring cell could be used."""
     last = cumulative.shape[0] - 2
     cell = jnp.clip(jnp.searchsorted(cumulative, u, side="right") - 1, 0, last)
     start, end = cumulative[cell], cumulative[cell + 1]
@@ -180,14 +186,14 @@ def _to_map(environment: EnvironmentMap, direction: Direction) -> Vec:
 
 
 def _to_world(environment: EnvironmentMap, direction: Vec, point: Vector) -> Vector:
-    """Convert a direction to world coordinates, as an array or a `Vec` like the point."""
+    """Convert a direction to world coordinates, as an array or a `Vec`, whichever `point` is."""
     x, y, z = (as_vec(row) for row in environment.rotation)
     world = direction.x * x + direction.y * y + direction.z * z
     return as_array(world) if isinstance(point, Array) else world
 
 
 def _bound(light: Ends[EnvironmentMap]) -> Source:
-    """Bound the light by its largest radiance, and by the sum over all pixels of the largest
+    """Return upper bounds on the light: the largest radiance, and the integral of the largest
     radiance around each pixel."""
     radiance = np.maximum(*(np.abs(numbers(end.radiance)) for end in light))
     peak = radiance.reshape(-1, radiance.shape[-1]).max(0)

@@ -1,4 +1,4 @@
-"""How much of an environment's light a quadrature finds."""
+"""Compare the irradiance of an environment by a coarse quadrature with the true irradiance."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -34,7 +34,8 @@ class Found(NamedTuple):
     directions: int
 
     def sentence(self, name: str) -> str:
-        """What the quadrature finds of the light of this name."""
+        """Return the text of a warning about the environment called `name`: its true irradiance,
+        and the irradiance that the quadrature finds."""
         lost = self.found < self.true
         facing = ", ".join(f"{x:.2f}" for x in self.normal + 0.0)
         return (
@@ -47,8 +48,9 @@ class Found(NamedTuple):
 
 
 def found_by_quadrature(light: EnvironmentMap, rule: Quadrature) -> Found | None:
-    """Return what a quadrature finds of an environment, where that is far too little or too much
-    for the surface that it serves worst among seven; else None. The light is not traced."""
+    """Compare a quadrature of an environment with its true irradiance on seven surface
+    orientations. Return the worst case if its error is large, else None. The environment must not
+    be traced by JAX."""
     whole = _whole(light)
     brightest = whole[0][np.argmax(whole[1])]
     normals = np.concatenate([np.eye(3), -np.eye(3), brightest[None]])
@@ -64,8 +66,8 @@ def found_by_quadrature(light: EnvironmentMap, rule: Quadrature) -> Found | None
 
 
 def warn_of_skies(lights: Sequence[Light], rules: Sequence[Rule], cure: str) -> None:
-    """Warn of the first environment of known numbers of which its quadrature finds far too little
-    or too much. `cure`: a sentence."""
+    """Warn of the first environment whose quadrature has a large error; environments that JAX
+    traces are skipped. `cure` is a sentence that says what to do."""
     for i, (light, rule) in enumerate(zip(lights, rules, strict=True)):
         if not (isinstance(light, EnvironmentMap) and isinstance(rule, Quadrature)):
             continue
@@ -79,8 +81,8 @@ def warn_of_skies(lights: Sequence[Light], rules: Sequence[Rule], cure: str) -> 
 
 
 def _whole(light: EnvironmentMap) -> tuple[np.ndarray, np.ndarray]:
-    """Return world directions, (n, 3), and the irradiance from each, W m^-2, averaged over the
-    bands, of the whole environment."""
+    """Return the directions of all cells of an environment in the world, (n, 3), and the irradiance
+    from each, W m^-2, averaged over the bands."""
     radiance = np.asarray(light.radiance)
     rows, columns = (size * -(-_ROWS // radiance.shape[0]) for size in radiance.shape[:2])
     edges = np.cos(np.linspace(0, np.pi, rows + 1))
@@ -111,7 +113,7 @@ def _whole(light: EnvironmentMap) -> tuple[np.ndarray, np.ndarray]:
 def _arriving(
     light: EnvironmentMap, places: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the world directions of positions in the unit square, and the irradiance from each,
+    """Return the directions in the world of nodes in the unit square, and the irradiance from each,
     W m^-2, averaged over the bands."""
     sent = _nodes(light, jnp.asarray(places, light.radiance.dtype))
     amounts = np.asarray(sent.irradiance, float).mean(axis=-1) * weights

@@ -1,9 +1,9 @@
 """Tables for sampling an environment, computed once from its picture before rendering.
 
-A uniform random float32 is a multiple of its resolution, 2^-23. The entries of the tables are
-multiples of it too, and the density is computed from their differences. The density is therefore
-exactly that of the drawn samples, regardless of rounding. Even if the sun is 1e9 times brighter
-than the sky, every pixel of the sky is sampled.
+A uniform random float32 is a multiple of the resolution 2^-23. The cumulative probabilities in the
+tables are multiples of the resolution too, and the density is computed from their differences. The
+density is therefore exactly that of the drawn samples, without rounding errors. Every pixel of the
+sky can be drawn, even if the sun is 1e9 times brighter.
 """
 
 import jax
@@ -26,8 +26,9 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
 
     The probability of a pixel is proportional to the mean of the bilinear picture over the pixel
     and the bands, times the solid angle. If the picture is black, sampling is uniform over the
-    sphere. For a pixel with light, the probability of its row, and its own probability within the
-    row, are at least 16 times the resolution of the floats. Probabilities have no gradients.
+    sphere. For a pixel with light, the probability of the row, and the probability of the pixel
+    within the row, are at least 16 times the resolution of uniform random numbers. Probabilities
+    have no gradients.
 
     Args:
         radiance: (h, w, bands) W m^-2 sr^-1, >= 0.
@@ -68,7 +69,7 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
 def _tables(
     picture: Float[Array, "h w bands"],
 ) -> tuple[Float[Array, " h_1"], Float[Array, "h w_1"]]:
-    """Return the cumulative probabilities of the rows, and those of the columns in each row."""
+    """Return the cumulative probabilities of the rows, and of the columns within each row."""
     h, w, _ = picture.shape
     # Relative to the brightest pixel, so that sums stay within the range of a float. XLA divides by
     # multiplying with the inverse. Above 8.5e37 the inverse is no normal float32 and counts as 0,
@@ -91,9 +92,9 @@ def _density(rows: Float[Array, " h_1"], columns: Float[Array, "h w_1"]) -> Floa
 
 
 def _pixel_means(picture: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """Return the means of the bilinear picture over its pixels: a filter [1 6 1] / 8 along both
-    axes. They are positive wherever the bilinear picture is, so that every such place is
-    sampled."""
+    """Return the mean of the bilinear picture over each pixel, which is the filter [1 6 1] / 8
+    along both axes. The mean is positive wherever the bilinear picture is, so that no light is
+    missed."""
     w = picture.shape[1]
     near, far = picture[:1], picture[-1:]
     poles = [
@@ -105,8 +106,8 @@ def _pixel_means(picture: Float[Array, "h w"]) -> Float[Array, "h w"]:
 
 
 def _solid_angles(h: int, w: int) -> Float[np.ndarray, "h 1"]:
-    """Return the solid angle of a pixel in each row: the difference of cos(theta), 2 sin(middle)
-    sin(half a row), times the difference of phi."""
+    """Return the solid angle of a pixel in each row, in sr. It is the product of the difference of
+    cos(theta), written as 2 sin(middle) sin(half a row), and the difference of phi."""
     differences = 2 * np.sin(np.pi * (np.arange(h) + 0.5) / h) * np.sin(np.pi / (2 * h))
     return differences[:, None] * (2 * np.pi / w)
 

@@ -1,14 +1,15 @@
 """Lamps with a measured distribution of intensity, as in photometric files.
 
 The intensity is bilinear between the nodes of two angles, and 0 beyond the outermost nodes. In the
-lamp's own frame z is up, and x is the photometric horizontal. The system of planes, C, B or A,
-defines the two angles:
+lamp's own frame z is up, and x is the photometric horizontal. The two angles are defined by the
+photometric system of planes, C, B or A:
 
     C   vertical: from straight down, -z; horizontal: about z, counter-clockwise from above
     B   vertical: from the plane of y and z toward x; horizontal: about x, from -z toward -y
     A   vertical: from the plane of x and y up; horizontal: about z, clockwise from above
 
-Source: ANSI/IESNA LM-63-2002. Angles in rad. For ONE direction; the caller vmaps.
+Source: ANSI/IESNA LM-63-2002. Angles are in rad. All functions are for one direction; use
+`jax.vmap` for many.
 """
 
 from typing import Any, Literal
@@ -49,9 +50,10 @@ _TURN = 2 * np.pi
 
 
 class GoniometricLight(Light):
-    """A lamp with a measured distribution of intensity, small compared with all distances.
+    """A lamp with a measured distribution of intensity, whose size is small compared with all
+    distances.
 
-    `goniometric_light` makes it from the contents of a photometric file.
+    Use `goniometric_light` to make this lamp from the contents of a photometric file.
 
     Attributes:
         position: (3,) m.
@@ -87,11 +89,12 @@ class GoniometricLight(Light):
 
 
 class GoniometricAreaLight(Light):
-    """A flat lamp with a measured distribution of intensity, whose light leaves a rectangle evenly.
+    """A lamp with a measured distribution of intensity, whose light leaves all parts of a rectangle
+    evenly.
 
     Each part of the rectangle emits the lamp's distribution, in proportion to its area. The edges
-    define the lamp's own frame: x is along `edge_u`, and -z is the side of edge_u x edge_v. The
-    lamp shines only to this side.
+    define the lamp's own frame: x is along `edge_u`, and -z is along edge_u x edge_v. The lamp
+    emits only toward its -z side.
 
     Attributes:
         corner: (3,) m.
@@ -187,21 +190,22 @@ def _angles(w: Vec, system: System) -> tuple[Scalar, Scalar]:
 
 
 def _angle_to_axis(a: Scalar, b: Scalar, along: Scalar) -> Scalar:
-    """Return the angle to an axis; 0 for the zero vector."""
+    """Return the angle to an axis of a vector with component `along` the axis and components `a`
+    and `b` across it, in rad; 0 for the zero vector."""
     aside = safe_sqrt(a * a + b * b)
     defined = (aside > 0) | (along != 0)
     return arctan2(aside, jnp.where(defined, along, 1))
 
 
 def _azimuth(y: Scalar, x: Scalar) -> Scalar:
-    """Return the azimuth; 0, with gradient 0, on the axis."""
+    """Return the azimuth of (x, y) in rad; 0, with gradient 0, for the zero vector."""
     aside = (x != 0) | (y != 0)
     return jnp.where(aside, jnp.arctan2(jnp.where(aside, y, 0), jnp.where(aside, x, 1)), 0)
 
 
 def _between(nodes: Float[Array, " n"], x: Scalar) -> tuple[Array, Array, Scalar, Array]:
-    """Return the two nodes around `x`, the weight of the second, and whether `x` lies between the
-    outermost nodes, up to rounding."""
+    """Return the indices of the two nodes next to `x`, the interpolation weight of the second one,
+    and whether `x` lies between the outermost nodes, up to rounding."""
     last = nodes.shape[0] - 1
     i = jnp.clip(jnp.searchsorted(nodes, x, side="right") - 1, 0, last - 1)
     share = (x - nodes[i]) / (nodes[i + 1] - nodes[i])
@@ -211,7 +215,8 @@ def _between(nodes: Float[Array, " n"], x: Scalar) -> tuple[Array, Array, Scalar
 
 @takes_numbers
 def flux(light: Goniometric) -> Colour:
-    """Return the flux of a lamp, by Gauss-Legendre quadrature in each interval between nodes.
+    """Return the radiant flux of a lamp, by Gauss-Legendre quadrature in each interval between
+    nodes.
 
     Args:
         light: the lamp.
@@ -233,7 +238,8 @@ def flux(light: Goniometric) -> Colour:
 
 
 def _weights(nodes: Float[Array, " n"], density) -> Float[Array, " n"]:
-    """Return the integrals of a density times the linear hat function of each node."""
+    """Return, for each node, the integral of a density times the piecewise linear function that is
+    1 at this node and 0 at all others."""
     t, dt = (jnp.asarray(x, nodes.dtype) for x in gauss_legendre(8))
     wide = jnp.diff(nodes)
     within = density(nodes[:-1, None] + wide[:, None] * t[None, :]) * (wide[:, None] * dt[None, :])
@@ -246,7 +252,8 @@ def _weights(nodes: Float[Array, " n"], density) -> Float[Array, " n"]:
 
 def from_goniometric_light(light: GoniometricLight, point: Vector) -> Incident:
     """Return the light that arrives from a lamp: the unit direction, the irradiance E = I / d^2 on
-    a surface that faces it, (bands,) W m^-2, and the distance, m; all 0 at the light itself."""
+    a surface that faces it, (bands,) W m^-2, and the distance d, m. I is the intensity in that
+    direction. All are 0 at the lamp itself."""
     direction, distance, dilution = _toward(light.position, point)
     own = Vec(*(dot(row, -as_vec(direction)) for row in map(as_vec, light.rotation)))
     share = relative_intensity(light, own)
@@ -254,7 +261,8 @@ def from_goniometric_light(light: GoniometricLight, point: Vector) -> Incident:
 
 
 def _place(light: Ends[GoniometricLight]) -> Source:
-    """Bound the lamp by a point that emits its largest intensity in all directions."""
+    """Return upper bounds on the light: a point light with the lamp's largest intensity in all
+    directions."""
     source = _place_bound(light)
     largest = max(float(np.abs(numbers(end.distribution)).max()) for end in light)
     return source._replace(spectrum=source.spectrum * largest)
@@ -282,7 +290,8 @@ def _area(light: GoniometricAreaLight) -> Scalar:
 
 
 def _radiance_along(light: GoniometricAreaLight, ray: Ray) -> Seen:
-    """Return the radiance I / (A cos) of the front, W m^-2 sr^-1, and the distance, m."""
+    """Return the radiance I / (A cos(theta)) of the lamp's front along a ray, W m^-2 sr^-1, and the
+    distance, m. I is the intensity, A the area, and theta the angle to the normal."""
     at, hit = hit_window(ray, _window(light))
     share, cosine = _relative_intensity(light, -as_vec(ray.direction))
     radiance = divide(share, _area(light) * cosine, where=hit & (cosine > 0))
@@ -302,8 +311,8 @@ def _pdf(light: GoniometricAreaLight, point: Vector, wi: Direction) -> Scalar:
 
 
 def _emitted(light: GoniometricAreaLight, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray from the front, uniform by area and in direction; its flux is 2 pi I, W, with the
-    intensity I in its direction."""
+    """Draw a ray from the lamp's front, uniform by area and over the hemisphere of directions. The
+    flux of the ray is 2 pi I, W, where I is the intensity in its direction."""
     normal = normalize(cross(light.edge_u, light.edge_v))
     origin = as_vec(light.corner + u[0] * light.edge_u + u[1] * light.edge_v)
     direction = as_vec(to_world(local_frame(normal), uniform_direction(u[2:])))
@@ -313,9 +322,10 @@ def _emitted(light: GoniometricAreaLight, u: Float[Array, "4"]) -> Emitted:
 
 
 def _opening(light: Ends[GoniometricAreaLight]) -> Source:
-    """Bound the lamp by a window with its largest radiance I / (A cos). Between two nodes cos is at
-    least its value at the outer node. Toward 90 degrees, where I is 0, cos is at least 2 / pi times
-    the angle to the horizon."""
+    """Return upper bounds on the light: a window with the lamp's largest radiance I / (A
+    cos(theta)). Between two nodes, cos(theta) is at least its value at the node farther from the
+    normal. In the interval that ends at 90 degrees, where I is 0, cos(theta) is at least 2 / pi
+    times the angle to the horizon."""
     each = [_largest_radiance(end) for end in light]
     spectrum = np.maximum(*each)
     why = "" if np.isfinite(spectrum).all() else "its opening shines along its own plane"
@@ -353,7 +363,7 @@ def _largest_radiance(light: GoniometricAreaLight) -> np.ndarray:
 
 
 class Luminaire(Shown):
-    """A lamp as its photometric file describes it; `jaxvision.files.read_luminaire` reads one.
+    """The contents of a photometric file, as `jaxvision.files.read_luminaire` reads it.
 
     Attributes:
         candela: (v, h) cd, ballast factors included.
@@ -394,7 +404,8 @@ def goniometric_light(
     colour: ArrayLike = (1.0,),
     opening: bool = False,
 ) -> Goniometric:
-    """Place a lamp from a photometric file in the scene. 683 lm count as 1 W.
+    """Place a lamp from a photometric file in the scene. Luminous flux is converted to radiant flux
+    at 683 lm per W.
 
     Args:
         luminaire: contents of the lamp's file.

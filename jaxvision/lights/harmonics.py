@@ -1,7 +1,8 @@
-"""Irradiance from an environment by nine coefficients per band: spherical harmonics to order 2.
+"""The irradiance from an environment in terms of spherical harmonics up to order 2, nine
+coefficients per band.
 
 Source: Ramamoorthi and Hanrahan, "An Efficient Representation for Irradiance Environment Maps",
-SIGGRAPH 2001. For ONE normal; the caller vmaps.
+SIGGRAPH 2001. The functions are for one normal; use `jax.vmap` for many.
 """
 
 import jax.numpy as jnp
@@ -40,8 +41,8 @@ def harmonics(direction: Directions) -> Float[Array, "9 ..."]:
 
 
 def irradiance_coefficients(environment: EnvironmentMap) -> Float[Array, "9 bands"]:
-    """Compute the nine coefficients of the irradiance from a map, (9, bands) W m^-2, in the map's
-    own axes, from all pixels.
+    """Compute the nine spherical-harmonic coefficients of an environment's irradiance, (9, bands) W
+    m^-2, in the map's own axes, by a sum over all pixels.
 
     Example:
         >>> sky = jv.environment_map(np.ones((8, 16, 1)))
@@ -68,11 +69,11 @@ def harmonic_irradiance(
     """Return the irradiance of an environment on a surface that faces `normal`, (bands,) W m^-2, by
     spherical harmonics of order <= 2 from `irradiance_coefficients`.
 
-    The error is at most 3/32 of the integral of the radiance over the sphere. Light from a single
-    direction reaches this error on a surface that it grazes; on a surface that faces it, the error
-    is 6 % of its irradiance. The result may be negative. Under natural skies the mean error is
-    about 1 %. For a map that consists of harmonics of order <= 2, only the error of the pixel sum
-    remains.
+    The error of the irradiance is at most 3/32 of the integral of the radiance over the sphere.
+    Light from a single direction causes this error on a surface that it grazes. On a surface that
+    faces such light, the error is 6 % of the irradiance. The result may be negative. Under natural
+    skies the mean error is about 1 % of the irradiance. For a map that consists of harmonics of
+    order <= 2, only the error of the pixel sum remains.
 
     Example:
         >>> sky = jv.environment_map(np.ones((8, 16, 1)))  # W m^-2 sr^-1 from everywhere

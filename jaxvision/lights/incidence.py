@@ -1,4 +1,4 @@
-"""Light from any light source as it arrives at a point, or as a ray sees it."""
+"""The light from any source: as it arrives at a point, or as radiance along a ray."""
 
 from collections.abc import Sequence
 
@@ -49,7 +49,7 @@ def incident(light: Light, point: Vector) -> Incident:
 
 @takes_numbers
 def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
-    """Return the light that arrives at a point from any light, as samples.
+    """Return samples of the light that arrives at a point from any source.
 
     Args:
         light: any light.
@@ -75,11 +75,11 @@ def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
 
 @takes_numbers
 def irradiance(light: Light, point: Vector, normal: Direction, *, rule: Rule) -> Colour:
-    """Compute the irradiance of any light on a receiver, E = sum_i E_i max(n.l_i, 0), over samples
-    of irradiance E_i from the directions l_i.
+    """Compute the irradiance of any light on a receiver with normal n, E = sum_i E_i max(n.l_i, 0).
+    The sum is over samples of the light, with irradiance E_i from the direction l_i.
 
-    For a rectangle `polygon.rectangle_irradiance` is exact, and `adaptive` is faster for many
-    receivers. For an environment `harmonics` is cheap.
+    For a rectangle, `polygon.rectangle_irradiance` is exact, and `adaptive_irradiance` is faster
+    for many receivers. For an environment, `harmonics` is a fast approximation.
 
     Args:
         light: any light.
@@ -102,7 +102,7 @@ def irradiance(light: Light, point: Vector, normal: Direction, *, rule: Rule) ->
 
 
 def seen(light: Light, ray: Ray) -> Seen:
-    """Return what a ray sees of an extended light.
+    """Return the radiance of an extended light along a ray, and the distance to the light.
 
     Args:
         light: an extended light.

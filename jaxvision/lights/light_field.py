@@ -1,9 +1,11 @@
-"""A 4-D light field: radiance on all lines through two parallel windows, sampled on a grid.
+"""A light given by a 4-D light field: the radiance along all lines through two parallel windows,
+sampled on a grid.
 
-Light leaves through the aperture (s, t) toward its front. The focal window (u, v), behind or in
-front of it, determines the direction. Levoy and Hanrahan, "Light Field Rendering", SIGGRAPH 1996;
-Gortler et al., "The Lumigraph", SIGGRAPH 1996. Lengths in m, radiance in W m^-2 sr^-1. For ONE ray
-or point; the caller vmaps.
+A line is given by its position (s, t) in one window, the aperture, and its position (u, v) in the
+other, the focal window. Light leaves through the aperture, toward its front. The focal window is
+behind or in front of the aperture. Sources: Levoy and Hanrahan, "Light Field Rendering", SIGGRAPH
+1996; Gortler et al., "The Lumigraph", SIGGRAPH 1996. Lengths are in m, radiance is in W m^-2 sr^-1.
+All functions are for one ray or point; use `jax.vmap` for many.
 """
 
 from itertools import product
@@ -27,10 +29,10 @@ from .window import Window, _window_bound, crossing, hit_window, window_pdf, win
 
 
 class LightFieldLight(Light):
-    """The radiance through a window as a function of position and direction.
+    """A window whose radiance depends on position and direction, as recorded in a light field.
 
-    It illuminates surfaces in front of the window, and a camera that looks at it sees the recorded
-    scene behind.
+    The window illuminates surfaces in front of it, and a camera that looks at the window sees the
+    recorded scene behind it.
 
     Attributes:
         radiance: (s, t, u, v, bands) W m^-2 sr^-1; the first and last sample of each axis lie on
@@ -98,8 +100,9 @@ def _check_windows(aperture: Window, focal: Window) -> None:
 
 
 def light_field_radiance(light_field: LightFieldLight, ray: Ray) -> Colour:
-    """Return the radiance against a ray that starts in front of the aperture, (bands,) W m^-2
-    sr^-1, quadrilinear between samples; 0 if the ray misses a window."""
+    """Return the radiance that comes along a ray from the aperture, (bands,) W m^-2 sr^-1, by
+    quadrilinear interpolation; 0 if the ray misses a window. The ray starts in front of the
+    aperture."""
     return light_field_seen(light_field, ray).radiance
 
 
@@ -116,8 +119,9 @@ def light_field_seen(light_field: LightFieldLight, ray: Ray) -> Seen:
 def light_field_sample(
     light_field: LightFieldLight, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
-    """Return a unit direction toward the position of the aperture that `u`, (2,) in [0, 1],
-    selects, the radiance times the solid angle, (bands,) W m^-2, and the distance, m."""
+    """Map `u`, (2,) in [0, 1], to a position in the aperture. Return the unit direction from
+    `point` to this position, the radiance times the solid angle, (bands,) W m^-2, and the distance,
+    m."""
     direction, distance, solid_angle, _ = window_sample(light_field.aperture, point, u)
     radiance = light_field_radiance(light_field, Ray(point, direction))
     wi = as_array(direction) if isinstance(point, Array) else direction
@@ -125,14 +129,15 @@ def light_field_sample(
 
 
 def light_field_pdf(light_field: LightFieldLight, point: Vector, wi: Direction) -> Scalar:
-    """Return the density of the directions of `light_field_sample`, sr^-1."""
+    """Return the density of the directions that `light_field_sample` returns for uniform `u`, in
+    sr^-1."""
     return window_pdf(light_field.aperture, point, wi)
 
 
 @takes_numbers
 def light_field_ray(aperture: Window, focal: Window, place: Float[Array, "4"]) -> Ray:
     """Return the ray along which one sample of a light field is recorded, at `place` = (s, t, u, v)
-    in [0, 1] of the windows. It starts in the aperture, m, and looks away from its front."""
+    in [0, 1] of the windows. The ray starts in the aperture and points away from its front."""
     start = _point(aperture, place[:2])
     return Ray(start, _inward(aperture, start, _point(focal, place[2:])))
 
@@ -143,8 +148,8 @@ def refocus(
 ) -> Colour:
     """Return the mean radiance on the lines from the aperture to one point.
 
-    It is the value of the pixel that images this point with a lens as large as the aperture:
-    surfaces at the depth of the point are sharp, others blurred.
+    This mean is the value of a pixel that images the point through a lens as large as the aperture.
+    Surfaces at the depth of the point are sharp, others are blurred.
 
     Args:
         light_field: the light field.
@@ -180,7 +185,8 @@ def refocus(
 
 
 def _inward(aperture: Window, start: Float[Array, "3"], target: Float[Array, "3"]) -> Vec:
-    """Return the direction along the line through two points, away from the window's front."""
+    """Return the unit direction of the line through two points, pointing away from the front of the
+    aperture."""
     along = as_vec(normalize(target - start))
     forward = dot(cross(aperture.edge_u, aperture.edge_v), along) > 0
     return along * jnp.where(forward, -1, 1).astype(start.dtype)
@@ -205,7 +211,7 @@ def _interpolate(grid: Float[Array, "s t u v bands"], places: Float[Array, "4"])
 
 
 def _emitted(light: LightFieldLight, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray on the line through a point of the aperture and a point of the focal window, by
+    """Draw a ray through a random point of the aperture and a random point of the focal window, by
     `u`, (4,) uniform in [0, 1), with its flux, (bands,) W."""
     start, target = as_vec(_point(light.aperture, u[:2])), as_vec(_point(light.focal, u[2:]))
     span = cross(light.aperture.edge_u, light.aperture.edge_v)

@@ -1,5 +1,5 @@
-"""Choose the quadrature order that meets a tolerance at given points, before the call and outside
-`jit`."""
+"""Choose the order of a quadrature over a rectangular light so that a tolerance is met at given
+points."""
 
 import math
 
@@ -14,15 +14,16 @@ ORDERS = (2, 3, 4, 6, 8, 12, 16, 24, 32)
 
 
 def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -> int:
-    """Return the order of `Quadrature` that meets a tolerance for a DIFFUSE receiver.
+    """Return the order of `Quadrature` that meets a tolerance on DIFFUSE receivers at given points.
 
-    Choose it before the call, outside `jit`. For a glossy lobe use `Balanced` instead. The order n
-    depends on the ratio of the distance d to the light's longer side s. The samples lie at x = d
-    sinh(t), with t up to q = asinh(s / 2 d) on either side of the foot of the perpendicular from
-    the receiver, and the integrand is singular at t = i pi / 2. The error therefore falls like 100
-    rho^(-2 n), with rho = pi / 2 q + sqrt(1 + (pi / 2 q)^2), where the factor 100 was measured.
-    This assumes receivers that see the whole light. If the light crosses a receiver's horizon, the
-    integrand has a kink and the error is about 1 / (2 n^2).
+    The order is static, so call this function outside `jit`. For a glossy lobe use `Balanced`
+    instead. The order n depends on the ratio of the distance d to the light's longer side s. The
+    samples lie at x = d sinh(t), with t up to q = asinh(s / 2 d) on either side of the foot of the
+    perpendicular from the receiver, and the integrand is singular at t = i pi / 2. The error is
+    therefore proportional to rho^(-2 n), with rho = pi / 2 q + sqrt(1 + (pi / 2 q)^2). The constant
+    of proportionality, 100, was measured. This error assumes that the whole light is above the
+    receiver's horizon. If the light crosses a receiver's horizon, the integrand has a kink and the
+    error is about 1 / (2 n^2).
 
     Args:
         light: the rectangle.

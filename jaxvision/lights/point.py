@@ -1,5 +1,5 @@
-"""A point light: equal intensity in every direction, and irradiance inversely proportional to the
-square of the distance."""
+"""A point light, which has the same intensity in every direction. Its irradiance is inversely
+proportional to the square of the distance."""
 
 from typing import Any
 
@@ -42,8 +42,9 @@ class PointLight(Light):
 
 
 def from_point_light(light: PointLight, point: Vector) -> Incident:
-    """Return the light from a point: the unit direction, the irradiance E = I / d^2 on a surface
-    that faces it, (bands,) W m^-2, and the distance d, m; all 0 nearer than `smallest_divisor`."""
+    """Return the light that arrives from a point light: the unit direction, the irradiance E = I /
+    d^2 on a surface that faces it, (bands,) W m^-2, and the distance d, m. I is the intensity. All
+    are 0 if the distance is below `smallest_divisor`."""
     direction, distance, dilution = _toward(light.position, point)
     return Incident(direction, map_bands(lambda band: band * dilution, light.intensity), distance)
 
@@ -60,14 +61,15 @@ def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar,
 
 
 def _emitted(light: PointLight, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray in a direction uniform over the sphere, by u_2 and u_3 of `u`, (4,) uniform in
-    [0, 1); its flux is 4 pi I, (bands,) W."""
+    """Draw a ray in a direction that is uniform over the sphere, by u_2 and u_3 of `u`, (4,)
+    uniform in [0, 1). The flux of the ray is 4 pi I, (bands,) W, where I is the intensity."""
     direction = direction_at(2 * u[2], 2 * jnp.pi * u[3])
     return emitted_from_point(as_vec(light.position), direction, 4 * jnp.pi * light.intensity)
 
 
 def _place_bound(light: Ends[Any], *, normal: np.ndarray | None = None) -> Source:
-    """Bound a point lamp, which emits in all directions or on the side of a normal."""
+    """Return upper bounds on the light of a point lamp, which emits in all directions, or only to
+    the side of `normal` if that is given."""
     points = box_about(numbers(light.low.position), numbers(light.high.position))
     middle = points.mean(0)
     size = np.linalg.norm(points - middle, axis=1).max()

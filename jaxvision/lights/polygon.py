@@ -1,11 +1,12 @@
-"""The exact irradiance from a uniform rectangle: Lambert's contour formula.
+"""The exact irradiance from a rectangle of uniform radiance L, by Lambert's contour formula.
 
     E = L / 2 sum_i theta_i n . (v_i+1 x v_i) / |v_i+1 x v_i|
 
-The sum is over the edges of the part above the receiver's horizon. v_i is the vector from the
-receiver to a corner, and theta_i the angle that an edge subtends (Lambert, Photometria, 1760; Baum,
-Rushmeier and Winget, "Improving Radiosity Solutions Through the Use of Analytically Determined
-Form-Factors", SIGGRAPH 1989). For ONE receiver; the caller vmaps.
+The sum is over the edges of the part of the rectangle above the receiver's horizon. n is the
+receiver's normal, v_i the vector from the receiver to a corner, and theta_i the angle that an edge
+subtends (Lambert, Photometria, 1760; Baum, Rushmeier and Winget, "Improving Radiosity Solutions
+Through the Use of Analytically Determined Form-Factors", SIGGRAPH 1989). The functions are for one
+receiver; use `jax.vmap` for many.
 """
 
 from collections.abc import Iterator, Sequence
@@ -70,8 +71,9 @@ _ARCTAN_OVER = {
 
 
 def _cases(square: Scalars, cosine: Scalars) -> tuple[Bool[Array, "..."], Bool[Array, "..."]]:
-    """Return (narrow, wide): where the series and where the quotient is valid. Neither is valid if
-    the vectors are opposite within rounding or have no length."""
+    """Return two masks (narrow, wide) for `angle_over_sine`: where the series for narrow angles is
+    accurate, and where the quotient is. Neither holds if the two vectors of an angle are opposite
+    within rounding or have no length."""
     smallest = smallest_divisor(square.dtype)
     narrow = (cosine > smallest) & (square < _SMALL * cosine * cosine)
     opposite = (cosine < 0) & (square < (jnp.finfo(square.dtype).eps * cosine) ** 2)
@@ -80,15 +82,16 @@ def _cases(square: Scalars, cosine: Scalars) -> tuple[Bool[Array, "..."], Bool[A
 
 def angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
     """Return theta / sqrt(s2) with theta = atan2(sqrt(s2), c) in [0, pi] rad, for `square` s2 >= 0
-    and `cosine` c, no units, of vectors with lengths of about 1. It is 0 if theta is pi within
-    rounding or both vectors vanish, because the plane of the angle is then undefined.
+    and `cosine` c, no units, of vectors with lengths of about 1. The result is 0 if theta is pi
+    within rounding or both vectors vanish, because the plane of the angle is then undefined.
 
-    With A(t^2) = arctan(t) / t, which needs no root, and s = sqrt(s2), it is A(s2 / c^2) / c up to
-    45 degrees, then (pi / 2) / s - c A(c^2 / s2) / s2, and pi / s + A(s2 / c^2) / c from 135
-    degrees.
+    With A(t^2) = arctan(t) / t, which needs no root, and s = sqrt(s2), the result is A(s2 / c^2) /
+    c up to 45 degrees, then (pi / 2) / s - c A(c^2 / s2) / s2, and pi / s + A(s2 / c^2) / c from
+    135 degrees.
 
-    Its custom derivatives are d/dc = -1 / (s2 + c^2) and d/ds2 = (c / (s2 + c^2) - value) / (2 s2),
-    the second by its series if s2 << c^2. They are finite and exact where autodiff divides 0 by 0.
+    The custom derivatives are d/dc = -1 / (s2 + c^2) and d/ds2 = (c / (s2 + c^2) - value) / (2 s2),
+    the second computed by a series if s2 << c^2. These derivatives are finite and exact where
+    autodiff divides 0 by 0.
     """
     return _angle_over_sine(square, cosine)
 
@@ -110,7 +113,7 @@ def _angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
 
 
 def _slopes(square: Scalars, cosine: Scalars, value: Scalars) -> tuple[Scalars, Scalars]:
-    """Return the derivatives of `angle_over_sine` with respect to both arguments, from its
+    """Return the derivatives of `angle_over_sine` with respect to both arguments, given its
     `value`."""
     narrow, wide = _cases(square, cosine)
     length = square + cosine * cosine
@@ -136,16 +139,17 @@ def _angle_over_sine_jvp(primals, tangents):
 def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction) -> Colour:
     """Compute the exact irradiance of a rectangle on a receiver.
 
-    The part of the light below the receiver's horizon does not count. A point behind the light or
-    in its plane receives 0. `adaptive.adaptive_irradiance` computes many receivers in a quarter of
-    the time.
+    The part of the light below the receiver's horizon adds nothing. The irradiance is 0 at a point
+    behind the light or in its plane. For many receivers, `adaptive.adaptive_irradiance` takes a
+    quarter of the time.
 
-    At a large distance d from a light of size s the terms of the contour integral cancel. If d / s
-    exceeds (3e-4 / eps)^(1/10), which is 2.2 in float32 and 16 in float64, 4 x 4 Gauss-Legendre
-    nodes replace it. The relative rounding error is 10 eps (300 eps in float64 at that distance) if
-    receiver and light face each other, and d / s times as large if the horizon cuts the light. It
-    is larger for a slanted receiver or light: 1e-4 in float32 if the product of both cosines is
-    .01.
+    At a large distance d from a light of size s, the terms of the contour integral cancel. If d / s
+    exceeds (3e-4 / eps)^(1/10), where eps is the machine epsilon, quadrature with 4 x 4
+    Gauss-Legendre nodes replaces the contour integral. This limit is 2.2 in float32 and 16 in
+    float64. If receiver and light face each other, the relative rounding error is 10 eps (300 eps
+    in float64 at the limit); if the horizon cuts the light, it is d / s times as large. The error
+    is larger for a slanted receiver or light, for example 1e-4 in float32 if the product of both
+    cosines is .01.
 
     Args:
         light: the rectangle.
@@ -186,15 +190,16 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction
 
 @jax.custom_jvp
 def contour_integral(corners: Sequence[Vec], normal: Vec) -> Scalar:
-    """Integrate the cosine of incidence over the solid angle of a polygon above the horizon of a
-    receiver, () sr. The receiver is at the origin and faces `normal`, unit.
+    """Return the integral of the cosine of incidence over the solid angle of a polygon above a
+    receiver's horizon, () sr. The receiver is at the origin and has the unit normal `normal`.
 
-    `corners`: four, in m, of a flat convex polygon, clockwise as seen from the receiver; otherwise
-    the result is negative. The fourth power of a length must not overflow or underflow. If the
-    horizon cuts the polygon, an additional edge between both crossings closes it. The cross product
-    v_i+1 x v_i of a partly visible edge is multiplied by the visible fraction of the edge.
+    `corners` are the four corners, in m, of a flat convex polygon, clockwise as seen from the
+    receiver. If they are counter-clockwise, the result is negative. The fourth power of a length
+    must not overflow or underflow. If the horizon cuts the polygon, an additional edge along the
+    horizon closes it. The cross product v_i+1 x v_i of a partly visible edge is multiplied by the
+    visible fraction of the edge.
 
-    The derivatives are a sum over the same edges, which takes a tenth of the time of autodiff.
+    The derivatives are computed as a sum over the same edges, in a tenth of the time of autodiff.
     """
     total = jnp.zeros_like(normal.x)
     for edge in _seen_edges(corners, normal):
@@ -204,8 +209,9 @@ def contour_integral(corners: Sequence[Vec], normal: Vec) -> Scalar:
 
 
 class _Edge(NamedTuple):
-    """The visible part of one edge, a to b. `area`: b x a. `cosine`: a . b, 1 if nothing is
-    visible. `of_start`, `of_end`: the weights of the polygon's corners in a and b.
+    """The visible part of one edge of a polygon, from point a to point b. `area` is b x a. `cosine`
+    is a . b, or 1 if no part of the edge is visible. `of_start` and `of_end` are the weights of the
+    polygon's corners in a and b.
     """
 
     start: Vec
@@ -217,7 +223,8 @@ class _Edge(NamedTuple):
 
 
 def _seen_edges(corners: Sequence[Vec], normal: Vec) -> list[_Edge]:
-    """Return the four edges, and the edge that closes the polygon along the horizon."""
+    """Return the visible parts of the four edges of a polygon, and the edge that closes the visible
+    part along the horizon."""
     # materialised: several loops could round a height near 0 differently, and cut differently
     heights = fuse([dot(normal, corner) for corner in corners])
     zero = jnp.zeros_like(normal.x)
@@ -249,13 +256,13 @@ def _seen_edges(corners: Sequence[Vec], normal: Vec) -> list[_Edge]:
 @contour_integral.defjvp
 def _contour_integral_jvp(primals, tangents):
     """Differentiate theta n . w / |w| = f n . w with respect to a, b and n of each edge a to b,
-    with w = b x a and f the angle divided by its sine; f' and f_c are the derivatives of f with
-    respect to the square w . w and to the cosine a . b. With respect to a and b they are
+    where w = b x a and f is the angle divided by its sine. f' and f_c are the derivatives of f with
+    respect to the square w . w and to the cosine a . b. The derivatives with respect to a and b are
 
     (f n + 2 f' (n . w) w) x b + f_c (n . w) b,   a x (f n + 2 f' (n . w) w) + f_c (n . w) a
 
-    and with respect to n it is f w. The position of a cut on its edge contributes nothing, because
-    the cosine of incidence is 0 along the horizon.
+    and the derivative with respect to n is f w. Where the horizon cuts an edge, the position of the
+    cut adds nothing to the derivative, because the cosine of incidence is 0 along the horizon.
     """
     (corners, normal), (moves, tilt) = primals, tangents
     value = contour_integral(corners, normal)
@@ -295,8 +302,9 @@ def _nodes_integral(corner: Vec, u: Vec, v: Vec, normal: Vec, order: int) -> Sca
 @_nodes_integral.defjvp
 def _nodes_integral_jvp(order, primals, tangents):
     """Differentiate `_nodes_integral`. Above the horizon, the derivative of a node's term w [n.t]+
-    / |t|^4 with respect to the vector t to the node is w n / |t|^4 - 4 w [n.t]+ t / |t|^6. Those of
-    the factor -(u x v) . c with respect to c, u and v are -u x v, c x v and u x c."""
+    / |t|^4 with respect to the vector t to the node is w n / |t|^4 - 4 w [n.t]+ t / |t|^6, where
+    [x]+ = max(x, 0). The derivatives of the factor -(u x v) . c with respect to c, u and v are -u x
+    v, c x v and u x c."""
     corner, u, v, normal = primals
     value = _nodes_integral(*primals, order)
     area = cross(u, v)
@@ -327,8 +335,8 @@ def _nodes_integral_jvp(order, primals, tangents):
 
 
 def _node_places(corner: Vec, u: Vec, v: Vec, order: int) -> Iterator[tuple]:
-    """Yield for each node its weight, its positions along u and v, the vector to it in m, and 1 /
-    the square of the vector's length."""
+    """Yield for each Gauss-Legendre node of a parallelogram its weight, its positions along u and
+    v, the vector to the node in m, and the inverse of the vector's squared length."""
     nodes, weights = (jnp.asarray(x, corner.x.dtype) for x in square_nodes(order))
     for (s, t), weight in zip(nodes, weights, strict=True):
         toward = corner + (s * u + t * v)
@@ -337,7 +345,7 @@ def _node_places(corner: Vec, u: Vec, v: Vec, order: int) -> Iterator[tuple]:
 
 
 def nodes_integral(corner: Vec, u: Vec, v: Vec, normal: Vec, *, order: int) -> Scalars:
-    """Return `contour_integral` of a parallelogram, sr, by `order` Gauss-Legendre nodes per side.
-    `corner`, in m, is relative to the receiver. Arrays of receivers broadcast. Behind the
-    parallelogram the result is 0."""
+    """Return the integral of the cosine of incidence over the solid angle of a parallelogram, sr,
+    by `order` Gauss-Legendre nodes per side. `corner`, in m, is relative to the receiver. Arrays of
+    receivers broadcast. The result is 0 for a receiver behind the parallelogram."""
     return _nodes_integral(corner, u, v, normal, order)

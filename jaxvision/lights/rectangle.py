@@ -1,7 +1,7 @@
-"""A rectangle with the same radiance at all points of its front and in all directions.
+"""A rectangular light with the same radiance at all points of its front and in all directions.
 
-Directions and lengths (m) are in the world. For ONE point; the caller vmaps. `polygon` has the
-exact irradiance. This module has samples for any BRDF.
+Directions and lengths (m) are in world coordinates. All functions are for one point; use `jax.vmap`
+for many. This module samples the light, for any BRDF; `polygon` computes the exact irradiance.
 """
 
 import equinox as eqx
@@ -24,8 +24,8 @@ from .window import Window, _window_bound, hit_window, window_pdf, window_sample
 class RectangleLight(Light):
     """A one-sided, uniform, diffusely emitting rectangle.
 
-    It emits to the side of edge_u x edge_v. Points behind it, in its plane and on it receive
-    nothing.
+    The rectangle emits to the side of edge_u x edge_v. Points behind the rectangle, in its plane
+    and on it receive no light.
 
     Attributes:
         corner: (3,) m.
@@ -60,7 +60,8 @@ _FLAT = 1e-9  # edges count as parallel if the sine of their angle is smaller
 
 
 def _check_not_parallel(one: Float[Array, "3"], other: Float[Array, "3"]) -> None:
-    """Raise `ValueError` for known edges that are parallel, because they span no area."""
+    """Raise `ValueError` for parallel edges, which span no area; edges that JAX traces are not
+    checked."""
     if not (is_known(one) and is_known(other)):
         return
     u, v = (np.asarray(x, float) / np.linalg.norm(np.asarray(x, float)) for x in (one, other))
@@ -69,7 +70,7 @@ def _check_not_parallel(one: Float[Array, "3"], other: Float[Array, "3"]) -> Non
 
 
 def window_of(light: RectangleLight) -> Window:
-    """Return the rectangle without its radiance; lengths in m."""
+    """Return the geometry of a rectangular light, lengths in m."""
     return Window(light.corner, light.edge_u, light.edge_v)
 
 
@@ -83,35 +84,38 @@ def _nearest_offset(light: RectangleLight, points: Vec) -> Vec:
 
 
 def rectangle_seen(light: RectangleLight, ray: Ray) -> Seen:
-    """Return the radiance of the front that a ray hits, (bands,) W m^-2 sr^-1, and its distance,
-    m."""
+    """Return the radiance of the rectangle's front along a ray, (bands,) W m^-2 sr^-1, and the
+    distance, m."""
     at, hit = hit_window(ray, window_of(light))
     return Seen(jnp.where(hit, at.distance, jnp.inf), jnp.where(hit, light.radiance, 0))
 
 
 def rectangle_sample(light: RectangleLight, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """Return a unit direction toward the position of the rectangle that `u`, (2,) in [0, 1],
-    selects, the radiance times the solid angle, (bands,) W m^-2, and the distance, m."""
+    """Map `u`, (2,) in [0, 1], to a position in the rectangle. Return the unit direction from
+    `point` to this position, the radiance times the solid angle, (bands,) W m^-2, and the distance,
+    m."""
     direction, distance, solid_angle, _ = window_sample(window_of(light), point, u)
     wi = direction if not isinstance(point, Array) else as_array(direction)
     return Incident(wi, light.radiance * solid_angle, distance)
 
 
 def rectangle_pdf(light: RectangleLight, point: Vector, wi: Direction) -> Scalar:
-    """Return the density of `rectangle_sample` toward the unit `wi` from `point`, sr^-1."""
+    """Return the density of the directions that `rectangle_sample` returns for uniform `u`, at the
+    unit direction `wi` from `point`, in sr^-1."""
     return window_pdf(window_of(light), point, wi)
 
 
 def _emitted(light: RectangleLight, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray from the front, uniform by area and cosine-distributed about its normal; `u`: (4,)
-    uniform in [0, 1). Its flux is pi A L, (bands,) W, for the area A and the radiance L."""
+    """Draw a ray from the rectangle's front, uniform by area and cosine-distributed about the
+    normal, by `u`, (4,) uniform in [0, 1). The flux of the ray is pi A L, (bands,) W, where A is
+    the area and L the radiance."""
     quad = Quad(light.corner, light.edge_u, light.edge_v)
     return emitted_from_surface(quad, light.radiance, u)
 
 
 def _small_light(light: RectangleLight) -> SmallLight:
-    """Return a small light with the same flux at the rectangle's middle. Its intensity is A L,
-    W sr^-1, for the area A and the radiance L."""
+    """Return a small light at the rectangle's middle that has the same flux. The intensity of the
+    small light is A L, W sr^-1, where A is the area and L the radiance."""
     u, v = numbers(light.edge_u), numbers(light.edge_v)
     across = np.cross(u, v)
     area = np.linalg.norm(across)
@@ -120,8 +124,8 @@ def _small_light(light: RectangleLight) -> SmallLight:
 
 
 def _bound(light: Ends[RectangleLight]) -> Source:
-    """Bound the rectangle as a window; if it is fixed, also give the small light at its middle that
-    may replace it."""
+    """Return upper bounds on the light of a rectangle, as for a window. For a fixed rectangle, also
+    return the small light at its middle that may replace it."""
     source = _window_bound(light, light)._replace(even=True)
     u, v = numbers(light.low.edge_u), numbers(light.low.edge_v)
     if light.low is not light.high or not np.any(np.cross(u, v)):

@@ -1,8 +1,7 @@
 """Sampling rules for extended lights: fixed nodes or random samples.
 
-Every extended light is a map from the unit square to directions. A rule gives the sample points in
-the square and their weights. More samples are more accurate, and the cost is proportional to their
-number.
+Every extended light maps the unit square to directions. A sampling rule gives points in the square
+and their weights. More samples are more accurate, and the cost is proportional to their number.
 """
 
 import equinox as eqx
@@ -12,20 +11,22 @@ from ..core._types import Key, check_count, check_key, print_by_name
 
 
 class Quadrature(Shown):
-    """Fixed nodes, `order` per side: order^2 for a rectangle, 2 order^2 for an environment.
+    """Gauss-Legendre quadrature with fixed nodes: order^2 for a rectangle, 2 order^2 for an
+    environment.
 
-    Use it for diffuse surfaces under area lights, and for gradients without noise.
+    Use quadrature for diffuse surfaces under area lights, and for gradients without noise.
 
-    The error falls exponentially if light and surface are smooth. It falls like 1 / order^2 if the
-    light crosses the surface's horizon, as every sky does: under a constant sky the error of a
-    diffuse surface is up to 1.2 % at order 8, and .3 % at 16. A nearer area light needs more nodes.
-    At the middle of a square light, order 8 (the default) has an error of -1.2e-5 at a quarter of
-    its side, -1.2e-3 at a tenth, -1.9 % at .03 and -34 % at a hundredth (+47 % at other points).
-    Order 32 has -4e-4 at a hundredth. `orders.order_for` gives the order for a distance, and
-    `adaptive.adaptive_irradiance` chooses it for many receivers. Structure finer than the distance
-    between nodes is missed:
+    The error falls exponentially with the order if light and surface are smooth. If the light
+    crosses the surface's horizon, as every sky does, the error falls like 1 / order^2: under a
+    constant sky the error of a diffuse surface is up to 1.2 % at order 8, and .3 % at 16. A nearer
+    area light needs more nodes. Opposite the middle of a square light, order 8 (the default) has a
+    relative error of -1.2e-5 at a distance of a quarter of the light's side, -1.2e-3 at a tenth,
+    -1.9 % at .03 and -34 % at a hundredth (+47 % at other points). Order 32 has an error of -4e-4
+    at a hundredth. `orders.order_for` gives the order that a distance needs, and
+    `adaptive.adaptive_irradiance` chooses the order for many receivers. Quadrature misses structure
+    that is finer than the distance between nodes:
 
-      * The sun of a sky. `render`, `ray_traced`, `capture` and `outgoing_radiance` warn of it.
+      * The sun in a sky. `render`, `ray_traced`, `capture` and `outgoing_radiance` then warn.
       * A glossy lobe. For the highlight of GGX facets in a square light, at a distance equal to its
         side, the error is -.9 % (alpha .1), -16 % (.05) and -67 % (.02) at order 8; 2e-5, -.8 %
         and -27 % at 16; and 0, 0 and -3 % at 32. For Phong's exponent 1000 it is up to 120 % at
@@ -54,11 +55,11 @@ class Quadrature(Shown):
 
 
 class MonteCarlo(Shown):
-    """Random samples, concentrated where the light is bright, without bias.
+    """Random samples of a light, dense where it is bright, which give an unbiased estimate.
 
-    Use it for skies, and for surfaces whose lobe is at least as wide as the light. The samples of
-    one key are spread evenly (a Kronecker sequence with a random shift), so their mean has a
-    smaller error than the mean of independent samples.
+    Use Monte Carlo sampling for skies, and for surfaces whose lobe is at least as wide as the
+    light. The samples of one key are spread evenly (a Kronecker sequence with a random shift), so
+    their mean has a smaller error than the mean of independent samples.
 
     Attributes:
         key: random key.
@@ -83,10 +84,11 @@ class MonteCarlo(Shown):
 class Balanced(Shown):
     """Random samples of light and material, combined by the balance heuristic.
 
-    It works like `MonteCarlo`, with an additional direction from the material's own sampler for
-    each direction from the light. Use it for glossy lobes, and whenever in doubt. For lobes smaller
-    or larger than the light, its error is close to that of the better of both samplers, at the cost
-    of two samples. Without a material (`irradiance`) it equals `MonteCarlo`.
+    `Balanced` draws one direction from the light, as `MonteCarlo` does, and one from the material's
+    own sampler. Use this rule for glossy lobes, and whenever in doubt. Whether the lobe is smaller
+    or larger than the light, the error is close to that of the better of the two samplers, at the
+    cost of two samples. For `irradiance`, which has no material, the rule is the same as
+    `MonteCarlo`.
 
     Attributes:
         key: random key.

@@ -1,14 +1,14 @@
-"""Skies: the fifteen general skies of the CIE, its traditional overcast sky, and Perez's.
+"""Models of the sky: the fifteen general skies of the CIE, its traditional overcast sky, and the
+sky of Perez.
 
     L / L_zenith = g(Z) f(chi) / (g(0) f(Z_sun))
     g(Z) = 1 + a exp(b / cos(Z))
     f(chi) = 1 + c (exp(d chi) - exp(d pi / 2)) + e cos^2(chi)
 
 where L is the radiance, Z the angle to the zenith, +z, and chi the angle to the sun. Below the
-horizon the radiance is 0. Sources:
-ISO 15469:2004 / CIE S 011; Perez, Seals & Michalsky, "All-Weather Model for Sky Luminance
-Distribution", Solar Energy 50(3) (1993) and its erratum. Angles in rad. These are models of
-luminance, so the user chooses the sky's colour.
+horizon the radiance is 0. Sources: ISO 15469:2004 / CIE S 011; Perez, Seals & Michalsky,
+"All-Weather Model for Sky Luminance Distribution", Solar Energy 50(3) (1993) and its erratum.
+Angles are in rad. These are models of luminance, so the user chooses the sky's colour.
 """
 
 import warnings
@@ -166,7 +166,7 @@ def daylight(
     irradiance: ArrayLike,
     rows: int = 128,
 ) -> EnvironmentMap:
-    """Make a light from a sky, without the sun itself (`SunDisc`).
+    """Make an environment light from a model of the sky, without the sun itself (use `SunDisc`).
 
     Args:
         parameters: a, b, c, d and e of `cie_sky` or `perez_sky`; or the number of a CIE sky, 1 to

@@ -1,7 +1,7 @@
 """A small flat lamp, whose intensity is proportional to the cosine of the angle to its normal.
 
-It is the limit of a lamp of uniform radiance that is small relative to every distance: a
-`RectangleLight` of area A and radiance L far away is a `SmallLight` of intensity A L.
+A flat lamp of uniform radiance becomes such a light if it is small relative to every distance. A
+distant `RectangleLight` of area A and radiance L is equivalent to a `SmallLight` of intensity A L.
 """
 
 import equinox as eqx
@@ -24,9 +24,9 @@ from .point import _place_bound, _toward
 class SmallLight(Light):
     """A flat source whose size is small compared with all distances, such as an LED chip.
 
-    It emits to the side of its normal, with the intensity I cos(theta) at the angle theta to it. A
-    receiver at the distance d whose normal makes the angle theta_s with the light gets the
-    irradiance E = I cos(theta) cos(theta_s) / d^2.
+    The light emits to the side of its normal, with the intensity I cos(theta) at the angle theta to
+    the normal. The irradiance on a receiver at the distance d is E = I cos(theta) cos(theta_s) /
+    d^2, where theta_s is the angle between the receiver's normal and the light.
 
     Attributes:
         position: (3,) m.
@@ -50,9 +50,9 @@ class SmallLight(Light):
 
 
 def from_small_light(light: SmallLight, point: Vector) -> Incident:
-    """Return the light from a small light: the unit direction, the irradiance E = I cos(theta) /
-    d^2 on a surface that faces it, (bands,) W m^-2, and the distance d, m. The irradiance is 0
-    behind the light, and nearer than `smallest_divisor`."""
+    """Return the light that arrives from a small light: the unit direction, the irradiance E = I
+    cos(theta) / d^2 on a surface that faces it, (bands,) W m^-2, and the distance d, m. The
+    irradiance is 0 behind the light, and nearer than `smallest_divisor`."""
     direction, distance, dilution = _toward(light.position, point)
     cosine = jnp.maximum(-dot(direction, normalize(light.normal)), 0)
     factor = cosine * dilution
@@ -61,14 +61,16 @@ def from_small_light(light: SmallLight, point: Vector) -> Incident:
 
 
 def _emitted(light: SmallLight, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray, cosine-distributed about the normal, by u_2 and u_3; its flux is pi I, W."""
+    """Draw a ray that is cosine-distributed about the light's normal, by u_2 and u_3. The flux of
+    the ray is pi I, W, where I is the intensity."""
     local = cosine_direction(u[2:])
     direction = as_vec(to_world(local_frame(normalize(light.normal)), local))
     return emitted_from_point(as_vec(light.position), direction, jnp.pi * light.intensity)
 
 
 def _bound(light: Ends[SmallLight]) -> Source:
-    """Bound a small lamp. The bound uses the normal only if the normal is fixed."""
+    """Return upper bounds on the light of a small lamp. The bounds use the normal only if it is
+    fixed."""
     fixed = np.array_equal(light.low.normal, light.high.normal)
     return _place_bound(light, normal=unit(numbers(light.low.normal)) if fixed else None)
 

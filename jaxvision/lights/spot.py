@@ -1,10 +1,10 @@
-"""A spot: a point that shines into a cone.
+"""A spot light: a point light that shines into a cone.
 
     smooth    I ((cos(theta) - cos(outer)) / (cos(inner) - cos(outer)))^2    as in glTF
     linear    I (outer - theta) / (outer - inner)                            as in Mitsuba
 
-is the intensity at the angle theta to the axis, between the half angles inner and outer. It is I
-within the inner cone, and 0 outside the outer cone.
+is the intensity at the angle theta to the axis, between the half angles inner and outer of two
+cones. The intensity is I within the inner cone, and 0 outside the outer cone.
 """
 
 from typing import Annotated, Any, Literal
@@ -39,7 +39,7 @@ _ANGLE = Range(0, np.pi, nan=True)
 
 
 class SpotLight(Light):
-    """A point that shines into a cone, such as a stage lamp.
+    """A point light that shines into a cone, such as a stage lamp.
 
     Attributes:
         position: (3,) m.
@@ -81,7 +81,7 @@ class SpotLight(Light):
 
 
 def _share(light: SpotLight, away: Vector) -> Scalar:
-    """Return the share of the full intensity that is emitted in a unit direction, no unit."""
+    """Return the intensity in a unit direction, relative to the intensity on the axis, no unit."""
     axis = normalize(light.direction)
     match light.falloff:
         case "smooth":
@@ -95,16 +95,17 @@ def _share(light: SpotLight, away: Vector) -> Scalar:
 
 
 def from_spot_light(light: SpotLight, point: Vector) -> Incident:
-    """Return the light that arrives from a spot: the unit direction, the irradiance E = I share /
-    d^2 on a surface that faces it, (bands,) W m^-2, and the distance, m; all 0 at the light."""
+    """Return the light that arrives from a spot light: the unit direction, the irradiance E = I /
+    d^2 on a surface that faces it, (bands,) W m^-2, and the distance d, m. I is the intensity in
+    that direction. All are 0 at the light itself."""
     direction, distance, dilution = _toward(light.position, point)
     factor = _share(light, -direction) * dilution
     return Incident(direction, map_bands(lambda band: band * factor, light.intensity), distance)
 
 
 def _emitted(light: SpotLight, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray uniformly in the outer cone, by u_2 and u_3; its flux is 2 pi (1 - cos(outer)) I
-    times the share in its direction, W."""
+    """Draw a ray that is uniform in the outer cone, by u_2 and u_3. The flux of the ray is 2 pi (1
+    - cos(outer)) times the intensity in its direction, W."""
     wide = 1 - jnp.cos(light.outer)
     local = direction_at(wide * u[2], 2 * jnp.pi * u[3])
     direction = as_vec(to_world(local_frame(normalize(light.direction)), local))

@@ -1,4 +1,5 @@
-"""The sun, or any round light infinitely far away, of uniform radiance: its shadows have penumbrae.
+"""The sun as a disc of uniform radiance, or any other round light at infinity. Its shadows have
+penumbrae.
 
 A disc of angular radius r and radiance L gives the irradiance E = pi L sin^2(r) on a surface that
 faces it.
@@ -32,7 +33,7 @@ SUN_RADIUS = np.radians(0.2666)  # rad, the mean as seen from the earth
 
 
 class SunDisc(Light):
-    """A round light infinitely far away.
+    """A round light at infinity, of uniform radiance.
 
     Attributes:
         direction: (3,) toward its middle (its length is ignored).
@@ -57,7 +58,7 @@ class SunDisc(Light):
 
 
 def _height(light: SunDisc) -> Scalar:
-    """Return 1 - cos(r) for the angular radius r, without cancellation, no unit."""
+    """Return 1 - cos(r) of the sun's angular radius r, computed without cancellation, no unit."""
     half = jnp.sin(light.radius / 2)
     return 2 * half * half
 
@@ -73,15 +74,15 @@ def _inside(light: SunDisc, direction: Direction) -> Array:
 
 
 def _radiance_along(light: SunDisc, ray: Ray) -> Seen:
-    """Return the radiance along a ray's direction, (bands,) W m^-2 sr^-1, at an infinite
+    """Return the radiance of the disc along a ray, (bands,) W m^-2 sr^-1, with an infinite
     distance."""
     radiance = jnp.where(_inside(light, ray.direction), _radiance(light), 0)
     return Seen(jnp.full_like(ray.origin.x, jnp.inf), radiance)
 
 
 def sun_sample(light: SunDisc, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """Return a unit direction that is uniform over the disc for `u`, (2,) in [0, 1], and the
-    radiance times the disc's solid angle, (bands,) W m^-2."""
+    """Map `u`, (2,) in [0, 1], to a unit direction, uniformly over the disc. Return the direction,
+    and the radiance times the disc's solid angle, (bands,) W m^-2."""
     height = _height(light)
     local = direction_at(height * u[0], 2 * jnp.pi * u[1])
     direction = to_world(local_frame(normalize(light.direction)), local)
@@ -90,14 +91,15 @@ def sun_sample(light: SunDisc, point: Vector, u: Float[Array, "2"]) -> Incident:
 
 
 def sun_pdf(light: SunDisc, point: Vector, wi: Direction) -> Scalar:
-    """Return the density of `sun_sample` toward a unit direction, () in sr^-1."""
+    """Return the density of the directions that `sun_sample` returns for uniform `u`, at a unit
+    direction, () in sr^-1."""
     del point
     return jnp.where(_inside(light, wi), 1 / (2 * jnp.pi * _height(light)), 0)
 
 
 def _bound(light: Ends[SunDisc]) -> Source:
-    """Bound the sun by its largest radiance, from any direction, and by the share of the sky that
-    its largest disc fills."""
+    """Return upper bounds on the light of a disc: its largest radiance from any direction, and the
+    share of the sky that its largest disc fills."""
     smallest, widest = least(light, "radius"), max(float(end.radius) for end in light)
     radiance = peak(light, "irradiance") / (np.pi * np.sin(smallest) ** 2)
     none = np.zeros((0, 3)), np.zeros(0), np.zeros(0)

@@ -1,7 +1,8 @@
-"""A parallelogram in space, seen from one point: intersection with a ray, and a map of the unit
-square onto its directions that remains nearly uniform for a near point.
+"""A parallelogram in space: its intersection with a ray, and a map from the unit square to
+directions from a point toward it. The density of these directions is nearly uniform even for a near
+point.
 
-Lengths in metres. For ONE point or ray; the caller vmaps.
+Lengths are in metres. All functions are for one point or ray; use `jax.vmap` for many.
 """
 
 from typing import Any
@@ -57,8 +58,8 @@ class Crossing(eqx.Module):
 
 
 def crossing(ray: Ray, window: Window) -> Crossing:
-    """Return the intersection of a ray's line with the plane of a window, in m and in units of the
-    edges."""
+    """Return the intersection of a ray's line with the plane of a window: the distance in m, and
+    the position in units of the edges."""
     flat = flat_quad(Quad(window.corner, window.edge_u, window.edge_v))
     height, slope, u, v = line_crossing(ray, flat)
     meets = slope > smallest_divisor(slope.dtype)
@@ -68,17 +69,17 @@ def crossing(ray: Ray, window: Window) -> Crossing:
 
 
 def hit_window(ray: Ray, window: Window) -> tuple[Crossing, Array]:
-    """Return the crossing, and whether it is inside the window, at a distance > 0 in m, and on the
-    front."""
+    """Return the intersection of a ray's line with a window's plane, and whether the ray hits the
+    front of the window at a positive distance, m."""
     at = crossing(ray, window)
     inside = (at.u >= 0) & (at.u <= 1) & (at.v >= 0) & (at.v <= 1)
     return at, at.meets & inside & (at.distance > 0) & (at.facing > 0)
 
 
 class Spread(eqx.Module):
-    """Map from [0, 1] to an interval of a line that begins at `start` and is `length` long: x =
-    scale sinh(first + u span), relative to the foot of a perpendicular. start, length, scale: () m.
-    () m."""
+    """A map from u in [0, 1] to an interval of a line that begins at `start` and has the length
+    `length`: x = scale sinh(first + u span), relative to the foot of a perpendicular. `start`,
+    `length` and `scale` are () in m."""
 
     start: Scalar
     length: Scalar
@@ -88,9 +89,10 @@ class Spread(eqx.Module):
 
 
 def _map_interval(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
-    """Return the map of an interval. Its span is asinh(b) - asinh(a) = asinh(b sqrt(1 + a^2) - a
-    sqrt(1 + b^2)). If a and b have the same sign, the difference is written as a quotient of sums,
-    so that nothing cancels for a distant interval."""
+    """Return the map to an interval whose ends, in units of `scale`, are a and b. The map's span is
+    asinh(b) - asinh(a) = asinh(b sqrt(1 + a^2) - a sqrt(1 + b^2)). If a and b have the same sign,
+    the difference is written as a quotient of sums, which avoids cancellation for a distant
+    interval."""
     a, step = start / scale, length / scale
     b = a + step
     across_a, across_b = jnp.sqrt(1 + a * a), jnp.sqrt(1 + b * b)
@@ -111,14 +113,15 @@ def _place(spread: Spread, u: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def _density(spread: Spread, fraction: Scalar) -> Scalar:
-    """Return d u / d fraction at the `u` for which `_place` returns this fraction."""
+    """Return the derivative of u with respect to the fraction of the interval, at a given
+    `fraction`. It is the inverse of the derivative that `_place` returns."""
     position = spread.start + fraction * spread.length
     return spread.length / (spread.span * safe_sqrt(spread.scale**2 + position**2))
 
 
 def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
-    """Return the map of each edge. Its scale is the distance from the point to the nearest line of
-    the window parallel to the edge, where 1 / d^2 is largest."""
+    """Return the map to each of the two edges of a window. The scale of a map is the distance from
+    the point to the nearest line of the window parallel to the edge, where 1 / d^2 is largest."""
     toward = as_vec(window.corner - as_vec(point))
     normal = normalize(cross(window.edge_u, window.edge_v))
     height = dot(normal, toward)
@@ -141,10 +144,11 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
 def window_sample(
     window: Window, point: Vector, u: Float[Array, "2"]
 ) -> tuple[Vec, Scalar, Scalar, Float[Array, "2"]]:
-    """Map `u`, (2,) in [0, 1], to a position of the window, densely where the window is near: x = D
-    sinh(p + u q) along each edge (Johnston & Elliott, Int. J. Numer. Meth. Engng 62 (2005)). Return
-    the unit direction, the distance, m, the solid angle per unit of the square, sr (0 for a point
-    behind the window), and the position, (2,) in [0, 1]."""
+    """Map `u`, (2,) in [0, 1], to a position in a window, more densely where the window is near: x
+    = D sinh(p + u q) along each edge, with the `Spread` D, p, q of that edge (Johnston & Elliott,
+    Int. J. Numer. Meth. Engng 62 (2005)). Return the unit direction, the distance, m, the solid
+    angle per unit of the square, sr (0 for a point behind the window), and the position, (2,) in
+    [0, 1]."""
     spread_u, spread_v = _spreads(window, point)
     s, jacobian_u = _place(spread_u, u[0])
     t, jacobian_v = _place(spread_v, u[1])
@@ -159,7 +163,7 @@ def window_sample(
 
 
 def window_pdf(window: Window, point: Vector, wi: Direction) -> Scalar:
-    """Return the density of the directions of `window_sample` for `u` uniform in the square, () in
+    """Return the density of the directions that `window_sample` returns for uniform `u`, () in
     sr^-1; 0 if `wi` misses the front of the window."""
     at, hit = hit_window(Ray(point, wi), window)
     spread_u, spread_v = _spreads(window, point)
@@ -173,8 +177,8 @@ _PIECES = 5  # pieces along each side of a window
 
 
 def _window_bound(light: Ends[Any], windows: Ends[Any]) -> Source:
-    """Bound a lamp that emits at most its largest radiance through a window. A fixed window is
-    divided into pieces."""
+    """Return upper bounds on the light of a lamp that emits at most its largest radiance through a
+    window. A fixed window is divided into pieces."""
     low, high = windows
     corner, u, v = (numbers(getattr(low, name)) for name in ("corner", "edge_u", "edge_v"))
     fixed = all(
