@@ -1,5 +1,5 @@
-"""Error against time for any approximation, measured on the user's own problem, and the choice of
-settings.
+"""Measurement of error against time for each approximation, on the user's own problem, and the
+choice of its settings.
 
 A `Knob` is the setting of an approximation, such as a number of samples.
 
@@ -15,7 +15,8 @@ A `Knob` is the setting of an approximation, such as a number of samples.
     scenes           scene files as problems; `scene_settings`: their settings for a tolerance
     tables plots pages   output
 
-Timing is eager and stays outside pure functions: measure, choose, then call.
+Timing cannot happen inside compiled, pure functions: measure first, choose settings, then call the
+library with them.
 """
 
 from ..core.lazy_names import names_of

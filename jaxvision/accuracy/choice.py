@@ -1,5 +1,6 @@
-"""The choice of a setting: the cheapest within a tolerance, or the most accurate within a time. It
-uses the upper bound on the error of a run with another seed, so that a lucky run does not win."""
+"""Choose the setting of an approximation: the cheapest within a tolerance, or the most accurate
+within a time. The choice uses the upper bound on the error of a run with another seed, so that a
+setting does not win by a lucky seed."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,8 +16,9 @@ STEP = 2**0.5  # ratio of successive inferred settings
 
 
 def candidates(curve: Curve) -> tuple[Trial, ...]:
-    """List measured settings and those inferred from the declared order where errors fall at least
-    as fast, cheapest first, times in s."""
+    """List the measured settings of a curve, cheapest first, with times in s. If the errors fall at
+    least as fast as the declared order, settings between and beyond the measured ones are added,
+    with their errors inferred from that order."""
     run = tuple(t for t in curve.trials if np.isfinite(t.error))
     if (
         not curve.knob.whole
@@ -72,13 +74,15 @@ def choose(
     tolerance: float | None = None,
     seconds: float | None = None,
 ) -> Trial:
-    """Choose the cheapest setting within a tolerance, or the most accurate within a time. Among
-    settings with indistinguishable times the most accurate is chosen.
+    """Choose the cheapest setting whose error is within a tolerance, or the most accurate setting
+    whose time is within a limit. Among settings with indistinguishable times, the most accurate is
+    chosen.
 
-    The error of a random setting is estimated from a few seeds. If a result depends on rare events,
-    such as light by a rare path, these seeds may have missed them. The error then exceeds the
-    stated bound in more than one of twenty runs. The same is true if all settings share a bias with
-    their reference, as with light that an integrator cannot find (`transport.light_findings`).
+    For a random setting, the error bound comes from the scatter over a few seeds. If the result
+    depends on rare events, such as bright paths of low probability, these seeds may have missed
+    them. Then more than one run in twenty has an error above the bound. The bound is also too low
+    if all settings share a bias with their reference, as when an integrator cannot find some of the
+    light (`transport.light_findings`).
 
     Args:
         curve: from `curve`, or the trials of `error_against_time`.

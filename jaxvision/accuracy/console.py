@@ -1,4 +1,4 @@
-"""Output of measurements on the terminal and in a folder."""
+"""Output of the accuracy measurements: tables and JSON on the terminal, pages in a folder."""
 
 import json
 import os
@@ -20,8 +20,9 @@ _OF_PAGES = ("jinja2", "matplotlib.backends.backend_svg", "matplotlib.figure")
 
 
 def check_request(seconds: float, out: Path | None) -> None:
-    """Raise `InputError` if a measuring command has no time, s, or cannot write its page; plotting
-    is imported here, since an interrupted run has little time for it.
+    """Raise `InputError` if a measuring command has no time, in s, or cannot write its page. The
+    plotting modules are imported here, because an interrupted measurement has little time left for
+    it.
     """
     if not seconds > 0:
         raise InputError(f"--seconds {seconds:g}: give a time above 0.")
@@ -38,8 +39,8 @@ def check_request(seconds: float, out: Path | None) -> None:
 def repeating(
     command: str, what: object, *, knobs: Sequence[str], seconds: float, out: Path | None
 ) -> str:
-    """Return the shell command that repeats the measurement of a scene or a rig. Without knobs it
-    measures all."""
+    """Return the shell command that repeats the accuracy measurement of a scene or a rig. If
+    `knobs` is empty, the command measures all settings."""
     words = [*command.split(), str(what)]
     for knob in knobs:
         words += ["--knob", knob]
@@ -55,8 +56,8 @@ def show(
     command: str,
     as_json: bool = False,
 ) -> dict[str, Any]:
-    """Print the measurements as a table or as JSON, and return them as JSON holds them. Raises
-    `InputError` if there was too little time for any setting."""
+    """Print the measured curves as a table or as JSON, and return them as a JSON object. Raises
+    `InputError` if there was too little time to measure any setting."""
     if not any(curve.trials for curve in curves):
         raise InputError(
             f"{problem.name}: {curves[0].stopped} before anything was measured; allow more "
@@ -78,7 +79,8 @@ def keep(
     command: str,
     as_json: bool = False,
 ) -> None:
-    """Write the page and its numbers if a folder is given, and name the files (not with JSON)."""
+    """Write the HTML page and the JSON file of the curves if a folder is given, and print their
+    paths unless the output is JSON."""
     if out is None:
         return
     for path in write_page(out, problem, curves, command=command, together=together):

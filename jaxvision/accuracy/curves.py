@@ -1,4 +1,4 @@
-"""Measurement of error against time for one knob of one problem, within a budget of time."""
+"""Measure error against time for one setting of one problem, within a time budget."""
 
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -47,14 +47,15 @@ def curve(
     metrics: Sequence[str] = ("rms", "p99", "max"),
     clock: Clock | None = None,
 ) -> Curve:
-    """Measure the error and the time of the settings of a knob.
+    """Measure the error and the time of a problem at each value of a setting.
 
-    First each setting is called twice, the cheapest first. Then the reference is computed. Then the
-    settings are called in alternation with other seeds, so that a drift of the machine's speed
-    favours none. An interrupt ends the measurement and keeps its results. A call that exceeds its
-    predicted time and the remaining time is abandoned. If XLA is compiling a program then, the
-    compilation continues in the background. Later calls wait until it ends, for at most a quarter
-    of the remaining time. Calls timed while it still runs are marked.
+    First the problem is run twice at each value, the cheapest first. Then the reference is
+    computed. Then the values are run in turns with further seeds, so that a drift of the machine's
+    speed favours none. An interrupt ends the measurement and keeps its results. A call is abandoned
+    if it exceeds its predicted time and the remaining time. If XLA is compiling at that moment, the
+    compilation continues in the background. Later calls wait until that compilation ends, for at
+    most a quarter of the remaining time. Trials that were timed while abandoned work was running
+    are marked (`Trial.beside`).
 
     Args:
         problem: the computation and its settings.
@@ -149,8 +150,8 @@ def curve(
 
 
 def _look(session: Session, names: tuple[str, ...]) -> None:
-    """Run each setting twice while time allows, and at least one setting once, without settings
-    that the problem refuses.
+    """Run each setting twice while time allows, and at least one setting once; settings that the
+    problem refuses are skipped.
     """
     settings, finest = session.knob.settings, session.knob.reference[-1:]
     if session.left <= LEAST:
@@ -174,7 +175,7 @@ def _look(session: Session, names: tuple[str, ...]) -> None:
 
 
 def _run_twice(session: Session, setting: Any) -> None:
-    """Run a setting twice, with enough time kept for a reference if there are other settings."""
+    """Run a setting twice. If other settings have been run, leave enough time for a reference."""
     share = LAST_LOOK if session.points else 1 + GRACE
     until = session.taken + share * session.left
     try:
@@ -187,7 +188,8 @@ def _run_twice(session: Session, setting: Any) -> None:
 
 
 def _take_turns(session: Session, seeds: int) -> None:
-    """Further calls of the settings in turns, each if it fits into the time."""
+    """Call the settings in turns with further seeds, as long as the next call fits into the
+    time."""
     session.wait_for_the_rest()
     rounds = seeds if session.knob.random else min(seeds, REPEATS)
     for number in range(len(PAIRED), rounds):
@@ -249,8 +251,9 @@ def _curve_of(
 def _gap(
     session: Session, others: Sequence[Point], exact: np.ndarray, reference: Reference
 ) -> float:
-    """Return the distance of the finest setting from the reference if it exceeds their scatter, so
-    that one of them is wrong; else 0. For equal seeds it is the distance of the nearest setting."""
+    """Return the distance of the finest other setting from the reference if it is larger than their
+    scatter explains, so that one of the two must be biased; otherwise return 0. If the reference
+    has no error beyond rounding, return the distance of the nearest setting instead."""
     from scipy.special import stdtrit
 
     error, known = reference.error, [one for one in others if len(one.results) > 1]
@@ -308,8 +311,9 @@ def _trial(
 
 
 def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:
-    """The part of a difference that all seeds share, with its bounds: the root of the mean product
-    of two seeds' differences, or the upper bound if noise hides it."""
+    """Estimate the error that all seeds share (the bias) and its bounds. The estimate is the root
+    of the mean product of the differences of two seeds from the reference, or its upper bound if
+    noise hides it."""
     typical = rms(norms)
     noise = float(np.mean(np.var(apart, axis=0, ddof=1))) if len(apart) > 1 else 0.0
     whole = float(np.mean(apart**2))
@@ -325,7 +329,8 @@ def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:
 
 
 def pareto_of(trials: Sequence[Trial]) -> tuple[int, ...]:
-    """Indices of the trials that are not dominated in error and time, fastest first."""
+    """Return the indices of the Pareto-optimal trials: no other trial is both faster and more
+    accurate. The fastest comes first."""
     found: list[int] = []
     for i in sorted(range(len(trials)), key=lambda i: (trials[i].seconds, trials[i].error)):
         if not found or trials[i].error < trials[found[-1]].error:
@@ -341,9 +346,9 @@ def error_against_time(
     repeats: int = 5,
     clock: Clock | None = None,
 ) -> list[Trial]:
-    """Measure the error and the time of competing calls.
+    """Measure the error and the time of several functions that compute the same result.
 
-    The warm calls take turns, so that a drift of the machine's speed favours none.
+    Warm calls of the functions alternate, so that a drift of the machine's speed favours none.
 
     Args:
         calls: functions without arguments, by name.
@@ -377,8 +382,9 @@ def error_against_time(
 
 
 def asked_knobs(of: str, names: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the requested settings, or of all known ones. An unknown name raises
-    `InputError`, whose message begins with the subject of the measurement."""
+    """Return the names of the requested settings, or all known names if none is requested. An
+    unknown name raises `InputError`; its message begins with `of`, the scene or rig that is
+    measured."""
     for name in names or ():
         if name not in known:
             words = ", ".join(repr(one) for one in known)
@@ -394,16 +400,17 @@ def measure_in_turn(
     worth: float = WORTH,
     clock: Clock | None = None,
 ) -> tuple[Curve, ...]:
-    """Measure the curves of settings with equal shares of the given s by `measure(name, share)`,
-    then again those with the fewest values while `worth` shares remain; an interrupt keeps the
-    finished curves."""
+    """Measure one curve for each named setting by `measure(name, share)`, where the shares divide
+    the given seconds equally. While at least `worth` shares of time remain, measure again the
+    curves with the fewest points. An interrupt keeps the finished curves."""
     now = clock or time.perf_counter
     until = now() + seconds
     found: list[Curve] = []
     shares: list[float] = []
 
     def measured(name: str, share: float) -> Curve | None:
-        """The measured curves; None if an interrupt came before the first."""
+        """Return the measured curve, or None if an interrupt came; before the first curve it is
+        raised again."""
         try:
             with raised_interrupts():
                 return measure(name, max(share, LEAST))

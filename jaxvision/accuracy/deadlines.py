@@ -1,9 +1,9 @@
-"""Run work in another thread, and abandon it when its time is over.
+"""Run work in another thread, and abandon it if it exceeds a time limit.
 
-Python cannot end a program that XLA compiles or runs. The work is therefore done by another thread,
-and the caller waits until the deadline. An abandoned thread continues to the end of its work. A
-Python process waits for it before it exits, because XLA's threads must not outlive their data. A
-command does not wait.
+Python cannot stop a program while XLA compiles or runs it. Another thread therefore does the work,
+and the caller waits until the deadline. An abandoned thread runs to the end of its work. At exit, a
+Python process waits for abandoned threads, because XLA's threads must not outlive their data. The
+package's shell commands exit without waiting.
 """
 
 import atexit
@@ -22,15 +22,15 @@ TICK = 0.1  # s between two checks of the time
 
 
 class OutOfTime(Exception):
-    """Work that was abandoned or not started."""
+    """Raised if work was abandoned, or not started, because its time was over."""
 
 
 class TooLittleTime(InputError):
-    """The requested measurement does not fit into the given time."""
+    """Raised if the requested measurement does not fit into the given time."""
 
 
 class _Job:
-    """A task and, once it has run, its result."""
+    """A function to call and, once it has run, its result or its error."""
 
     def __init__(self, work: Callable[[], Any]) -> None:
         self.work = for_any_thread(work)
@@ -47,7 +47,7 @@ class _Job:
 
 
 class _Hand:
-    """A thread that runs jobs in sequence."""
+    """A thread that runs one job after another."""
 
     def __init__(self) -> None:
         self.jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
@@ -59,7 +59,7 @@ class _Hand:
             job.run()
 
     def leave(self, job: _Job) -> None:
-        """Stop to wait for the thread, which ends after its current job."""
+        """Abandon the job: the thread ends after it, and nobody waits for its result."""
         self.jobs.put(None)
         _left_behind.append(job)
         leaves_work_behind()
@@ -71,20 +71,21 @@ _left_behind: list[_Job] = []
 
 
 def something_left_behind() -> bool:
-    """Return whether abandoned work still runs and slows down everything else."""
+    """Return whether abandoned work is still running and slows down all other work."""
     _left_behind[:] = [job for job in _left_behind if not job.ended.is_set()]
     return bool(_left_behind)
 
 
 def wait_for_the_rest(left: Callable[[], float]) -> None:
-    """Wait until the abandoned threads have ended, or for `left` s."""
+    """Wait until all abandoned work has ended, but no longer than the `left()` seconds."""
     while something_left_behind() and left() > 0:
         _left_behind[0].ended.wait(TICK)
 
 
 def run_within(work: Callable[[], Any], left: Callable[[], float]) -> Any:
-    """The result of some work; `OutOfTime` if the `left` s are over first. The work must not change
-    anything that the caller still needs."""
+    """Return the result of calling `work`, or raise `OutOfTime` if it takes longer than the
+    `left()` seconds. An abandoned call continues, so `work` must not change anything that the
+    caller still needs."""
     if np.isinf(left()):
         return work()
     hand, job = _idle.pop() if _idle else _Hand(), _Job(work)

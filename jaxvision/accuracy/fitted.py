@@ -1,4 +1,5 @@
-"""The order of a setting: a straight line through the logarithms of its errors."""
+"""Fit the order of convergence of a setting: a straight line through the logarithms of its
+errors."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,14 +13,15 @@ SHALLOWEST = 0.7  # share of the declared order that a fit must reach to confirm
 
 
 def variable(setting: float, law: Law) -> float:
-    """The variable in which the logarithm of the error is linear."""
+    """Return the variable x in which the logarithm of the error is linear: log(setting) for a power
+    law, the setting itself for a geometric law."""
     return float(setting) if law == "geometric" else float(np.log(setting))
 
 
 def fit_order(knob: Knob, trials: Sequence[Trial]) -> Order | None:
-    """Fit the law of the errors, weighted by their precision over seeds; the power law where it
-    describes them better than a declared geometric law. None for fewer than two, or settings that
-    are not numbers."""
+    """Fit the law by which errors depend on a setting, weighted by the precision of the errors over
+    seeds. If a geometric law is declared but a power law fits better, return the power law. Return
+    None if fewer than two settings have usable errors, or if settings are not numbers."""
     solid = [one for one in trials if not one.hollow and one.error > 0 and is_number(one.setting)]
     if len({one.setting for one in solid}) < 2:
         return None
@@ -31,7 +33,8 @@ def fit_order(knob: Knob, trials: Sequence[Trial]) -> Order | None:
 
 
 def _line(knob: Knob, solid: Sequence[Trial], law: Law) -> tuple[Order, float]:
-    """The straight line, and its weighted residual sum of squares."""
+    """Fit log(error) as a straight line in the law's variable; return the order and the weighted
+    residual sum of squares."""
     from scipy.special import stdtrit
 
     x = np.array([variable(one.setting, law) for one in solid])
@@ -53,7 +56,7 @@ def _line(knob: Knob, solid: Sequence[Trial], law: Law) -> tuple[Order, float]:
 
 
 def _interval_of_order(knob: Knob, trial: Trial) -> float:
-    """Standard error of the logarithm of an error."""
+    """Return the standard error of the logarithm of a trial's error."""
     if not np.isfinite(trial.error_high) or trial.error_high <= trial.error:
         return LEAST_SPREAD
     wide = float(np.log(trial.error_high / trial.error)) / 1.96
@@ -61,13 +64,14 @@ def _interval_of_order(knob: Knob, trial: Trial) -> float:
 
 
 def is_number(setting: Any) -> bool:
-    """Whether a setting is a positive number, and not a word."""
+    """Return whether a setting is a positive number."""
     return isinstance(setting, int | float) and not isinstance(setting, bool) and setting > 0
 
 
 def order_holds(knob: Knob, order: Order | None) -> bool:
-    """Whether the measured errors fall at least as fast as the declared order: the interval of the
-    fitted order contains it, and not only because the interval is wide.
+    """Return whether the errors are confirmed to fall at least as fast as declared: the interval of
+    the fitted order includes the declared order or steeper ones, and the fitted order is at least
+    0.7 of the declared one.
     """
     if order is None or knob.order is None or order.points < 3:
         return False

@@ -1,8 +1,8 @@
-"""Every approximation of the library by name, with its settings and its theoretical order, from
-`knobs.toml`.
+"""Records of all approximations of the library by name, with their settings and theoretical orders
+of convergence, from `knobs.toml`.
 
-Settings of scene files are keys of `[render]` (`scenes`). The others are measured on their own
-example (`examples`).
+Some are set by keys of `[render]` in scene files (`scenes`). The others are measured on an example
+problem (`examples`).
 """
 
 import tomllib
@@ -29,7 +29,8 @@ KNOBS: Mapping[str, Knob] = {name: _knob(name, table) for name, table in _TABLES
 
 
 def knob_named(name: str) -> Knob:
-    """The record of a setting; `InputError` with the nearest name for an unknown one."""
+    """Return the record of an approximation by name. `InputError` for an unknown name suggests the
+    nearest one."""
     if name not in KNOBS:
         raise InputError(f"knob {name!r} is unknown; {nearest(name, KNOBS)}.")
     return KNOBS[name]

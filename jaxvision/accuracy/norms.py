@@ -1,5 +1,5 @@
-"""The distance of a result from the reference, as one number. Relative norms are divided by the
-level: the root mean square of the reference, or the problem's own value."""
+"""Norms: the distance of a result from the reference as one number. Relative norms are divided by a
+level, which is the root mean square of the reference or a value that the problem states."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,7 +11,8 @@ from ..errors import InputError, nearest
 
 
 def relative_rms(result: Any, reference: Any) -> float:
-    """The root mean square error relative to that of the reference, computed in float64.
+    """Compute the root mean square error divided by the root mean square of the reference, in
+    float64.
 
     Args:
         result: any shape and unit.
@@ -37,7 +38,7 @@ def relative_rms(result: Any, reference: Any) -> float:
 
 
 def rms(values: np.ndarray) -> float:
-    """The root mean square of numbers, in their unit."""
+    """Return the root mean square of an array, in its unit."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -53,7 +54,8 @@ NORMS: dict[str, Callable[[np.ndarray], float]] = {"rms": rms, "p99": _p99, "max
 
 
 def level_of(reference: np.ndarray, level: float | None) -> float:
-    """The level for relative errors, in the unit of the result; 1 if all is 0."""
+    """Return the level that relative errors are divided by, in the unit of the result; 1 if the
+    reference is 0 everywhere."""
     found = rms(reference) if level is None else level
     return found if found > 0 else 1.0
 
@@ -66,8 +68,8 @@ def norms_of(
     names: tuple[str, ...],
     developed: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> Mapping[str, float]:
-    """The named norms of one result: relative, or in units of L* for "delta_e", the mean CIEDE2000
-    difference of the developed pictures."""
+    """Compute the named norms of the error of one result. They are relative, except "delta_e": the
+    mean CIEDE2000 difference of the developed pictures, in units of L*."""
     apart = result - reference
     found = {name: NORMS[name](apart) / level for name in names if name in NORMS}
     if "delta_e" in names and developed is not None:
@@ -80,7 +82,7 @@ def norms_of(
 
 
 def check_norms(names: tuple[str, ...]) -> None:
-    """Raise `InputError` for an unknown norm, or for none."""
+    """Raise `InputError` for an unknown norm, for no norm, or if the first norm is "delta_e"."""
     for name in names:
         if name not in (*NORMS, "delta_e"):
             raise InputError(f"norm {name!r} is unknown; {nearest(name, (*NORMS, 'delta_e'))}.")
@@ -89,7 +91,7 @@ def check_norms(names: tuple[str, ...]) -> None:
 
 
 def spreads_over(reference: tuple[int, ...], result: tuple[int, ...]) -> bool:
-    """Whether a reference of one shape can be compared with a result of another."""
+    """Return whether a reference of one shape broadcasts to the shape of a result."""
     try:
         return np.broadcast_shapes(reference, result) == result
     except ValueError:
@@ -105,8 +107,8 @@ _CHANCE = 0.025  # probability of a run above the upper bound, and of one below 
 
 
 def next_error(errors: np.ndarray) -> tuple[float, float, float]:
-    """Return the root mean square of errors (k,) and bounds, in their unit, that contain the error
-    of the next run in 95 of 100 cases.
+    """Return the root mean square of errors (k,), and lower and upper bounds, in their unit, that
+    contain the error of the next run with 95 % probability.
     """
     from scipy.special import fdtri, stdtrit
 

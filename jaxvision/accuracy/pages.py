@@ -1,4 +1,5 @@
-"""A self-contained page of curves in light or dark colours, and its numbers as JSON."""
+"""Write a self-contained HTML page of the measured curves, for light and dark displays, and their
+numbers as JSON."""
 
 import json
 from collections.abc import Sequence
@@ -65,7 +66,7 @@ def page(
 
 
 def _svg(curves: Sequence[Curve]) -> str:
-    """One curve, or several Pareto fronts."""
+    """Return an SVG figure of one curve, or of the Pareto fronts of several."""
 
     def drawn() -> "Figure":
         from matplotlib.figure import Figure
@@ -89,7 +90,7 @@ def write_page(
     command: str,
     together: Sequence[Together] | None = None,
 ) -> tuple[Path, Path]:
-    """Write the page and its numbers.
+    """Write the HTML page of the curves, and their numbers as JSON.
 
     Args:
         folder: for the files; it is made if needed.

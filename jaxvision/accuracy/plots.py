@@ -1,4 +1,5 @@
-"""Plots of error against time: one axes for each setting, and a figure with all."""
+"""Plots of error against time: one for each setting, and one figure with the Pareto fronts of all
+settings."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -24,9 +25,10 @@ def plot(
     others: Sequence[tuple[str, float, float]] = (),
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """Draw a curve. Filled points have their spread. Hollow points are near the reference's own
-    error, which is dashed unless it is far below. Points on the lower axis equal the reference. A
-    line is the Pareto front.
+    """Draw a curve. Filled points have error bars for the spread over seeds. A hollow point has an
+    error of less than three times that of the reference. A dashed line marks the error of the
+    reference, unless it is far below all points. Points on the lower axis have no error: they equal
+    the reference. The solid line is the Pareto front.
 
     Args:
         curve: as `curve` returns it.
@@ -93,8 +95,8 @@ def plot(
 
 
 def _without_error(axes: "Axes", trials: Sequence[Trial]) -> None:
-    """Trials that equal the reference, which a logarithmic axis cannot show; they are drawn on the
-    lower axis."""
+    """Draw trials that equal the reference on the lower axis, because a logarithmic axis cannot
+    show zero."""
     low, _ = axes.get_ylim()
     for trial in trials:
         axes.plot(trial.seconds, low, "o", color=BLUE, mfc="none", ms=6, clip_on=False)
@@ -102,7 +104,7 @@ def _without_error(axes: "Axes", trials: Sequence[Trial]) -> None:
 
 
 def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
-    """Draw the Pareto fronts of several settings of one problem on one axes.
+    """Draw the Pareto fronts of several settings of one problem in one plot.
 
     Args:
         curves: of the knobs.
@@ -134,7 +136,7 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
 
 
 def _scale_axis(axes: "Axes", errors: Sequence[float], of: str, none: str = _UNKNOWN) -> None:
-    """Logarithmic axes with their labels, and a message if there is nothing to draw."""
+    """Set logarithmic axes with labels, or write a message if there is nothing to draw."""
     axes.set(xlabel="time [s]", ylabel=of)
     if errors:
         axes.set(xscale="log", yscale="log")

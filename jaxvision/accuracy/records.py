@@ -1,4 +1,4 @@
-"""Records for the measurement of an approximation: settings, problems, trials and curves."""
+"""Records of accuracy measurements: approximations, problems, trials and curves."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -48,7 +48,7 @@ class Knob:
 
 @dataclass(frozen=True)
 class Problem:
-    """A computation as a function of settings and a seed.
+    """A computation as a function of its settings and of a random seed.
 
     Attributes:
         name: for tables and plots.
@@ -94,7 +94,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Trial:
-    """The measurement of one setting.
+    """The measured error and time of one value of a setting.
 
     Attributes:
         setting: the setting.
@@ -148,7 +148,8 @@ class Reference:
 
 @dataclass(frozen=True)
 class Order:
-    """The law of an error, fitted by least squares to the points that are not hollow.
+    """The law by which the error depends on a setting, fitted by least squares to the trials whose
+    error is well above that of the reference.
 
     Attributes:
         exponent: p of error ~ setting^p; for a geometric law, the logarithm of the factor by which
@@ -166,12 +167,12 @@ class Order:
 
     @property
     def is_known(self) -> bool:
-        """Whether the interval reaches no farther than 0.5, or a quarter of the exponent, from its
-        middle. With two points there is no interval, and the result is False."""
+        """Whether the 95 % interval extends at most 0.5, or at most a quarter of the exponent, from
+        its centre. With two points the interval is infinite, and the result is False."""
         return self.high - self.low <= max(1.0, abs(self.exponent) / 2)
 
     def __str__(self) -> str:
-        """The order as a table shows it."""
+        """Return the order as text for tables, or "unknown"."""
         if not self.is_known:
             return "unknown"
         if self.law == "geometric":
@@ -182,7 +183,7 @@ class Order:
 
 @dataclass(frozen=True)
 class Curve:
-    """Error against time for one setting of one problem.
+    """The measured errors and times of the values of one setting, on one problem.
 
     Attributes:
         problem: name of the problem.

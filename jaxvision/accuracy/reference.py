@@ -1,5 +1,6 @@
-"""The reference result for errors, independent of the measured ones, and its own error. For a
-random setting the error comes from other seeds, for a deterministic one from finer values."""
+"""Compute the reference result from which errors are measured, independently of the measured
+results, and estimate its error. The error estimate of the reference uses other seeds for a random
+setting, and coarser values for a deterministic one."""
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
@@ -29,8 +30,8 @@ STEEPEST = 300.0  # fall of an error between two settings, as a logarithm
 
 
 def mean_of(draws: Sequence[np.ndarray], compared: Compared | None) -> tuple[np.ndarray, float]:
-    """Return the compared function of the mean of at least two independent results, and its
-    standard error by the jackknife (Efron, SIAM (1982), ch. 3)."""
+    """Return the mean of at least two independent results and its standard error by the jackknife
+    (Efron, SIAM (1982), ch. 3). `compared`, if given, is applied to the mean."""
     count, total = len(draws), np.sum(draws, axis=0)
     if compared is None:
         return total / count, rms(np.std(draws, axis=0, ddof=1)) / count**0.5
@@ -39,8 +40,8 @@ def mean_of(draws: Sequence[np.ndarray], compared: Compared | None) -> tuple[np.
 
 
 def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
-    """Return the mean of independent draws of the finest setting that time allows. Its error is the
-    standard error of the mean, in the unit of the result."""
+    """Return the mean of independent draws of the finest setting that the time allows. The error of
+    this reference is the standard error of the mean, in the unit of the result."""
     run = tuple(session.points)
     setting = _finest(session, calls=DRAWS)
     try:
@@ -62,8 +63,8 @@ def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
 
 
 def _draw_results(session: Session, setting: Any) -> list[np.ndarray]:
-    """Return independent draws of a setting, as many as are worth their time. Seeds that fail after
-    others have succeeded are left out.
+    """Return independent results of a setting, as many as fit into a share of the remaining time.
+    If some seeds have succeeded, seeds that fail are skipped.
     """
     draws: list[np.ndarray] = []
     until = session.taken + SHARE * max(session.left, 0.0)
@@ -92,8 +93,9 @@ def _draw_results(session: Session, setting: Any) -> list[np.ndarray]:
 def paired_reference(
     session: Session, *, finer: bool = True
 ) -> tuple[Reference, dict[int, np.ndarray]]:
-    """The finest setting that fits the time (without `finer`, that was run), with the trials'
-    seeds, and its error by the steps between the finest settings."""
+    """Compute the reference for a deterministic setting: the results of the finest value that the
+    time allows, for the same seeds as the trials. Without `finer`, only values that were already
+    run are used. The differences between the finest values give its error."""
     knob = session.knob
     exact = bool(knob.reference) and not isinstance(knob.reference[-1], int | float)
     steps: list[Any] = [s for s, p in session.points.items() if p.results.keys() >= set(PAIRED)]
@@ -123,8 +125,9 @@ def paired_reference(
 
 
 def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
-    """The distance, in the result's unit, of a reference from the finest of at least three other
-    settings if it exceeds what their steps allow; else 0."""
+    """Return the distance, in the result's unit, of the reference from the finest of at least three
+    other settings if it is larger than the differences between these settings explain. Otherwise
+    return 0."""
     run = [one for one in settings if session.points[one].results.keys() >= set(PAIRED)]
     run = run[-RUNGS:]
     rungs = [one for one in run if isinstance(one, int | float)]
@@ -140,13 +143,14 @@ def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
 
 
 def _ladder(session: Session, settings: Sequence[Any]) -> list[dict[int, np.ndarray]]:
-    """The compared results of settings, by the seeds that settings share."""
+    """Return the compared results of each setting for the seeds that all settings share."""
     results = (session.points[setting].results for setting in settings)
     return [{seed: session.compared(own[seed]) for seed in PAIRED} for own in results]
 
 
 def _finest(session: Session, *, calls: int) -> Any:
-    """The finest measured or reference setting whose calls fit the time, else the cheapest."""
+    """Return the finest measured or reference setting whose calls fit into the time, or the
+    cheapest if none does."""
     chosen = next(iter(session.points))
     for setting in (*session.points, *session.knob.reference):
         if session.expected(setting, calls=calls) <= SHARE * session.left:
@@ -155,9 +159,9 @@ def _finest(session: Session, *, calls: int) -> Any:
 
 
 def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.ndarray]]) -> float:
-    """Estimate the error of the last of at least two results by the law E exp(-k x) of the knob's
-    variable x. The correlation between steps shows whether errors add in one direction or at
-    random, and the steps give k."""
+    """Estimate the error of the last of at least two results. The error is assumed to be E exp(-k
+    x) in the variable x of the setting. The differences of successive results give k, and their
+    correlation shows whether they add up in one direction or at random."""
     if len(ladder) < 2:
         return float("inf")
     steps = [
@@ -184,8 +188,8 @@ def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.
 
 
 def _laws(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> tuple[Law, ...]:
-    """The declared power law; else the law under which the rates of three steps are most constant,
-    and both laws for fewer steps."""
+    """Return the laws to extrapolate with: the declared power law, or else the law for which three
+    differences of results give the most constant rate. With fewer differences, return both laws."""
     if law == "power":
         return (law,)
     if len(steps) < 3 or min(steps) == 0:
@@ -201,30 +205,30 @@ def _laws(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> tuple[La
 
 
 def _distance(law: Law, coarse: Any, fine: Any) -> float:
-    """Return the distance of two settings in the variable of a law; 1 for settings that are
-    words.
-    """
+    """Return the distance of two settings in the variable of a law; 1 if they are not numbers."""
     if not (is_number(coarse) and is_number(fine)):
         return 1.0
     return abs(variable(fine, law) - variable(coarse, law)) or 1.0
 
 
 def _bias_of_last(ratio: float, before: float, after: float) -> float:
-    """The error after two steps in one direction, relative to the last step, from their ratio."""
+    """Return the remaining error after two steps in the same direction, relative to the last step.
+    `ratio` is the first step over the last."""
     rate = _bias_rate(ratio, before, after)
     return float(min(1 / np.expm1(rate * after), MOST_TAIL)) if rate > 0 else MOST_TAIL
 
 
 def _bias_rate(ratio: float, before: float, after: float) -> float:
-    """The rate at which one-directional errors decrease, from the ratio of two steps; 0 if they do
-    not."""
+    """Return the rate at which errors of one direction decrease, from the ratio of two steps; 0 if
+    they do not decrease."""
     if ratio <= before / after:
         return 0.0
     return _rate(lambda k: np.expm1(k * before) / -np.expm1(-k * after), ratio, before, after)
 
 
 def _chance_of_last(ratio: float, before: float, after: float) -> float:
-    """The error after two random steps, relative to the last step, from their ratio."""
+    """Return the remaining error after two steps of random direction, relative to the last step.
+    `ratio` is the first step over the last."""
     if ratio <= 1:
         return 1.0
     law = lambda k: (np.exp(2 * k * before) + 1) / (1 + np.exp(-2 * k * after))  # noqa: E731
@@ -233,7 +237,7 @@ def _chance_of_last(ratio: float, before: float, after: float) -> float:
 
 
 def _rate(law: Callable[[float], float], ratio: float, before: float, after: float) -> float:
-    """The k at which an increasing law has the given ratio."""
+    """Solve law(k) = ratio for the rate k, where the law increases with k."""
     from scipy.optimize import brentq
 
     most = STEEPEST / max(before, after)

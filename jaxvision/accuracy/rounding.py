@@ -1,15 +1,15 @@
-"""How many digits of a function's results are correct in spite of rounding, and which operation
-loses most of them.
+"""Count how many digits of a function's results are correct in spite of float32 rounding, and find
+the operation that loses most digits.
 
-Every operation of the function's jaxpr runs in float64 on its float32 operands. An inexact result
-is rounded to float32 at random, up or down: with the probability that makes its expectation exact,
-but at least 3/8, so that a few runs show what is lost of a small number that is added to a large
-one. An exact result is kept, so that compensated sums and products work. The scatter over several
-runs is the error by rounding (Parker, "Monte Carlo Arithmetic", UCLA CSD-970002, 1997). If the
-float32 operation itself has an error above one ULP, as special functions and long sums may have,
-this error is added with a random sign. A result that underflows to 0 is at random 0 or the smallest
-normal number. A loop, a branch or a linear solve is reported as one operation, but each operation
-in it is rounded.
+The function is traced to its jaxpr, and every operation runs in float64 on float32 operands. If the
+result is not a float32 number, it is rounded up or down at random. The probabilities make the
+expectation exact, but neither is below 3/8, so that a few runs also show what a sum loses of a
+small term. An exact result is not changed, so that compensated sums and products work. The scatter
+of the results over several runs is the rounding error (Parker, "Monte Carlo Arithmetic", UCLA
+CSD-970002, 1997). Special functions and long sums may have a float32 error above one ULP; this
+error is added with a random sign. A result that underflows to 0 becomes 0 or the smallest normal
+number at random. A loop, a branch or a linear solve is reported as one operation, but each
+operation inside it is rounded separately.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,8 @@ _LOSS = 1.0  # lost digits, beyond which an operation is named
 
 @dataclass(frozen=True)
 class Digits:
-    """The correct digits that remain after rounding.
+    """The number of correct digits of each output of a function, and the operation that loses most
+    digits.
 
     Attributes:
         digits: of each output, an array of its shape, at most 7.2; NaN where it is not finite.
@@ -54,7 +55,8 @@ class Digits:
 
     @property
     def fewest(self) -> float:
-        """The fewest digits of any finite output; NaN if none is finite."""
+        """The smallest number of correct digits of any finite output; NaN if no output is
+        finite."""
         known = self._check_known()
         finite = known[np.isfinite(known)]
         return float(finite.min()) if finite.size else (WHOLE if not known.size else np.nan)
@@ -73,11 +75,11 @@ class Digits:
 
 
 def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: int = 0) -> Digits:
-    """Count the digits that float32 leaves of a function's results at these arguments.
+    """Estimate how many digits of a function's float32 results are correct at the given arguments.
 
-    Arguments and constants are taken as exact. In float64 the function loses the same number of
-    digits, out of 16. Only rounding errors are counted: a series that is truncated too early still
-    has all digits.
+    Arguments and constants are assumed to be exact. In float64 the function loses the same number
+    of digits, but of 16. Only rounding errors are counted: a truncated series has all digits even
+    if the truncation error is large.
 
     Args:
         function: of arrays to a pytree of arrays, as `jax.jit` takes it.
@@ -126,7 +128,8 @@ def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: 
 
 
 def _digits_of(values: np.ndarray) -> np.ndarray:
-    """Digits that all of (runs, ...) values share; those of float32 where they are equal."""
+    """Return the number of digits that all runs, (runs, ...), have in common; all digits of float32
+    where the runs are equal."""
     values = values.astype(np.complex128 if np.iscomplexobj(values) else np.float64)
     if not np.size(values):
         return np.full(values.shape[1:], WHOLE)
@@ -137,7 +140,8 @@ def _digits_of(values: np.ndarray) -> np.ndarray:
 
 
 def _fewest(values: list[np.ndarray]) -> float:
-    """The fewest digits of any number that is finite and not 0 in all runs, of (runs, ...) each."""
+    """Return the fewest common digits of any number in the arrays, (runs, ...) each, that is finite
+    in all runs."""
     found = [_digits_of(own)[~np.isnan(_digits_of(own))] for own in values]
     return min((float(own.min()) for own in found if own.size), default=WHOLE)
 
@@ -145,8 +149,8 @@ def _fewest(values: list[np.ndarray]) -> float:
 def _evaluate(
     jaxpr: Any, key: Any, consts: list[Any], arguments: list[Any], *, names: list[str]
 ) -> tuple[list[Any], list[Any]]:
-    """The results of a jaxpr with random rounding and, of each rounded operation, its operands and
-    its result. `names` takes the words for the operations."""
+    """Evaluate a jaxpr with random rounding. Return its results and, for each rounded operation,
+    its operands and its result. The names of these operations are appended to `names`."""
     known: dict[Any, Any] = dict(
         zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *arguments], strict=True)
     )
@@ -188,7 +192,7 @@ def _evaluate(
 
 
 def _round(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
-    """The results of one operation, the inexact ones rounded at random."""
+    """Evaluate one operation in float64 and round inexact results at random."""
 
     def bound(inputs: list[Any], params: dict[str, Any]) -> list[Any]:
         results = eqn.primitive.bind(*inputs, **params)
@@ -209,7 +213,8 @@ def _round(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
 
 
 def _run_as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
-    """The results of a loop, a branch or a solution, each of whose operations is rounded."""
+    """Evaluate a loop, a branch or a linear solve, with random rounding of each operation inside
+    it."""
     params = eqn.params
 
     def run(inner: Any, key: Any, arguments: list[Any]) -> list[Any]:
@@ -253,13 +258,14 @@ def _run_as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
 
 
 def _count_unstacked(outside: list[Any], inside: list[Any]) -> int:
-    """How many variables of a scan have the same axes in its body, as constants and carry have."""
+    """Count the variables of a scan that have as many axes inside its body as outside: its
+    constants and carry. Stacked inputs and outputs have one axis fewer inside."""
     return sum(x.aval.ndim == y.aval.ndim for x, y in zip(outside, inside, strict=True))
 
 
 def _round_at_random(exact: Any, native: Any, key: Any) -> Any:
-    """A float64 rounded to a neighbouring float32; `native` is the float32 of the operation itself,
-    whose own error is taken with either sign."""
+    """Round a float64 number up or down to float32 at random. If the float32 operation itself,
+    `native`, has an error above two ULP, that error is added with a random sign."""
     if jnp.iscomplexobj(exact):
         parts = zip((exact.real, exact.imag), (native.real, native.imag), (2, 3), strict=True)
         return jax.lax.complex(
@@ -283,7 +289,8 @@ def _round_at_random(exact: Any, native: Any, key: Any) -> Any:
 
 
 def _name_operation(eqn: Any) -> str:
-    """The primitive and the line of the caller's own source."""
+    """Return the name of an operation, with the function and line of the user's source that calls
+    it."""
     traceback = eqn.source_info.traceback
     frames = traceback.frames if traceback is not None else ()
     own = next((f for f in frames if "/jax/" not in f.file_name and __file__ != f.file_name), None)

@@ -1,5 +1,6 @@
-"""The settings of a scene file for a tolerance or a time. Each is measured separately, the best
-combination is checked by runs with fresh seeds, and the result is stored."""
+"""Choose the settings of a scene file for a given tolerance or render time. Each setting is
+measured separately, and the best combination is checked by runs with fresh seeds. The choice is
+cached on disk."""
 
 import hashlib
 import json
@@ -40,7 +41,7 @@ PRUNING = 0.5  # share of the time budget for pruning, after which the scene is 
 
 @dataclass(frozen=True)
 class Chosen:
-    """Chosen settings of a scene file, and their predicted error and time.
+    """The settings chosen for a scene file, and their predicted error and time.
 
     Attributes:
         render: settings of `[render]`.
@@ -76,7 +77,7 @@ def measured(
     clock: Clock | None = None,
     problem: Problem | None = None,
 ) -> tuple[Problem, tuple[Curve, ...]]:
-    """The curves of a scene file's settings, with the time shared equally.
+    """Measure error against time for the settings of a scene file, with equal shares of the time.
 
     Args:
         source: the scene and its view.
@@ -120,8 +121,8 @@ def measured_together(
     metrics: tuple[str, ...] = ("rms", "p99", "max"),
     clock: Clock | None = None,
 ) -> tuple[Problem, tuple[Curve, ...], tuple[Together, ...]]:
-    """The curves of a scene file's settings and, in a quarter of the time, checks of their
-    combination.
+    """Measure error against time for the settings of a scene file; then, in the last quarter of the
+    time, check the best combinations by fresh runs.
 
     Args:
         source: the scene and its view, with its `[render]`.
@@ -154,7 +155,7 @@ def measured_together(
 
 
 def _add_base(knob: Knob, base: Any) -> Knob:
-    """Return the knob with its own base setting added to its settings."""
+    """Return the knob, with the scene file's own value added to its settings."""
     if base is None or isinstance(base, str) or base in knob.settings:
         return knob
     if base >= max(knob.reference):
@@ -171,12 +172,12 @@ def settings(
     cache: bool = True,
     clock: Clock | None = None,
 ) -> Chosen:
-    """Choose the cheapest settings of a scene file within a tolerance, or the most accurate in a
-    given time.
+    """Choose the cheapest settings of a scene file whose error is within a tolerance, or the most
+    accurate ones whose render time is within a limit.
 
-    Up to a quarter of the tolerance is used for dropping effects with a proved bound
-    (`effects.prune`). The rest of the tolerance is for the knobs. With a given time, only effects
-    that are proved to change nothing are dropped.
+    Up to a quarter of the tolerance is spent on dropping effects whose contribution has a proved
+    bound (`effects.prune`). The rest of the tolerance is spent on the settings. If a render time is
+    given, only effects that provably change nothing are dropped.
 
     Args:
         scene_file: from `read_scene`.
@@ -273,7 +274,8 @@ def _too_little(scene_file: SceneFile, seconds: float) -> TooLittleTime:
 def _compiling(
     problem: Problem, curves: Sequence[Curve], *, chosen: Mapping[str, Any] | None = None
 ) -> float:
-    """Return the compile time, s, of the programs of the chosen settings; None: of any settings."""
+    """Return the longest compile time, in s, over the chosen settings, or over all measured
+    settings if `chosen` is None."""
     compiled = [
         trial.first_seconds - part_seconds(problem, trial.seconds)
         for one in curves
@@ -296,7 +298,8 @@ def _chosen(scene_file: SceneFile, known: Mapping[str, Any], pruned: Pruned | No
 
 
 def _prune(source: SceneFile, tolerance: float | None, level: float | None) -> Pruned | None:
-    """Drop the negligible effects for paths of the largest depth of any setting."""
+    """Drop the negligible effects of a scene. The bounds hold for the longest path of any measured
+    depth."""
     own, deepest = source.render, KNOBS["depth"].reference[-1]
     deep = own.model_copy(update={"depth": max(own.depth, deepest)})
     share = "0" if tolerance is None else f"{PROVED * tolerance:.6e}"
@@ -307,7 +310,7 @@ def _prune(source: SceneFile, tolerance: float | None, level: float | None) -> P
 
 
 def _remembered(source: SceneFile, tolerance: float | None, render_seconds: float | None) -> Path:
-    """The file that stores the settings of a scene, a machine and a version."""
+    """Return the path of the cache file for the settings of this scene, machine and version."""
     key = {
         "scene": source.digest,
         "resolution": list(source.view.resolution),
@@ -324,7 +327,8 @@ def _remembered(source: SceneFile, tolerance: float | None, render_seconds: floa
 
 
 def machine() -> str:
-    """Describe the machine of the measured times in a line: processor, usable cores, and JAX."""
+    """Describe the machine in one line of text: usable cores, processor, accelerators, and the
+    version of JAX."""
     name = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -337,7 +341,8 @@ def machine() -> str:
 
 
 def _read(file: Path, seconds: float) -> dict[str, Any] | None:
-    """A finished measurement, and the minimum time in s that it took."""
+    """Read cached settings, or return None if there are none or if their measurement had less than
+    `seconds` s of time."""
     keys = {"settings", "promised", "predicted_seconds", "checked", "unknown", "level"}
     try:
         found = json.loads(file.read_text())

@@ -1,4 +1,5 @@
-"""A scene file as a problem: some of its pixels as a function of `[render]` and a seed."""
+"""Make an accuracy problem of a scene file: the radiance of some of its pixels as a function of its
+`[render]` settings and a seed."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -43,7 +44,7 @@ _QUANTILE, _SHOWN = 0.95, 0.8  # quantile of brightness, and its value in the de
 
 
 def knobs_of(source: SceneFile, settings: RenderEntry) -> tuple[str, ...]:
-    """The settings that change the picture of a scene file.
+    """List the settings that change the picture of a scene file.
 
     Args:
         source: the scene and its view.
@@ -73,7 +74,7 @@ def knobs_of(source: SceneFile, settings: RenderEntry) -> tuple[str, ...]:
 
 
 def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
-    """`[render]` with some settings replaced, each in its unit."""
+    """Return the `[render]` entry with the given settings replaced, each in its own unit."""
     update: dict[str, Any] = {}
     for name, value in turned.items():
         if name == "rule":
@@ -84,7 +85,8 @@ def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
 
 
 def base_of(settings: RenderEntry, names: tuple[str, ...]) -> dict[str, Any]:
-    """The values of the other settings of a scene file while one is measured, with few samples."""
+    """Return the values at which all settings of a scene file are kept while one of them is varied,
+    with at most 16 samples per pixel."""
     found = {}
     for name in (name for name in names if name not in APART):
         value = getattr(settings, "order" if name == "light samples" else name)
@@ -103,10 +105,11 @@ def scene_problem(
 ) -> Problem:
     """Make a problem of a scene file.
 
-    The problem computes a grid of the picture's own pixels (light tracing: a smaller picture). Its
-    time is scaled to the whole picture by calls of both with the cheapest settings, or by the
-    numbers of pixels if another program would take too long. Radiance is clipped at twice its 95 %
-    quantile, because a visible lamp would otherwise dominate the error.
+    The problem computes the pixels on a regular grid of the picture, or, for light tracing, the
+    whole picture at a lower resolution. The time of the grid is scaled to the whole picture. The
+    scale is measured with the cheapest settings, or is the ratio of pixel numbers if that
+    measurement would take too long. Radiance is clipped at twice its 95 % quantile, because visible
+    lamps would otherwise dominate the error.
 
     Args:
         source: the scene and its view.
@@ -210,8 +213,9 @@ def scene_problem(
 
 
 def _samples_a_call(entry: RenderEntry) -> int:
-    """The samples of one call; several calls give any number. Paths take one. Other integrators,
-    whose single sample is the pixel's middle, take two or all."""
+    """Return the number of samples per pixel in one call; further samples are computed by further
+    calls. Paths take one. Other integrators place a single sample at the centre of the pixel, so
+    they take two samples, or all if their number is odd."""
     if entry.integrator == "path":
         return 1
     return 2 if entry.samples % 2 == 0 else entry.samples
@@ -236,7 +240,7 @@ def _expand_bands(radiance: np.ndarray, expand: np.ndarray | None) -> np.ndarray
 
 
 def _seconds_of(compute: Compute, clock: Clock | None) -> float:
-    """Time of a warm call, s."""
+    """Measure the median time of three warm calls, in s."""
     now = clock or time.perf_counter
     compute(0)
     taken = []
@@ -248,13 +252,15 @@ def _seconds_of(compute: Compute, clock: Clock | None) -> float:
 
 
 def _brightest(picture: np.ndarray) -> float:
-    """The radiance at which pixels are clipped; infinity if almost no pixel is lit."""
+    """Return the radiance at which pixels are clipped: twice the 95 % quantile, or infinity if that
+    quantile is 0."""
     quantile = float(np.quantile(picture.max(axis=1), _QUANTILE)) if picture.size else 0.0
     return _HEADROOM * quantile if quantile > 0 else np.inf
 
 
 def _develop(radiance: np.ndarray, exposed: np.ndarray, to_rgb: np.ndarray) -> np.ndarray:
-    """Lab of a picture, with an exposure that puts 95 % of the reference below 0.8 of white."""
+    """Develop a picture to CIELAB, with an exposure that maps the 95 % quantile of the reference
+    luminance to 0.8 of white."""
     bright = exposed @ to_rgb @ np.array([0.2126, 0.7152, 0.0722])
     white = float(np.quantile(bright, _QUANTILE)) / _SHOWN if bright.size else 1.0
     rgb = np.clip(radiance @ to_rgb / (white if white > 0 else 1.0), 0, 1)

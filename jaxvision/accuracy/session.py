@@ -1,6 +1,6 @@
-"""Timed calls of a problem within a budget of time, the cheapest settings first. The time of the
-next setting is predicted from the growth of compile and run times so far. A call that exceeds its
-prediction is abandoned."""
+"""Run and time a problem within a time budget, the cheapest settings first. The time of the next
+setting is predicted from the growth of compile and run times so far. A call that takes much longer
+than the remaining time is abandoned."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -25,13 +25,13 @@ UNKNOWN = 2.0  # smallest growth between successive settings that are not increa
 
 
 class NotComparable(InputError):
-    """A result that cannot be compared with those of other settings, which is an error of the
-    problem."""
+    """Raised if results of two settings cannot be compared, for example because their shapes
+    differ; the problem itself is at fault."""
 
 
 @dataclass
 class Point:
-    """The calls of one setting."""
+    """The results and times of all calls of one setting."""
 
     setting: Any
     compute: Compute | None = None  # from a seed to a result; None before the first call
@@ -44,12 +44,13 @@ class Point:
 
     @property
     def seconds(self) -> float:
-        """Time of a warm call, s, or of the first one if there is no other."""
+        """The median time of the warm calls, in s, or the time of the first call if there is no
+        other."""
         return float(np.median(self.warm)) if self.warm else self.first
 
 
 class Session:
-    """One problem, one setting, and the remaining time."""
+    """Runs and times the settings of one knob on one problem, and counts the remaining time."""
 
     def __init__(
         self, problem: Problem, knob: Knob, seconds: float, clock: Clock | None = None
@@ -68,7 +69,7 @@ class Session:
 
     @property
     def left(self) -> float:
-        """s until the budget is used up."""
+        """The remaining time of the budget, in s."""
         return self.seconds - self.taken
 
     def wait_for_the_rest(self) -> None:
@@ -78,8 +79,8 @@ class Session:
         wait_for_the_rest(lambda: until - self.taken)
 
     def call(self, setting: Any, seed: int, *, within: float = np.inf) -> Point:
-        """Run a setting once more within the given and the remaining time, s, and return its calls;
-        `OutOfTime` if it is abandoned."""
+        """Run a setting once with a seed, and return the calls of that setting so far. Raise
+        `OutOfTime` if the call takes longer than `within` s or the remaining time."""
         begun, beside = self.clock(), something_left_behind()
         point = self.points.get(setting) or Point(setting)
 
@@ -116,7 +117,8 @@ class Session:
         return point
 
     def compared(self, values: Any) -> np.ndarray:
-        """The compared quantity of a result, or of the mean of several."""
+        """Return the quantity of a result that is compared with the reference; `values` may also be
+        the mean of several results."""
         return self.problem.compared(values) if self.problem.compared else np.asarray(values)
 
     def _of(self, setting: Any) -> str:
@@ -129,8 +131,8 @@ class Session:
             raise NotComparable(f"{self._of(setting)} is no array; give real numbers.") from None
 
     def _check(self, setting: Any, values: np.ndarray) -> None:
-        """Raise `NotComparable` for anything but an array of real numbers in the common shape, and
-        `InputError` for numbers that are not finite.
+        """Raise `NotComparable` unless the result is an array of real numbers of the same shape as
+        the other results, and `InputError` if a number is not finite.
         """
         of = self._of(setting)
         if values.dtype.kind not in "biuf":
@@ -149,8 +151,8 @@ class Session:
             )
 
     def refuse(self, setting: Any, why: Exception) -> None:
-        """Leave out a value that the problem cannot compute; raise the error of a problem whose
-        results cannot be compared, or that fails first."""
+        """Skip a setting that the problem cannot compute. Raise the error again if results cannot
+        be compared, or if the first setting fails for another reason than its input."""
         self.points.pop(setting, None)
         if isinstance(why, NotComparable) or not (self.points or isinstance(why, InputError)):
             raise why
@@ -158,7 +160,7 @@ class Session:
 
     @property
     def refusal(self) -> str:
-        """The remark on settings that were left out; "" for none."""
+        """A note about the first skipped setting and its reason; "" if none was skipped."""
         for setting, why in self.refused.items():
             words = str(why).strip().split("\n")[0].rstrip(".")
             kind = "" if isinstance(why, InputError) else f"{type(why).__name__}: "
@@ -166,8 +168,8 @@ class Session:
         return ""
 
     def expected(self, setting: Any, *, calls: int) -> float:
-        """Predicted time in s of `calls` calls of a setting: the last time, scaled by the growth of
-        compile and run times between settings."""
+        """Predict the time in s of further calls of a setting. For a setting without earlier calls,
+        the times of the previous settings are extrapolated."""
         known = self.points.get(setting)
         if known is not None and known.compute is not None:
             return calls * known.seconds
@@ -182,26 +184,28 @@ class Session:
         return compiling + calls * running
 
     def is_compiled(self, setting: Any) -> bool:
-        """Whether the problem states that this setting runs without compiling again."""
+        """Return whether the problem knows that this setting runs without another compilation."""
         settings = {**self.problem.settings, self.knob.name: setting}
         return self.problem.compiled is not None and self.problem.compiled(settings)
 
 
 def whole_seconds(problem: Problem, seconds: Any, once: float) -> Any:
-    """Time of the whole, s, from the time of a call of the part. `once` is a fixed cost that the
-    whole pays only once."""
+    """Return the time of the whole computation, in s, from the time of a call of the measured part.
+    `once` is the share of a call, in s, that the whole pays only once."""
     return once + problem.whole * np.maximum(seconds - once, 0.0)
 
 
 def part_seconds(problem: Problem, seconds: float) -> float:
-    """Return the time of a call of the part, s, from the time of the whole."""
+    """Return the time of a call of the measured part, in s, from the time of the whole
+    computation."""
     once = min(problem.once(), seconds)
     return once + (seconds - once) / problem.whole
 
 
 def _next(before: Sequence[tuple[Any, float]], setting: Any, power: float) -> float:
-    """Predict the time of the next setting, s, from (setting, s) in their order, by a power or a
-    factor, whichever is slower, and the smaller of the last two growths."""
+    """Predict the time of the next setting, in s, from the times of earlier settings (setting, s).
+    The time is extrapolated by the smaller of the last two growths: as a power of the setting or by
+    a constant factor per step, whichever predicts more."""
     if not before:
         return 0.0
     last, taken = before[-1]
@@ -215,15 +219,16 @@ def _next(before: Sequence[tuple[Any, float]], setting: Any, power: float) -> fl
 
 
 def _growth(before: tuple[Any, float], after: tuple[Any, float]) -> tuple[float, float]:
-    """The growth of the time as a factor, and as a power of the setting, at least 1 and 0."""
+    """Return the growth of the time between two settings: as a factor of at least 1, and as a power
+    of the setting of at least 0."""
     factor = max(after[1] / before[1], 1.0)
     ratio = _ratio(before[0], after[0])
     return factor, float(np.log(factor) / np.log(ratio)) if ratio else 1.0
 
 
 def _ratio(before: Any, after: Any) -> float | None:
-    """The ratio of two settings that are increasing numbers; None for others, such as
-    tolerances."""
+    """Return the ratio of two settings that are increasing positive numbers, or None for other
+    settings."""
     if is_number(before) and is_number(after) and after > before:
         return after / before
     return None

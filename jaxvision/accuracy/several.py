@@ -1,11 +1,12 @@
-"""Several settings at once: the cheapest combination within a tolerance, or the most accurate one
-within a time.
+"""Combine the settings of several approximations: choose the cheapest combination within a
+tolerance, or the most accurate one within a time.
 
-Times multiply: a change of one setting changes the time by the same factor as alone. Errors of
-random settings add in quadrature, and biases add linearly: (sum of biases)^2 + sum of squares.
+The model of time is a product: each setting changes the time by the same factor as it does alone.
+In the model of error, random errors add in quadrature and biases add linearly: error^2 = (sum of
+biases)^2 + sum of squares of random errors.
 
-The best combination is checked by runs with fresh seeds against finer values of all settings, and
-tightened if its error exceeds the tolerance.
+The best combination is checked by runs with fresh seeds against finer settings; if its error
+exceeds the tolerance, a more accurate combination is tried.
 """
 
 import time
@@ -37,7 +38,8 @@ TOLERANCES = (0.1, 0.01, 0.001)
 
 @dataclass(frozen=True)
 class Combination:
-    """Settings of several knobs, and their expected error and time.
+    """A setting for each of several approximations, and the expected error and time of the
+    combination.
 
     Attributes:
         settings: by name of the knob.
@@ -60,8 +62,8 @@ def combined(
     tolerance: float | None = None,
     seconds: float | None = None,
 ) -> Combination:
-    """Choose the best combination of settings from their Pareto fronts. A deterministic setting
-    with unknown error keeps its value.
+    """Choose the best combination of the settings of several approximations, from their Pareto
+    fronts. A deterministic approximation whose error is unknown keeps its value in `base`.
 
     Args:
         curves: of one problem, one for each knob; each was measured with the others at `base`.
@@ -115,7 +117,8 @@ def combined(
 
 
 def _seconds_at(curve: Curve, base: Mapping[str, Any]) -> float:
-    """Return the time, s, at the base value of a setting."""
+    """Return the time in s at the base value of a setting, interpolated between the measured
+    values."""
     setting = base[curve.knob.name]
     known = {trial.setting: trial.seconds for trial in curve.trials}
     if setting in known:
@@ -130,8 +133,8 @@ Front = list[tuple[Any, float, float]]
 
 
 def _unknown(curves: Sequence[Curve], fronts: Sequence[Front]) -> tuple[str, ...]:
-    """Return the settings without an error. Raises `InputError` if one of them is random, or if all
-    lack an error."""
+    """Return the names of the settings for which no error is known. `InputError` is raised if one
+    of them is random, or if no setting has a known error."""
     found = [c.knob for c, front in zip(curves, fronts, strict=True) if not front]
     lost = next((k for k in found if k.random or len(found) == len(curves)), None)
     if lost is not None:
@@ -140,7 +143,8 @@ def _unknown(curves: Sequence[Curve], fronts: Sequence[Front]) -> tuple[str, ...
 
 
 def _pareto(curve: Curve, once: float) -> Front:
-    """(setting, bound of the error, factor of time), without dominated ones."""
+    """Return the Pareto-optimal values of a setting, as (setting, upper bound of the error, time
+    relative to the base setting)."""
     found: Front = []
     for trial in sorted(candidates(curve), key=lambda trial: (trial.seconds, trial.error_high)):
         error = trial.error_high
@@ -150,7 +154,7 @@ def _pareto(curve: Curve, once: float) -> Front:
 
 
 class Check(NamedTuple):
-    """The result of runs with fresh seeds."""
+    """The error and time of a combination, from runs with fresh seeds."""
 
     # relative, upper limit for any run, including the error of the reference
     error: float
@@ -166,8 +170,9 @@ def combine_and_check(
     seconds: float,
     clock: Clock | None = None,
 ) -> tuple[Combination, bool]:
-    """Return the best combination with error and time from fresh runs, and whether there was time
-    for them; `InputError` if none meets the limit."""
+    """Choose the best combination, check it by runs with fresh seeds, and choose again if the check
+    fails. Return the combination with its error and time, and whether there was time to check it.
+    `InputError` if none meets the limit."""
     now = clock or time.perf_counter
     until = now() + seconds
     aim, within, off, slow = wanted, allowed, 1.0, 1.0
@@ -213,8 +218,9 @@ def check_combination(
     seconds: float,
     clock: Clock | None = None,
 ) -> Check | None:
-    """Measure the error and time, s, of a combination by fresh seeds against finer settings; None
-    without time for a reference of half that error."""
+    """Measure the error and the time, in s, of a combination by runs with fresh seeds, compared
+    with finer settings. Return None if time is too short for a reference whose own error is at most
+    half of that error."""
     now = clock or time.perf_counter
     until = now() + seconds
     own = sum(
@@ -244,8 +250,9 @@ def check_combination(
 def _finer(
     problem: Problem, curves: Sequence[Curve], best: Combination, finer: int
 ) -> tuple[dict[str, Any], float]:
-    """Return settings for a reference, and the time of a call in s. Each knob has the setting of
-    its own reference, and a random knob a multiple of the chosen number."""
+    """Return finer settings for a reference, and the time of one call with them in s. A
+    deterministic approximation takes the setting of its own reference; a random one takes `finer`
+    times the chosen number."""
     measured = [one for one in curves if one.knob.name not in best.unknown]
     fine = {c.knob.name: c.reference.setting for c in measured if c.reference.setting is not None}
     each = part_seconds(problem, best.seconds)
@@ -271,7 +278,8 @@ def _fresh_runs(
     random: bool,
     now: Clock,
 ) -> Check | None:
-    """Error and time of settings with fresh seeds; None if the finest settings are not better."""
+    """Run the chosen settings with fresh seeds and return their error and time, or None if the
+    error of the reference is more than half as large."""
     compute = problem.prepare(finest)
     draws = [np.asarray(compute(FIRST_SEED + n), np.float64) for n in range(DRAWS if random else 1)]
     compared = problem.compared or np.asarray
@@ -291,7 +299,7 @@ def _fresh_runs(
 
 @dataclass(frozen=True)
 class Together:
-    """The cheapest settings of all knobs within a tolerance."""
+    """The cheapest combination of all settings for one tolerance."""
 
     # the settings; None: no settings are known to be within the tolerance
     combination: Combination | None
@@ -307,8 +315,9 @@ def all_together(
     seconds: float = 0.0,
     clock: Clock | None = None,
 ) -> tuple[Together, ...]:
-    """Choose and check the cheapest combination of settings for each of `TOLERANCES` within the
-    given s. The result is empty for fewer than two settings, and an interrupt ends the checks."""
+    """For each of `TOLERANCES`, choose the cheapest combination of settings and check it, all
+    within the given seconds. The result is empty if fewer than two settings were measured. An
+    interrupt ends the checks, and the other combinations are returned unchecked."""
     known = [curve for curve in curves if curve.knob.name in problem.settings]
     if len(known) < 2:
         return ()

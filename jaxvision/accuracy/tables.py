@@ -1,5 +1,5 @@
-"""Measured curves as a table on the terminal and as JSON: the cheapest value of each setting for
-10, 1 and 0.1 %, and of all together."""
+"""Present measured curves as a table or as JSON: for each approximation and for all together, the
+cheapest setting with an error below 10, 1 and 0.1 %."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -18,7 +18,7 @@ WITHIN = tuple(f"{100 * tolerance:g} %" for tolerance in TOLERANCES)
 
 
 def reached(curve: Curve) -> list[Trial | None]:
-    """The cheapest setting for each of `TOLERANCES`, or None."""
+    """Return the cheapest setting for each of `TOLERANCES`, or None where no setting meets it."""
     found: list[Trial | None] = []
     for tolerance in TOLERANCES:
         try:
@@ -31,7 +31,7 @@ def reached(curve: Curve) -> list[Trial | None]:
 def rows(
     problem: Problem, curves: Sequence[Curve], *, together: Sequence[Together] | None = None
 ) -> list[tuple[str, ...]]:
-    """Cells of the table, with the headings first.
+    """Return the rows of the table of measured curves, headings first.
 
     Args:
         problem: that has the knobs.
@@ -52,8 +52,8 @@ def rows(
 
 
 def _cells(curve: Curve) -> list[str]:
-    """Return a cell for each tolerance. The cell of the first tolerance that no setting meets gives
-    the best bound that was reached.
+    """Return the text of one table cell for each tolerance. At the first tolerance that no setting
+    meets, the cell states the smallest error bound of any setting.
     """
     found = [NOT_REACHED if trial is None else _cell(trial) for trial in reached(curve)]
     if NOT_REACHED in found:
@@ -81,7 +81,7 @@ def _all(together: Together) -> str:
 
 
 def seconds_text(seconds: float) -> str:
-    """A time with two significant digits, as text in ms, s, min or h."""
+    """Format a time, in s, with two significant digits and the unit ms, s, min or h."""
     if seconds < 0.1:
         return f"{1e3 * seconds:.2g} ms"
     if seconds < 600:
@@ -90,13 +90,13 @@ def seconds_text(seconds: float) -> str:
 
 
 def percent_text(error: float) -> str:
-    """A relative error with two significant digits, as text in per cent."""
+    """Format a relative error as a percentage with two significant digits."""
     return f"{100 * error:.0f} %" if error >= 1 else f"{100 * error:.2g} %"
 
 
 def notes(curves: Sequence[Curve], *, together: Sequence[Together] = ()) -> list[str]:
-    """Sentences below the table: references, settings that were not run, and settings that were not
-    checked.
+    """List the sentences below the table: the references, the settings that were not run, and the
+    combinations that were not checked.
 
     Args:
         curves: of the knobs.
@@ -142,8 +142,8 @@ def json_sheet(
     together: Sequence[Together] | None = None,
     **more: Any,
 ) -> dict[str, Any]:
-    """Return all measurements, and more such as the machine, for JSON: times in s, errors relative.
-    A number that is not finite becomes null."""
+    """Return all measurements as an object for JSON, with the items of `more`, such as the machine.
+    Times are in s, errors relative. A number that is not finite is written as null."""
     sheet: dict[str, Any] = {
         "problem": problem.name,
         "about": problem.about,
@@ -189,8 +189,8 @@ def _finite(value: Any) -> Any:
 
 
 def choice_in_words(chosen: Chosen) -> str:
-    """The choice for a render in one or two sentences: the settings, the promised error in per
-    cent, and the predicted time in s."""
+    """Describe the settings chosen for a render in one or two sentences, with the promised error in
+    per cent and the predicted time in s."""
     words = ", ".join(f"{name} {setting}" for name, setting in chosen.settings.items())
     how = "checked with fresh seeds" if chosen.checked else "not checked, for lack of time"
     said = (

@@ -1,4 +1,4 @@
-"""A small problem for each setting that no scene file has. Each takes seconds.
+"""A small example problem for each setting that does not belong to scene files. Each takes seconds.
 
 light      roulette, strategies, form factors, adaptive nodes, tables of directions, spectra
 cameras    lens, motion, pixel aperture, diffraction, shot noise
@@ -16,7 +16,8 @@ ROOMS = ("light", "cameras", "pictures")
 
 
 def examples() -> dict[str, Callable[[], Problem]]:
-    """Functions without arguments that make the problems, by setting."""
+    """Return a function for each setting, by name, that makes the example problem of that
+    setting."""
     found: dict[str, Callable[[], Problem]] = {}
     for room in ROOMS:
         found |= import_module(f"{__name__}.{room}").EXAMPLES
@@ -31,7 +32,7 @@ def problem_of(
     seeded: bool = False,
     exact: Any = None,
 ) -> Problem:
-    """The problem whose result is that of `make(setting)`, compiled, for the given arrays, or for a
+    """Make a problem that compiles `make(setting)` and calls it with the given arrays, or with a
     random key if `seeded`."""
     import jax
 
@@ -43,7 +44,7 @@ def problem_of(
 
 
 def example(knob: str) -> Problem:
-    """The problem on which a setting is measured when there is no scene file.
+    """Make the example problem on which a setting is measured if no scene file is given.
 
     Args:
         knob: name of the knob, one of `KNOBS`.

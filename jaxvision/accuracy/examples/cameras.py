@@ -1,4 +1,4 @@
-"""Lens, motion, pixel aperture, diffraction and shot noise."""
+"""Example problems for cameras: lens, motion, pixel aperture, diffraction and shot noise."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -48,7 +48,7 @@ _NOISES = {
 
 
 def _balls() -> Scene:
-    """Three balls at different depths before a wall."""
+    """Make a scene of three balls at different depths in front of a wall."""
     places = ((-0.25, 0.0, 1.2), (0.05, 0.05, 1.8), (0.35, -0.1, 2.6))
     colours = ((0.25, 0.1, 0.05), (0.1, 0.2, 0.1), (0.05, 0.1, 0.25))
     balls = [
@@ -154,7 +154,8 @@ def _diffraction_nodes() -> Problem:
 
 
 def _shot_noise() -> Problem:
-    """The distribution of 2^18 draws at means of 1 to 100 electrons, compared with Poisson's."""
+    """Compare the distribution of 2^18 draws, at means of 1 to 100 electrons, with the Poisson
+    distribution."""
     from scipy.stats import poisson
 
     draws, most = 2**18, 160

@@ -1,4 +1,5 @@
-"""Paths, patches, area lights, tables of directions and spectra."""
+"""Example problems for light transport: paths, patches, area lights, tables of directions and
+spectra."""
 
 from collections.abc import Callable, Mapping
 from functools import cache, partial
@@ -41,8 +42,8 @@ def _box() -> SceneFile:
 
 
 def _paths(method: Callable[[Any], Paths], knob: str) -> Problem:
-    """The Cornell box by path tracing, cropped below its lamp, whose edges would dominate the
-    error."""
+    """Make a problem of path tracing in the Cornell box. The picture is cropped below the lamp,
+    because the lamp's edges would dominate the error."""
     view = with_resolution(_box().view, (SIDE, SIDE))
 
     def make(setting: Any) -> Callable[[jax.Array], jax.Array]:
@@ -64,7 +65,8 @@ def _form_factors() -> Problem:
 
 
 def _progressive() -> Problem:
-    """A closed cube of 96 patches, with equal form factors except within a wall."""
+    """Make a radiosity problem of a closed cube of 96 patches, with random form factors between
+    different patches."""
     rng = np.random.default_rng(0)
     factors = rng.uniform(0.5, 1.5, (96, 96))
     factors = (factors + factors.T) * (1 - np.eye(96))
@@ -84,7 +86,8 @@ def _progressive() -> Problem:
 
 
 def _adaptive() -> Problem:
-    """A floor under a lamp, compared with Lambert's closed form."""
+    """Make a problem of the irradiance on a floor under a lamp, compared with Lambert's closed
+    form."""
     lamp = RectangleLight((-0.5, -0.5, 0.6), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), radiance=(1.0,))
     x, y = np.meshgrid(np.linspace(-1, 1, SIDE), np.linspace(-1, 1, SIDE))
     points = jnp.asarray(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=-1))
@@ -118,7 +121,7 @@ def _hemisphere() -> Problem:
 
 
 def _polygons() -> Problem:
-    """Two squares that touch at a right angle."""
+    """Make a problem of the form factor between two squares that meet at a right angle."""
     floor = [as_vec(jnp.asarray(c, float)) for c in ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0))]
     wall = [as_vec(jnp.asarray(c, float)) for c in ((0, 0, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1))]
     return problem_of(
@@ -131,8 +134,8 @@ def _polygons() -> Problem:
 
 
 def _sampler() -> Problem:
-    """The light of a sky reflected by a tabulated lobe, from 64 directions drawn from its own
-    table."""
+    """Make a problem of the sky light that a tabulated BRDF reflects. Each estimate uses 64
+    directions drawn from a sampling table of the BRDF."""
     angles = jnp.asarray(np.linspace(0.01, 1.5, 16))
     samples = samples_of(_gloss(0.2), angles, angles, jnp.asarray(np.linspace(0, np.pi, 19)))
 
@@ -164,8 +167,8 @@ def _sampler() -> Problem:
 
 
 def _bands() -> Problem:
-    """Tristimulus values of D65 through a filter, from samples at the given number of
-    wavelengths."""
+    """Make a problem of the tristimulus values of D65 through a filter, sampled at the given number
+    of wavelengths."""
 
     def prepare(settings: Mapping[str, Any]) -> Compute:
         wavelengths = jnp.linspace(380e-9, 780e-9, settings["bands"])

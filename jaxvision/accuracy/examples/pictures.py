@@ -1,4 +1,4 @@
-"""Filters, mattes and curves on a synthetic picture."""
+"""Example problems for image processing: filters, mattes and curves, on a synthetic picture."""
 
 from collections.abc import Callable
 from functools import cache, partial
@@ -21,7 +21,8 @@ SIGMA = 2.0
 
 @cache
 def picture() -> np.ndarray:
-    """(SIDE, SIDE, 3) relative: ramps, a disc with a sharp edge, and a texture."""
+    """Return a synthetic picture, (SIDE, SIDE, 3), relative, with ramps, a disc with a sharp edge,
+    and a texture."""
     y, x = np.mgrid[:SIDE, :SIDE] / SIDE
     disc = np.hypot(x - 0.5, y - 0.45) < 0.28
     texture = 0.08 * np.sin(40 * x) * np.cos(31 * y)
@@ -30,7 +31,7 @@ def picture() -> np.ndarray:
 
 
 def _filtered(name: str, function: Callable[[Any, Any], Any], knob: str) -> Problem:
-    """A function of a picture and a setting."""
+    """Make a problem that applies a function of an image and a setting to the synthetic picture."""
 
     return problem_of(
         name, knob, lambda setting: lambda x: function(x, setting), jnp.asarray(picture())
@@ -84,7 +85,7 @@ def _bilateral() -> Problem:
 
 
 def _layer() -> tuple[np.ndarray, np.ndarray]:
-    """A disc with a soft edge in front of a ramp, and its coverage."""
+    """Return an image of a soft-edged disc in front of a ramp, and the coverage of the disc."""
     y, x = np.mgrid[:SIDE, :SIDE] / SIDE
     alpha = np.clip((0.3 - np.hypot(x - 0.5, y - 0.5)) * 20 + 0.5, 0, 1)[..., None]
     front = np.stack([0.8 + 0 * x, 0.2 + 0.3 * y, 0.1 + 0.2 * x], axis=-1)
@@ -119,7 +120,8 @@ def _power() -> Problem:
 
 
 def _interpolation() -> Problem:
-    """Interpolation of waves of 9 and 13 pixels, whose values between pixels are known."""
+    """Make a problem that interpolates sinusoids with periods of 9 and 13 pixels, whose values
+    between pixels are known."""
     places = np.linspace(4.0, SIDE - 5.0, SIDE)
 
     def waves(y: np.ndarray, x: np.ndarray) -> np.ndarray:
