@@ -1,4 +1,4 @@
-"""The command `jaxvision`, and common parts of the commands of both packages (`command_line`)."""
+"""The command `jaxvision`; `command_line` is the part that the commands of both packages share."""
 
 from ..core.lazy_names import names_of
 

@@ -1,8 +1,9 @@
-"""The `jaxvision` command: inspect image files, render scene files, bound their effects.
+"""The `jaxvision` command: inspect image files, render scene files, measure accuracy, and bound the
+effects of a scene.
 
-Bad input ends with one sentence on standard error and exit status 2; an interrupt with status 130.
-The numerical libraries are imported when a command starts its work, so `--help` and mistyped
-options are answered immediately.
+Bad input ends the command with one sentence on standard error and exit status 2. An interrupt ends
+it with status 130. Numerical libraries are imported only when a command starts its work, so that
+`--help` and mistyped options are answered immediately.
 """
 
 import json
@@ -341,7 +342,7 @@ def accuracy(
 
 
 def _share(text: str) -> float:
-    """A relative tolerance from text, above 0."""
+    """Parse a relative tolerance above 0 and below 1, such as "1%"."""
     from ..effects import parse
 
     goal = parse(text)
@@ -471,8 +472,8 @@ def _finite_or_null(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _prepare() -> None:
-    """Keep compiled programs, and compute in double precision, which histograms of 16-bit and
-    floating images need. The command does both, never an import."""
+    """Enable the cache of compiled programs and double precision. Histograms of 16-bit and
+    floating-point images need double precision. Importing the package does neither."""
     keep_programs()
     import jax
 

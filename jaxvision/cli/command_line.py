@@ -1,5 +1,5 @@
-"""Common parts of the commands: `--version`, `-v`, and the end of a failed command with one
-sentence on standard error and an exit status."""
+"""Parts that both shell commands share: the options `--version` and `-v`, and the end of a failed
+command with one sentence on standard error and an exit status."""
 
 import logging
 import os
@@ -51,8 +51,8 @@ Scheduler = Annotated[
 
 
 def _described_parameters(params: Any, ctx: Any) -> Any:
-    """Return the parameters of a command with a short word for the value of each option in the
-    help. Flags have no word, and arguments have their name."""
+    """Set the word that the help shows for the value of each option of a command, such as N or
+    PATH. Flags get no such word, and positional arguments keep their names."""
     for param in params:
         if param.param_type_name == "argument":
             param.display_type_rich = lambda ctx: None
@@ -77,7 +77,7 @@ class _Command(TyperCommand):
 
 
 class _Group(TyperGroup):
-    """A group of sub-commands that checks its words, including paths, and the working folder for
+    """A group of sub-commands. It refuses arguments, and a working folder, whose text is not valid
     UTF-8."""
 
     def get_params(self, ctx: Any) -> Any:
@@ -101,7 +101,7 @@ class _Group(TyperGroup):
             raise
 
     def _clearer(self, said: str, ctx: Any) -> str:
-        """A clearer message for a wrong command line, with the remedy."""
+        """Reword the error message for a wrong command line, so that it says what to do."""
         said = said.removeprefix("Value error, ")
         if " is not one of " in said:
             word, *known = re.findall(r"'([^']*)'", said)
@@ -117,8 +117,8 @@ class _Group(TyperGroup):
 def command_app(
     name: str, about: str, *, elsewhere: Mapping[str, str] | None = None
 ) -> typer.Typer:
-    """A command with sub-commands, `--help`, `--version` and `--verbose`. `elsewhere` gives, for a
-    sub-command of the other command, that command's name."""
+    """Make a command that has sub-commands and the options `--help`, `--version` and `--verbose`.
+    `elsewhere` gives the command to suggest for a sub-command that only the other package has."""
     # pydantic looks for plugins in the metadata of every installed package
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     app = typer.Typer(
@@ -155,8 +155,8 @@ def command_app(
 def sub_command(
     app: typer.Typer, *examples: str
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator that adds a function to a command. Its docstring is the help, in one paragraph,
-    followed by the examples."""
+    """Return a decorator that adds a function to a command as a sub-command. The docstring of the
+    function becomes the help text, in one paragraph, followed by the examples."""
 
     def added(function: Callable[..., None]) -> Callable[..., None]:
         sentences = " ".join((function.__doc__ or "").split())
@@ -176,7 +176,7 @@ def _print_version(context: typer.Context, wanted: bool) -> bool:
 
 
 def surroundings() -> list[str]:
-    """List everything besides the package that a result depends on, a line each: Python,
+    """List, one per line, what a result depends on besides the package itself: Python, the
     dependencies, the folder of compiled programs, and the devices."""
     import platform
 
@@ -195,8 +195,8 @@ def surroundings() -> list[str]:
 
 
 def say_what_is_done() -> None:
-    """Print on standard error, with the seconds since the start, the package's log and each program
-    that JAX has compiled."""
+    """Print the package's log and each program that JAX compiles on standard error, with the
+    seconds since the start."""
     handler = logging.StreamHandler()
     handler.setFormatter(_Elapsed("%(message)s"))
     own = logging.getLogger("jaxvision")
@@ -218,7 +218,7 @@ def say_what_is_done() -> None:
 
 
 class _Elapsed(logging.Formatter):
-    """Log messages with the seconds since logging was loaded."""
+    """Prefixes log messages with the seconds since the `logging` module was loaded."""
 
     def format(self, record: logging.LogRecord) -> str:
         return f"{record.relativeCreated / 1e3:7.2f} s  {super().format(record)}"
@@ -226,10 +226,11 @@ class _Elapsed(logging.Formatter):
 
 @contextmanager
 def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") -> Iterator[None]:
-    """Context in which a user's error ends the command with one line that begins with its name. The
-    exit status is 2 for input and files, 130 for an interrupt, and 141, without a line, if the
-    output is no longer read. A warning is a line; one of many files is printed once, with their
-    number."""
+    """Run the body of a `with` block so that an error in the user's input ends the command with one
+    line on standard error, which begins with the name of the command. The exit status is 2 for
+    wrong input and for files that cannot be read or written, 130 for an interrupt, and 141, without
+    a message, if the reader of the output has closed it. A warning is also printed as one line. If
+    several files cause the same warning, it is printed once, with the number of further files."""
     say_if_interrupted(interrupted)
     alike: Counter[str] = Counter()
 
@@ -264,8 +265,8 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
 
 
 def print_table(title: str, records: Sequence[Any]) -> None:
-    """Print dataclasses of one kind, with a text field `name` and numeric fields, as tables: one
-    row per field, one column per record, as many side by side as fit 80 columns."""
+    """Print dataclass records of one type as tables: one row for each numeric field, one column for
+    each record, headed by its `name`. A table has at most four records side by side."""
     from rich.console import Console
     from rich.table import Table
 
@@ -288,7 +289,7 @@ def print_table(title: str, records: Sequence[Any]) -> None:
 
 
 def leave(command: str, sentence: str, status: int) -> NoReturn:
-    """Print one line on standard error, with the command's name, the error and the remedy, and end
-    the command with that exit status."""
+    """Print one line with the command's name and the error message on standard error, and exit with
+    the given status."""
     print(f"{command}: {sentence}", file=sys.stderr)
     raise typer.Exit(status)
