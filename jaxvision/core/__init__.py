@@ -1,6 +1,6 @@
-"""Internal foundations: types, vectors, NaN-safe numerics, random numbers, argument checks,
-printing of records, and execution on the machine.
+"""Internal foundations: types, vectors, NaN-safe numerics, random numbers, checks of arguments,
+printing of records, memory, and worker processes.
 
-Modules whose names begin with an underscore are for `jaxvision` alone, and the others also for
-`fitting`. `_loops` is for loops over pixels, rays and records only.
+Modules whose names begin with an underscore are for `jaxvision` alone; `fitting` may use the others
+too. Only loops over pixels, rays and records use `_loops`.
 """

@@ -1,7 +1,8 @@
-"""Conversion and checks of arguments. Plain numbers and lists become arrays. A function of one
-point rejects several points, and directions must be unit vectors.
+"""Convert and check the arguments of public functions. Plain numbers and lists become arrays. A
+function of one point refuses an array of several points, and a direction must be a unit vector.
 
-Values are checked if they are concrete, outside `jax.jit` and similar transforms. NaN passes.
+Values are checked only if they are concrete; inside `jax.jit` and other transforms they are not.
+NaN passes.
 """
 
 from collections.abc import Callable, Collection, Iterable
@@ -44,7 +45,7 @@ PLAIN = (bool, int, float, list, tuple, str)
 
 
 class _Wanted(NamedTuple):
-    """The expected content of a parameter."""
+    """The requirements on one array argument of a function."""
 
     # the allowed shapes, in which a word stands for any length, and a leading `...` for any axes
     shapes: tuple[tuple[int | str, ...], ...]
@@ -58,9 +59,10 @@ class _Wanted(NamedTuple):
 
 
 def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
-    """Make a function of arrays accept numbers, lists and NumPy arrays, converted to the floating
-    dtype of its other arguments. Raise `ValueError` for wrong shapes, directions and keys, and
-    `TypeError` for optional arguments given by position and for unknown names."""
+    """Decorate a function of arrays so that it also accepts numbers, lists and NumPy arrays. They
+    are converted to the floating dtype of its other arguments. The decorated function raises
+    `ValueError` for wrong shapes, directions and random keys. It raises `TypeError` for unknown
+    argument names, and for optional arguments that are given by position."""
 
     @wraps(function)
     def converting(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -104,14 +106,14 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def warn_of_idle_fill(fill: Any, border: str) -> None:
-    """Warn if a fill value is given, in any unit, that the border does not use."""
+    """Warn if a fill value other than 0 is given with a border mode that does not use it."""
     if border != "constant" and is_known(fill) and np.any(np.asarray(fill) != 0):
         warn_caller(f'fill has no effect with border "{border}"; set border = "constant".')
 
 
 def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorate a function, below `takes_numbers`, to raise `ValueError` for known arguments outside
-    their range."""
+    """Decorate a function so that it raises `ValueError` for a concrete argument outside its
+    allowed range. This decorator stands below `takes_numbers`."""
 
     def of(function: Callable[P, R]) -> Callable[P, R]:
         names = list(signature(function).parameters)
@@ -129,8 +131,8 @@ def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def _is_plain(value: Any, want: _Wanted) -> bool:
-    """Whether to convert the value to an array of floating numbers. Unsigned integers may be codes,
-    which the functions of pictures and colours handle themselves."""
+    """Return whether an argument must be converted to a floating-point array. Unsigned integers may
+    be image codes, which image and colour functions convert themselves."""
     if isinstance(value, int | float) and want.keeps_numbers:
         return False
     if isinstance(value, PLAIN) or want.keeps_integers:
@@ -142,7 +144,7 @@ def _is_plain(value: Any, want: _Wanted) -> bool:
 
 
 class _Expected(NamedTuple):
-    """What a function expects, by parameter."""
+    """The requirements on all parameters of one function."""
 
     # in order; None for a parameter that takes no array of numbers
     contents: dict[str, _Wanted | None]
@@ -170,7 +172,8 @@ def _expected(function: Callable[..., Any]) -> _Expected:
 
 
 def _parts(hint: Any) -> tuple[Any, ...]:
-    """Return the members of a union, without resolving named aliases; any other hint by itself."""
+    """Return the members of a union type without resolving named aliases; a tuple of the hint
+    itself if it is no union."""
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 
@@ -231,7 +234,7 @@ def _as_array(
 
 
 def check_unit(name: str, vectors: Array | np.ndarray) -> None:
-    """Raise `ValueError` for known vectors, (..., 3), with a length other than 1 or 0."""
+    """Raise `ValueError` if a concrete vector, (..., 3), has a length other than 1 or 0."""
     lengths = np.linalg.norm(np.asarray(vectors, np.float64), axis=-1)
     rounding = 4 * float(jnp.finfo(vectors.dtype).eps)
     wrong = (lengths != 0) & (np.abs(lengths - 1) > max(UNIT_WITHIN, rounding))

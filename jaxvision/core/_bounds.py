@@ -1,8 +1,9 @@
-"""Bounds that each type of lamp and material defines: the largest light of a lamp, the suprema of a
-material's shading, and the records and angles that these functions take.
+"""Helpers for the bounds that each type of light and material defines: the largest light that a
+lamp sends, and the suprema of a material's shading.
 
-A bound is NumPy float64, computed outside `jit`, from a record at both ends of the range of its
-free parameters. For each field it uses the end that gives the larger bound.
+A bound is computed outside `jit` in NumPy float64. Its argument is a record with each free
+parameter at both ends of its range. For each field, the bound uses the end of the range that makes
+it larger.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,7 +23,8 @@ SIGNS = np.array([*product((-1.0, 1.0), repeat=3)])
 @register_dataclass
 @dataclass(frozen=True, eq=False)
 class Ends(Generic[T]):
-    """A record at both ends of the range of its free parameters; twice the same if none is free.
+    """A record at both ends of the range of its free parameters; both are equal if no parameter is
+    free.
 
     Attributes:
         low: the record with each number at its low end.
@@ -36,7 +38,7 @@ class Ends(Generic[T]):
         return iter((self.low, self.high))
 
     def of(self, name: str) -> "Ends[Any]":
-        """Return a field at both ends; repeated calls return the same object."""
+        """Return one field of the record at both ends. Repeated calls return the same object."""
         key = f"of {name}"
         if key not in self.__dict__:
             self.__dict__[key] = Ends(getattr(self.low, name), getattr(self.high, name))
@@ -44,7 +46,7 @@ class Ends(Generic[T]):
 
 
 def once(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
-    """Cache a function of `Ends` in the object itself, so that it is computed once."""
+    """Cache the result of a function of `Ends` in its argument, so that it is computed once."""
 
     @wraps(function)
     def asked(ends: Ends[Any]) -> T:
@@ -56,13 +58,13 @@ def once(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
 
 
 def numbers(x: object) -> np.ndarray:
-    """Return the numbers of a field in float64."""
+    """Convert the values of a field to a float64 array."""
     return np.asarray(x, np.float64)
 
 
 def box_about(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the corners, (8 n, 3), of the boxes from `low` to `high`, (n, 3) each, in m; the
-    points `low` themselves if both are equal."""
+    """Return the corners, (8 n, 3) in m, of the boxes from `low` to `high`, (n, 3) each. If `low`
+    and `high` are equal, return the points `low` themselves."""
     if np.array_equal(low, high):
         return np.atleast_2d(low)
     middle, half = (low + high) / 2, np.abs(high - low) / 2
@@ -82,8 +84,8 @@ def angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class Angles(NamedTuple):
-    """Angles between cells and light positions for the bound of a lobe, (c, s) unless stated
-    otherwise.
+    """Bounds on the angles between c cells and s light positions, from which a lobe is bounded; (c,
+    s) unless stated otherwise.
 
     Attributes:
         off_mirror: rad, the smallest angle between the mirrored light direction and the viewer.
@@ -103,7 +105,7 @@ class Angles(NamedTuple):
 
 
 class Lobe(NamedTuple):
-    """The lobe of a material, in addition to its body.
+    """Bounds on the specular lobe of a material.
 
     Attributes:
         spectrum: (bands,) or (1,), k_s.
@@ -124,20 +126,21 @@ class Lobe(NamedTuple):
 
     @property
     def gain(self) -> float:
-        """Return 2 pi times the largest f_r cos / k_s, divided by `size`: the largest factor by
-        which the share of the lobe in a small solid angle may exceed this angle / 2 pi. No unit."""
+        """The largest value of f_r cos / k_s, divided by the mean of f_r cos / k_s over the
+        hemisphere. It is the largest factor by which the share of the lobe in a small solid angle
+        can exceed this angle / 2 pi. No unit."""
         one = np.ones((1, 1))
         peak = self.most(Angles(0 * one, one, 0 * one, one, 0 * one, one))
         return 2 * np.pi * float(peak.max()) / self.size if self.size > 0 else np.inf
 
 
 def power_of(cosines: np.ndarray, n: float) -> np.ndarray:
-    """Return max(cos, 0)^n, which is 1 for n = 0 at any angle."""
+    """Return max(cos, 0)^n; for n = 0 the result is 1 at every angle."""
     return np.where(cosines > 0, np.maximum(cosines, 1e-300) ** n, 0 if n > 0 else 1)
 
 
 class Reflection(NamedTuple):
-    """The suprema of one material.
+    """The suprema of the shading of one material.
 
     Attributes:
         body: (bands,) sr^-1, sup of the diffuse part's f_r.
@@ -169,7 +172,8 @@ class Reflection(NamedTuple):
 
 
 def peak(x: Any, name: str) -> np.ndarray:
-    """Return the largest magnitude of a spectrum at the two ends, for each band."""
+    """Return the largest magnitude of a spectrum over both ends of the range of its parameters, for
+    each band."""
     return np.maximum(*(np.abs(numbers(getattr(end, name))) for end in x))
 
 
@@ -182,7 +186,7 @@ def most(x: Any, name: str) -> float:
 
 
 class Source(NamedTuple):
-    """The properties of one light that bounds need.
+    """The properties of one light from which its irradiance is bounded.
 
     Attributes:
         spectrum: (bands,) largest intensity W sr^-1, irradiance W m^-2 or radiance W m^-2 sr^-1.
@@ -214,5 +218,5 @@ class Source(NamedTuple):
 
     @property
     def extended(self) -> bool:
-        """Whether the light has a radiance and a ray may hit it."""
+        """Whether the light has a finite size, so that a ray can hit it."""
         return self.kind in ("area", "sky")

@@ -1,4 +1,4 @@
-"""The description of a light's or material's table in a scene file."""
+"""Link tables of scene files to the light and material records that they describe."""
 
 import re
 from collections.abc import Callable
@@ -12,7 +12,7 @@ Photometry = Annotated[Any, "photometry"]
 
 
 class Table(NamedTuple):
-    """A table of a scene file."""
+    """How one type of table in a scene file becomes a record."""
 
     word: str  # the value of its key `kind` or `family`
     record: type  # the class of the record that it describes
@@ -20,7 +20,8 @@ class Table(NamedTuple):
 
 
 def table_for(record: type, word: str | None, from_file: Callable[..., Any] | None) -> Table | None:
-    """Return the table of a light or material; None for the word "", which no file contains."""
+    """Return the table of a light or material record; None if `word` is "", for a record that no
+    scene file contains."""
     if word is None:
         name = record.__name__.removesuffix("Light") or record.__name__
         word = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()

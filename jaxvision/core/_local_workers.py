@@ -1,7 +1,7 @@
-"""Start and restart processes on this machine as Dask workers.
+"""Start Dask worker processes on this machine, and restart them.
 
-Each process has one thread, including XLA and BLAS, a share of the memory, and the environment
-variables of this process that affect JAX's results.
+Each process has one thread, also for XLA and BLAS, and a share of the memory. It inherits the
+environment variables that affect JAX's results.
 """
 
 import logging
@@ -24,8 +24,8 @@ STARTS = 3  # attempts to start all workers, if one dies during its start
 
 @contextmanager
 def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
-    """Yield a client of `count` processes on this machine. Each has one thread and needs `memory`
-    bytes; all share the compiled programs of this process."""
+    """Yield a Dask client with `count` worker processes on this machine. Each worker has one thread
+    and needs `memory` bytes. All workers share the folder of compiled programs."""
     from dask import config
     from distributed import Client
     from distributed.system import MEMORY_LIMIT
@@ -65,7 +65,8 @@ def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
 
 
 def _start(count: int) -> "LocalCluster":
-    """Start the processes of this machine. If one dies during its start, the others end with it."""
+    """Start the worker processes on this machine, in up to three attempts. If one worker dies
+    during its start, the others end too, and all are started again."""
     from distributed import LocalCluster
 
     settings = {"processes": True, "threads_per_worker": 1, "memory_limit": MEMORY / count}
@@ -80,8 +81,8 @@ def _start(count: int) -> "LocalCluster":
 
 
 def replace_lost(client: "Client") -> None:
-    """Restart processes of this machine that died during their start; those that die later restart
-    by themselves."""
+    """Restart workers on this machine that died during their start; Dask itself restarts those that
+    die later."""
     made: Any = client.cluster
     wanted = len(getattr(made, "worker_spec", ()))
     there: Any = client.nthreads()

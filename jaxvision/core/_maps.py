@@ -1,4 +1,4 @@
-"""Find the maps in a record, and replace them by numbers."""
+"""Find the maps (parameters that vary over a surface) in a record, and replace them by numbers."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import fields
@@ -17,12 +17,12 @@ ENDS = (lambda own: own.values.min(axis=(0, 1))), (lambda own: own.values.max(ax
 
 
 def is_map(x: Any) -> bool:
-    """Whether `x` is a `Map` or a map prepared for a renderer."""
+    """Return whether `x` is a `Map`, or a map that was prepared for a renderer."""
     return isinstance(x, Varying)
 
 
 def maps_of(record: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the maps in a record with their paths in it, such as ("material.diffuse", Map)."""
+    """Yield each map in a record with its path, such as ("material.diffuse", Map)."""
     if isinstance(record, Varying):
         yield place, record
     elif isinstance(record, eqx.Module):
@@ -37,5 +37,5 @@ def replace_maps(record: Record, number: Callable[[Any], Any]) -> Record:
 
 
 def mean_of(values: Any) -> Array:
-    """Return the mean over a map, in the unit of its values."""
+    """Return the mean of a map over its pixels, in the unit of its values."""
     return values.values.mean(axis=(0, 1))

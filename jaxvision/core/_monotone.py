@@ -1,4 +1,4 @@
-"""The monotone curve through given points: the cubic Hermite spline that scipy calls PCHIP.
+"""Monotone interpolation through given points, by the cubic Hermite spline that SciPy calls PCHIP.
 
 Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), for the slopes.
 """
@@ -14,7 +14,7 @@ print_by_name(globals(), "Points")
 
 
 def through_points(x: Scalars, inputs: Points, outputs: Points, slopes: Points) -> Scalars:
-    """Evaluate the curve at `x`, between the first and the last point."""
+    """Evaluate the monotone curve at `x`, between the first and the last point."""
     k = jnp.clip(jnp.searchsorted(inputs, x, side="right") - 1, 0, inputs.shape[0] - 2)
     width = (inputs[1:] - inputs[:-1])[k]
     t = (x - inputs[k]) / width
@@ -27,8 +27,8 @@ def through_points(x: Scalars, inputs: Points, outputs: Points, slopes: Points) 
 
 
 def monotone_slopes(inputs: Points, outputs: Points) -> Points:
-    """Return the slope at each point: the weighted harmonic mean of the slopes of the neighbouring
-    chords, or 0 at an extremum."""
+    """Return the slope of the monotone curve at each point. At an interior point it is the weighted
+    harmonic mean of the slopes of the two neighbouring chords, or 0 at an extremum."""
     width = jnp.diff(inputs)
     chord = jnp.diff(outputs) / width
     if inputs.shape[0] == 2:
@@ -48,7 +48,8 @@ def monotone_slopes(inputs: Points, outputs: Points) -> Points:
 
 
 def _end_slope(near: Array, far: Array, chord: Array, next_chord: Array) -> Array:
-    """Return the slope at the end of a parabola through three points, limited against overshoot."""
+    """Return the slope of a parabola through the first or last three points at its end, limited so
+    that the curve does not overshoot."""
     slope = ((2 * near + far) * chord - near * next_chord) / (near + far)
     slope = jnp.where(slope * chord <= 0, 0, slope)
     steep = (chord * next_chord < 0) & (jnp.abs(slope) > 3 * jnp.abs(chord))

@@ -1,5 +1,5 @@
-"""Former module names: `import jaxvision.io`, `from jaxvision import io`, `jaxvision.io` and
-pickles give the module under its new name, with a `DeprecationWarning`."""
+"""Keep former module names valid: `import jaxvision.io`, `from jaxvision import io`, `jaxvision.io`
+and old pickles find the module under its new name, with a `DeprecationWarning`."""
 
 import sys
 import warnings
@@ -54,7 +54,7 @@ RENAMED = {  # public functions
 
 
 def renamed(old: str) -> str | None:
-    """Return the new name of a renamed public function, with a warning; else None."""
+    """Return the new name of a renamed public function, with a warning; None for any other name."""
     new = RENAMED.get(old)
     if new is not None:
         warnings.warn(
@@ -64,7 +64,7 @@ def renamed(old: str) -> str | None:
 
 
 def module_of(old: str) -> ModuleType | None:
-    """Return the module that had this name before, with a warning; None for any other name."""
+    """Return the module that formerly had this name, with a warning; None for any other name."""
     if old not in MOVED:
         return None
     _warn(old, stacklevel=4)
@@ -75,7 +75,8 @@ def module_of(old: str) -> ModuleType | None:
 
 
 def find_modules_by_old_names() -> None:
-    """Make `import` find modules, and those inside them, by their former names."""
+    """Register an import hook, so that modules and the modules inside them are found by their
+    former names."""
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Finder())  # before Python looks for files in a moved package
 
@@ -96,7 +97,7 @@ class _Finder:
 
 
 class _Moved(Loader):
-    """Loader of a module under another name."""
+    """Loads a module under its former name."""
 
     def __init__(self, new: str) -> None:
         self.new = new

@@ -1,13 +1,15 @@
-"""NaN-safe primitives: finite values and finite gradients at the edges of their domain.
+"""NaN-safe primitives, which return finite values and finite gradients at the edges of their
+domain.
 
-Where an operation would fail, it gets a harmless argument and its output is masked ("double
-where"). Reverse-mode differentiation then never multiplies zero by infinity. Compiled code may
-compute the condition twice with different rounding, so the argument may be replaced although the
-output is not masked. The result must be right even then. The replacement is therefore a number at
-the edge of the domain, or the argument has its own condition, far from that of the mask.
+Where an operation would fail, its argument is replaced by a harmless number and its output is
+masked ("double where"). Reverse-mode differentiation then never multiplies zero by infinity.
+Compiled code may evaluate the condition twice with different rounding. Then the argument may be
+replaced although the output is not masked. The result must be right even in that case. The
+replacement is therefore a number at the edge of the domain. Alternatively, the argument has its own
+condition, which differs from that of the mask by far more than rounding.
 
-Functions work elementwise, on vectors over the last axis of (..., 3) arrays or on `Vec` records,
-and keep any floating dtype.
+Scalar functions work elementwise. Vector functions work over the last axis of (..., 3) arrays or on
+`Vec` records. All keep the floating dtype.
 """
 
 from collections.abc import Sequence
@@ -28,7 +30,7 @@ Tree = TypeVar("Tree")
 
 def smallest_divisor(dtype: DTypeLike) -> float:
     """Return the length below which a divisor counts as zero, tiny ** (1/4): 3e-10 in float32,
-    1e-77 in float64. Its inverse cube, which occurs in gradients, is finite."""
+    1e-77 in float64. The cube of its inverse, which occurs in gradients, is finite."""
     return float(jnp.finfo(dtype).tiny) ** 0.25
 
 
@@ -57,9 +59,9 @@ def dot(u: Vec3, v: Vec3) -> Scalars:
 
 
 def exact_cross(u: Vec3, v: Vec3) -> Vec:
-    """Return u x v for nearly parallel vectors, in the product of their units, a thousand times
-    more accurate than plain differences. Each factor is split into two halves, whose products are
-    exact in compiled code too (Dekker, Numerische Mathematik 18 (1971))."""
+    """Return u x v in the product of their units. For nearly parallel vectors the result is a
+    thousand times more accurate than by rounded products. Each component is split into two halves,
+    whose products are exact also in compiled code (Dekker, Numerische Mathematik 18 (1971))."""
     a, b = as_vec(u), as_vec(v)
     return Vec(
         difference_of_products(a.y, b.z, a.z, b.y),
@@ -70,7 +72,8 @@ def exact_cross(u: Vec3, v: Vec3) -> Vec:
 
 @jax.custom_jvp
 def difference_of_products(a: Scalars, b: Scalars, c: Scalars, d: Scalars) -> Scalars:
-    """Return a b - c d, from exact products."""
+    """Return a b - c d, computed from exact products, so that cancellation does not amplify
+    rounding errors."""
     (ah, al), (bh, bl), (ch, cl), (dh, dl) = map(_halves, (a, b, c, d))
     middle = (ah * bl - ch * dl) + (al * bh - cl * dh)
     return (ah * bh - ch * dh) + (middle + (al * bl - cl * dl))
@@ -83,7 +86,7 @@ def _difference_of_products_jvp(primals, tangents):
 
 
 def _halves(x: Scalars) -> tuple[Scalars, Scalars]:
-    """Return the number with the upper half of its digits, and the remainder."""
+    """Split a number into one with the upper half of its binary digits, and the remainder."""
     bits, low = {2: (jnp.int16, 6), 4: (jnp.int32, 12), 8: (jnp.int64, 27)}[x.dtype.itemsize]
     kept = jax.lax.bitcast_convert_type(x, bits) & -(1 << low)
     upper = jax.lax.bitcast_convert_type(kept, x.dtype)
@@ -110,7 +113,7 @@ def safe_sqrt(x: Scalars) -> Scalars:
 
 def safe_log(x: Scalars, *, floor: float | None = None) -> Scalars:
     """Return log(max(x, floor)), with gradient 0 at and below `floor` (default: the smallest normal
-    number)."""
+    number of the dtype)."""
     smallest = jnp.asarray(jnp.finfo(x.dtype).tiny if floor is None else floor, x.dtype)
     return jnp.log(jnp.where(x <= smallest, smallest, x))
 
@@ -122,9 +125,9 @@ def reciprocal(x: Scalars) -> Scalars:
 
 
 def or_one(b: Scalars, where: Bool[Array, "..."] | None = None) -> Scalars:
-    """Return b, in its unit, if the condition is true (default: b > 0 or NaN), else 1 with gradient
-    0. It is a divisor for a quotient that the caller masks. The condition may be false only for
-    tiny b."""
+    """Return b, in its unit, if the condition is true (default: b > 0 or NaN). Otherwise return 1
+    with gradient 0. The result is a safe divisor for a quotient that the caller masks. The
+    condition must be true wherever b is not tiny."""
     return jnp.where(~(b <= 0) if where is None else where, b, 1)
 
 
@@ -135,20 +138,21 @@ def divide(
     otherwise: Scalars | float | int = 0,
 ) -> Scalars:
     """Return a / b, in the quotient of their units, if the condition is true (default: b > 0 or
-    NaN); else `otherwise`, with gradient 0 in a and b."""
+    NaN). Otherwise return `otherwise`, with gradient 0 with respect to a and b."""
     safe = ~(b <= 0) if where is None else where
     return jnp.where(safe, a / or_one(b, safe), otherwise)
 
 
 def magnitude(x: Float[Array, "..."], axis: int | tuple[int, ...] | None = -1) -> Scalars:
-    """Return the largest absolute value along the axes, which are kept with length 1; 1 if all of x
-    is 0. It is a constant for gradients. Squares of x divided by it neither over- nor underflow."""
+    """Return the largest absolute value along the axes, which are kept with length 1. If all of x
+    is 0, return 1. Its gradient is 0. The squares of x divided by this magnitude neither overflow
+    nor underflow."""
     return or_one(jax.lax.stop_gradient(jnp.max(jnp.abs(x), axis=axis, keepdims=True)))
 
 
 def binary_unit(x: Float[Array, "..."]) -> Scalars:
     """Return the largest power of two up to the largest finite |x|, in its unit, so that division
-    by it is exact; 1 if all of x is 0. It is a constant for gradients."""
+    by it is exact; 1 if all of x is 0. Its gradient is 0."""
     finite = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)
     largest = or_one(jax.lax.stop_gradient(jnp.max(finite)))
     return jnp.ldexp(jnp.ones_like(largest), jnp.frexp(largest)[1] - 1)
@@ -156,19 +160,20 @@ def binary_unit(x: Float[Array, "..."]) -> Scalars:
 
 def running_sum(weights: Float[Array, "... n"]) -> Float[Array, "... n"]:
     """Return cumulative sums of weights >= 0, in their unit, which increase only where a weight is
-    above 0. XLA's own cumulative sums may decrease by rounding."""
+    above 0. XLA's own cumulative sums may decrease by rounding errors."""
     total = jnp.where(weights > 0, jnp.cumsum(weights, axis=-1), 0)
     return jax.lax.cummax(total, axis=total.ndim - 1)
 
 
 def select(condition: Bool[Array, "..."], a: Tree, b: Tree) -> Tree:
-    """Return the arrays of tree `a` where the condition is true, else those of `b`."""
+    """Return a tree with the arrays of `a` where the condition is true, and of `b` elsewhere."""
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
 def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
-    """Return (v / s, s), with s the magnitude of the largest component, so that squares neither
-    overflow nor underflow. s is a constant for gradients, and 1 for zero and non-finite vectors."""
+    """Return (v / s, s), where s is the magnitude of the largest component, so that the squares of
+    v / s neither overflow nor underflow. s has gradient 0, and is 1 for zero and non-finite
+    vectors."""
     a = as_vec(v)
     largest = jnp.maximum(jnp.maximum(jnp.abs(a.x), jnp.abs(a.y)), jnp.abs(a.z))
     usable = (largest > 0) & jnp.isfinite(largest)
@@ -242,8 +247,8 @@ def polynomial(coefficients: Sequence[float] | Sequence[Scalars], x: Scalars) ->
 
 
 def chebyshev(coefficients: Sequence[float], t: Scalars) -> Scalars:
-    """Return the sum of c_k T_k(t) over Chebyshev polynomials T_k, t in [-1, 1], by Clenshaw's
-    recurrence. Trailing coefficients too small for the dtype are dropped."""
+    """Return the sum of c_k T_k(t) by Clenshaw's recurrence, where T_k are Chebyshev polynomials
+    and t is in [-1, 1]. Trailing coefficients too small for the dtype are dropped."""
     least = float(jnp.finfo(t.dtype).eps) / 16
     used = max(k for k, c in enumerate(coefficients) if abs(c) > least)
     b, after = jnp.zeros_like(t), jnp.zeros_like(t)
@@ -255,7 +260,7 @@ def chebyshev(coefficients: Sequence[float], t: Scalars) -> Scalars:
 @jax.custom_jvp
 def arctan2(y: Scalars, x: Scalars) -> Scalars:
     """Return the angle of (x, y), y >= 0, in [0, pi] rad, within two ULP; 0, with gradient 0, at
-    the origin. Unlike XLA's function it vectorises on the CPU."""
+    the origin. Unlike XLA's own function, this one uses the vector units of a CPU."""
     ahead = jnp.abs(x)
     low, high = jnp.minimum(ahead, y), jnp.maximum(ahead, y)
     wide = low > 0.66 * high  # arctan(r) = pi / 4 + arctan((r - 1) / (r + 1))
@@ -308,8 +313,9 @@ _SINE_COSINE = {
 
 @jax.custom_jvp
 def sine_cosine(turns: Scalars) -> tuple[Scalars, Scalars]:
-    """Return (sin, cos) of an angle in turns, 2 pi rad each; exact at quarter turns, else within
-    two ULP. Unlike XLA's functions it vectorises on the CPU."""
+    """Return (sin, cos) of an angle given in turns of 2 pi rad. The result is exact at quarter
+    turns and elsewhere within two ULP. Unlike XLA's own functions, this one uses the vector units
+    of a CPU."""
     quarters = jnp.round(4 * turns)
     x = (turns - quarters / 4) * (2 * np.pi)
     square = x * x
@@ -399,8 +405,8 @@ def log1p(x: Scalars) -> Scalars:
 
 @jax.custom_jvp
 def _log_of_sum(rounded: Scalars, less: Scalars) -> Scalars:
-    """Return log(1 + less), no unit, from the rounded sum `rounded`, whose rounding error is
-    corrected (Kahan). log1p costs twice as much."""
+    """Return log(1 + less), no unit, where `rounded` is the rounded sum 1 + less. The logarithm of
+    `rounded` is corrected for its rounding error (Kahan). XLA's log1p costs twice as much."""
     kept = rounded - 1
     lost = kept == 0
     corrected = jnp.where(less == 0, 1, less / jnp.where(lost, 1, kept))
@@ -415,7 +421,7 @@ def _log_of_sum_jvp(primals, tangents):
 
 def power(base: Scalars, exponent: Scalars) -> Scalars:
     """Return base ** exponent with finite gradients in both; 0 ** positive = 0, and a negative base
-    counts as 0."""
+    is treated as 0."""
     zero = base <= 0
     least = smallest_divisor(base.dtype) ** 2
     return jnp.where(zero, 0, jnp.power(jnp.where(zero, least, base), exponent))
@@ -423,7 +429,7 @@ def power(base: Scalars, exponent: Scalars) -> Scalars:
 
 @jax.custom_jvp
 def replace_gradient(value: Scalars, smooth: Scalars) -> Scalars:
-    """Return `value`, differentiated as if it were `smooth`."""
+    """Return `value`, but with the gradient of `smooth`."""
     del smooth
     return value
 

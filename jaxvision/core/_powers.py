@@ -1,18 +1,20 @@
-"""Powers and exponentials with errors of one or two ULP, as sums of two numbers of the dtype.
+"""Powers and exponentials with errors of one or two ULP, computed with sums of two floating-point
+numbers.
 
-An exponent such as 1 / 2.4, rounded to float32, changes x^p by |log x| / 2 ULP. Here it is a sum of
-two numbers, p = nearest + rest, for which
+An exponent such as 1 / 2.4, rounded to float32, changes x^p by |log x| / 2 ULP. Here the exponent
+is a sum of two numbers, p = nearest + rest, and
 
     x^p = x^nearest (1 + rest log x)
 
-needs the logarithm to one digit only. The bits of x, read as an integer, give it.
+needs log x to one digit only. That digit comes from the bits of x, read as an integer.
 
-XLA's exp has an error of one ULP, its expm1 an error of five. Here y = k ln 2 + r, and
+XLA's exp has an error of one ULP, and its expm1 an error of five ULP. Here y is written as k ln 2 +
+r with an integer k, and
 
     exp(-y) = 2^-k (1 + t),    1 - exp(-y) = (1 - 2^-k) - 2^-k t,    t = exp(-r) - 1, |t| < 0.42,
 
-from which both functions follow, with the rounding error of each sum. The powers of two are
-variables of the program, because a compiler would simplify sums with constants.
+give both functions, where the rounding error of each sum is kept as a second number. The powers of
+two are run-time values, because a compiler would simplify sums with constants.
 """
 
 import math
@@ -33,8 +35,8 @@ Exponent = tuple[Scalars, Scalars | float]  # the nearest number of the dtype, a
 
 
 def exact(value: Scalars | Fraction | float, dtype: DTypeLike) -> Exponent:
-    """Split a number, no unit, into a sum of two numbers of the dtype. For an array the second
-    number is 0."""
+    """Split a number, no unit, into a sum of two floating-point numbers of the dtype. For an array,
+    the second number is 0."""
     known = _fraction(value)
     if known is None:
         return jnp.asarray(value), 0.0
@@ -43,13 +45,13 @@ def exact(value: Scalars | Fraction | float, dtype: DTypeLike) -> Exponent:
 
 
 def is_above(x: Scalars, limit: Fraction) -> Bool[Array, "..."]:
-    """Whether x is above a limit, which the dtype of x need not represent exactly."""
+    """Return whether x is above a limit that the dtype of x may not represent exactly."""
     nearest = np.asarray(float(limit), x.dtype)
     return x >= nearest if Fraction(float(nearest)) > limit else x > nearest
 
 
 def exact_inverse(value: Scalars | float, dtype: DTypeLike) -> Exponent:
-    """Return 1 / value as the sum of two numbers."""
+    """Return 1 / value as a sum of two floating-point numbers."""
     known = _fraction(value)
     if known:
         return exact(1 / known, dtype)
@@ -67,15 +69,15 @@ def _fraction(value: Scalars | Fraction | float) -> Fraction | None:
 
 
 def power_in_parts(base: Scalars, exponent: Exponent) -> tuple[Scalars, Scalars]:
-    """Return base^exponent as two terms: the power to the nearest exponent, and a finite remainder.
-    A base below 0 counts as 0."""
+    """Return base^exponent as a sum of two terms: the power to the nearest representable exponent,
+    and a finite remainder. A base below 0 is treated as 0."""
     nearest, rest = exponent
     raised = power(base, nearest)
     return raised, _finite(raised) * (rest * _logarithm(base))
 
 
 def exact_power(base: Scalars, exponent: Exponent) -> Scalars:
-    """Return base^exponent, within two ULP; a base below 0 counts as 0."""
+    """Return base^exponent, within two ULP; a base below 0 is treated as 0."""
     nearest, rest = exponent
     raised = power(base, nearest)
     known = isinstance(rest, float) and rest == 0
@@ -83,13 +85,12 @@ def exact_power(base: Scalars, exponent: Exponent) -> Scalars:
 
 
 def power_of_sum(x: Scalars, shift: Fraction, factor: Fraction, exponent: Fraction) -> Scalars:
-    """Return factor (x + shift)^exponent. The rounding error e of the sum s is corrected after the
-    power,
+    """Return factor (x + shift)^exponent. The rounding error e of the sum s = x + shift is
+    corrected after the power, with p the exponent:
 
         (s + e)^p = s^p (1 + p e / s).
 
-    The error e is computed by six operations: Knuth, The Art of Computer Programming 2, section
-    4.2.2.
+    Six operations compute e exactly: Knuth, The Art of Computer Programming 2, section 4.2.2.
     """
     shifted, shift_rest = exact(shift, x.dtype)
     total = x + shifted
@@ -111,8 +112,9 @@ def _finite(x: Scalars) -> Scalars:
 
 
 def _logarithm(x: Scalars) -> Scalars:
-    """Return log x of a positive number to 0.03, as a constant for gradients. The exponent of x is
-    the whole part of the binary logarithm, and the mantissa is nearly the fraction."""
+    """Return log x for x > 0 with an error of at most 0.03, and with gradient 0. The exponent
+    bits of x are the whole part of its binary logarithm, and the mantissa is nearly the
+    fractional part."""
     whole, bias, digits = _format(x)
     bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(x), whole).astype(x.dtype)
     return _LN_2 * (bits * 2.0**-digits - (bias - 0.043))
@@ -120,15 +122,15 @@ def _logarithm(x: Scalars) -> Scalars:
 
 def _format(x: Scalars) -> tuple[DTypeLike, int, int]:
     """Return the integer dtype of the same size, the bias of the exponent, and the number of binary
-    digits of the mantissa."""
+    digits of the mantissa of a floating dtype."""
     limits = jnp.finfo(x.dtype)
     whole = {2: jnp.int16, 4: jnp.int32, 8: jnp.int64}[x.dtype.itemsize]
     return whole, int(limits.maxexp) - 1, int(limits.nmant)
 
 
 def power_of_two_in(x: Scalars) -> Scalars:
-    """Return the largest power of two up to x > 0 whose inverse is normal, as a constant for
-    gradients. It is 1 if x is 0, infinite or NaN."""
+    """Return the largest power of two that is at most x and whose inverse is a normal number. Its
+    gradient is 0. The result is 1 if x is 0, infinite or NaN."""
     whole, _, digits = _format(x)
     bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(x), whole)
     power = jax.lax.bitcast_convert_type(bits >> digits << digits, x.dtype)
@@ -137,14 +139,14 @@ def power_of_two_in(x: Scalars) -> Scalars:
 
 
 def exp2(x: Scalars) -> Scalars:
-    """Return 2^x, as accurate as `times_exp2`."""
+    """Return 2^x within one ULP."""
     return times_exp2(jnp.ones_like(x), x)
 
 
 @jax.custom_jvp
 def times_exp2(value: Scalars, x: Scalars) -> Scalars:
-    """Return value 2^x, with 2^x within one ULP (XLA's own exp2 has an error of |x| / 2 ULP). It is
-    infinite above the range of the dtype, 0 below it."""
+    """Return value 2^x, with 2^x within one ULP (XLA's own exp2 has an error of |x| / 2 ULP). The
+    result is infinite above the range of the dtype, and 0 below it."""
     whole, bias, digits = _format(x)
     limited = jnp.clip(x, -3 * (bias - 1), 3 * (bias - 1))
     steps = jnp.round(limited)

@@ -1,5 +1,5 @@
-"""Quadrature nodes and weights on the unit interval, and low-discrepancy steps for the unit
-square."""
+"""Quadrature nodes and weights on the unit interval, and steps of a low-discrepancy sequence in the
+unit square."""
 
 import numpy as np
 from jaxtyping import Float

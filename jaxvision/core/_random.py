@@ -1,9 +1,10 @@
-"""Uniform random numbers as a function of the pixel, sample and dimension that use them.
+"""Uniform random numbers, computed as a function of the pixel, the sample and the dimension that
+use them.
 
-A number is identified by (pixel, sample, dimension) and a seed. It is a hash of those four words,
-so any pixel can be computed alone, again, or in any order, with the same bits. The hash costs three
-multiplications per number. threefry, which is designed to resist prediction, costs 14 times as much
-inside a loop over rays.
+The seed and the three indices (pixel, sample, dimension) identify a number. A number is a hash of
+these words, so any pixel can be computed alone, again, or in any order, with the same bits. The
+hash costs three multiplications per number. threefry, which is designed to resist prediction, costs
+14 times as much inside a loop over rays.
 """
 
 import equinox as eqx
@@ -19,7 +20,7 @@ Word = UInt32[Array, ""]
 
 
 class Stream(eqx.Module):
-    """The random numbers of one sample of one pixel."""
+    """The source of random numbers for one sample of one pixel."""
 
     pixel: UInt32[Array, "*pixels"]  # the number of the pixel
     # the index of the sample in its pixel; None if a pixel has one ray and no random numbers
@@ -28,20 +29,20 @@ class Stream(eqx.Module):
 
 
 def seed_of(key: Key) -> UInt32[Array, "2"]:
-    """Return the two words of a random key."""
+    """Return the seed, two random words, of a random key."""
     return jax.random.bits(key, (2,), jnp.uint32)
 
 
 def uniforms(stream: Stream, block: Word | int, dtype: DTypeLike) -> Float[Array, "4"]:
-    """Return four independent numbers, for the dimensions 4 `block` to 4 `block` + 3: (4,) uniform
-    in [0, 1), multiples of 2^-24 in float32, else of 2^-32."""
+    """Return four independent random numbers, (4,), uniform in [0, 1), for the dimensions 4 `block`
+    to 4 `block` + 3. They are multiples of 2^-24 in float32 and of 2^-32 in float64."""
     words = _words(stream, stream.sample, block)
     return jnp.stack([_unit(word, dtype) for word in words])
 
 
 def lattice_point(stream: Stream, dimensions: int, dtype: DTypeLike) -> Float[Array, " n"]:
-    """Return a sample's position in its pixel, 2 or 4 numbers uniform in [0, 1). For sample k it is
-    point k of a Kronecker sequence, (k alpha_i + shift_i) mod 1, in whole multiples of 2^-32.
+    """Return the position of a sample in its pixel: 2 or 4 numbers, uniform in [0, 1). For sample k
+    it is point k of a Kronecker sequence, (k alpha_i + shift_i) mod 1, in whole multiples of 2^-32.
     alpha_i = phi^-i with phi^(d+1) = phi + 1 in d dimensions (Roberts, 2018), and each pixel has a
     random shift (Cranley and Patterson, SIAM J. Numerical Analysis 13 (1976))."""
     shifts = _words(stream, jnp.uint32(0), _OF_LATTICE)
@@ -71,7 +72,8 @@ def _words(stream: Stream, sample: Word | None, block: Word | int) -> tuple[Word
 
 
 def _unit(word: Word, dtype: DTypeLike) -> Scalar:
-    """Return the word / 2^32, from as many leading bits as `dtype` can represent."""
+    """Convert a 32-bit word to word / 2^32, a number in [0, 1), from as many leading bits as
+    `dtype` can represent."""
     bits = min(jnp.finfo(dtype).nmant + 1, 32)
     # through int32, for which CPUs have vector conversions
     leading = (word >> (32 - bits)) if bits < 32 else word
@@ -80,8 +82,8 @@ def _unit(word: Word, dtype: DTypeLike) -> Scalar:
 
 
 def _hash(x: Word, y: Word, z: Word, w: Word) -> tuple[Word, Word, Word, Word]:
-    """Hash four words by pcg4d of Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT
-    9(3) (2020)."""
+    """Hash four words by the function pcg4d of Jarzynski and Olano, "Hash Functions for GPU
+    Rendering", JCGT 9(3) (2020)."""
     x, y, z, w = (v * jnp.uint32(1664525) + jnp.uint32(1013904223) for v in (x, y, z, w))
     x, y, z, w = _mix(x, y, z, w)
     x, y, z, w = (v ^ (v >> 16) for v in (x, y, z, w))

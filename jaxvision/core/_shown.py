@@ -1,4 +1,4 @@
-"""Printing of records, and their display in notebooks."""
+"""Print records, and display them in notebooks."""
 
 import inspect
 import re
@@ -23,9 +23,9 @@ SHORT = 12  # numbers of an array that are printed one by one
 
 
 class Shown(eqx.Module):
-    """A record that prints its numbers, with units by `str`. Long arrays are printed as shape and
-    range, and fields that are None are left out. An unknown field raises `TypeError` that names the
-    nearest field."""
+    """Base of records that print their fields with numbers; `str` also prints the units. A long
+    array is printed as its shape and range. Fields that are None are omitted. Creating a record
+    with an unknown field raises `TypeError`, which names the nearest known field."""
 
     def __new__(cls, *args: Any, **given: Any):  # `Self`, which checkers of types infer
         for name in given:
@@ -44,7 +44,8 @@ class Shown(eqx.Module):
         return _shown(self, units=True)
 
     def _repr_html_(self) -> str:
-        """Return the table that a notebook shows: fields with their numbers, units and meaning."""
+        """Return the HTML table that a notebook shows: each field with its numbers, unit and
+        meaning."""
         head = f"<tr><th>{type(self).__name__}</th><th></th><th></th></tr>"
         rows = "".join(
             f'<tr><td style="text-align: left; padding-left: {1 + depth}em">{escape(name)}</td>'
@@ -56,8 +57,8 @@ class Shown(eqx.Module):
 
 
 def _rows(record: eqx.Module, depth: int = 0) -> Iterator[tuple[int, str, str, str]]:
-    """List (depth, field, numbers, unit and meaning) of the fields that are not None, with nested
-    records below."""
+    """List depth, name, numbers, and unit and meaning of each field of a record that is not None.
+    The fields of a nested record follow it."""
     about = meanings(type(record))
     for field in fields(record):
         value, meaning = getattr(record, field.name), about.get(field.name, "")
@@ -78,7 +79,7 @@ def _rows(record: eqx.Module, depth: int = 0) -> Iterator[tuple[int, str, str, s
 
 
 def meanings(kind: object) -> dict[str, str]:
-    """Return the description of each field of a record, or of each argument of a function, from its
+    """Read the description of each field of a record, or of each argument of a function, from its
     docstring."""
     listed = re.split(r"^(?:Attributes|Args):\n", inspect.getdoc(kind) or "", flags=re.MULTILINE)
     entries = re.findall(r"^    (\w+): (.+(?:\n {5,}.+)*)", "".join(listed[1:]), re.MULTILINE)
@@ -119,7 +120,7 @@ def _written(numbers: np.ndarray) -> str:
 def _list_items(
     head: str, given: list[tuple[str, Any, str]], tail: str, indent: str, *, units: bool
 ) -> str:
-    """Write each (name, value, unit) on one line if they fit, else one entry per line."""
+    """Print each (name, value, unit) on one line if all fit, otherwise one on each line."""
     line = head + ", ".join(n + _shown(one, units=units) + unit for n, one, unit in given) + tail
     if len(indent) + len(line) <= WIDE and "\n" not in line:
         return line
@@ -131,7 +132,7 @@ def _list_items(
 
 
 def aligned_columns(rows: Sequence[tuple[str, ...]]) -> str:
-    """Write rows with equal numbers of cells as lines with aligned columns."""
+    """Format rows of cells as lines of text with aligned columns."""
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

@@ -1,8 +1,9 @@
-"""Array aliases, conversions that keep a dtype, and checks. Nothing here computes.
+"""Aliases of array types, conversions that keep a dtype, and checks of values. Nothing here
+computes.
 
-Axis names: `...` any batch, `bands` spectral bands (RGB is three bands), `h w` image rows and
-columns, `3` a Cartesian vector. `Colour` and `Scalar` belong to ONE point, ray or pixel: the caller
-vmaps.
+Names of axes: `...` is any batch, `bands` spectral bands (RGB is three bands), `h w` rows and
+columns of an image, and `3` a Cartesian vector. `Colour` and `Scalar` are values of one point, ray
+or pixel; the caller maps a function over many by `jax.vmap`.
 """
 
 import sys
@@ -25,7 +26,7 @@ from .plain_arrays import plain_array, warn_of_range, within_integers
 
 
 class _OneOf(type):
-    """The class of an alias for several types."""
+    """The metaclass of an alias that stands for several types."""
 
     kinds: tuple[type, ...]
 
@@ -34,8 +35,8 @@ class _OneOf(type):
 
 
 def print_by_name(aliases: dict[str, Any], *names: str) -> None:
-    """Replace each named alias in `aliases`, a module's `globals()`, by a class of that name, so
-    that signatures and type errors show the name."""
+    """Replace named type aliases in `aliases`, a module's `globals()`, by classes of the same name,
+    so that signatures and type errors show the name."""
     module = aliases["__name__"].partition(".")[0]
     for name in names:
         alias = aliases[name]
@@ -46,8 +47,8 @@ def print_by_name(aliases: dict[str, Any], *names: str) -> None:
 
 
 def members_of(hint: Any) -> tuple[Any, ...]:
-    """Return the members of a union, including those of nested named unions; any other hint by
-    itself."""
+    """Return the members of a union type, also those of unions inside it; for any other type, a
+    tuple of the type itself."""
     alias = getattr(get_origin(hint) or hint, "__value__", None)  # of a `type` statement
     if alias is not None:
         return members_of(alias[get_args(hint)] if get_args(hint) else alias)
@@ -74,18 +75,20 @@ Record = TypeVar("Record")
 
 
 class Varying(eqx.Module):
-    """Base of `scene.Map`: numbers that vary over a surface and replace a material's constant."""
+    """Base of `scene.Map`: values that vary over a surface, in place of a constant parameter of a
+    material."""
 
     values: eqx.AbstractVar[Array]
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The shape of the numbers at one point, equal to that of the field that they replace."""
+        """The shape of the values at one point: that of the constant parameter which the map
+        replaces."""
         return self.values.shape[2:]
 
     @property
     def dtype(self) -> jnp.dtype:
-        """The dtype of the numbers."""
+        """The dtype of the values."""
         return self.values.dtype
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
@@ -93,9 +96,9 @@ class Varying(eqx.Module):
 
 
 def as_float(x: Any) -> Array:
-    """Convert numbers to an array of strong floating dtype.
+    """Convert numbers to an array with a definite (not weak) floating dtype.
 
-    A weakly typed leaf would cause a second trace when a strong one follows.
+    JAX compiles a function again when a weakly typed array is followed by one of definite dtype.
 
     Args:
         x: numbers in any unit.
@@ -118,7 +121,7 @@ def as_float(x: Any) -> Array:
 
 
 def shorten(x: Any) -> str:
-    """Return the given value as text on one line, short enough for a sentence."""
+    """Format a value on one line of at most some 80 characters, for an error message."""
     words = " ".join(repr(x).split())
     return words if len(words) <= 80 else f"{words[:80]} ..."
 
@@ -142,9 +145,9 @@ def _as_numbers(x: Any) -> Array:
 
 
 def _field() -> str:
-    """Return the names of record and field, with a colon, while Equinox converts this field; else
-    "". Equinox passes only the value to a converter, so the field is read from the calling
-    frames."""
+    """Return the names of record and field, with a colon, if Equinox is just converting this field;
+    otherwise "". Equinox passes only the value to a converter, so the names are read from the
+    calling stack frames."""
     frame = sys._getframe(1)
     while frame and frame.f_globals.get("__name__") in (__name__, "jaxvision.core._vector"):
         frame = frame.f_back
@@ -156,7 +159,7 @@ def _field() -> str:
 
 
 def is_record(kind: Any) -> bool:
-    """Whether a type is a record."""
+    """Return whether a type is a record, that is, an Equinox module."""
     return isinstance(kind, type) and issubclass(kind, eqx.Module)
 
 
@@ -184,7 +187,7 @@ def as_optional_float(x: Any) -> Array | None:
 
 def as_relative(x: Any) -> Array:
     """Convert colours or coverage to an array in their own floating dtype. Raise `ValueError` for
-    integer codes and complex numbers; as fractions, integers would wrap or round to 0."""
+    integer codes and for complex numbers: integer fractions would wrap or round to 0."""
     array = _as_numbers(x)
     if not jnp.issubdtype(array.dtype, jnp.floating):
         codes = jnp.issubdtype(array.dtype, jnp.unsignedinteger)
@@ -196,8 +199,8 @@ def as_relative(x: Any) -> Array:
 
 
 def map_beside(values: Any, picture: Array) -> Any:
-    """Return a map (..., h, w) as (..., h, w, 1) if it needs this to broadcast with a picture of
-    bands; anything else unchanged."""
+    """Reshape a map from (..., h, w) to (..., h, w, 1) if it needs this to broadcast with an image
+    that has bands; return anything else unchanged."""
     shape = np.shape(values)
     sides = zip(shape[::-1], picture.shape[::-1], strict=False)
     fits = all(a == b or 1 in (a, b) for a, b in sides)
@@ -206,9 +209,9 @@ def map_beside(values: Any, picture: Array) -> Any:
 
 
 def refuse_codes(values: Any) -> None:
-    """Raise `ValueError` for a picture whose known floating values are codes such as 0 to 255: at
-    least 16 values, all whole, the largest above 100. Measured light is not a whole number
-    in every pixel."""
+    """Raise `ValueError` for an image whose concrete floating-point values are probably codes such
+    as 0 to 255: at least 16 values, all whole, with the largest above 100. Measured light is not a
+    whole number in every pixel, so such values are not light."""
     if not is_known(values) or np.size(values) < 16:
         return
     known = np.asarray(values)
@@ -221,9 +224,9 @@ def refuse_codes(values: Any) -> None:
 
 
 def as_dtype(record: Record, dtype: Any) -> Record:
-    """Convert all floating numbers of a record to one dtype.
+    """Convert all floating-point numbers of a record to one dtype.
 
-    The caller chooses between float32 and float64 at each call.
+    The precision is thus the caller's choice, float32 or float64, at each call.
 
     Args:
         record: any tree of arrays, in any units.
@@ -244,13 +247,15 @@ def as_dtype(record: Record, dtype: Any) -> Record:
 
 
 def axes_of(alias: Any) -> tuple[int | str, ...]:
-    """Return the axes of an array alias: a number for a fixed length, else a word."""
+    """Return the axes of an array alias: an integer for an axis of fixed length, its name for any
+    other."""
     return tuple(int(axis) if axis.isdigit() else axis for axis in alias.dim_str.split())
 
 
 def check_shape(name: str, x: Any, *expected: tuple[int | str, ...], advice: str = "") -> None:
-    """Raise `ValueError`, which ends in `advice`, unless `x` is None or has an expected shape. In a
-    shape, a word stands for any length, and a leading `...` or `*word` for any axes."""
+    """Raise `ValueError` unless `x` is None or has one of the expected shapes; the message ends
+    with `advice`. In an expected shape, a word allows any length of an axis, and a leading `...` or
+    `*word` allows any number of axes."""
     if x is None:
         return
     shape = jnp.shape(x)
@@ -261,7 +266,7 @@ def check_shape(name: str, x: Any, *expected: tuple[int | str, ...], advice: str
 
 
 def is_any_axes(axis: int | str) -> bool:
-    """Whether an entry of a shape stands for any number of axes."""
+    """Return whether an entry of an expected shape allows any number of axes."""
     return isinstance(axis, str) and (axis == "..." or axis.startswith("*"))
 
 
@@ -275,14 +280,15 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
 
 
 def check_kind(name: str, value: Any, *kinds: type | UnionType) -> None:
-    """Raise `ValueError` unless `value` is a record of one of the types. None, an absent effect, is
-    accepted."""
+    """Raise `ValueError` unless `value` is a record of one of the given types. None is accepted,
+    because it stands for an absent effect."""
     if value is not None:
         check_given(name, value, *kinds)
 
 
 def check_given(name: str, value: Any, *kinds: type | UnionType) -> None:
-    """Do what `check_kind` does, for a required value: None raises `ValueError` too."""
+    """Raise `ValueError` unless `value` is a record of one of the given types; None is refused too.
+    None raises `ValueError` too."""
     known: tuple[Any, ...] = tuple(kind for union in kinds for kind in members_of(union))
     if isinstance(value, known):
         return
@@ -298,8 +304,8 @@ def check_given(name: str, value: Any, *kinds: type | UnionType) -> None:
 
 
 def check_key(name: str, value: Any, *, several: bool = True, absent: bool = True) -> None:
-    """Raise `ValueError` unless `value` is a random key. `several` also allows an array of keys,
-    and `absent` None."""
+    """Raise `ValueError` unless `value` is a JAX random key. With `several`, an array of keys is
+    accepted too, and with `absent`, None."""
     if value is None:
         if absent:
             return
@@ -321,7 +327,8 @@ def check_key(name: str, value: Any, *, several: bool = True, absent: bool = Tru
 
 
 def _is_raw_key(value: Any) -> bool:
-    """Whether `value` may be one or more untyped keys: words of JAX's default generator."""
+    """Return whether `value` may be one or more untyped keys: uint32 words of JAX's default random
+    generator."""
     if isinstance(value, np.ndarray) and value.dtype == np.uint64:
         value = value.astype(jax.dtypes.canonicalize_dtype(np.uint64))
     words = _key_shape(getattr(jax.config, "jax_default_prng_impl", "threefry2x32"))
@@ -330,13 +337,13 @@ def _is_raw_key(value: Any) -> bool:
 
 @cache
 def _key_shape(generator: str) -> tuple[int, ...]:
-    """Return the shape of a key of this generator of random numbers."""
+    """Return the shape of an untyped key of the named random generator."""
     return jax.eval_shape(lambda: jax.random.key_data(jax.random.key(0, impl=generator))).shape
 
 
 def check_count(name: str, value: Any, least: int, *, odd: bool = False) -> None:
-    """Raise `ValueError` unless `value` is a whole number (not an array) of at least `least`, and
-    odd if required."""
+    """Raise `ValueError` unless `value` is a whole number of at least `least`, and odd if `odd`.
+    Arrays are refused."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < least or (odd and value % 2 == 0):
         kind = "an odd" if odd else "a whole"
@@ -350,8 +357,8 @@ def check_choice(name: str, value: Any, choices: Collection[str]) -> None:
 
 
 def as_tile(pattern: Any) -> Any:
-    """Return the rows of a pattern; the phase of a Bayer mosaic, such as "RGGB", stands for its
-    rows."""
+    """Return the rows of a mosaic pattern. The phase of a Bayer mosaic, such as "RGGB", is
+    translated to its rows."""
     if not isinstance(pattern, str):
         return pattern
     check_choice("phase", pattern.upper(), BAYER_PHASES)
@@ -362,8 +369,9 @@ def as_tile(pattern: Any) -> Any:
 def check_tile(
     name: str, pattern: Any, *, bands: int | None = None, holder: str = "the picture"
 ) -> None:
-    """Raise `ValueError` unless the rows of `pattern` have equal lengths and contain each band from
-    0 to the largest. With `bands`, their number must equal that of `holder`."""
+    """Raise `ValueError` unless `pattern` has rows of equal length that contain every band from 0
+    to the largest. If `bands` is given, the pattern must contain this number of bands, which
+    `holder` has."""
     if not isinstance(pattern, tuple) or not all(
         isinstance(row, tuple) and all(isinstance(cell, int | np.integer) for cell in row)
         for row in pattern
@@ -387,14 +395,14 @@ def check_tile(
 
 
 def is_known(x: Any) -> bool:
-    """Whether the numbers of `x` are known, that is, not traced."""
+    """Return whether the numbers of `x` are concrete, that is, not traced by JAX."""
     return not isinstance(getattr(x, "values", x) if isinstance(x, Varying) else x, Tracer)
 
 
 def require_metres(
     name: str, wavelengths: np.ndarray | np.floating, *, longest: float = LONGEST_WAVE
 ) -> None:
-    """Raise `ValueError` for wavelengths above `longest`, m, which are probably in another unit."""
+    """Raise `ValueError` for wavelengths above `longest` m, which are probably in nm or um."""
     largest = np.max(wavelengths, initial=0)
     if largest > longest:
         raise ValueError(f"{name} is in metres, got {largest:.6g}; 550 nm are 550e-9.")
@@ -410,8 +418,9 @@ def check_range(
     finite: bool = True,
     nan: bool = False,
 ) -> None:
-    """Raise `ValueError` unless every number of `value` lies in [low, high], or in (low, high] with
-    `above`; `nan` allows NaN. None (absent) and tracers are accepted."""
+    """Raise `ValueError` unless every number of `value` lies in [low, high], or in (low, high] if
+    `above`. With `nan`, NaN is accepted. None, for an absent effect, and traced numbers are
+    accepted."""
     if value is None or not is_known(value):
         return
     numbers = np.asarray(value)
@@ -432,13 +441,13 @@ def check_range(
 
 
 def check_direction(name: str, value: Any) -> None:
-    """Raise `ValueError` for a vector of length 0; tracers are accepted."""
+    """Raise `ValueError` for a concrete vector of length 0; traced vectors are accepted."""
     if is_known(value) and not np.asarray(value).any():
         raise ValueError(f"{name} must have a direction, got a vector of length 0.")
 
 
 class Range(NamedTuple):
-    """The allowed numbers of a field: from `low`, or `above` it, to `high`."""
+    """The allowed range of a field: [low, high], or (low, high] if `above`."""
 
     low: float
     high: float = np.inf
@@ -457,8 +466,8 @@ SHARE = Range(0, 1, nan=True)
 
 
 def check_fields(record: Any, **ranges: Range) -> None:
-    """Raise `ValueError` unless the arrays of a record have their annotated shapes (equal sizes for
-    equal axis names) and lie in `ranges` (by field), and its records have their annotated types."""
+    """Raise `ValueError` unless the fields of a record have their annotated shapes and types, and
+    their numbers lie in the given ranges. Axes of equal name must have equal length."""
     sizes: dict[int | str, int] = {}
     kind = type(record).__name__
     for name, (shapes, kinds, optional) in _field_shapes(type(record)).items():
@@ -486,7 +495,7 @@ def check_fields(record: Any, **ranges: Range) -> None:
 def _field_shapes(
     record: type,
 ) -> dict[str, tuple[tuple[tuple[int | str, ...], ...], tuple[type, ...], bool]]:
-    """Return the allowed shapes and record types of each field, and whether it may be None."""
+    """Return the allowed shapes and the record types of each field, and whether it may be None."""
     hints, found = get_type_hints(record), {}
     for field in fields(record):
         hint = hints[field.name]

@@ -1,9 +1,8 @@
-"""A Cartesian vector as a record of three components, for hot paths.
+"""Cartesian vectors as records of three components, for inner loops.
 
-A trailing axis of 3 does not use vector units well, whereas three components become three long
-arrays under `vmap`.
-Functions of vectors take a (..., 3) array or a `Vec` and return the same type. A sum or difference
-of both types is a `Vec`.
+A trailing axis of length 3 does not fill the vector units of a CPU, whereas under `vmap` three
+components become three long arrays. Functions of vectors take a (..., 3) array or a `Vec` and
+return the same type. The sum or difference of an array and a `Vec` is a `Vec`.
 """
 
 from collections.abc import Iterator
@@ -18,8 +17,8 @@ from ._types import Scalars, as_float, print_by_name
 
 
 class Vec(Shown):
-    """A vector of three components. Arithmetic is componentwise, also with scalars, and `x, y, z =
-    v` unpacks it.
+    """A Cartesian vector as a record of its three components. Arithmetic is componentwise, also
+    with scalars. `x, y, z = v` unpacks a vector.
 
     Attributes:
         x: (...) in any unit.
@@ -72,7 +71,7 @@ print_by_name(globals(), "Vec3", "Vector", "Direction", "Directions")
 
 @takes_numbers
 def as_vec(v: Vec3) -> Vec:
-    """Return a vector as its components.
+    """Convert a vector to a record of its components.
 
     Args:
         v: (..., 3) array, or a `Vec`, which is returned unchanged.
@@ -89,13 +88,13 @@ def as_vec(v: Vec3) -> Vec:
 
 
 def vector_field(v: Any) -> Vec:
-    """Apply `as_vec` to a record's field, with the field's name in the error message."""
+    """Convert the value of a record's field to a `Vec`; an error message names the field."""
     return v if isinstance(v, Vec) else as_vec(as_float(v))
 
 
 @takes_numbers
 def as_array(v: Vec3) -> Float[Array, "... 3"]:
-    """Return a vector as an array.
+    """Convert a vector to an array with a trailing axis of length 3.
 
     Args:
         v: a `Vec`, or a (..., 3) array, which is returned unchanged.
@@ -111,19 +110,20 @@ def as_array(v: Vec3) -> Float[Array, "... 3"]:
 
 
 def scaled(v: Vec3, scale: Scalars) -> Vec3:
-    """Multiply each vector by its own scalar: (..., 3) or `Vec`, times (...)."""
+    """Multiply vectors, (..., 3) or `Vec`, by scalars (...), one for each vector."""
     return v * scale if isinstance(v, Vec) else v * scale[..., None]
 
 
 def masked(keep: Bool[Array, "..."], v: Vec3) -> Vec3:
-    """Return each vector where its flag (...) is true, else the zero vector."""
+    """Return each vector where its flag in `keep`, (...), is true, and the zero vector
+    elsewhere."""
     if isinstance(v, Vec):
         return Vec(*(jnp.where(keep, component, 0) for component in v))
     return jnp.where(keep[..., None], v, 0)
 
 
 def where(condition: Bool[Array, "..."], u: Vec, v: Vec) -> Vec:
-    """Return `u` where the condition is true, else `v`."""
+    """Return `u` where the condition is true, and `v` elsewhere."""
     return Vec(
         jnp.where(condition, u.x, v.x),
         jnp.where(condition, u.y, v.y),

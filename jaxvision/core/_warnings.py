@@ -1,4 +1,4 @@
-"""Warnings that point to the caller's line."""
+"""Warnings that name the line of the user's code from which the library was called."""
 
 import sys
 import warnings
@@ -15,7 +15,8 @@ _of_call: ContextVar[list[str] | None] = ContextVar("_of_call", default=None)
 
 @contextmanager
 def one_call() -> Iterator[None]:
-    """Mark a call from outside the library, which includes all calls inside it."""
+    """Mark the duration of one call from user code, including all calls that it makes inside the
+    library."""
     outer = _of_call.get()
     call = _of_call.set([] if outer is None else outer)
     try:
@@ -25,7 +26,8 @@ def one_call() -> Iterator[None]:
 
 
 def warn_caller(text: str) -> None:
-    """Warn at the caller's line outside the library, once per call from there."""
+    """Warn at the line of user code that called the library. The text is given once per call from
+    user code."""
     given = _of_call.get()
     if not given:
         if given is not None:
@@ -34,7 +36,7 @@ def warn_caller(text: str) -> None:
 
 
 def warn(text: str, category: type[Warning] = UserWarning) -> None:
-    """Warn at the caller's line outside the library."""
+    """Warn at the line of user code that called the library."""
     frame, level = sys._getframe(1), 2
     while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] in _WITHIN:
         frame, level = frame.f_back, level + 1

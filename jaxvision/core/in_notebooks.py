@@ -1,4 +1,4 @@
-"""Display of a record in a notebook: its numbers as an HTML table, and its picture."""
+"""Display a record in a notebook, with its numbers as an HTML table and with its picture."""
 
 import base64
 import io
@@ -23,7 +23,8 @@ def record_html(
     summary: str = "",
     notes: Iterable[str] = (),
 ) -> str:
-    """Return a table in HTML, with a title above, and a line and notes below; text is escaped."""
+    """Make an HTML table with a title above it, and a summary line and notes below it. All text is
+    escaped."""
 
     def row(cells: Sequence[str], tag: str) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
@@ -39,7 +40,8 @@ def record_html(
 
 
 def picture_html(png: bytes, html: str, *, meaning: str) -> str:
-    """Return HTML of a picture next to a table; `meaning` is the picture's text alternative."""
+    """Make HTML that shows a picture next to a table; `meaning` is the picture's alternative
+    text."""
     data = base64.b64encode(png).decode()
     return (
         '<div style="display: flex; flex-wrap: wrap; gap: 1em">'
@@ -49,8 +51,8 @@ def picture_html(png: bytes, html: str, *, meaning: str) -> str:
 
 
 def preview_png(pixels: np.ndarray) -> bytes:
-    """Return a PNG of encoded pixels, (h, w, 1 or 3) relative to white, subsampled to 320 pixels.
-    NaN is black."""
+    """Encode pixels, (h, w, 1 or 3) relative to white, as a PNG that is subsampled to at most 320
+    pixels a side. NaN is black."""
     from matplotlib.image import imsave
 
     step = -(-max(pixels.shape[:2]) // PREVIEW)
@@ -62,7 +64,7 @@ def preview_png(pixels: np.ndarray) -> bytes:
 
 
 def figure_png(figure: "Figure") -> bytes:
-    """Return a small PNG of a figure, to be shown next to a table."""
+    """Encode a figure as a small PNG, which a notebook shows next to a table."""
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=DOTS_PER_INCH)
     return file.getvalue()

@@ -1,13 +1,13 @@
-"""An interrupt ends a command at once, with one line and status 130.
+"""Handle interrupts: Ctrl-C ends a command at once, with one line and exit status 130.
 
 Python raises `KeyboardInterrupt` only after XLA has finished compiling or computing, which may take
-minutes. In a callback the exception is lost. During the import of a compiled library, or while
-XLA's threads still work, it may crash the process. Therefore a separate thread receives the signal,
-prints the line and ends the process. The files of a command are complete at every moment, so that
-they also survive `kill -9`, and the same command continues from them. The exception is raised only
-if a command requests it, to keep its measurements.
+minutes. Inside a callback from XLA the exception is lost. During the import of a compiled library,
+or while XLA's threads are working, it may crash the process. Therefore a separate thread receives
+the signal, prints the line and ends the process. The files of a command are complete at every
+moment, so they survive such an end, and also `kill -9`. The same command can continue from them.
+`KeyboardInterrupt` is raised only where a command requests it, in order to keep its measurements.
 
-This module imports nothing slow, because a command imports it first.
+This module imports nothing slow, because a command imports it before everything else.
 """
 
 import os
@@ -24,8 +24,8 @@ INTERRUPTED = 130  # the exit status of shells: 128 + SIGINT
 
 
 class _Ending:
-    """The handling of an interrupt in this process: the message, the files to remove, and
-    events."""
+    """The state of interrupt handling in this process: the message, the files to remove, and event
+    flags."""
 
     def __init__(self) -> None:
         self.sentence = "interrupted."
@@ -43,23 +43,26 @@ _ending = _Ending()
 
 
 def say_if_interrupted(sentence: str) -> None:
-    """Set the message that an interrupt prints from now on, after the command's name."""
+    """Set the message that is printed if an interrupt comes from now on; it follows the command's
+    name."""
     _ending.sentence = sentence
 
 
 def is_said() -> None:
-    """Record that the command itself reports how it ended."""
+    """Record that the command itself has reported how it ended, so that no further message is
+    printed."""
     _ending.said.set()
 
 
 def is_handled() -> None:
-    """Report that the command has caught the exception, keeps its results and ends by itself. A
-    second interrupt ends it at once."""
+    """Record that the command has caught `KeyboardInterrupt`, keeps its results and will end by
+    itself. A second interrupt ends the process at once."""
     _ending.handled.set()
 
 
 def leaves_work_behind() -> None:
-    """Record that threads still work on abandoned tasks, so that the command must end at once."""
+    """Record that threads are still working on abandoned tasks, so that the process must end
+    without waiting for them."""
     _ending.behind.set()
 
 
@@ -77,7 +80,7 @@ def raised_interrupts() -> Iterator[None]:
 
 @contextmanager
 def removed_if_interrupted(file: Path) -> Iterator[None]:
-    """Remove a file that is not complete if an interrupt ends the process in this context."""
+    """Remove an incomplete file if an interrupt ends the process in this context."""
     _ending.unfinished.add(file)
     try:
         yield
@@ -86,8 +89,8 @@ def removed_if_interrupted(file: Path) -> Iterator[None]:
 
 
 def ending_on_interrupt(command: str, work: Callable[[], object]) -> None:
-    """Run the work of a command, including imports; an interrupt ends the process. Afterwards
-    Python ends normally."""
+    """Run the work of a command, including its imports, so that an interrupt ends the process.
+    Afterwards Python ends normally."""
     _open_closed_streams()
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
@@ -112,8 +115,9 @@ def ending_on_interrupt(command: str, work: Callable[[], object]) -> None:
 
 
 def _open_closed_streams() -> None:
-    """Open each standard stream that a shell closed (`>&-`) on the null device. Otherwise the next
-    opened file would have its number, and a library would print into that file."""
+    """Open each standard stream that the shell has closed (`>&-`) on the null device. Otherwise
+    the next opened file would get the number of that stream, and a library would print into the
+    file."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open(mode))  # noqa: SIM115
@@ -128,7 +132,8 @@ def _handle_interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _watch(command: str, reader: int) -> None:
-    """End the process at a signal, or at the second one if the exception is raised."""
+    """End the process at the first interrupt, or at the second if the first raises
+    `KeyboardInterrupt`."""
     _wait_for_interrupt(reader)
     _ending.seen.set()
     if _ending.raised.is_set() or _ending.thrown.is_set():
@@ -152,7 +157,8 @@ def _wait_for_interrupt(reader: int) -> None:
 
 
 def _leave(command: str) -> None:
-    """End the process without destroying objects that threads still use."""
+    """Print the message, remove incomplete files, and end the process without destroying objects
+    that threads still use."""
     _ending.leaving.acquire()
     if not _ending.said.is_set():
         _ending.said.set()

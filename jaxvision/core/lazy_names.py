@@ -1,4 +1,5 @@
-"""Names of a package that load at first use, and error messages for unknown ones."""
+"""Load the names of a package when they are first used, and explain unknown names in error
+messages."""
 
 import difflib
 import re
@@ -16,9 +17,9 @@ Attached = tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]
 
 
 def names_of(package: str, file: str) -> Attached:
-    """Return `__getattr__`, `__dir__` and `__all__` of a package from its stub. Names load at first
-    use. A name that is not listed raises an `AttributeError`, which says where the name is defined,
-    or which name is nearest."""
+    """Return `__getattr__`, `__dir__` and `__all__` of a package, made from its stub file. A name
+    is imported when it is first used. A name that the stub does not list raises `AttributeError`.
+    The message says where the name is defined, or which listed name is nearest."""
     load, listed, offered = lazy_loader.attach_stub(package, file)
 
     def attribute(name: str) -> Any:
@@ -53,7 +54,7 @@ def _is_module(file: Path, name: str) -> bool:
 
 
 def _home(package: str, folder: Path, name: str) -> str | None:
-    """Return the subpackage that lists a name, or the submodule that defines it; else None."""
+    """Return the subpackage that exports a name, or the submodule that defines it, or None."""
     listed = re.compile(rf"\bas {re.escape(name)}\b")
     for stub in sorted(folder.glob("*/__init__.pyi")):
         if listed.search(stub.read_text()):

@@ -1,7 +1,7 @@
-"""Memory management of the process for large arrays.
+"""Keep freed memory in the process, so that large arrays are allocated faster.
 
-glibc returns each block above a threshold to the kernel and maps the next one anew, page by page.
-For pictures of tens of megabytes that takes longer than the arithmetic.
+glibc returns each freed block above a threshold to the kernel. The next large array is then mapped
+anew, page by page. For images of tens of megabytes, this mapping takes longer than the arithmetic.
 """
 
 import ctypes
@@ -11,12 +11,12 @@ _NEVER = 2**31 - 1
 
 
 def keep_memory() -> bool:
-    """Keep freed memory for the next large array, for the whole process.
+    """Keep freed memory of this process for the next large arrays.
 
-    A blur of 2048 x 2048 x 3 pixels then takes a third of its time, and demosaicing of the same
-    size a quarter. The process keeps its peak memory until it ends. The commands do this; a script
-    calls it once, before its first large array. It works on Linux with glibc and does nothing
-    elsewhere.
+    A blur of 2048 x 2048 x 3 pixels then takes a third of the time, and demosaicing of that size a
+    quarter. The process holds its peak memory until it ends. The shell commands call this function;
+    a script calls it once, before its first large array. It works on Linux with glibc, and has no
+    effect elsewhere.
 
     Returns:
         Whether memory is kept.

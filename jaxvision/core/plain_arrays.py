@@ -1,7 +1,8 @@
-"""Arrays that contain more than numbers: a mask, a unit, coordinates or an index.
+"""Convert arrays that contain more than numbers, such as a mask, a unit, coordinates or an index,
+or refuse them.
 
-Reading only the numbers would silently lose the rest. Masked numbers become NaN, which marks a
-missing number everywhere in this library; all other additions are rejected.
+Taking only their numbers would lose the rest without a message. Masked numbers become NaN, which
+marks a missing number everywhere in this library. All other additions are refused.
 """
 
 import datetime
@@ -37,10 +38,11 @@ _WIDEST = {"f": np.float64, "c": np.complex128}  # widest dtype in JAX, by the k
 
 
 def plain_array(name: str, value: Any) -> Any:
-    """Return the argument as plain numbers if nothing is lost. Masked floating numbers become NaN.
-    Other byte orders, wider numbers and subclasses become native arrays of at most 64 bits, also
-    inside lists. Raise `InputError`, which names the argument, for masked integers, units,
-    coordinates, an index, time spans, and anything that is not a number."""
+    """Return an argument as plain numbers, if that loses nothing. Masked floating-point numbers
+    become NaN. Arrays of another byte order, wider numbers, and subclasses of arrays become native
+    arrays of at most 64 bits, also inside lists. `InputError`, which names the argument, is raised
+    for masked integers, units, coordinates, an index, time spans, and anything that is not a
+    number."""
     if type(value) in (list, tuple):
         if all(type(part) in (float, int) for part in value):
             return value
@@ -85,9 +87,9 @@ def plain_array(name: str, value: Any) -> Any:
 
 
 def within_integers(x: Any) -> Any:
-    """Return the same numbers, as floating numbers if JAX's integers (32 bits by default) cannot
-    represent them. JAX would drop the upper bits, or reject Python integers with its own
-    message."""
+    """Convert integers to floating-point numbers if they do not fit into JAX's integers, which have
+    32 bits by default; return other values unchanged. JAX would drop the upper bits of an array, or
+    refuse a Python integer with an unclear message."""
     if type(x) in (list, tuple):
         if all(type(part) is float for part in x):
             return x
@@ -104,15 +106,15 @@ def within_integers(x: Any) -> Any:
 
 
 def with_room(x: Any) -> Any:
-    """Convert integer arrays of 8 and 16 bits to 64 bits, so that squares and products of codes do
-    not overflow; return others unchanged."""
+    """Convert integer arrays of 8 or 16 bits to 64 bits, so that squares and products of codes do
+    not overflow. Return other values unchanged."""
     small = isinstance(getattr(x, "dtype", None), np.dtype) and x.dtype.kind in "iu"
     return np.asarray(x, np.int64) if small and x.dtype.itemsize < 4 else x
 
 
 def warn_of_range(name: str, x: Any) -> None:
-    """Warn of 64-bit numbers that all become zeros, or infinities, in the 32 bits to which JAX
-    converts them. Single numbers are not checked."""
+    """Warn if JAX's conversion to 32 bits would turn all numbers of a 64-bit array to 0, or some to
+    infinity. A single number is not checked."""
     if type(x) in (list, tuple) and x and all(type(part) is float for part in x):
         x = np.asarray(x)
     if not (isinstance(x, np.ndarray) and x.dtype == np.float64 and x.size > 1):
@@ -136,14 +138,15 @@ def warn_of_range(name: str, x: Any) -> None:
 
 
 def _hold_numbers(dtype: Any) -> np.iinfo:
-    """Return the range of the JAX integers that replace NumPy's."""
+    """Return the range of the JAX integer dtype that replaces a NumPy integer dtype."""
     import jax
 
     return np.iinfo(jax.dtypes.canonicalize_dtype(dtype))
 
 
 def _refuse_spans(name: str, value: Any) -> None:
-    """Raise `InputError` for time spans, which NumPy reads as numbers in their own unit."""
+    """Raise `InputError` for time spans, because NumPy would read them as plain numbers and drop
+    their unit."""
     is_array = isinstance(value, np.ndarray | np.generic) and value.dtype.kind == "m"
     if is_array or isinstance(value, datetime.timedelta):
         kind = getattr(value, "dtype", type(value).__name__)

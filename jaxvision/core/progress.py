@@ -9,8 +9,9 @@ from contextlib import contextmanager
 def progress_bar(
     title: str, *, shown: bool = True, transient: bool = False
 ) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar on standard error, if that is a terminal, and yield the function that updates it
-    with the numbers of finished and of all parts. `transient`: the bar vanishes at its end."""
+    """Show a progress bar on standard error if that is a terminal. Yield a function that updates
+    it with the number of finished parts and of all parts. If `transient`, the bar vanishes at
+    the end."""
     if not (shown and sys.stderr.isatty()):
         yield lambda done, total: None
         return

@@ -1,5 +1,5 @@
-"""Run independent pieces of work on all cores of one process. Threads run in parallel, because
-compilation and computation release Python's lock."""
+"""Run independent pieces of work in parallel threads of one process. The threads run in parallel
+because compiling and computing release Python's global lock."""
 
 import contextvars
 import os
@@ -22,8 +22,8 @@ def cores() -> int:
 
 
 def for_any_thread(work: Callable[[], T]) -> Callable[[], T]:
-    """Wrap work so that it can run in another thread with the settings of this one: its precision
-    and context variables."""
+    """Wrap a function so that it can run in another thread with the precision and the context
+    variables of this thread."""
     context, double = contextvars.copy_context(), _double()
 
     def done() -> T:
@@ -35,16 +35,17 @@ def for_any_thread(work: Callable[[], T]) -> Callable[[], T]:
 
 
 def _double() -> bool:
-    """Whether this thread computes in double precision where requested."""
+    """Return whether double precision is enabled in this thread."""
     return jax.dtypes.canonicalize_dtype(np.float64) == np.float64
 
 
 def side_by_side(
     pieces: Sequence[Callable[[], T]], *, progress: Callable[[int, int], None] | None = None
 ) -> list[T]:
-    """Return the results of independent pieces of work, in order. As many pieces run at a time as
-    there are cores. The first exception is raised at once. After each piece, `progress(finished,
-    all)` is called."""
+    """Run independent pieces of work in threads, and return their results in order. As many pieces
+    run at a time as this process has cores. If a piece raises an exception, it is raised at once
+    and pieces that have not started are cancelled. After each piece, `progress(finished, all)` is
+    called with the two numbers of pieces."""
     threads = ThreadPoolExecutor(min(cores(), len(pieces)) or 1)
     waiting = [threads.submit(for_any_thread(piece)) for piece in pieces]
     try:

@@ -1,14 +1,14 @@
-"""Control of XLA fusion: which values are computed in one loop and which are materialised. It makes
-programs faster, and ensures that a decision which depends on rounding is made only once. Compiled
-code that computes a sum twice may round it differently, and both results could then disagree on
-which of two crossings comes first.
+"""Control XLA fusion: which values are computed in one loop and which are materialised. This
+control makes programs faster. It also ensures that a decision which depends on rounding is made
+only once. Otherwise compiled code may compute a sum twice, with different rounding, and the two
+copies may disagree, for example on which of two crossings comes first.
 
-Undocumented parts of JAX make programs faster on a CPU; only `primitives` uses them. With public
-JAX alone, the same programs give the same values and derivatives up to rounding, and are up to 20
-times slower. PLAIN is True if the undocumented parts do not work with the installed JAX, or if the
-environment variable JAXVISION_PLAIN_JAX is set and not 0 when jaxvision is imported. An accelerator
-always uses public JAX: with the undocumented parts, an H200 took 20 times as long for a path-traced
-box and 14 times as long for direct light.
+On a CPU, undocumented parts of JAX make programs faster; only the module `primitives` uses them.
+With public JAX alone, the programs give the same values and derivatives up to rounding, but take up
+to 20 times as long. PLAIN is True if the undocumented parts do not work with the installed JAX, or
+if the environment variable JAXVISION_PLAIN_JAX is set and not 0 when jaxvision is imported. An
+accelerator always uses public JAX: with the undocumented parts, an H200 took 20 times as long for a
+path-traced box and 14 times as long for direct light.
 """
 
 import os
@@ -56,20 +56,20 @@ LANES = 64
 
 
 def _helps() -> bool:
-    """Whether `primitives` makes this program faster."""
+    """Return whether `primitives` makes programs on the current device faster."""
     return not PLAIN and on_processor()
 
 
 def at_a_time(of_core: int) -> int:
-    """Return the number of rays or entries that a loop computes at a time: `of_core` on a CPU, many
-    more on an accelerator."""
+    """Return the number of rays or entries that a loop computes at a time: `of_core` on a CPU, and
+    at least 2^20 on an accelerator."""
     return of_core if on_processor() else max(of_core, _OF_KERNEL)
 
 
 def one_program(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile `function` once for each structure of its arguments, in which everything except
-    arrays is static. Without it, XLA would recompile an eager loop at each call, because its
-    closure is a new function."""
+    """Compile `function` once for each structure of its arguments. Everything except arrays is
+    static. Otherwise XLA would recompile an eager loop at each call, because the loop's body is a
+    new function each time."""
     compiled = cast(Any, eqx.filter_jit)(function, inline=True)
 
     @wraps(function)
@@ -82,21 +82,22 @@ def one_program(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def materialise(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Compute `function(*arguments)` once and materialise it. Otherwise XLA would repeat it in
-    every loop that reads it. XLA removes optimisation barriers too early, but never fuses loops
-    across a call that is not inlined."""
+    """Compute `function(*arguments)` once and materialise it. Otherwise XLA would repeat the
+    computation in every loop that uses the result. An optimisation barrier does not help, because
+    XLA removes it too early. XLA never fuses loops across a call that is not inlined."""
     return _primitives.not_inlined(function, *arguments) if _helps() else function(*arguments)
 
 
 def inline(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Return `function(*arguments)`; it replaces `materialise` where that is not needed."""
+    """Return `function(*arguments)`. This function replaces `materialise` where the result need not
+    be materialised."""
     return function(*arguments)
 
 
 def fuse(values: Any) -> Any:
-    """Compute a tree of arrays of one shape, and their derivatives, in one loop and materialise
-    them. On the CPU XLA would compute each array in its own loop, except in a reduction of several
-    arrays; here it is a reduction over an axis of two equal entries."""
+    """Compute several arrays of one shape, and their derivatives, in one loop, and materialise
+    them. On the CPU, XLA computes each array in its own loop, except in a reduction of several
+    arrays. The arrays are therefore computed in a reduction over an axis of two equal entries."""
     if _fuse is None or not on_processor():
         return values
     leaves, tree = jax.tree.flatten(values)
@@ -104,8 +105,8 @@ def fuse(values: Any) -> Any:
 
 
 def _one_loop(*values: Array) -> Sequence[Array]:
-    """Join the values into one loop for each floating precision, because a reduction cannot mix
-    precisions."""
+    """Join the computation of all values of one floating precision into one loop; a reduction
+    cannot mix precisions."""
     is_float = [jnp.issubdtype(value.dtype, jnp.floating) for value in values]
     precisions = dict.fromkeys(v.dtype for v, own in zip(values, is_float, strict=True) if own)
     first = next(iter(precisions), None)
@@ -129,8 +130,8 @@ _fuse = None if PLAIN else _primitives.identity("fuse", _one_loop)
 
 
 def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """Call a search, `function(*arguments, **named)`, whose results are whole numbers and flags.
-    `vmap` and derivatives see one equation instead of thousands that have no derivative."""
+    """Call `function(*arguments, **named)`, a search whose results are whole numbers and flags. For
+    `vmap` and derivatives, the search is a single equation without a derivative."""
     if not _helps():
         arguments, named = jax.lax.stop_gradient((arguments, named))
         return function(*arguments, **named)
@@ -140,9 +141,9 @@ def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any
 def bilinear(
     name: str, function: Callable[..., Array], *, opaque: Callable[..., bool], **rules: Any
 ) -> Callable[..., Array]:
-    """Return a function linear in two arrays, with the `rules` of `primitives.bilinear` for
-    transposes and batches. If `opaque(**named)`, JAX cannot derive the rules itself, so an
-    accelerator needs them too."""
+    """Return a function that is linear in each of two arrays. Its transposes and its batching
+    follow the `rules` of `primitives.bilinear`. An accelerator uses these rules only if
+    `opaque(**named)`, because then JAX cannot derive them itself."""
     if PLAIN:
         return function
     ours = _primitives.bilinear(name, function, **rules)
@@ -152,9 +153,9 @@ def bilinear(
 
 
 def in_tiles(function: Callable[..., Any], *trees: Any, size: int) -> Any:
-    """Compute `vmap(function)(*trees)` over the leading axes of all arrays, in tiles of up to
-    `size` entries; the last tile is padded. Intermediate results stay in the cache, and a gradient
-    recomputes them, which takes half the time and a tenth of the memory."""
+    """Compute `vmap(function)(*trees)` over the leading axes of all arrays, in tiles of at most
+    `size` entries. The last tile is padded. Intermediate results of a tile stay in the cache. A
+    gradient recomputes them, which halves its time and takes a tenth of the memory."""
     count = len(jax.tree.leaves(trees)[0])
     if count <= size:
         return jax.vmap(function)(*trees)

@@ -1,5 +1,5 @@
-"""Records of equal structure, stacked so that one program serves all; the index of a record in its
-stack may be traced."""
+"""Stack records of equal structure, so that one compiled program serves all of them. The index of a
+record in its stack may be a traced number."""
 
 from collections.abc import Callable, Sequence
 from functools import partial, reduce
@@ -20,9 +20,9 @@ UNROLLED = 8  # up to so many records are unrolled; more are done by a loop
 def group_by_structure(
     records: Sequence[Record], *, largest: int | None = None
 ) -> list[tuple[tuple[int, ...], Record]]:
-    """Group records of equal type and shapes. Return (indices into `records`, stacked record) for
-    each group, in order. A record with an array of more than `largest` numbers gets its own group,
-    because `take` would copy it for every pixel."""
+    """Group records of equal type and shapes. For each group, return the indices into `records` and
+    the stacked record, in the order of first members. A record with an array of more than `largest`
+    numbers gets its own group, because `take` would copy that array for every pixel."""
     members: dict[Any, list[int]] = {}
     for i, record in enumerate(records):
         leaves, structure = jax.tree.flatten(record)
@@ -42,8 +42,9 @@ def group_by_structure(
 def take(
     members: tuple[int, ...], group: Record, index: Int[Array, ""]
 ) -> tuple[Record, Bool[Array, ""]]:
-    """Return the record with this index from a stacked group, and whether it is a member. If it is
-    not, the record is the first one of the group. A group of one needs no gather."""
+    """Return the record with this index in `members` from a stacked group, and whether the group
+    contains it. If it does not, the first record of the group is returned. A group of one record is
+    not indexed at all."""
     if len(members) == 1:
         return jax.tree.map(lambda leaf: leaf[0], group), index == members[0]
     if members == tuple(range(members[0], members[0] + len(members))):
@@ -65,8 +66,8 @@ def call_member(
     index: Int[Array, ""],
     function: Callable[[Any], Tree],
 ) -> Tree | None:
-    """Apply `function` to the record with this index among stacked groups; None if there is no
-    group."""
+    """Apply `function` to the record with the given index, which is in one of several stacked
+    groups; return None if there is no group."""
     chosen = None
     for numbers, group in zip(members, groups, strict=True):
         record, among = take(numbers, group, index)
@@ -76,8 +77,9 @@ def call_member(
 
 
 def fold(step: Callable[[Tree, Record], Tree], start: Tree, records: Sequence[Record]) -> Tree:
-    """Apply `step` to a result and each record in turn. Beyond `UNROLLED` records, those of equal
-    structure share one loop, so that compiling takes the same time for any number of them."""
+    """Apply `step` to an accumulated result and each record in turn, and return the final result.
+    With more than `UNROLLED` records, those of equal structure share one compiled loop, so that the
+    compile time does not grow with their number."""
     if len(records) <= UNROLLED:
         return reduce(step, records, start)
     result = start
@@ -89,8 +91,9 @@ def fold(step: Callable[[Tree, Record], Tree], start: Tree, records: Sequence[Re
 
 
 def row(leaf: Array, slot: Int[Array, ""]) -> Array:
-    """Return leaf[slot] for an existing slot. A row of up to four numbers is read number by number:
-    each is then a gather of scalars, which vector units support, and unused numbers are skipped."""
+    """Return leaf[slot], where the slot must exist. A row of up to four numbers is read one number
+    at a time. Each read is then a gather of scalars, for which CPUs have vector instructions, and
+    unused numbers are not read."""
     if leaf.ndim == 2 and leaf.shape[1] <= 4:
         columns = [leaf[:, k].at[slot].get(mode="promise_in_bounds") for k in range(leaf.shape[1])]
         return jnp.stack(columns)

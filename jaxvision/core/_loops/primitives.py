@@ -1,6 +1,7 @@
-"""Custom primitives; the only module that uses undocumented parts of JAX.
+"""Custom JAX primitives; this is the only module that uses undocumented parts of JAX.
 
-They make programs faster and change no value; `fusion` explains the purpose and use of each.
+The primitives make programs faster and change no value. The module `fusion` explains when each is
+used.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,15 +31,15 @@ def _inlineable(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def not_inlined(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Compute `function(*arguments)` as a call that XLA does not inline. XLA applies the attribute
-    to every call inside too, such as `jnp.where`, so those calls get the opposite attribute."""
+    """Compute `function(*arguments)` as a call that XLA does not inline. XLA would apply this
+    attribute also to calls inside, such as `jnp.where`, so those get the opposite attribute."""
     with set_xla_metadata(inlineable="false"):
         return _inlineable(function, *arguments)
 
 
 def identity(name: str, loops: Loops) -> Loops:
-    """Return the identity function of any number of arrays, which is lowered to `loops`. The same
-    is done for tangents and cotangents, except structural zeros."""
+    """Return an identity function of any number of arrays that is compiled as `loops`. Tangents and
+    cotangents pass through the same loops, except structural zeros."""
     primitive = Primitive(name)
 
     def evaluate(values: Sequence[Any]) -> list[Any]:
@@ -77,8 +78,8 @@ def bilinear(
     transposes: tuple[Callable[..., Array], Callable[..., Array]],
     batched: Callable[..., tuple[Array, int]],
 ) -> Callable[..., Array]:
-    """Return a function that is linear in each of two arrays, with given transposes and batching
-    rule. It has derivatives of any order, forward and reverse."""
+    """Return a function that is linear in each of two arrays, with the given transposes and
+    batching rule. The function has derivatives of any order, in forward and reverse mode."""
     primitive = Primitive(name)
     primitive.def_impl(function)
     primitive.def_abstract_eval(shape)
@@ -90,7 +91,7 @@ def bilinear(
 
 def one_step(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
     """Call `function(*arguments, **named)`, whose results are whole numbers and flags, as one
-    equation: until compilation, `vmap` and derivatives do not trace into it."""
+    equation of the jaxpr. `vmap` and derivatives do not trace into it before compilation."""
     inside, found = jax.make_jaxpr(function, return_shape=True)(*arguments, **named)
     results = _step.bind(*jax.tree.leaves((arguments, named)), inside=inside, layers=())
     return jax.tree.unflatten(jax.tree.structure(found), results)
