@@ -1,4 +1,4 @@
-"""Bounds on the change that each effect makes in a picture, and pruning of negligible effects.
+"""Bound the change that each effect makes in a picture, and drop negligible effects.
 
     certificate   the records: effects, tolerances, and the dropped effects with their bounds
     stages        the interface of a stage of the camera
@@ -14,7 +14,7 @@
     sums          bounds on the light of each part of a scene, from `illumination`, `reflection`,
                   `angles`, `blocking`, `umbra`, `cells` and `bodies`
 
-NumPy in float64, outside `jit`: records with traced numbers are refused.
+The bounds are computed in NumPy float64 outside `jit`; records with traced numbers are refused.
 """
 
 from ..core.lazy_names import names_of

@@ -1,7 +1,7 @@
-"""Angles and cosines between cells, lights and the eye, each bounded over the whole of a cell.
+"""Bound the angles and cosines between surface cells, lights and the eye.
 
-Bounds for each of c cells and s light positions, valid for every point of the cell and every normal
-of its cone. Angles in rad, lengths in m.
+The bounds, for c cells and s light positions, are valid for every point of a cell and every normal
+in the cell's cone of normals. Angles are in rad, lengths in m.
 """
 
 import numpy as np
@@ -11,19 +11,21 @@ from .cells import Cells, Eye
 
 
 def half_width(radius: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Half-angle, rad, of the cone that a ball subtends; pi from inside it."""
+    """Return the half-angle, in rad, of the cone that a ball of this radius subtends at this
+    distance; pi inside the ball."""
     inside = radius >= distance
     ratio = np.where(inside, 1, radius / np.where(distance > 0, distance, 1))
     return np.where(inside, np.pi, np.arcsin(np.minimum(ratio, 1)))
 
 
 def cosine(angles: np.ndarray) -> np.ndarray:
-    """cos+ of angles from 0 to beyond a right angle, no unit."""
+    """Return max(cos, 0) of angles that may exceed a right angle, no unit."""
     return np.where(angles < np.pi / 2, np.cos(np.clip(angles, 0, np.pi / 2)), 0)
 
 
 def toward_eye(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
-    """The unit direction to the viewer, (c, 3), and its variation over each cell, (c,) rad."""
+    """Return the unit direction from each cell's centre to the eye, (c, 3), and the largest angle,
+    (c,) rad, by which it varies over the cell."""
     if eye.everywhere:
         return cells.axis, np.full(len(cells.radius), np.pi)
     if eye.parallel:
@@ -34,8 +36,8 @@ def toward_eye(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cos_seen(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest and the largest cosine between a cell's normal and the direction to the eye,
-    (c,); 0 from behind.
+    """Return the smallest and the largest cosine, (c,) each, between a cell's normals and the
+    direction to the eye; 0 for a cell seen from behind.
     """
     wo, width = toward_eye(cells, eye)
     middle, slack = angle(cells.axis, wo), width + cells.spread
@@ -45,9 +47,10 @@ def cos_seen(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
 def lobe_angles(
     cells: Cells, eye: Eye, wi: np.ndarray, width: np.ndarray, cos_i: np.ndarray
 ) -> Angles:
-    """The angles between the lobes of c cells and the eye, for light from `wi`, (c, s, 3) unit
-    vectors toward the middle of each light position. `width`, (c, s) rad, is the variation of that
-    direction, and `cos_i`, (c, s), the largest cosine of incidence."""
+    """Bound the angles that a lobe depends on, for c cells and s light positions. `wi`, (c, s, 3),
+    are unit vectors toward the middle of each light position, and `width`, (c, s) rad, the
+    variation of these directions over the cell. `cos_i`, (c, s), is the largest cosine of
+    incidence."""
     wo, seen = toward_eye(cells, eye)
     axis, wo, spread, seen = cells.axis[:, None], wo[:, None], cells.spread[:, None], seen[:, None]
     mirrored = 2 * (wi * axis).sum(-1, keepdims=True) * axis - wi

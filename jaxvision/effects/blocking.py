@@ -1,13 +1,14 @@
-"""Which surfaces may lie between a light and a surface. `False` is certain.
+"""Find which surfaces may lie between a light and a surface. The answer `False` is certain.
 
-A one-sided convex surface does not shade itself, nor does the outer side of a convex body. A ball
-or a box that contains lamp and receiver, such as a room, blocks nothing between them, because it is
-convex. Nothing is blocked if the plane of lamp, receiver or occluder separates them. This is so if
-the other two are on one closed side of a flat occluder, if the lamp or the occluder is behind a
-flat receiver, or if the receiver or the occluder is behind the lamp. Otherwise nothing is blocked
-only if the occluder is disjoint from the convex hull of lamp and receiver (`bodies.gap`). A point
-within a few rounding errors of a plane counts as in it. This is far less than
-`geometry.offset_length`, within which no ray meets the plane either. Lengths in m.
+A one-sided convex surface does not shade itself, and neither does the outer side of a convex body.
+A convex ball or box that contains lamp and receiver, such as a room, cannot lie between them. An
+occluder also blocks nothing if the plane of the lamp, the receiver or the occluder separates the
+other two, as follows. Lamp and receiver are on the same closed side of a flat occluder; or the lamp
+or the occluder is behind a flat receiver; or the receiver or the occluder is behind a flat lamp. In
+all other cases the occluder must be disjoint from the convex hull of lamp and receiver
+(`bodies.gap`). A point within a few rounding errors of a plane is treated as a point of the plane.
+That distance is far smaller than `geometry.offset_length`, within which no ray meets the plane
+either. Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -45,7 +46,8 @@ _FACES = 2000  # faces of a mesh, up to which its convexity is tested
 
 
 def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> float:
-    """m, the largest distance of any bounded surface from the origin."""
+    """Return the largest distance, in m, of any point of the bounded surfaces and lights from the
+    origin."""
     bodies = [body_of(surface.of("shape")) for surface in surfaces]
     bodies += [source.body for source in sources]
     far = [
@@ -55,8 +57,8 @@ def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> fl
 
 
 def touching(surfaces: Sequence[Ends[Surface]]) -> float:
-    """The relative rounding error of coordinates where shapes touch, a few ULP of their
-    precision."""
+    """Return the relative rounding error of coordinates that is tolerated where shapes touch: a few
+    ULP of the coarsest dtype."""
     leaves = jax.tree.leaves([surface.low.shape for surface in surfaces])
     kinds = {leaf.dtype for leaf in leaves if np.issubdtype(leaf.dtype, np.floating)}
     return _ROUNDINGS * max(float(np.finfo(kind).eps) for kind in kinds)
@@ -64,9 +66,9 @@ def touching(surfaces: Sequence[Ends[Surface]]) -> float:
 
 @once
 def is_convex(shape: Ends[Shape]) -> bool:
-    """Return whether a shape bounds a convex body and is shaded as one. This is so for balls,
-    boxes, and closed meshes without shading normals whose corners are all below the plane of each
-    face, within a few rounding errors of the coordinates."""
+    """Return whether a shape is a convex body that is shaded with its own normals. True for balls
+    and boxes, and for closed meshes without shading normals if all vertices lie below the plane of
+    each face, within a few rounding errors."""
     mesh = shape.low
     if not isinstance(mesh, TriangleMesh):
         return isinstance(mesh, Sphere | Box)
@@ -81,14 +83,15 @@ def is_convex(shape: Ends[Shape]) -> bool:
 
 
 def certain(reach: float) -> float:
-    """m, the largest float64 error of sums of coordinates up to `reach`."""
+    """Return the largest float64 rounding error, in m, of sums of coordinates up to `reach`."""
     return _SAFELY * float(np.finfo(np.float64).eps) * reach
 
 
 def slack_over(
     bodies: Bodies, point: np.ndarray, normal: np.ndarray, relative: float
 ) -> np.ndarray:
-    """Return (n,) m, the largest error of each body's height above a plane."""
+    """Return the largest rounding error, (n,) m, of each body's height above a plane. `relative` is
+    the relative error of coordinates."""
     size = (np.abs(bodies.points) @ np.abs(normal) + bodies.radii).max(1)
     return relative * (size + np.abs(point) @ np.abs(normal))
 
@@ -96,8 +99,9 @@ def slack_over(
 def _extent(
     bodies: Bodies, bounded: np.ndarray, own: dict[int, tuple], plane: tuple, relative: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest and the largest height of each body above a plane, m, 0 where it touches; an
-    endless plane parallel to it has one height."""
+    """Return the smallest and the largest height of each body above a plane, in m. Heights
+    within rounding errors become 0, and an unbounded plane parallel to the given one has a
+    single height."""
     point, normal = plane
     moved = Bodies(bodies.points - point, bodies.radii)
     slack = slack_over(bodies, point, normal, relative)
@@ -114,7 +118,8 @@ def _extent(
 
 
 def _height_range(source: Source, plane: tuple, relative: float) -> tuple[float, float]:
-    """The smallest and the largest height of a light above a plane, m, 0 where it touches."""
+    """Return the smallest and the largest height of a light above a plane, in m. Heights within
+    rounding errors become 0."""
     point, normal = plane
     if source.body is not None:
         body = stacked([source.body])
@@ -140,10 +145,10 @@ def may_block(
     occluders: Sequence[int] | None = None,
     wanted: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return whether a surface can be between a light and a lit point of a surface: (lights,
-    receivers, occluders). False is certain, except for the rounding of coordinates. `occluders` are
-    the numbers of the blocking surfaces, and `wanted`, (lights, receivers), selects the relevant
-    pairs; None: all."""
+    """Return whether each surface can lie between a light and a lit point of another surface: flags
+    (lights, receivers, occluders). A flag False is certain, up to the rounding of coordinates.
+    `occluders` are the indices of the surfaces that may block light, all if None. `wanted`,
+    (lights, receivers), flags the pairs that matter, all if None."""
     n = len(surfaces)
     may = np.zeros((len(sources), n, n), bool)
     may[:, :, list(range(n)) if occluders is None else list(occluders)] = True
@@ -194,8 +199,9 @@ def may_block(
 def _within(
     surface: Ends[Surface], bodies: Bodies, relative: float, reach: float, *, strictly: bool = False
 ) -> np.ndarray:
-    """(n,) whether each body lies inside a fixed ball or box. Unless `strictly`, it may touch a box
-    from inside within rounding errors, `relative` to its coordinates."""
+    """Return (n,) flags: whether each body lies inside a ball or box whose parameters are fixed.
+    Unless `strictly`, a body may touch the sides of a box from inside; `relative` is the tolerated
+    rounding error of its coordinates."""
     shape = surface.low.shape
     if not same(*surface.of("shape")) or not isinstance(shape, Sphere | Box):
         return np.zeros(len(bodies.points), bool)
@@ -219,7 +225,8 @@ def _separated(
     bounded: np.ndarray,
     reach: float,
 ) -> None:
-    """Clear the triples whose occluder is separated from the hull of lamp and receiver."""
+    """Clear the flag of each (light, receiver, occluder) in `may` whose occluder is disjoint from
+    the convex hull of light and receiver."""
     n, tolerance = len(bounded), certain(_BEYOND * reach)
     for k, source in enumerate(sources):
         if source.kind == "sky":
@@ -243,8 +250,8 @@ def _separated(
 
 
 def swept(source: Source, bodies: Bodies, reach: float) -> Bodies:
-    """The hull of each body and a light; for a light at infinity, the hull of the body and its copy
-    beyond all others."""
+    """Return the convex hull of each body and the light. A light at infinity is replaced by a copy
+    of the body, far away in the light's direction."""
     if source.body is not None:
         points, radii = source.body
         each = len(bodies.points)

@@ -1,11 +1,12 @@
-"""Convex bodies, lower bounds on their distances, and bodies between two of them.
+"""Convex bodies, lower bounds on the distance between two of them, and their convex hulls.
 
-A body is the convex hull of balls: a box is eight points, a sphere one ball, a disc the polygon
-around it. Every direction u gives a certain lower bound on the distance of two bodies: the smallest
-height of one along u minus the largest height of the other. Gilbert's algorithm searches for the
-best u. If it stops early, the bound is less sharp but still valid. Source: Gilbert, "An Iterative
-Procedure for Computing the Minimum of a Quadratic Form on a Convex Set", SIAM J. Control 4(1)
-(1966). Lengths in m; NumPy float64.
+A body is the convex hull of balls. A box is given by eight points, a sphere by one ball, and a disc
+by the polygon around it. Every direction u gives a certain lower bound on the distance of two
+bodies: the smallest height of one body along u minus the largest height of the other. Gilbert's
+algorithm searches for the direction with the largest bound. If the search stops early, the bound is
+smaller but still valid. Source: Gilbert, "An Iterative Procedure for Computing the Minimum of a
+Quadratic Form on a Convex Set", SIAM J. Control 4(1) (1966). Lengths are in m, and NumPy computes
+in float64.
 """
 
 from collections.abc import Sequence
@@ -28,7 +29,7 @@ _AT_ONCE = 1 << 14  # pairs
 
 
 class Bodies(NamedTuple):
-    """Many bodies, each the hull of p balls."""
+    """A batch of n bodies, each the convex hull of p balls."""
 
     points: np.ndarray  # (n, p, 3) m; a body with fewer balls repeats its last
     radii: np.ndarray  # (n, p) m
@@ -40,13 +41,14 @@ def _quad_corners(shape: Quad) -> np.ndarray:
 
 
 def tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors across a unit normal, (3,), and across each other."""
+    """Return two unit vectors that are perpendicular to a unit normal, (3,), and to each other."""
     first = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
     return first, np.cross(normal, first)
 
 
 def disc_polygon(shape: Disc, *, within: bool = False) -> np.ndarray:
-    """(n, 3) m, the corners of a polygon around a disc, or inside it, in order."""
+    """Return the corners, (n, 3) m in order, of a regular polygon around a disc, or inside it if
+    `within`."""
     first, second = tangents(unit(numbers(shape.normal)))
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
     around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), second)
@@ -71,8 +73,8 @@ _POINTS = {Quad: _quad_corners, Disc: disc_polygon, Box: _box_corners, TriangleM
 
 
 def corners(shape: Shape) -> np.ndarray | None:
-    """Points whose hull contains a shape, (n, 3) m; for a sphere the corners of its bounding box;
-    None for an unbounded plane."""
+    """Return points, (n, 3) m, whose convex hull contains a shape. For a sphere they are the
+    corners of its bounding box; for an unbounded plane the result is None."""
     if isinstance(shape, Sphere):
         return numbers(shape.centre) + SIGNS * numbers(shape.radius)
     return _POINTS[type(shape)](shape) if type(shape) in _POINTS else None
@@ -80,8 +82,9 @@ def corners(shape: Shape) -> np.ndarray | None:
 
 @once
 def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
-    """A body's points, (p, 3) m, and radii, (p,) m, that contain the shape at both ends of its free
-    parameters and between them; None for an unbounded plane and for a free rotation."""
+    """Return the centres, (p, 3) m, and radii, (p,) m, of balls whose convex hull contains a shape
+    for all values of its free parameters. None for an unbounded plane, and if the shape's rotation
+    is free."""
     low, high = shape
     if isinstance(low, Sphere) and isinstance(high, Sphere):
         points = box_about(numbers(low.centre), numbers(high.centre))
@@ -102,15 +105,15 @@ def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def faces_of(mesh: TriangleMesh) -> np.ndarray:
-    """(faces, 3) vertex indices, with those out of range clipped."""
+    """Return the vertex indices of the faces, (faces, 3), clipped to valid indices."""
     return np.clip(np.asarray(mesh.faces), 0, len(mesh.vertices) - 1)
 
 
 @once
 def is_closed(shape: Ends[Shape]) -> bool:
-    """Return whether a shape bounds a body with outward normals. This is so for balls, boxes, and a
-    fixed mesh whose edges are each used once in each direction and whose parts have positive
-    volume. Such a mesh is assumed not to intersect itself."""
+    """Return whether a shape bounds a solid body with outward normals. True for balls and boxes,
+    and for a fixed mesh in which each edge is used once in each direction and each connected part
+    has positive volume. A mesh is assumed not to intersect itself."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -135,7 +138,7 @@ def is_closed(shape: Ends[Shape]) -> bool:
 
 
 def plane_of(shape: Shape) -> tuple[np.ndarray, np.ndarray] | None:
-    """A point, m, and the unit normal of a flat shape; None for all others."""
+    """Return a point, in m, and the unit normal of a flat shape, or None for any other shape."""
     match shape:
         case Quad():
             return numbers(shape.corner), unit(
@@ -149,7 +152,8 @@ def plane_of(shape: Shape) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:
-    """Bodies as one batch, with the last ball of each repeated to the largest number."""
+    """Combine bodies into one batch; the last ball of a body is repeated to fill up to the largest
+    number of balls."""
     most = max((len(points) for points, _ in bodies), default=1)
     points, radii = np.zeros((len(bodies), most, 3)), np.zeros((len(bodies), most))
     for i, (own, size) in enumerate(bodies):
@@ -159,8 +163,8 @@ def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:
 
 
 def surface_bodies(surfaces: Sequence[Ends[Surface]]) -> tuple[Bodies, np.ndarray]:
-    """The bodies of all surfaces, and which of them are bounded, (n,); any ball stands for an
-    endless one."""
+    """Return the bodies of all surfaces, and flags, (n,), of those that are bounded. An arbitrary
+    ball takes the place of an unbounded surface."""
     found = [body_of(surface.of("shape")) for surface in surfaces]
     ball = np.zeros((1, 3)), np.ones(1)
     bodies = stacked([ball if body is None else body for body in found])
@@ -168,38 +172,39 @@ def surface_bodies(surfaces: Sequence[Ends[Surface]]) -> tuple[Bodies, np.ndarra
 
 
 def balls_about(bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
-    """The centres, (n, 3) m, and radii, (n,) m, of balls that contain the bodies."""
+    """Return the centres, (n, 3) m, and radii, (n,) m, of balls that contain the bodies."""
     middle = (bodies.points.min(1) + bodies.points.max(1)) / 2
     away = np.linalg.norm(bodies.points - middle[:, None], axis=2)
     return middle, (away + bodies.radii).max(1)
 
 
 def taken(bodies: Bodies, index: np.ndarray) -> Bodies:
-    """Some of the bodies, by number."""
+    """Select bodies of a batch by index."""
     return Bodies(bodies.points[index], bodies.radii[index])
 
 
 def hulls(a: Bodies, b: Bodies) -> Bodies:
-    """The hulls of pairs of bodies."""
+    """Return the convex hull of each pair of bodies."""
     return Bodies(np.concatenate([a.points, b.points], 1), np.concatenate([a.radii, b.radii], 1))
 
 
 def heights(bodies: Bodies, directions: np.ndarray) -> np.ndarray:
-    """The largest height, m, of each body along each of the unit directions (d, 3), as (n, d)."""
+    """Return the largest height of each body along each unit direction, (d, 3): (n, d) m."""
     return (bodies.points @ directions.T + bodies.radii[..., None]).max(1)
 
 
 def _farthest(bodies: Bodies, direction: np.ndarray) -> np.ndarray:
-    """The farthest point of each body along its own unit direction, (n, 3) m."""
+    """Return the point of each body that is farthest along the body's unit direction, (n, 3) m."""
     height = np.einsum("npk,nk->np", bodies.points, direction) + bodies.radii
     best, row = height.argmax(1), np.arange(len(height))
     return bodies.points[row, best] + bodies.radii[row, best, None] * direction
 
 
 def gap(a: Bodies, b: Bodies, *, enough: float = np.inf) -> np.ndarray:
-    """A certain lower bound on the distance of each pair, (n,) m; 0 if none was found.
+    """Return a certain lower bound on the distance of each pair of bodies, (n,) m; 0 if no positive
+    bound was found.
 
-    `enough`: m above which a bound need not be improved.
+    A bound above `enough`, in m, is not improved further.
     """
     found = np.zeros(len(a.points))
     for start in range(0, len(found), _AT_ONCE):
@@ -232,9 +237,9 @@ def _gap(a: Bodies, b: Bodies, enough: float) -> np.ndarray:
 
 
 def _nearest_of_triangle(v: np.ndarray, w: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The point of each triangle, (n, 3) corners, that is nearest to the origin, in its interior or
-    on a side. The third corner, from the previous step, keeps the search from alternating between
-    two."""
+    """Return the point nearest to the origin in each triangle with corners v, w and x, (n, 3) each;
+    it may lie inside or on a side. The corner x, from the previous step of Gilbert's algorithm,
+    prevents it from alternating between two points."""
     p, q = w - v, x - v
     pp, pq, qq = (np.einsum("nk,nk->n", s, t) for s, t in ((p, p), (p, q), (q, q)))
     vp, vq = np.einsum("nk,nk->n", v, p), np.einsum("nk,nk->n", v, q)

@@ -1,17 +1,18 @@
-"""Bounds on interreflections: the largest light of paths with a given number of segments.
+"""Bound interreflections: the largest radiance from paths of more than a given number of segments.
 
-One more segment of the path applies T to the light, in the sup norm over each surface:
+One more path segment applies an operator T to the largest radiance L_j of each surface j:
 
     T_i L = rho_i sum_j F_ij L_j + s_i sum_j G_ij L_j + m_i max L
 
-with reflectances rho of the body, s of the lobe, and m of a mirror or glass, which may show the
-brightest light of all. F_ij is the largest share of a body's light that can come from j. It is at
-most 1, at most (R / d)^2 for the bounding ball of j seen from i, and 0 if i is flat and j entirely
-behind it. A lobe may point toward j, whose solid angle is at most 2 pi (R / d)^2. Its share is G_ij
-= min(1, g_i F_ij) with g_i = 2 pi sup(f_r cos) / s_i. The shares of a row sum to at most 1, and are
-assigned to the brightest surfaces first. Emitted light is seen in paths of one segment, and the
-light that a surface reflects from a lamp in paths of two. The bound is sharp in open scenes with
-dark surfaces. In a bright closed room it is far too large, and its paths are kept.
+Here rho, s and m are the reflectances of the body, of the lobe, and of a mirror or glass, which may
+show the brightest radiance of the scene. F_ij is the largest share of the light on the body of i
+that can come from j. F_ij is at most 1, at most (R / d)^2 for the bounding ball of j with radius R
+at distance d from i, and 0 if i is flat and j entirely behind it. A lobe may point toward j, which
+subtends a solid angle of at most 2 pi (R / d)^2. Its share is G_ij = min(1, g_i F_ij) with g_i = 2
+pi sup(f_r cos) / s_i. The shares of one surface sum to at most 1, and the bound assigns them to the
+brightest surfaces first. A path of emitted light has one segment, and a path of light that one
+surface reflects from a lamp has two. The bound is sharp in open scenes with dark surfaces. In a
+bright closed room the bound is far too large, so that the long paths are kept.
 """
 
 from collections.abc import Sequence
@@ -36,8 +37,9 @@ _MOST = 400  # segments after which a sum that has not converged has no bound
 
 
 def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
-    """Rows "bounces", shortest paths first. For each n they bound the light of longer paths, W m^-2
-    sr^-1; none for direct light (`depth` None)."""
+    """Return rows of possible simplifications by path length, "bounces", shortest paths first. The
+    row of each length n bounds the radiance of all longer paths, in W m^-2 sr^-1. There are no rows
+    for direct light (`depth` None)."""
     if depth is None:
         return ()
     onward, wanted = Onward(sums, depth), shorter(depth)
@@ -52,7 +54,8 @@ def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
 
 
 def shorter(depth: int) -> list[int]:
-    """Path lengths below `depth` to try: each up to 16, then in steps of a quarter."""
+    """List the path lengths below `depth` for which a bound is computed: each length up to 16, then
+    lengths that increase by a quarter."""
     found, pieces = [], DIRECT
     while pieces < depth:
         found.append(pieces)
@@ -61,15 +64,16 @@ def shorter(depth: int) -> list[int]:
 
 
 def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = "") -> Row:
-    """The row for paths of at most `pieces` of the `depth` segments. Longer paths add at most
-    `amount`, (bands,) W m^-2 sr^-1, which is proved if `assumes` is ""."""
+    """Return the row for rendering paths of at most `pieces` instead of `depth` segments. The
+    omitted paths add at most `amount`, (bands,) W m^-2 sr^-1. This is proved if `assumes` is "",
+    otherwise an estimate."""
     why, estimated = f"paths of at most {pieces} segments", bool(assumes)
     more = {"estimated": estimated, "assumes": assumes, "saves": 1 - pieces / depth}
     return Row("bounces", amount, why, setting("depth", to=pieces), ladder="bounces", **more)
 
 
 class Transport(NamedTuple):
-    """T of n surfaces; no units."""
+    """The operator T between n surfaces, see the module; no units."""
 
     # body, lobe, mirror: (n,) the largest reflected share of light from all directions
     body: np.ndarray
@@ -80,8 +84,8 @@ class Transport(NamedTuple):
 
     @property
     def norm(self) -> float:
-        """The operator norm for the maximum: the largest maximum of a result over that of its
-        argument."""
+        """The operator norm of T in the maximum norm: the largest factor by which T changes the
+        maximum of its argument."""
         body, lobe = (
             times(share, np.minimum(part.sum(1), 1))
             for share, part in ((self.body, self.factors), (self.lobe, self.of_lobes))
@@ -89,7 +93,7 @@ class Transport(NamedTuple):
         return float(np.max(body + lobe + self.mirror))
 
     def once(self, sent: np.ndarray) -> np.ndarray:
-        """T of (n, bands) W m^-2 sr^-1."""
+        """Apply T to radiances, (n, bands) W m^-2 sr^-1."""
         return (
             times(self.body[:, None], gathered(self.factors, sent))
             + times(self.lobe[:, None], gathered(self.of_lobes, sent))
@@ -98,8 +102,8 @@ class Transport(NamedTuple):
 
 
 class Onward:
-    """The map from the direct light that each cell reflects to the largest light after all further
-    segments.
+    """Bounds the light after all further path segments, from the direct light that each cell
+    reflects.
     """
 
     def __init__(self, sums: Sums, depth: int | None) -> None:
@@ -110,9 +114,9 @@ class Onward:
     def __call__(
         self, cells: np.ndarray, around: np.ndarray | None = None, *, pieces: int = DIRECT
     ) -> np.ndarray:
-        """Bound the light from cells to the eye, (c, bands) W m^-2 sr^-1, by paths of at most the
-        given number of segments, from the direct light that they send. `around` is the direct light
-        toward any viewer; None: there are no further segments."""
+        """Bound the radiance from cells to the eye after further reflections, (c, bands) W m^-2
+        sr^-1. `cells` is the direct light that they send to the eye, by paths of `pieces` segments.
+        `around` is the direct light toward any viewer; None: there are no further segments."""
         if self.depth is None:
             return cells
         least = largest(self.sums.cells, cells if around is None else around)
@@ -121,7 +125,7 @@ class Onward:
 
     @cached_property
     def lamps(self) -> np.ndarray:
-        """(n, bands) W m^-2 sr^-1, a bound on the light that each surface reflects from all
+        """A bound, (n, bands) W m^-2 sr^-1, on the light that each surface reflects from all
         lamps."""
         found = np.zeros_like(self.sums.own)
         for k in range(len(self.sums.sources)):
@@ -130,8 +134,8 @@ class Onward:
 
     @cached_property
     def arriving(self) -> np.ndarray:
-        """(n, bands) W m^-2 sr^-1, a bound on the light of each surface by paths that may be
-        reflected once more; 0 in direct light."""
+        """A bound, (n, bands) W m^-2 sr^-1, on the radiance of each surface by paths that may be
+        reflected once more; 0 for direct light."""
         found = np.zeros_like(self.sums.own)
         if self.depth is None:
             return found
@@ -141,25 +145,27 @@ class Onward:
         return found
 
     def of_body(self, i: int) -> np.ndarray:
-        """(bands,) W m^-2 sr^-1, the mean light that arrives at a body from other surfaces."""
+        """Bound the mean radiance, (bands,) W m^-2 sr^-1, that arrives at the body of surface i
+        from other surfaces."""
         if self.depth is None:
             return self.arriving[i]
         return gathered(self.transport.factors[i : i + 1], self.arriving)[0]
 
     def of_lobe(self, i: int) -> np.ndarray:
-        """(bands,) W m^-2 sr^-1, the mean light that arrives at a lobe from other surfaces."""
+        """Bound the mean radiance, (bands,) W m^-2 sr^-1, that arrives at the lobe of surface i
+        from other surfaces."""
         if self.depth is None:
             return self.arriving[i]
         return gathered(self.transport.of_lobes[i : i + 1], self.arriving)[0]
 
     def series(self, sent: np.ndarray, last: int) -> np.ndarray:
-        """Return the sum of T^k applied to the sent light, (n, bands), for k from 1 to `last`,
-        inclusive."""
+        """Return the sum of T^k `sent` over k from 1 to `last`; `sent` is (n, bands)."""
         return self.tails(sent, [1], last)[0]
 
     def tails(self, sent: np.ndarray, firsts: Sequence[int], last: int) -> np.ndarray:
-        """The sums of T^k from each of several `firsts`, (f, n, bands). T reduces the maximum by at
-        least a factor t, so the terms after one sum to at most t / (1 - t) of its maximum."""
+        """Return, for each start in `firsts`, the sum of T^k `sent` over k from that start to
+        `last`: (f, n, bands). T multiplies the maximum by a factor of at most t, so if t < 1 all
+        later terms sum to at most t / (1 - t) times the maximum of the current one."""
         found, whole = np.zeros((len(firsts), *sent.shape)), np.zeros_like(sent)
         t = self.transport.norm
         for k in range(1, min(last, _MOST) + 1):
@@ -178,14 +184,15 @@ class Onward:
 
 
 def largest(cells: Cells, values: np.ndarray) -> np.ndarray:
-    """The largest of (c, bands) over the cells of each surface, (n, bands)."""
+    """Return the largest of the values, (c, bands), over the cells of each surface, (n, bands)."""
     return np.maximum.reduceat(values, starts(cells), axis=0)
 
 
 def gathered(shares: np.ndarray, sent: np.ndarray) -> np.ndarray:
-    """Return an upper bound on the light that arrives, (i, bands), if the senders have the
-    radiosities (n, bands). Each sender has at most a share, (i, n), and all shares sum to at most
-    1. The bound assigns the shares to the brightest senders first."""
+    """Return an upper bound on the light that arrives at each of i surfaces, (i, bands), from n
+    senders of radiance `sent`, (n, bands). The share of each sender is at most `shares`, (i, n),
+    and the shares of one receiver sum to at most 1. The largest shares go to the brightest senders
+    first."""
     found = np.zeros((len(shares), sent.shape[1]))
     for band, own in enumerate(sent.T):
         order = np.argsort(-own)
@@ -230,7 +237,8 @@ def _form_factors(sums: Sums) -> np.ndarray:
 
 
 def _lies_in_front(plane: tuple, body: tuple | None, other: tuple | None) -> bool:
-    """Whether any part of a body, or of an endless plane, is in front of a flat surface."""
+    """Return whether any part of a body, or of an unbounded plane, lies in front of a flat
+    one-sided surface."""
     point, normal = plane
     if body is None:
         if other is None or not np.allclose(np.abs(other[1] @ normal), 1):

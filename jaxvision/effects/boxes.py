@@ -1,7 +1,8 @@
-"""The box of a fit: fields by name, each with its smallest and largest value. A name is a path:
+"""The range of a fit's free parameters: a mapping from the names of fields to their smallest and
+largest values. A name is the path of a field, as in
 
 "surfaces[0].material.specular", "lights[1].position", "ambient.radiance", "view.focal_length",
-"sensor.gain". Values are in the field's own unit.
+"sensor.gain". Values are in the unit of the field.
 """
 
 import re
@@ -25,7 +26,8 @@ _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 
 
 def refuse_tracers(*records: Any) -> None:
-    """Raise `ValueError` for a record with traced numbers: pruning happens before tracing."""
+    """Raise `ValueError` for records with traced numbers, because effects are dropped before JAX
+    traces a program."""
     for leaf in jax.tree.leaves(records):
         if not is_known(leaf):
             raise ValueError(
@@ -34,8 +36,8 @@ def refuse_tracers(*records: Any) -> None:
 
 
 def unbounded(scene: Scene, camera: Camera) -> str:
-    """The name of a number that makes every bound infinite: one of the scene that is not finite, or
-    a NaN of the camera; "" if there is none."""
+    """Return the name of a number that makes every bound infinite: a number of the scene that is
+    not finite, or a NaN of the camera. Return "" if there is none."""
     for record, wrong in ((scene, lambda x: ~np.isfinite(x)), (camera, np.isnan)):
         if any(np.any(wrong(leaf)) for leaf in jax.tree.leaves(record)):
             every = _names(record, "")
@@ -44,7 +46,7 @@ def unbounded(scene: Scene, camera: Camera) -> str:
 
 
 def steps_of(name: str) -> list[str | int]:
-    """The fields and numbers along a name."""
+    """Split the name of a field into the fields and indices along its path."""
     return [int(number) if number else word for word, number in _STEP.findall(name)]
 
 
@@ -56,14 +58,14 @@ def _at(record: Any, step: str | int) -> Any:
 
 
 def value_at(record: Any, name: str) -> Any:
-    """The field of that name, or None."""
+    """Return the field with that name, or None if the record has none."""
     for step in steps_of(name):
         record = _at(record, step)
     return record
 
 
 def put(record: Any, steps: list[str | int], value: Any) -> Any:
-    """A record with a value at the end of steps."""
+    """Return a copy of a record with the value at the end of a path replaced."""
     if not steps:
         return value
     first, rest = steps[0], steps[1:]
@@ -74,12 +76,13 @@ def put(record: Any, steps: list[str | int], value: Any) -> Any:
 
 
 def setting(name: str, *, to: Any = None) -> Drop:
-    """A drop that sets the field of that name, such as "camera.sensor.bits", in a draft."""
+    """Return a function that sets the field with that name, such as "camera.sensor.bits", in a
+    draft of the pruned records."""
     return lambda draft: put(draft, steps_of(name), to)
 
 
 def _names(record: Any, prefix: str) -> Iterator[str]:
-    """The names of all numbers in a record."""
+    """Yield the names of all floating-point numbers in a record."""
     if isinstance(record, tuple):
         for i, own in enumerate(record):
             yield from _names(own, f"{prefix}[{i}]")
@@ -91,10 +94,10 @@ def _names(record: Any, prefix: str) -> Iterator[str]:
 
 
 def ends_of(scene: Scene, camera: Camera, free: Box | None) -> tuple[Ends[Scene], Ends[Camera]]:
-    """Return scene and camera at the low and the high end of a box. The box maps names of fields to
-    their least and largest values in the field's unit. Parts without free fields are the same
-    record twice. Raises `InputError` for an unknown name, and for values that do not fit the
-    field."""
+    """Return the scene and the camera with the free fields at their smallest and at their largest
+    values. `free` maps the names of fields to these two values, in the field's unit. A scene or
+    camera without free fields is the same record at both ends. `InputError` is raised for an
+    unknown name, and for values that do not fit the field."""
     scenes, cameras = [scene, scene], [camera, camera]
     if not isinstance(free or {}, Mapping):
         raise InputError(f"free must map names of fields to their two ends, got {free!r}.")
@@ -110,7 +113,7 @@ def ends_of(scene: Scene, camera: Camera, free: Box | None) -> tuple[Ends[Scene]
 
 
 def _checked(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndarray]:
-    """Both ends in the shape and dtype of the field."""
+    """Return the smallest and the largest value in the shape and dtype of the field."""
     try:
         low, high = (np.broadcast_to(np.asarray(v, float), own.shape) for v in values)
     except (TypeError, ValueError):
@@ -125,7 +128,8 @@ def _checked(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndar
 
 
 def keeps(draft: Draft, name: str, scene: Scene, camera: Camera) -> bool:
-    """Whether a draft still has the field of that name, with its original shape and meaning."""
+    """Return whether a draft still has the field with that name, with its original shape and
+    meaning."""
     place = re.match(r"surfaces\[(\d+)\]", name)
     if place is not None and draft.unmet and int(place[1]) >= min(draft.unmet):
         return False  # another surface would have its number
@@ -138,14 +142,15 @@ def keeps(draft: Draft, name: str, scene: Scene, camera: Camera) -> bool:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two trees of records have the same numbers."""
+    """Return whether two trees of records have the same structure and numbers."""
     leaves, tree = jax.tree.flatten(a)
     others, other = jax.tree.flatten(b)
     return tree == other and all(np.array_equal(x, y) for x, y in zip(leaves, others, strict=True))
 
 
 def corners(ends: Ends[Any]) -> list[Any]:
-    """The record with its numbers at either end, in all combinations."""
+    """List the record with each free number at its smallest or largest value, in all
+    combinations."""
     low, tree = jax.tree.flatten(ends.low)
     high = jax.tree.leaves(ends.high)
     choices = [(a,) if np.array_equal(a, b) else (a, b) for a, b in zip(low, high, strict=True)]

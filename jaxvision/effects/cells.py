@@ -1,8 +1,9 @@
-"""Surfaces divided into small cells, each a ball of points with a cone of normals.
+"""Divide surfaces into small cells, each bounded by a ball of points and a cone of normals.
 
-Distances, cosines and mirror directions are bounded for every point and normal of each cell. These
-bounds are much sharper than bounds for a whole surface. A cell that no pixel sees, because it is
-outside the picture or faces away, does not count there. Lengths in m, angles in rad; NumPy float64.
+Distances, cosines and mirror directions are bounded over all points and normals of a cell. Such
+bounds are much sharper than bounds over a whole surface. A cell that no pixel sees, because it is
+outside the picture or faces away, is excluded from the bounds on the picture. Lengths are in m,
+angles in rad; computed in NumPy float64.
 """
 
 import math
@@ -49,7 +50,7 @@ _TRIANGLES = 400  # triangles of a mesh, up to which each is its own cell
 
 
 class Cells(NamedTuple):
-    """Parts of surfaces; c of them."""
+    """Bounds on the points and normals of c cells, in the order of their surfaces."""
 
     centre: np.ndarray  # (c, 3) m
     # (c,) m, radius of a ball around it that contains the cell; inf for an endless one
@@ -61,7 +62,8 @@ class Cells(NamedTuple):
 
 
 class Eye(NamedTuple):
-    """The position and directions of a camera."""
+    """The positions and viewing directions of a camera, over the whole range of its free
+    parameters."""
 
     place: np.ndarray  # (3,) m, middle of the pinhole or lens
     moves: float  # m, the largest distance by which a fit may move it
@@ -77,7 +79,8 @@ class Eye(NamedTuple):
 
 
 def eye_of(view: Ends[View]) -> Eye:
-    """The position and field of view of a picture, between the two ends of a view; lengths in m."""
+    """Bound the position and the field of view of a camera over the range of its free parameters;
+    lengths in m."""
     low, high = view
     place, other = numbers(low.position), numbers(high.position)
     names = ("rotation", "focal_length", "pixel_pitch", "focus_distance")
@@ -108,8 +111,8 @@ def eye_of(view: Ends[View]) -> Eye:
 
 
 def lens_radius(lens: ThinLens) -> float:
-    """m, from the axis to the farthest point of the aperture: the corner of a rectangle, else the
-    lens's radius."""
+    """Return the distance, in m, from the axis to the farthest point of a lens's aperture: half the
+    diagonal of a rectangle, or the radius."""
     radius = float(lens.focal_length) / float(lens.f_number) / 2
     if isinstance(lens.aperture, RectangularAperture):
         return radius * math.hypot(float(lens.aperture.width), float(lens.aperture.height))
@@ -117,14 +120,15 @@ def lens_radius(lens: ThinLens) -> float:
 
 
 def anywhere(eye: Eye) -> Eye:
-    """The eye replaced by an arbitrary viewer, such as another surface that receives the light."""
+    """Replace the eye by an arbitrary viewer, such as another surface that receives the light."""
     return eye._replace(everywhere=True)
 
 
 def in_view(eye: Eye, bodies: Bodies) -> np.ndarray:
-    """Whether a pixel may see any part of each body, (n,); False is certain. A ray through a thin
-    lens starts within its radius r, m, of the middle. Its slope is at most the pixel's plus r /
-    z_f, so at a depth z it is at most r (1 + z / z_f) from the pixel's chief ray."""
+    """Return flags, (n,): whether any pixel may see a part of each body. A flag False is certain. A
+    ray through a thin lens starts at most the lens's radius r, in m, from its centre. Its slope
+    exceeds that of the pixel's chief ray by at most r / z_f, with the focus distance z_f. So at
+    depth z it is at most r (1 + z / z_f) from the chief ray."""
     if eye.everywhere:
         return np.ones(len(bodies.points), bool)
     moved = Bodies(bodies.points - eye.place, bodies.radii)
@@ -132,8 +136,8 @@ def in_view(eye: Eye, bodies: Bodies) -> np.ndarray:
 
 
 def cells_of(surfaces: Sequence[Ends[Surface]], *, about: np.ndarray) -> Cells:
-    """Divide all surfaces into cells, with both sides of two-sided ones. `about`: (3,) m, the
-    middle of the relevant part of an infinite surface."""
+    """Divide all surfaces into cells. A two-sided surface gets the cells of both sides. `about`,
+    (3,) m, is the centre of the relevant part of an infinite surface."""
     side = int(np.sqrt(_BUDGET / max(len(surfaces), 1) / 3))
     side = min(max(side, _COARSEST), _FINEST)
     found = []
@@ -175,7 +179,7 @@ def _cells(shape: Ends[Shape], side: int, about: np.ndarray) -> Parts:
 
 
 def _anywhere(shape: Ends[Shape]) -> Parts:
-    """One cell with any normal that contains all positions of a free shape."""
+    """Return one cell that contains a shape at all its free positions, with arbitrary normals."""
     body = body_of(shape)
     if body is None:
         return [np.zeros((1, 3)), np.array([np.inf]), np.eye(3)[:1], np.array([np.pi])]
@@ -202,7 +206,7 @@ def _disc_cells(shape: Disc, side: int) -> Parts:
 
 
 def _sphere_cells(shape: Sphere, side: int) -> Parts:
-    """The cells of a cube around the sphere, projected onto it."""
+    """Return the cells of a sphere: those of a cube around it, projected onto the sphere."""
     axis, spread = _sphere_axes(side)
     r = float(shape.radius)
     return [numbers(shape.centre) + r * axis, 2 * r * np.sin(spread / 2), axis, spread]
@@ -210,7 +214,8 @@ def _sphere_cells(shape: Sphere, side: int) -> Parts:
 
 @cache
 def _sphere_axes(side: int) -> tuple[np.ndarray, np.ndarray]:
-    """The axes, (c, 3), and the spreads, (c,) rad, of a sphere's cells."""
+    """Return the axes, (c, 3), and the largest angles of normals to them, (c,) rad, of the cells of
+    a sphere."""
     t = np.tan(np.pi / 4 * np.linspace(-1, 1, side + 1))
     middle, edge = np.tan(np.pi / 4 * (np.linspace(-1, 1, 2 * side + 1)[1::2])), t
     a, b = (x.ravel() for x in np.meshgrid(middle, middle, indexing="ij"))
@@ -246,12 +251,13 @@ def _box_cells(shape: Box, side: int) -> Parts:
 
 
 def has_faces_apart(shape: TriangleMesh) -> bool:
-    """Whether each triangle of a mesh is a separate cell."""
+    """Return whether each triangle of a mesh is a cell of its own."""
     return len(shape.faces) <= _TRIANGLES
 
 
 def _mesh_cells(shape: TriangleMesh) -> Parts:
-    """One cell for each triangle, or for runs of neighbours in the list if there are many."""
+    """Return one cell for each triangle, or for each run of successive triangles if the mesh has
+    many."""
     vertices = numbers(shape.vertices)
     faces = faces_of(shape)
     own = vertices[faces]
@@ -275,17 +281,17 @@ def _mesh_cells(shape: TriangleMesh) -> Parts:
 
 
 def part_of(cells: Cells, surface: int) -> slice:
-    """The cells of a surface, which are contiguous."""
+    """Return the slice of a surface's cells, which are contiguous."""
     return slice(*np.searchsorted(cells.surface, [surface, surface + 1]))
 
 
 def starts(cells: Cells) -> np.ndarray:
-    """(n,) the number of the first cell of each surface."""
+    """Return the index, (n,), of the first cell of each surface."""
     return np.flatnonzero(np.diff(cells.surface, prepend=-1))
 
 
 def bodies_of(cells: Cells) -> Bodies:
-    """The ball around each cell; an endless one has infinite radius."""
+    """Return the ball around each cell. An unbounded cell gets a radius of 1e300 m."""
     return Bodies(
         cells.centre[:, None], np.where(np.isinf(cells.radius), 1e300, cells.radius)[:, None]
     )
@@ -293,5 +299,6 @@ def bodies_of(cells: Cells) -> Bodies:
 
 @once
 def plane_between(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
-    """`bodies.plane_of` for a flat fixed shape; None for a free one."""
+    """Return a point and the normal of a flat shape (`bodies.plane_of`), or None if the shape is
+    not flat or has free parameters."""
     return plane_of(shape.low) if shape.low is shape.high else None

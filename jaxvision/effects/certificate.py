@@ -1,13 +1,14 @@
-"""Records of kept and dropped effects, with upper bounds on the change in the picture.
+"""Records of the effects that are kept and dropped, with upper bounds on the change of the picture.
 
-A bound is a supremum over all pixels. It is for the distance between the distributions of a pixel's
-value before rounding, with and without an effect: sqrt((m_1 - m_2)^2 + (s_1 - s_2)^2) with means m
-and standard deviations s. For Gaussians this is the 2-Wasserstein distance (`pixel` describes other
-distributions). A shift of the mean by d gives d. Dropped noise gives the difference of two standard
-deviations. The distance obeys the triangle inequality, so the bounds of successive drops add.
-`place` is a separate bound: the largest displacement in the picture, in pixels. At an edge it gives
-no bound on the value of a pixel. Bounds are for the exact integrals, with any sampling rule of a
-light.
+A bound is a supremum over all pixels. The change of a pixel is the distance between the
+distributions of its value before rounding, with and without an effect: sqrt((m_1 - m_2)^2 + (s_1 -
+s_2)^2) with means m and standard deviations s. For Gaussian distributions this is the 2-Wasserstein
+distance; `pixel` discusses others. A shift of the mean by d gives the distance d. Noise that is
+dropped gives the difference of the two standard deviations. The distance obeys the triangle
+inequality, so the bounds of effects that are dropped one after another add. `place` is a separate
+bound: the largest displacement in the picture, in pixels. At an edge, a displacement gives no bound
+on the value of a pixel. Bounds refer to the exact integrals over lights, not to a sampling rule for
+them.
 """
 
 import math
@@ -38,7 +39,7 @@ _NUMBER = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*(%|dn|sigma|)", re.IGNORECAS
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The largest allowed change of a picture by dropped effects.
+    """The largest change of a picture that dropped effects may cause.
 
     Attributes:
         value: largest distance, as defined in `effects.certificate`, >= 0, in `unit`.
@@ -75,7 +76,7 @@ class Tolerance:
 
 
 def parse(text: str, *, place: float | None = None, rare: float | None = None) -> Tolerance:
-    """A tolerance as it is written on a command line.
+    """Read a tolerance from text, as on a command line.
 
     Args:
         text: a number and its unit: "1%" or "0.01" of the level of radiance, "0.5DN", "0.1sigma".
@@ -115,7 +116,7 @@ def parse(text: str, *, place: float | None = None, rare: float | None = None) -
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect of a scene or a camera on a picture, with a bound on it.
+    """One effect of a scene or a camera, with a bound on its change of the picture.
 
     Attributes:
         name: path of the field in the original scene: "lights[2]", "shadows[2]",
@@ -152,7 +153,8 @@ class Effect:
 
 @dataclass(frozen=True)
 class Certificate:
-    """The dropped effects of a pruned scene and camera, with the total bound.
+    """The kept and the dropped effects of a pruned scene and camera, with a bound on their total
+    change.
 
     Attributes:
         kept: the effects that remain, bounds in `unit`.
@@ -180,12 +182,12 @@ class Certificate:
 
     @property
     def saves(self) -> float:
-        """Share of the picture's work that is saved. Each effect saves its declared share of the
-        work remaining after the others."""
+        """The share of the picture's work that dropping the effects saves. Each effect saves its
+        share of the work that the effects before it leave."""
         return 1 - math.prod(1 - effect.saves for effect in self.dropped)
 
     def _repr_html_(self) -> str:
-        """The table that a notebook shows."""
+        """Return the HTML table that a notebook shows."""
         rows = [(word, *cells) for word, cells in _rows(self)]
         last = summary(self)
         return record_html(("", *_headings(self)), rows, summary=last, notes=self.assumptions)
@@ -193,7 +195,8 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Pruned:
-    """A scene and a camera without negligible effects, ready for `render` and `capture`.
+    """A scene and a camera from which negligible effects were dropped, ready for `render` and
+    `capture`.
 
     Attributes:
         scene: the reduced scene.
@@ -224,7 +227,7 @@ def _headings(certificate: Certificate) -> tuple[str, ...]:
 
 
 def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
-    """("kept" or "dropped", cells) of each effect."""
+    """Yield ("kept" or "dropped", table cells) for each effect of a certificate."""
     for word, found in (("dropped", certificate.dropped), ("kept", certificate.kept)):
         for effect in found:
             why = f"free; {effect.why}" if effect.free else effect.why
@@ -236,8 +239,8 @@ def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
 
 
 def summary(certificate: Certificate) -> str:
-    """A certificate in one sentence: how much was dropped, and the bound in its unit (relative, DN
-    or sigma)."""
+    """Summarise a certificate in one sentence: how many effects were dropped, and the bound on
+    their change in its unit (relative, DN or sigma)."""
     c, unit = certificate, "" if certificate.unit == "relative" else f" {certificate.unit}"
     count = len(c.dropped) + len(c.kept)
     line = (
@@ -253,7 +256,8 @@ def summary(certificate: Certificate) -> str:
 
 
 def explain(certificate: Certificate) -> str:
-    """A certificate in words: a line for each effect, the assumptions of the bounds, and the total.
+    """Describe a certificate in words: a line for each effect, the assumptions of the bounds, and a
+    summary.
 
     Args:
         certificate: as `prune` returns it.

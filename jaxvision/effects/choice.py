@@ -1,7 +1,8 @@
-"""Choice of the effects to drop, by bound per saved time, until the tolerance is used up.
+"""Choose the effects to drop: those with the smallest bound per saved time first, until the
+tolerance is used up.
 
-Effects with bound 0 are dropped first. Bounds add by the triangle inequality. Each is valid for
-every picture between the full and the pruned one.
+Effects with bound 0 are dropped first. Bounds add, by the triangle inequality. The bound of an
+effect is valid for every picture between the full and the pruned one.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -27,7 +28,8 @@ _TRIES = 64  # largest number of thresholds, each at most half of the previous o
 
 @dataclass(frozen=True)
 class Chain:
-    """The rows of all stages, and the factors that convert their bounds to one unit."""
+    """The rows of all effects, from the scene to the raw data, and the factors that convert their
+    bounds to one unit."""
 
     rows: tuple[Row, ...]  # of all effects
     opening: float = 1.0  # W m^-2 per W m^-2 sr^-1, the largest gain of the lens
@@ -38,12 +40,12 @@ class Chain:
 
 
 def concerns(field: str, effect: str) -> bool:
-    """Whether a free field belongs to an effect."""
+    """Return whether a free field is the field of an effect, or a part of it."""
     return field == effect or field.startswith((f"{effect}.", f"{effect}["))
 
 
 class Choice:
-    """The remaining records, the dropped effects, and the change so far."""
+    """The scene and camera that remain, the dropped effects, and their bound so far."""
 
     def __init__(
         self,
@@ -67,7 +69,7 @@ class Choice:
         self.allowed = goal.value / 2 if many else goal.value
 
     def bound(self, row: Row) -> float:
-        """The bound of a row in the unit of the tolerance."""
+        """Return the bound of an effect's row in the unit of the tolerance."""
         chain, gone = self.chain, frozenset(row.name for row in self.gone)
         value = np.atleast_1d(row.amount if row.after is None else row.after(gone))
         if not value.any():
@@ -88,8 +90,9 @@ class Choice:
         return found if found >= 0 else np.inf
 
     def decide(self) -> None:
-        """Drop what the tolerance allows: ordinary rows by bound per saved time, then the ladders,
-        groups of rows of which at most one is dropped.
+        """Drop the effects that the tolerance allows. Single effects come first, by bound per saved
+        time. Then follow the ladders, which are groups of alternatives of which at most one is
+        dropped.
         """
         plain = [row for row in self.chain.rows if not row.ladder and row.present]
         parties = [(row,) for row in plain if not row.together]
@@ -108,8 +111,8 @@ class Choice:
             self._order_lights()
 
     def _order_lights(self) -> None:
-        """Use the rest of the tolerance to leave out, in each part of the picture, the lights that
-        contribute least there.
+        """Spend the remaining tolerance on leaving out, at each point, the lights that contribute
+        least there.
         """
         scene = finished(self.records[0], self.draft)
         if not _many(scene):
@@ -137,7 +140,7 @@ class Choice:
         return cost > 0, cost / sum(row.saves for row in party)
 
     def _try(self, party: tuple[Row, ...]) -> bool:
-        """Drop the rows of a group if all of them fit."""
+        """Drop all rows of a group if the tolerance allows it, and return whether it does."""
         gone = {row.name for row in self.gone}
         rows = [row for row in party if row.part_of not in gone]
         allowed = all(
@@ -179,7 +182,7 @@ class Choice:
         return True
 
     def _sums(self, rows: list[Row], bounds: list[float]) -> tuple[float, float]:
-        """Return the proved and the estimated change after these effects are dropped, too."""
+        """Return the proved and the estimated total change if these effects are dropped too."""
         grows = float(np.prod([row.grows for row in rows]))
         both = [self.total * grows, self.estimated * grows]
         for row, bound in zip(rows, bounds, strict=True):
@@ -187,8 +190,8 @@ class Choice:
         return both[0], both[1]
 
     def _take_bands(self, draft: Draft) -> bool:
-        """Whether a camera with a sensor can use fewer bands without removing bands of a free
-        spectrum.
+        """Return whether a camera can use fewer bands: no free spectrum loses bands, and the
+        sensor, if there is one, can take them.
         """
         if any(_is_spectrum(name, *self.records) for name in self.free):
             self.all_bands = "a free spectrum has all of them"
@@ -200,7 +203,7 @@ class Choice:
         return taken
 
     def result(self, scene: Scene, camera: Camera | View) -> Pruned:
-        """Return the remaining records, and the certificate."""
+        """Return the pruned records with their certificate."""
         draft, expand, own = self.draft, None, self.draft.camera
         threshold = draft.threshold
         left = finished(scene, draft)
@@ -263,7 +266,8 @@ class Choice:
 
 
 def _many(scene: Scene) -> bool:
-    """Whether lights in order save more shadow rays than their order costs."""
+    """Return whether tracing lights in the order of their contribution saves more shadow rays than
+    finding the order costs."""
     blocking = range(len(scene.surfaces)) if scene.occluders is None else scene.occluders
     shapes = [scene.surfaces[i].shape for i in blocking]
     meshes = any(isinstance(shape, TriangleMesh) for shape in shapes)
@@ -271,7 +275,7 @@ def _many(scene: Scene) -> bool:
 
 
 def _assumed_of(scene: Scene) -> Iterator[str]:
-    """The assumptions of a scene's bounds, one sentence each."""
+    """Yield the assumptions behind a scene's bounds, one sentence each."""
     if any(has_size(light) for light in scene.lights):
         yield (
             "bounds are of the exact integrals over lamps and skies; a rule with too few nodes for "
@@ -283,15 +287,15 @@ def _assumed_of(scene: Scene) -> Iterator[str]:
 
 
 def _is_spectrum(name: str, scene: Scene, camera: Camera) -> bool:
-    """Whether a field has one number per band."""
+    """Return whether a field has one number for each band."""
     word = name.rpartition(".")[2]
     words = "emission radiance intensity irradiance diffuse specular ambient reflectance"
     return word in f"{words} transmission quantum_efficiency infrared_cut wavelength".split()
 
 
 def bands_of(draft: Draft) -> int:
-    """Return the number of bands of the picture from the remaining records. Neutral mirrors alone
-    do not determine it."""
+    """Count the bands of the picture of the records that remain. Neutral mirrors alone do not
+    determine this number."""
     counts = [1]
     for surface in draft.left:
         material = surface.material
@@ -308,7 +312,7 @@ def bands_of(draft: Draft) -> int:
 
 
 def finished(scene: Scene, draft: Draft) -> Scene:
-    """Return the scene of a draft's remaining records. Without remaining shadows its `occluders`
+    """Return the scene of the records that remain in a draft. If no shadow remains, its `occluders`
     are `()`."""
     left = [k for k, light in enumerate(draft.lights) if light is not None]
     rules = scene.rules

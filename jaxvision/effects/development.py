@@ -1,10 +1,11 @@
-"""The stage of development: the factor by which each step can magnify a change of the raw data.
+"""Bound the factor by which each step of a development can magnify a change of the raw data.
 
-Bounds are for the raw data, and only steps that are the identity are dropped from a development.
-The factor of each step translates a bound to the picture. It is the step's Lipschitz constant in
-the maximum norm over pixels: if every number of the input moves by at most d (in mean square, under
-one coupling), every number of the output moves by at most the factor times d. Some steps have no
-finite factor, and say why.
+Tolerances in DN refer to the raw data. Of the development, only steps that change nothing are
+dropped. The product of the factors converts a bound on the raw data to one on the developed
+picture. A factor is the step's Lipschitz constant in the maximum norm over pixels. If every input
+number changes by at most d (in root mean square, for some coupling of the two random images), every
+output number changes by at most the factor times d. A step without a finite factor states the
+reason.
 """
 
 import math
@@ -34,7 +35,7 @@ SRGB_SLOPE = 12.92
 
 
 class Factor(NamedTuple):
-    """The factor by which a step magnifies a change."""
+    """The factor by which a development step magnifies a change of its input."""
 
     value: float  # the factor, in the unit of the output per unit of the input; inf: there is none
     why: str  # reason for the factor, or for its absence
@@ -42,21 +43,21 @@ class Factor(NamedTuple):
 
 
 def black_level(development: Development) -> Factor:
-    """Black level: a shift, with factor 1."""
+    """Return the factor of black-level subtraction, which is 1 because it is a shift."""
     return Factor(1.0, "a shift", float(_known(development.black_level)) == 0)
 
 
 def white_level(development: Development) -> Factor:
-    """White level: the factor is 1 / (white - black)."""
+    """Return the factor of scaling to the white level, 1 / (white - black)."""
     black = 0.0 if development.black_level is None else float(development.black_level)
     span = float(_known(development.white_level)) - black
     return Factor(1 / span, "over the span from black to white", span == 1)
 
 
 def demosaicing(development: Development) -> Factor:
-    """Bilinear and normalised interpolation are means, with factor 1. Malvar's filters have
-    absolute sums of at most 20 / 8. Menon's method selects directions, so a small change may select
-    another one, and there is no bound.
+    """Return the factor of demosaicing. Bilinear and normalised interpolation are means, with
+    factor 1. In Malvar's filters, absolute weights sum to at most 20 / 8. Menon's method selects
+    directions, so that a small change may select another direction: there is no bound.
     """
     how = development.demosaicing
     assert how is not None
@@ -70,8 +71,8 @@ def demosaicing(development: Development) -> Factor:
 
 
 def white_balance(development: Development) -> Factor:
-    """The largest gain. If the picture determines the gains, they are ratios of means, whose
-    denominators may vanish."""
+    """The largest gain. There is no bound if the gains are computed from the picture, because they
+    are ratios of means that may vanish."""
     match development.white_balance:
         case WhiteBalance(gains=gains):
             gains = np.asarray(gains, float)
@@ -82,13 +83,14 @@ def white_balance(development: Development) -> Factor:
 
 
 def saturation(development: Development) -> Factor:
-    """Clipping at a level that the gains determine, with factor 1."""
+    """Return the factor of clipping at the level that the white-balance gains determine, which is
+    1."""
     return Factor(1.0, "clipping")
 
 
 def denoising(development: Development) -> Factor:
-    """Weights that depend on the picture give a factor that grows with the neighbourhood, so there
-    is no bound. Over a neighbourhood of one pixel the filters are the identity."""
+    """Return the factor of denoising. There is no bound, because the weights depend on the picture.
+    In a neighbourhood of a single pixel, the filters change nothing."""
     how = development.denoising
     assert isinstance(how, Bilateral | NonLocalMeans)
     alone = how.radius == 0
@@ -98,16 +100,17 @@ def denoising(development: Development) -> Factor:
 
 
 def colour_matrix(development: Development) -> Factor:
-    """The factor is the largest sum of absolute values of a row."""
+    """Return the factor of a colour matrix: the largest sum of the absolute values in a row."""
     matrix = np.asarray(_known(development.colour_matrix), float)
     identity = np.array_equal(matrix, np.eye(3))
     return Factor(float(np.abs(matrix).sum(1).max()), "row sums of the matrix", identity)
 
 
 def tone_map(development: Development) -> Factor:
-    """The largest slope. Reinhard's goes monotonically from 1 to 1 / white^2. A monotone spline is
-    nowhere steeper than three times its steepest chord (Fritsch and Carlson, "Monotone Piecewise
-    Cubic Interpolation", SIAM J. Numer. Anal. 17 (1980))."""
+    """The largest slope. The slope of Reinhard's curve goes monotonically from 1 to 1 / white^2. A
+    monotone spline is nowhere steeper than three times its steepest chord (Fritsch and Carlson,
+    "Monotone Piecewise Cubic Interpolation", SIAM J. Numer. Anal. 17 (1980)). Numer. Anal. 17
+    (1980))."""
     match development.tone_map:
         case Reinhard(white=None):
             return Factor(1.0, "largest slope, at 0")
@@ -123,9 +126,10 @@ def tone_map(development: Development) -> Factor:
 
 
 def tone(development: Development) -> Factor:
-    """The factor of sRGB: its slope at 0. Its rounded constants cause a step of 3e-8 at
-    0.0031308, which is ignored. A power below 1 has an infinite slope at 0, and one above 1 at
-    large values."""
+    """Return the largest slope of an encoding curve. That of sRGB is its slope at 0. The rounded
+    constants of sRGB cause a step of 3e-8 at 0.0031308, which is ignored. A power function has an
+    infinite slope at 0 if its exponent is below 1, and a growing slope at large values if it is
+    above 1."""
     match development.tone:
         case SRGB():
             return Factor(SRGB_SLOPE, "slope of sRGB at 0")
@@ -146,7 +150,8 @@ def sharpening(development: Development) -> Factor:
 
 
 def compression(development: Development) -> Factor:
-    """JPEG: rounding of coefficients is discontinuous, so there is no bound."""
+    """Return the factor of JPEG compression: there is no bound, because the rounding of
+    coefficients is discontinuous."""
     return Factor(INF, "JPEG rounds its coefficients: they jump")
 
 
@@ -190,8 +195,8 @@ def lipschitz(development: Development | None) -> Factor:
 
 
 def development_stage(development: Ends[Development | None]) -> tuple[Row, ...]:
-    """A row for each step of a development, with bounds in DN of the raw data. Only steps that are
-    the identity can be dropped."""
+    """Return a row for each step of a development, with bounds in DN of the raw data. Only steps
+    that change nothing can be dropped."""
     low, high = development
     if low is None or high is None:
         return ()

@@ -1,11 +1,12 @@
-"""Bounds on the difference in radiance of one point between two points of a lens, W m^-2 sr^-1.
+"""Bound the difference in the radiance of a point as seen from two points of a lens, in W m^-2
+sr^-1.
 
-A matte surface, an emitter and a lamp of uniform radiance look the same from all directions, so a
-point in focus looks the same through every part of a lens. A lobe changes by at most its slope
-times the angle that the lens subtends, and at most by its largest value. A body reflection that is
-not Lambertian changes by at most twice its difference from a Lambertian one, and at most by its
-whole value. A mirror or glass shows different objects through each part of the lens, so there is no
-bound.
+Matte surfaces, emitters and lamps of uniform radiance look the same from all directions. A point in
+focus on them therefore looks the same through every part of the lens. The radiance of a specular
+lobe changes by at most its slope times the angle that the lens subtends, and by at most its largest
+value. The radiance of a body that is not Lambertian changes by at most twice its difference from a
+Lambertian body, and by at most its whole value. A mirror or glass shows different objects through
+each part of the lens: there is no bound.
 """
 
 import numpy as np
@@ -19,9 +20,9 @@ from .sums import Sums, lobe_sent, pictured, slopes
 
 
 def lens_spread_bound(sums: Sums, onward: Onward) -> np.ndarray:
-    """A bound on the difference in radiance of any point in the picture between two points of the
-    lens, (bands,) W m^-2 sr^-1. It is 0 for a pinhole and inf if a mirror or glass is in view.
-    `onward` bounds the light after its first reflection."""
+    """Bound the difference in the radiance of any visible point between two points of the lens,
+    (bands,) W m^-2 sr^-1. The bound is 0 for a pinhole, and inf if a mirror or glass is in view.
+    `onward` bounds the light after further reflections."""
     eye, cells, of_cell = sums.eye, sums.cells, sums.cells.surface
     radius = eye.size - eye.moves
     if radius <= 0:
@@ -50,21 +51,22 @@ def lens_spread_bound(sums: Sums, onward: Onward) -> np.ndarray:
 
 
 def _plain(sums: Sums) -> np.ndarray:
-    """(n, bands) sr^-1, `Reflection.plain` of each surface."""
+    """Return the difference of each body from a Lambertian one, (n, bands) sr^-1
+    (`Reflection.plain`)."""
     bands = sums.spectrum.shape[1]
     return np.array([np.broadcast_to(own.plain, bands) for own in sums.reflections])
 
 
 def _is_smooth(shape: Shape) -> bool:
-    """Return whether a shape's shading normals may face away from a part of the lens."""
+    """Return whether a shape has shading normals, which may face away from a part of the lens."""
     return isinstance(shape, TriangleMesh) and shape.normals is not None
 
 
 def _interreflection_bound(
     sums: Sums, onward: Onward, plain: np.ndarray, smooth: np.ndarray
 ) -> np.ndarray:
-    """(n, bands) W m^-2 sr^-1, the bound on this difference for light reflected between
-    surfaces.
+    """Bound the difference in radiance between two points of the lens, for light reflected between
+    surfaces, (n, bands) W m^-2 sr^-1.
     """
     found = np.zeros_like(sums.own)
     if onward.depth is None:

@@ -1,7 +1,7 @@
-"""Quantities that follow from a sensor's parameters: electrons freed by light, dark rates,
-variances of the read-out.
+"""Derive quantities from a sensor's parameters: photoelectrons, dark rates, and variances of
+read-out noise.
 
-NumPy float64, in electrons unless stated otherwise.
+Values are NumPy float64, in electrons unless stated otherwise.
 """
 
 import math
@@ -22,9 +22,9 @@ from ..sensor.exposure import PLANCK, SPEED_OF_LIGHT
 
 
 def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
-    """Return the electrons per exposure in the most sensitive pixel, from an irradiance, (bands,) W
-    m^-2, or photons s^-1 per pixel. The sensor is given by its fields by name, with None for
-    dropped ones.
+    """Return the number of photoelectrons per exposure in the most sensitive pixel. `irradiance`,
+    (bands,), is in W m^-2, or in photons s^-1 per pixel. `sensor` holds the fields of a sensor by
+    name, with None for dropped effects.
     """
     photons = np.asarray(irradiance, float)
     conversion = sensor["photon_conversion"]
@@ -35,7 +35,7 @@ def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
 
 
 def detected(sensor: Mapping[str, Any], photons: np.ndarray) -> float:
-    """Photoelectrons in the pixel with the most of them, behind all filters."""
+    """Return the number of photoelectrons behind all filters, in the pixel that has most."""
     electrons = photons
     with np.errstate(invalid="ignore"):  # 0 times inf: no bound is known
         for factor in (sensor["infrared_cut"], sensor["quantum_efficiency"]):
@@ -48,7 +48,8 @@ def detected(sensor: Mapping[str, Any], photons: np.ndarray) -> float:
 
 
 def beside_light(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
-    """The largest number of electrons that the light offset adds to or removes from a pixel."""
+    """Return the largest number of electrons that the light offset adds to a pixel or removes from
+    it."""
     match sensor["light_offset"]:
         case None:
             return 0.0
@@ -60,20 +61,20 @@ def beside_light(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
 
 
 def share_of_light(aperture: PixelAperture) -> float:
-    """The share of the light on a pixel that its aperture collects."""
+    """Return the share of the light on a pixel that its aperture collects."""
     fill = float(aperture.fill_factor)
     return fill if aperture.microlens is None else fill + float(aperture.microlens) * (1 - fill)
 
 
 def exposure(sensor: Mapping[str, Any]) -> float:
-    """s, or 1 if rates are already counts."""
+    """Return the exposure time, in s, or 1 if rates are already counts."""
     return 1.0 if sensor["exposure_time"] is None else float(sensor["exposure_time"])
 
 
 def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
-    """Return the variance, electrons^2 by the name of the field, of each noise source after the
-    conversion that affects every pixel, fixed-pattern and temporal. The sensor is given by its
-    fields by name, with None for dropped ones."""
+    """Return the variances, in electrons^2 by the name of the field, of all noise that is added
+    after the conversion, both fixed-pattern and temporal. `sensor` holds the fields of a sensor by
+    name, with None for dropped effects."""
     found = {}
     for name in ("dsnu", "column_dsnu", "row_dsnu", "row_noise", "column_noise", "frame_noise"):
         if sensor[name] is not None:
@@ -105,7 +106,8 @@ def kernel_slopes(kernel: Any) -> float:
 
 
 def dark_rate(law: Any) -> float:
-    """e- s^-1 of a dark current, given as a number or as a law of temperature."""
+    """Return the rate, in e- s^-1, of a dark current that is given as a number or as a law of
+    temperature."""
     match law:
         case DoublingDarkCurrent():
             warmer = float(law.temperature) - float(law.reference_temperature)

@@ -1,17 +1,20 @@
-"""A rectangle replaced by a small light at its middle: bounds on the difference.
+"""Bound the change if a rectangular light is replaced by a small light at its centre.
 
-Over the lamp's plane the integrand is cos_l cos_s / r^2 = H (n.(y - x)) / r^4 with H the receiver's
-constant height above it. Its second derivative along a unit vector t, with c = t.(y - x) / r, is H
-r^-5 [(24 c^2 - 4) cos_s - 8 c n.t]. It is at most H r^-5 sqrt((16 c^2 - 4)^2 + 64 c^2 (1 - c^2))
-over all normals, which is largest at c = 1: 12 H r^-5. The error of the midpoint rule is at most
-half of that times the mean square m2 = (u^2 + v^2) / 12 of positions about the middle:
+At a receiver point x, the integrand over lamp points y is cos_l cos_s / r^2 = H (n.(y - x)) / r^4.
+Here r is the distance |y - x|, n the receiver's normal, and H its constant height above the lamp's
+plane. The second derivative along a unit vector t in the lamp's plane is H r^-5 [(24 c^2 - 4) cos_s
+- 8 c n.t], with c = t.(y - x) / r. Over all normals it is at most H r^-5 sqrt((16 c^2 - 4)^2 + 64
+c^2 (1 - c^2)), which is largest at c = 1: 12 H r^-5. The error of the midpoint rule is at most half
+of that times m2 = (u^2 + v^2) / 12, the mean square distance of lamp points from the centre, with u
+and v the lamp's sides:
 
     |E - E_middle| <= L A / d^2 (H / d) [6 m2 / (d^2 (1 - q)^5) + kink],   q = half diagonal / d
 
-Here d is the distance from the middle, and kink = sqrt(m2) / (2 d (1 - q)^4), needed only if the
-receiver's horizon can cross the lamp. A lobe changes by its slope along the lamp, and by at most
-its largest value under either light. The latter also bounds points in a penumbra, and lobes that
-end at a horizon which can cross the lamp. Lengths in m.
+Here L is the radiance, A the area, and d the distance from the centre. The term kink = sqrt(m2) /
+(2 d (1 - q)^4) is needed only if the receiver's horizon can cross the lamp. The light of a specular
+lobe changes by its slope along the lamp, and by at most its largest value under either light. The
+latter is also the bound for points in a penumbra, and for lobes that end at a horizon which can
+cross the lamp. Lengths in m.
 """
 
 import numpy as np
@@ -26,9 +29,9 @@ _NEAREST = 0.9  # largest ratio of half the diagonal to the distance
 
 
 def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
-    """Bound the change on each cell, (c, bands) W m^-2 sr^-1, if a small light replaces the
-    extended light k with a window. Also return the small light of (bands,) W sr^-1, or None if the
-    lamp must be kept, and the reason."""
+    """Bound the change of radiance of each cell, (c, bands) W m^-2 sr^-1, if a small light replaces
+    the rectangular light k. Also return the small light, of (bands,) W sr^-1, or None if the lamp
+    must be kept, and a reason."""
     nothing = np.zeros((len(sums.seen), sums.spectrum.shape[1]))
     own = sums.sources[k]
     if not own.even:
@@ -69,8 +72,8 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
 
 
 def _distance(place: Source, cells: Cells) -> np.ndarray:
-    """(c,) m, the smallest distance from the lamp's middle to the ball around a cell, and above the
-    plane of a flat one."""
+    """Return the smallest distance, (c,) m, from the lamp's centre to the ball around each cell,
+    or, for a flat cell, to the disc in its plane."""
     apart = place.places[0] - cells.centre
     ball = np.maximum(np.linalg.norm(apart, axis=1) - cells.radius, 0)
     height = np.abs((apart * cells.axis).sum(-1))
@@ -80,13 +83,13 @@ def _distance(place: Source, cells: Cells) -> np.ndarray:
 
 
 def _height(place: Source, cells: Cells) -> np.ndarray:
-    """(c,) m, the largest height of a cell above the lamp's plane."""
+    """Return the largest height of each cell above the lamp's plane, (c,) m."""
     over = (cells.centre - place.places[0]) @ place.normal
     return np.maximum(over + cells.radius, 0)
 
 
 def _crosses(cells: Cells, place: Source, half: float) -> np.ndarray:
-    """(c,) whether a receiver's horizon may cross the lamp."""
+    """Return flags, (c,): whether the horizon of a receiver in each cell may cross the lamp."""
     apart = place.places[0] - cells.centre
     height = (apart * cells.axis).sum(-1)
     slack = half * np.sqrt(np.maximum(1 - (cells.axis @ place.normal) ** 2, 0))
@@ -105,8 +108,8 @@ def _lobes(
     peak: np.ndarray,
     lamp: tuple[np.ndarray, np.ndarray, float],
 ) -> np.ndarray:
-    """(c, bands): the change of the light of lobes, by their slope along the lamp and by the change
-    of E; `either` bounds this light under either lamp.
+    """Bound the change of the light of specular lobes, (c, bands), by the lobe's slope along the
+    lamp and by the change of the irradiance. `either` bounds that light under either lamp.
     """
     q, d, rms = lamp
     of_cell = sums.cells.surface
@@ -118,7 +121,8 @@ def _lobes(
 def _small_light_suprema(
     sums: Sums, k: int, place: Source, area: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(c, bands) suprema of the light of bodies and lobes under the small light."""
+    """Return the suprema, (c, bands), of the light that bodies and lobes reflect from the small
+    light."""
     lobes = [own.lobe for own in sums.reflections]
     body, lobe = geometry_of(sums, place, np.zeros(len(lobes)), lobes)
     of_cell, spectrum = sums.cells.surface, sums.spectrum[k]

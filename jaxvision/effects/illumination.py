@@ -1,10 +1,11 @@
-"""Upper bounds on the light that reaches each cell.
+"""Bound the light that reaches each cell from each light.
 
-A light is represented by a few balls, each with an intensity: a point is one, and a rectangle is
-divided into pieces. The irradiance E of a facing surface is at most the sum of I cos(theta) / d^2,
-with d a lower bound of the distance and the cosines at their largest. From a light of radiance L,
-at most pi L arrives with the receiver's cosine, and at most 2 pi L without. E is per unit of the
-light's own `spectrum`. Lengths in m.
+A light is represented by a few balls, each with an intensity. A point is one ball; a rectangle is
+divided into pieces. The irradiance E of a surface that faces the light is at most the sum of I
+cos(theta) / d^2 over the balls, where I is the intensity, d a lower bound of the distance, and the
+cosine of emission has its largest value. A light of radiance L gives at most pi L if weighted by
+the receiver's cosine, and at most 2 pi L without it. E is given per unit of the light's own
+`spectrum`, and lengths are in m. Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -21,13 +22,15 @@ from .cells import Cells, Eye
 
 
 def has_size(light: Light) -> bool:
-    """Whether a light may reach a point from many directions, as an unregistered one may."""
+    """Return whether light from this source may reach a point from many directions. This is assumed
+    of types that are not registered."""
     own = kinds().get(type(light))
     return own is None or hasattr(own, "seen")
 
 
 def source_of(light: Ends[Any]) -> Source:
-    """A light between the two ends of its free parameters; inf for a kind without a bound."""
+    """Return the bounds that a light has over the range of its free parameters; inf for a type
+    without a bound."""
     own = kinds().get(type(light.low))
     if own is not None and own.bound is not None:
         return own.bound(light)
@@ -41,7 +44,7 @@ def source_of(light: Ends[Any]) -> Source:
 
 
 class Arrived(NamedTuple):
-    """The light of a source on c cells, from each of its s positions."""
+    """Bounds on the light that reaches c cells from the s positions of a light."""
 
     # (c, s, 3) unit, toward the middle of each light position; None for a sky
     wi: np.ndarray | None
@@ -54,8 +57,8 @@ class Arrived(NamedTuple):
 
 
 def arriving(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
-    """Bound the light from a source to cells. `least`: (c,) m, a known lower bound of their
-    distance."""
+    """Bound the light from one light source on the cells. `least`, (c,) m, is a known lower bound
+    of their distance."""
     count = len(cells.radius)
     if source.kind == "sky":
         e = np.full((count, 1), 2 * np.pi * source.share)
@@ -78,8 +81,8 @@ def arriving(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
 def of_lobes(
     arrived: Arrived, source: Source, lobes: Sequence[Lobe | None], cells: Cells, eye: Eye
 ) -> np.ndarray:
-    """(c,) sup of E f_r cos / k_s of the lobes of each surface toward the eye, per unit of the
-    source's spectrum; None if it has no lobe. Lengths in m."""
+    """Return the largest E f_r cos / k_s, (c,), of the lobes toward the eye, per unit of the
+    light's spectrum. A surface without a lobe, None in `lobes`, has 0. Lengths in m."""
     found, e = np.zeros(len(cells.radius)), arrived.e
     has = np.array([own is not None for own in lobes], bool)[cells.surface]
     angles = None
@@ -102,7 +105,8 @@ def of_lobes(
 
 
 def times(a: np.ndarray, b: np.ndarray | float) -> np.ndarray:
-    """The product with 0 times inf = 0: no light, or no reflectance."""
+    """Multiply two arrays with 0 times inf = 0, because without light or reflectance there is no
+    radiance."""
     nothing = (a == 0) | (b == 0)
     return np.where(nothing, 0, np.where(nothing, 1, a) * np.where(nothing, 1, b))
 
@@ -110,8 +114,9 @@ def times(a: np.ndarray, b: np.ndarray | float) -> np.ndarray:
 def _toward_places(
     source: Source, cells: Cells, least: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """For each position, the unit direction, (c, s, 3), its variation, rad, the largest cosine of
-    incidence, and the largest E, (c, s)."""
+    """Return, for each cell and light position, the unit direction to the light, (c, s, 3), its
+    variation over the cell, rad, the largest cosine of incidence, and the largest E, (c, s)
+    each."""
     apart = source.places - cells.centre[:, None]
     distance = np.linalg.norm(apart, axis=-1)
     wi, size = unit(apart), cells.radius[:, None] + source.size

@@ -1,4 +1,5 @@
-"""The rows of a moving scene, each with its largest bound over all moments of the exposure."""
+"""List the effects of a moving scene, each with its largest bound over all times at which the
+exposure is sampled."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -19,11 +20,12 @@ from .unmet import unmet_rows, with_owners
 def scene_rows(
     scene: Ends[Scene], view: Ends[View], sensor: Sensor, method: Method
 ) -> tuple[tuple[Row, ...], Arriving]:
-    """Return all rows of a scene between the two ends of its free parameters, at rest, and a bound
+    """Return the rows of all effects of a scene, over the range of its free parameters, and a bound
     on the light at the camera.
 
-    The sensor's exposure time and shutter determine the times of a motion, s. A moving scene keeps
-    its lights and bands, because a motion may refer to them by number.
+    If the scene moves, the sensor's exposure time and shutter determine the times, in s, of the
+    bounds. A moving scene keeps its lights and bands, because the motion may refer to them by
+    index.
     """
     depth, caustics, motion = method.depth, method.caustics, method.motion
     rows, arriving, sums = scene_stage(scene, view, depth=depth, caustics=caustics)
@@ -58,20 +60,20 @@ def scene_rows(
 
 
 def _uncut(row: Row) -> Row:
-    """All longer paths as a row that is kept."""
+    """Mark a row of long paths as one that cannot be dropped."""
     why = "the integrator follows paths to their end, so they cannot be shortened"
     return replace(row, why=why, drop=None, saves=0.0)
 
 
 def _ladder_order(row: Row) -> float:
-    """Rows in their order, with the rows of paths last, from short to long."""
+    """Return the sort key that puts the rows of path lengths last, from short to long paths."""
     return -row.saves if row.ladder == "bounces" else -2.0
 
 
 def _moved(
     scene: Ends[Scene], view: Ends[View], motion: Motion, times: Sequence[float] | np.ndarray
 ) -> Iterator[tuple[Ends[Scene], Ends[View]]]:
-    """Return the scene and the view at each time, s, without free parameters."""
+    """Yield the scene and the view at each time, in s, as records without free parameters."""
     dtype = view.low.pixel_pitch.dtype
     for time in times:
         there, seen = motion(scene.low, view.low, jnp.asarray(time, dtype))
@@ -79,7 +81,8 @@ def _moved(
 
 
 def _unique_rows(moments: Sequence[Sequence[Row]]) -> Iterator[Row]:
-    """Return the rows of all moments, each once. Objects that a motion adds or removes are kept."""
+    """Return the row of each effect once, with its largest bound over all times. An object that the
+    motion adds or removes is never dropped."""
     found: dict[str, list[Row]] = {}
     for rows in moments:
         for row in rows:

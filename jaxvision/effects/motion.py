@@ -1,15 +1,15 @@
-"""The stage of motion: displacement of points in the picture during an exposure.
+"""Bound the displacement of points in the picture by motion during an exposure.
 
-A motion is a function of time that rendering evaluates at a few moments, and the bound uses exactly
-these. A body is the hull of its corners, which move with it: x' = sum w_i x'_i if x = sum w_i x_i.
-With X and Z across and along the axis of the camera, a point in view (of slope up to M) moves by
+Rendering evaluates a motion at a few times, and the bound uses exactly these. A body is the hull of
+its corners, which move with it: x' = sum w_i x'_i if x = sum w_i x_i. With coordinates X across and
+Z along the camera's axis, a visible point of slope up to M moves by
 
     |X' / Z' - X / Z| = |(X' - X) - (X / Z)(Z' - Z)| / Z' <= (max |dX_i| + M max |dZ_i|) / min Z_i,
 
-over the pitch and times the distance to the sensor, in pixels. Rays through a point of the aperture
-at most r from the axis have slopes up to M + r / z_f. The effect on light transport is not bounded:
-a body that rotates, or passes a lamp, changes its shading and the shadows around it. The bound is
-therefore an estimate, unless nothing moves.
+divided by the pixel pitch and multiplied by the distance to the sensor, in pixels. Rays through a
+point of the aperture at most r from the axis have slopes up to M + r / z_f, with the focus distance
+z_f. There is no bound on the change of shading: a body that rotates or passes a lamp changes its
+own shading and the shadows around it. The result is therefore an estimate, unless nothing moves.
 """
 
 from collections.abc import Callable, Sequence
@@ -50,8 +50,9 @@ def motion_stage(
     sensor: Ends[Sensor],
     moments: int | None,
 ) -> tuple[Row, ...]:
-    """Return the rows "motion" and "sensor.shutter", if any, from a scene at rest and at the given
-    number of times in the exposure, each at both ends of the free parameters."""
+    """Return the rows "motion" and "sensor.shutter", if there are any. They compare the scene at
+    rest with the scene at `moments` times of the exposure, over the range of the free
+    parameters."""
     shutter = sensor.high.shutter
     if motion is None:
         why = "nothing moves: all rows see the same scene"
@@ -77,7 +78,8 @@ def motion_stage(
 
 
 def moments_of(sensor: Sensor, rows: int, moments: int) -> np.ndarray:
-    """The times, (moments,) s, at which a motion is evaluated for a picture with that many rows."""
+    """Return the times, (moments,) s, at which a motion is evaluated for a picture with this number
+    of rows."""
     assert sensor.exposure_time is not None
     times, _ = exposure_slots(sensor.shutter, sensor.exposure_time, rows=rows, slots=moments)
     return np.asarray(times, float)
@@ -86,8 +88,8 @@ def moments_of(sensor: Sensor, rows: int, moments: int) -> np.ndarray:
 def moved(
     motion: Motion, scene: Scene, view: View, times: Sequence[float] | np.ndarray
 ) -> tuple[float, bool, str]:
-    """The largest displacement from rest at any of the times s, in pixels, inf if it is not
-    bounded; whether nothing changes; and the reason."""
+    """Return the largest displacement in pixels from the scene at rest at any of the times, in s;
+    whether nothing changes; and a reason. The displacement is inf if there is no bound."""
     farthest, still = 0.0, True
     dtype = view.pixel_pitch.dtype
     for time in times:
@@ -105,7 +107,8 @@ def moved(
 
 
 def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, str]:
-    """Displacement in pixels between a scene at rest and at one moment."""
+    """Return the largest displacement, in pixels, between the scene at rest and at one time, and
+    the reason if it is inf."""
     if jax.tree.structure((scene, view)) != jax.tree.structure((now, seen)):
         return INF, "the motion changes kinds, not only numbers"
     if not same(_without_places(scene, view), _without_places(now, seen)):
@@ -135,7 +138,8 @@ def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, s
 
 
 def _displacement(view: View, seen: View, points: np.ndarray, others: np.ndarray) -> float:
-    """The largest displacement in the picture, in pixels, of a hull of corners (n, 3) m."""
+    """Return the largest displacement in the picture, in pixels, of a convex hull whose corners,
+    (n, 3) m, move from `points` to `others`."""
     rest, now = _camera_coordinates(view, points), _camera_coordinates(seen, others)
     across = float(np.hypot(*(now - rest)[:, :2].T).max())
     if isinstance(view, Orthographic):
@@ -153,8 +157,8 @@ def _displacement(view: View, seen: View, points: np.ndarray, others: np.ndarray
 
 
 def steepest_slope(view: View) -> float:
-    """Slope of the chief ray of the picture's farthest corner; with distortion, of any pixel on its
-    border."""
+    """Return the slope of the chief ray of the pixel corner farthest from the axis. With
+    distortion, it is the largest slope on the border of the picture."""
     assert not isinstance(view, Orthographic)
     height, width = view.resolution
     across, down = np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5
@@ -169,12 +173,13 @@ def steepest_slope(view: View) -> float:
 
 
 def _camera_coordinates(view: View, points: np.ndarray) -> np.ndarray:
-    """Points (n, 3) m along right, down and forward of a camera."""
+    """Convert points, (n, 3) m, to coordinates along the right, down and forward axes of a
+    camera."""
     return (points - np.asarray(view.position, float)) @ np.asarray(view.rotation, float).T
 
 
 def _points(shape: Any) -> np.ndarray | None:
-    """Corners (n, 3) m that move with a shape; None for an endless one."""
+    """Return corners, (n, 3) m, that move with a shape, or None for an unbounded one."""
     if isinstance(shape, TriangleMesh):
         return np.asarray(shape.vertices, float)
     if isinstance(shape, np.ndarray):
@@ -183,7 +188,7 @@ def _points(shape: Any) -> np.ndarray | None:
 
 
 def _without_places(scene: Scene, view: View) -> tuple[Any, ...]:
-    """The parts of a record that a pure motion leaves unchanged."""
+    """Return the parts of a scene and a view that a pure motion leaves unchanged."""
     surfaces = [(s.material, s.emission) for s in scene.surfaces]
     optics = {k: v for k, v in vars(view).items() if k not in ("position", "rotation")}
     return scene.lights, scene.ambient, surfaces, optics

@@ -1,11 +1,11 @@
-"""The stage of the lens: bounds on the change of irradiance and on displacements.
+"""Bound the change of irradiance, and the displacement of light, by each part of a lens.
 
-Radiance becomes irradiance by a gain for each pixel, its `brightness`, which is the picture of a
-scene of radiance 1. Parts that change this gain (rim, distortion) are bounded by the change of the
-brightness over the whole grid of pixels, times the largest radiance. Parts that move light
-(distortion, defocus, sampling inside a pixel) are bounded by the largest displacement in pixels.
-The irradiance of a pixel is then a mean over this distance. Defocus is also bounded by the
-difference in radiance between parts of the lens.
+The gain from radiance to irradiance of each pixel, its `brightness`, is the picture of a scene of
+radiance 1. Parts that change this gain (rim, distortion) are bounded by the change of the gain over
+all pixels, times the largest radiance. Parts that move light (distortion, defocus, sampling inside
+a pixel) are bounded by the largest displacement in pixels. The irradiance of a pixel is then a mean
+over points up to this distance away. Defocus is also bounded by the difference of a point's
+radiance between parts of the lens.
 """
 
 import math
@@ -34,8 +34,8 @@ _SHARES = 2e-5  # accuracy of the shares of `airy_kernel`
 def optics_stage(
     view: Ends[View], arriving: Arriving, *, samples: Any = None, oversampling: int = 1
 ) -> tuple[tuple[Row, ...], OnSensor]:
-    """A row for each part of a view, and the largest irradiance and opening on the sensor. The lens
-    uses a grid finer by `oversampling`."""
+    """Return a row for each part of a view, and the largest irradiance and gain on the sensor. The
+    lens is evaluated on a grid that is finer than the pixels by `oversampling`."""
     radiance = np.asarray(arriving.radiance, float)
     grids = _Grids(view, oversampling)
     opening = grids.opening
@@ -58,8 +58,8 @@ def optics_stage(
 
 
 class _Grids:
-    """Pictures of a scene of radiance 1, with and without the parts of a lens, each rendered once
-    on the grid of all samples of the pixel apertures."""
+    """Cached pictures of a scene of radiance 1, with and without parts of the lens, on the grid of
+    all samples of the pixel apertures."""
 
     def __init__(self, view: Ends[View], oversampling: int) -> None:
         self.view, self.oversampling = view, oversampling
@@ -67,7 +67,8 @@ class _Grids:
         self.slopes = cache(self._slopes)
 
     def without(self, *parts: str) -> View:
-        """The view without some of its parts, sampled as finely as the aperture needs."""
+        """Return the view without some of its parts, with pixels as fine as the samples of the
+        pixel aperture."""
         view, n = self.view.high, self.oversampling
         rows, columns = view.resolution
         view = replace(view, resolution=(n * rows, n * columns), pixel_pitch=view.pixel_pitch / n)
@@ -75,24 +76,25 @@ class _Grids:
         return replace(view, **there) if there else view
 
     def has(self, part: str) -> bool:
-        """Whether the view has a part."""
+        """Return whether the view has a part with this name."""
         return getattr(self.view.high, part, None) is not None
 
     @property
     def fixed(self) -> bool:
-        """Whether all parameters that the pictures depend on are fixed."""
+        """Whether all parameters that these pictures depend on are fixed."""
         names = set(vars(self.view.high)) - {"position", "rotation", "resolution"}
         return all(same(*self.view.of(name)) for name in names)
 
     @property
     def straight(self) -> bool:
-        """Whether all coefficients of the distortion are 0 at both ends."""
+        """Whether all distortion coefficients are 0, over the range of the free parameters."""
         ends = [getattr(end, "distortion", None) for end in self.view]
         return not any(np.any(np.asarray(leaf)) for leaf in jax.tree.leaves(ends))
 
     @property
     def opening(self) -> float:
-        """W m^-2 per W m^-2 sr^-1: the largest gain of any pixel, with any parts dropped."""
+        """The largest gain of any pixel, in W m^-2 per W m^-2 sr^-1, for any choice of dropped
+        parts."""
         most = max(opening_of(view) for view in corners(self.view))
         if not self.has("distortion") or self.straight:
             return most
@@ -102,13 +104,15 @@ class _Grids:
         return max(most, *(float(np.max(self.brightness(*parts))) for parts in variants))
 
     def _brightness(self, *gone: str) -> np.ndarray:
-        """(h, w) W m^-2 per W m^-2 sr^-1 without some parts, and without diffraction."""
+        """Compute the gain of each pixel, (h, w) W m^-2 per W m^-2 sr^-1, without some parts and
+        without diffraction."""
         view = self.without("diffraction", *gone)
         ones = jnp.ones((*view.resolution, 1), view.pixel_pitch.dtype)
         return np.asarray(_brightness_of(view, ones), float)[..., 0]
 
     def _slopes(self, *gone: str) -> np.ndarray:
-        """(2, h + 2, w + 2) slopes of the chief rays, up to the edges of the picture."""
+        """Compute the slopes of the chief rays, (2, h + 2, w + 2), of all pixels and of the
+        picture's edges."""
         view = self.without(*gone)
         dtype = view.pixel_pitch.dtype
         rows, columns = (
@@ -127,9 +131,9 @@ _brightness_of = jax.jit(sensor_irradiance)
 
 
 def opening_of(view: View) -> float:
-    """W m^-2 per W m^-2 sr^-1 on the axis: pi / (4 N^2), or the aperture's area over the squared
-    distance to the sensor; 1 for a view that returns radiance. Rim, distortion and diffraction are
-    ignored."""
+    """Return the gain on the axis, in W m^-2 per W m^-2 sr^-1: pi / (4 N^2) for a given f-number N,
+    or the aperture's area over the squared distance to the sensor. A view that returns radiance has
+    1. Rim, distortion and diffraction are not included."""
     if isinstance(view, ThinLens):
         area = float(aperture_area(view.aperture, view.focal_length / view.f_number))
         return area * float(sensor_vergence(view)) ** 2
@@ -137,11 +141,11 @@ def opening_of(view: View) -> float:
 
 
 def rim(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
-    """The light that the rim removes in the darkest corner: sup of the brightness without it minus
-    that with it.
+    """Bound the light that the rim of the lens removes: the largest difference of the gain without
+    the rim and with it.
 
-    It is exactly 0 if the whole aperture is visible through the rim from every pixel. The bound is
-    valid with and without the lens's distortion.
+    The bound is exactly 0 if every pixel sees the whole aperture through the rim. The bound is
+    valid with and without the distortion of the lens.
     """
     if not grids.fixed:
         return np.full_like(radiance, INF), 0.0, "the lens may change"
@@ -168,8 +172,8 @@ def _passes(grids: _Grids, *gone: str) -> bool:
 
 
 def distortion(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
-    """The largest displacement over the grid, and the largest change of the brightness, with and
-    without the rim."""
+    """Bound the effect of distortion: the largest displacement over the grid, and the largest
+    change of the gain, with and without the rim."""
     if grids.straight:
         return np.zeros_like(radiance), 0.0, "all coefficients are 0"
     if not grids.fixed:
@@ -188,11 +192,12 @@ def distortion(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, 
 def diffraction(
     view: Ends[View], irradiance: np.ndarray, oversampling: int
 ) -> tuple[np.ndarray, float, str]:
-    """Return the bound (1 - k_0) sup E. The library's kernel is positive with sum 1, and has k_0 in
-    its middle.
+    """Bound the change of irradiance E by diffraction: (1 - k_0) sup E, where k_0 is the kernel's
+    value at its centre. The library's kernel is positive and has sum 1.
 
-    For a lens with free parameters, k_0 is at least the share of the widest pattern on the middle
-    pixel. A narrower pattern has a larger share there, and the kernel is normalised to sum 1.
+    For a lens with free parameters, k_0 is at least the share of the widest diffraction pattern
+    that falls on its central pixel. A narrower pattern has a larger share there, and normalising
+    the kernel to sum 1 does not reduce it.
     """
     middles, lenses = [], corners(view)
     for lens in lenses:
@@ -218,8 +223,8 @@ def diffraction(
 
 
 def middle_pixel_share(width: np.ndarray) -> np.ndarray:
-    """The smallest share of any Airy pattern, no wider than the given `width` of lambda N in
-    pixels, on the pixel in its middle, (...) no unit.
+    """Return the smallest share of its light that an Airy pattern puts on the pixel at its centre,
+    (...) no unit. The pattern has lambda N of at most `width` pixels.
 
         1 - integral (J_0^2 + J_1^2) / (2 pi r^2) (r . n) ds   around the pixel
 
@@ -239,13 +244,15 @@ def middle_pixel_share(width: np.ndarray) -> np.ndarray:
 def defocus(view: Ends[View], near: float, far: float, *, wider: float = 1.0) -> float:
     """Return the largest displacement of a ray, pixels: r z_i |1 / z - 1 / z_f| over the pitch.
 
-    `near` and `far` are the depths in the picture, m (inf is allowed). `wider` is the largest
-    factor by which distortion magnifies small distances. The result is inf if objects touch the
-    lens.
+    `near` and `far` are the smallest and largest depths in the picture, in m; inf is allowed.
+    `wider` is the largest factor by which distortion magnifies small distances. The result is inf
+    if objects may touch the lens.
 
-    r is the radius of the aperture's farthest point. For a round aperture the result is half the
-    largest circle of confusion. It is monotone in 1 / z, the focal length, the f-number and the
-    focus distance, so the largest value is at the ends of the depths and of the free parameters.
+    Here r is the radius of the aperture's farthest point, z_i the distance to the sensor, z the
+    depth and z_f the focus distance. For a round aperture the result is half the diameter of the
+    largest circle of confusion. The displacement is monotone in 1 / z, the focal length, the
+    f-number and the focus distance. Its largest value is therefore at an end of the range of depths
+    and of each free parameter.
 
     Source:
         Szeliski, Computer Vision, section 2.2.3.
@@ -281,9 +288,9 @@ def stretch(view: Pinhole | ThinLens, steepest: float) -> float:
 
 
 def _defocus_row(view: Ends[View], grids: _Grids, arriving: Arriving, radiance: np.ndarray) -> Row:
-    """The row that replaces the lens by a pinhole with the same sensor distance and brightness.
-    Light out of focus moves. Radiance that differs between parts of the lens changes the
-    brightness."""
+    """Return the row for replacing a lens by a pinhole with the same sensor distance and gain. The
+    replacement displaces light that is out of focus. It changes the brightness of a point whose
+    radiance differs between parts of the lens."""
     lens = view.high
     assert isinstance(lens, ThinLens)
     wider = 1.0
@@ -322,13 +329,13 @@ def _to_pinhole(draft: Draft) -> Draft:
 
 
 def _row(name: str, amount: np.ndarray, place: float, why: str) -> Row:
-    """The row of a part of the lens, which is dropped by setting it to None."""
+    """Return the row of a part of the lens that is dropped by setting its field to None."""
     drop = setting(f"camera.view.{name}")
     return Row(f"view.{name}", amount, why, drop, unit=IRRADIANCE, place=place, saves=0.3)
 
 
 def _rounding(grids: _Grids) -> float:
-    """The rounding error of a brightness in the view's dtype."""
+    """Return the rounding error of a gain in the dtype of the view."""
     dtype = grids.view.high.pixel_pitch.dtype
     return 0.0 if dtype == np.float64 else 16 * float(jnp.finfo(dtype).eps) * grids.opening
 

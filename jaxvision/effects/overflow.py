@@ -1,20 +1,20 @@
-"""Bounds on the excess of a random charge above a level, from its moment-generating function.
+"""Bound how far a random charge exceeds a level, by its moment-generating function.
 
-For every theta > 0 and x >= 0, x <= exp(theta x) / (e theta) and x^2 <= (2 / (e theta))^2
-exp(theta x). With x = (N - w)+ this gives (Chernoff)
+For every theta > 0 and x >= 0, x <= exp(theta x) / (e theta) and x^2 <= (2 / (e theta))^2 exp(theta
+x). With x = (N - w)+, the excess of a charge N over the level w, this gives (Chernoff)
 
     E (N - w)+    <=  E exp(theta (N - w)) / (e theta),
     E (N - w)+^2  <=  E exp(theta (N - w)) (2 / (e theta))^2,
 
-and the smallest value over a grid of theta is used. Given its mean m, a charge has E exp(theta N) =
-exp(m u) with
+and the smallest value over a grid of theta is the bound. A charge of mean m has E exp(theta N) =
+exp(m u), where u depends on the counting statistics:
 
     u = theta                 not counted
     u = exp(theta) - 1        counted, Poisson
     u = theta + theta^2 / 2   counted, Gaussian
 
-m is random, too: light max(1 + p g, 0) + dark + the excess of a hot pixel, with g Gaussian and the
-excess exponential.
+The mean m is itself random: m = light max(1 + p g, 0) + dark + the excess of a hot pixel, where p
+is the PRNU, g is standard normal and the excess is exponential.
 """
 
 import math
@@ -27,7 +27,7 @@ _SLOPES = np.geomspace(1e-7, 30.0, 600)  # per electron
 
 
 class Excess(NamedTuple):
-    """Bounds on the mean and the root mean square of the excess above a level, electrons."""
+    """Bounds on the mean and the root mean square, in electrons, of the charge above a level."""
 
     mean: float
     rms: float
@@ -35,7 +35,7 @@ class Excess(NamedTuple):
 
 @dataclass(frozen=True)
 class Charge:
-    """A random charge in electrons."""
+    """The parameters of a random charge, in electrons."""
 
     light: float  # expected electrons of light
     dark: float  # other expected electrons
@@ -45,10 +45,11 @@ class Charge:
 
 
 def excess(charge: Charge, level: float) -> Excess:
-    """Bound the mean and rms of (N - w)+, the excess of a charge above a level w in electrons.
+    """Bound the mean and the root mean square of (N - w)+, where N is a random charge and w the
+    `level`, in electrons.
 
-    Besides Chernoff's bounds, the variance gives E (N - w)+^2 <= var + (mean - w)+^2. A level of
-    inf is never exceeded.
+    Besides Chernoff's bounds, the variance gives E (N - w)+^2 <= var + (mean - w)+^2. An infinite
+    level is never exceeded.
     """
     if math.isinf(level):
         return Excess(0.0, 0.0)
@@ -70,7 +71,7 @@ def excess(charge: Charge, level: float) -> Excess:
 
 
 def _log_tail(charge: Charge, level: float) -> np.ndarray:
-    """ln E exp(theta (N - w)) at each theta; inf where it is not finite."""
+    """Compute ln E exp(theta (N - w)) at each theta of the grid; inf where it is not finite."""
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         match charge.counting:
             case "none":
@@ -90,12 +91,13 @@ def _log_tail(charge: Charge, level: float) -> np.ndarray:
 
 
 def _below(rms: float) -> float:
-    """P(1 + rms g < 0)."""
+    """Return the probability P(1 + rms g < 0) for a standard normal g."""
     return math.erfc(1 / rms / math.sqrt(2)) / 2
 
 
 def _tail_mean(rms: float) -> float:
-    """E max(1 + rms g, 0) - 1, the increase of the mean sensitivity by clipping at 0."""
+    """Return E max(1 + rms g, 0) - 1 for a standard normal g: the increase of the mean sensitivity
+    by clipping at 0."""
     if rms == 0:
         return 0.0
     z = 1 / rms
@@ -103,6 +105,6 @@ def _tail_mean(rms: float) -> float:
 
 
 def sensitivity_bias(prnu: float) -> float:
-    """The relative increase of the mean sensitivity by clipping the pixels' sensitivities of
-    relative rms `prnu` at 0."""
+    """Return the relative increase of the mean sensitivity of pixels if sensitivities of relative
+    rms `prnu` are clipped at 0."""
     return max(_tail_mean(prnu), 0.0)

@@ -1,21 +1,22 @@
-"""The distribution of a pixel's value, by its mean and rms in electrons, and bounds on its change.
+"""Describe the distribution of a pixel's value by its mean and rms, in electrons, and bound its
+change.
 
-The distance of two distributions with means m and rms s is
+The squared distance of two distributions with means m and rms s is
 
     D^2 = (m_1 - m_2)^2 + (s_1 - s_2)^2,
 
-This is the 2-Wasserstein distance for Gaussians, and a lower bound of it for other distributions
-(Gelbrich, "On a formula for the L2 Wasserstein metric", Mathematische Nachrichten 147 (1990)). It
-is the distance between two points (m, s) of a plane, so bounds of successive changes add. The rms
-of independent parts is the length of the vector of their rms, and changes by at most the change of
-that vector.
+D is the 2-Wasserstein distance for Gaussian distributions, and a lower bound of it for others
+(Gelbrich, "On a formula for the L2 Wasserstein metric", Mathematische Nachrichten 147 (1990)). D is
+the distance of two points (m, s) in a plane, so the bounds of successive changes add. The rms of a
+sum of independent parts is the length of the vector of their rms values. It changes by at most the
+length of the change of that vector.
 
-If the number of counted electrons changes and Gaussian noise of 1 e- rms is added, the Wasserstein
-distance is at most 1.03 times the bound. With less noise the ratio is larger (1.3 at 0.5 e-, 2 at
-0.2 e-), because the counts are integers: one rare extra electron moves a small share of the draws
-by a whole electron.
+If the number of counted electrons changes in the presence of Gaussian noise of 1 e- rms, the
+Wasserstein distance is at most 1.03 times the bound. With less noise the ratio is larger (1.3 at
+0.5 e-, 2 at 0.2 e-), because counts are integers: one rare extra electron moves a small share of
+the draws by a whole electron.
 
-A pixel's electrons are read as
+The signal of a pixel passes these steps:
 
     charge      light r + dark,  counted          r: 1 + PRNU
     acted on    by the effects on charge          mixing, a curve, and those from outside
@@ -23,11 +24,12 @@ A pixel's electrons are read as
     read        (converted + offsets + noise) (1 + q),   q: rms of the column gains
     DN          K read + offset
 
-A change of the charge by D changes DN by at most K sqrt((1 + c^2)(1 + q^2)) D. With more noise, a
-change of the variance has less effect on the rms. All pixels have at least the noise in the dark.
+If the charge changes by D, the reading changes by at most K sqrt((1 + c^2)(1 + q^2)) D in DN. The
+more noise there is, the less a change of the variance changes the rms. Every pixel has at least the
+noise of a dark pixel.
 
-All quantities are NumPy float64, in electrons unless said otherwise. A quantity that reduces a
-bound is taken at the end of its range where the reduction is smallest.
+All quantities are NumPy float64, in electrons unless stated otherwise. A quantity that reduces a
+bound is taken at the end of its range where it reduces the bound least.
 """
 
 import math
@@ -63,15 +65,15 @@ ASSUMED = (
 
 
 class Flood(NamedTuple):
-    """The shares of all pixels' excess charge that reach one pixel: their sum, and the root of the
-    sum of their squares, no unit."""
+    """The charge that one pixel receives from the overflow of all others: the sum of their shares,
+    and the root of the sum of their squares, no unit."""
 
     all: float
     independent: float
 
 
 class Bound(NamedTuple):
-    """The largest change by dropping an effect."""
+    """A bound on the change of a pixel's distribution if one effect is dropped."""
 
     # DN, the distance defined at the top of this module; 0: it changes nothing; inf: no bound
     dn: float
@@ -81,13 +83,13 @@ class Bound(NamedTuple):
 
 
 def clean(x: Any) -> float:
-    """Return a valid bound: at least 0, and inf for NaN."""
+    """Make a number a valid bound: at least 0, and inf for NaN."""
     number = float(x)
     return INF if math.isnan(number) else max(number, 0.0)
 
 
 def growth(before: float, by: float) -> float:
-    """sqrt(before + by) - sqrt(before) without cancellation."""
+    """Return sqrt(before + by) - sqrt(before), computed without cancellation."""
     if by == 0:
         return 0.0
     return by / (math.sqrt(before + by) + math.sqrt(before))
@@ -95,7 +97,7 @@ def growth(before: float, by: float) -> float:
 
 @dataclass(frozen=True)
 class Pixel:
-    """A sensor without the dropped effects, and the largest light on any of its pixels."""
+    """A sensor without the dropped effects, and the largest irradiance on any of its pixels."""
 
     # the fields of the sensor at both ends, by name; None for dropped ones
     sensor: Ends[Mapping[str, Any]]
@@ -103,12 +105,12 @@ class Pixel:
     shape: tuple[int, int]  # (rows, columns) of the sensor
 
     def high(self, name: str) -> float:
-        """The largest value of a parameter; 0 if it is None."""
+        """Return the largest value of a parameter over its range; 0 if it is None."""
         value = self.sensor.high[name]
         return 0.0 if value is None else float(value)
 
     def low(self, name: str) -> float:
-        """The smallest value of a parameter; 0 if it is None."""
+        """Return the smallest value of a parameter over its range; 0 if it is None."""
         value = self.sensor.low[name]
         return 0.0 if value is None else float(value)
 
@@ -125,8 +127,8 @@ class Pixel:
 
     @cached_property
     def light(self) -> float:
-        """Electrons of light in the brightest pixel, including smear, m (1 + s (rows - 1)), and
-        repulsion."""
+        """The largest number of photoelectrons in any pixel, including smear, m (1 + s (rows - 1)),
+        and repulsion."""
         return self._arriving * self.pushing
 
     @cached_property
@@ -141,16 +143,16 @@ class Pixel:
 
     @cached_property
     def missing(self) -> float:
-        """Electrons that a light offset removes from a pixel without light."""
+        """The number of electrons that a light offset removes from a pixel without light."""
         offset = self.sensor.low["light_offset"]
         below = offset is not None and not isinstance(offset, ShutterOffset) and np.min(offset) < 0
         return self.beside if below else 0.0
 
     @cached_property
     def repulsion(self) -> float:
-        """c = 2 m (D_rows + D_columns), the largest relative change of a pixel's charge by the
-        brighter-fatter effect. D is half of sum |K_l - K_(l + neighbour)|, so D m bounds a
-        difference of potentials."""
+        """The largest relative change of a pixel's charge by the brighter-fatter effect, c = 2 m
+        (D_rows + D_columns) for a charge m. D is half of sum |K_l - K_(l + neighbour)|, so D m
+        bounds a difference of potentials."""
         effect = self.sensor.high["brighter_fatter"]
         if effect is None:
             return 0.0
@@ -165,18 +167,19 @@ class Pixel:
 
     @cached_property
     def smearing(self) -> float:
-        """The largest factor of smear on the brightest pixel, if its whole column is as bright."""
+        """The largest factor by which smear increases the brightest pixel, if its whole column is
+        equally bright."""
         return 1 + self.high("smear") * (self.shape[0] - 1)
 
     @cached_property
     def dark(self) -> float:
-        """Electrons of the dark current."""
+        """The largest number of dark-current electrons."""
         return max(self._darks)
 
     @cached_property
     def _darks(self) -> list[float]:
-        """The dark electrons at each corner of the box: every law is monotone in each of its
-        parameters."""
+        """The number of dark electrons at each corner of the range of free parameters; every
+        dark-current law is monotone in each of its parameters."""
         dark = Ends(self.sensor.low["dark_current"], self.sensor.high["dark_current"])
         if dark.low is None:
             return [0.0]
@@ -185,18 +188,19 @@ class Pixel:
 
     @cached_property
     def hot(self) -> float:
-        """The mean excess of a hot pixel, electrons; 0 without hot pixels."""
+        """The mean excess of a hot pixel, in electrons; 0 without hot pixels."""
         hot = self.sensor.high["hot_pixels"]
         return 0.0 if hot is None else float(hot.rate) * exposure(self.sensor.high)
 
     @cached_property
     def bright(self) -> float:
-        """Electrons of the brightest pixel; for a hot one the root mean square excess."""
+        """The electrons of the brightest pixel. If it is hot, the root mean square of its excess is
+        included."""
         return self.light + self.dark + math.sqrt(2) * self.hot
 
     @property
     def counted(self) -> bool:
-        """Whether electrons are counted, so that their variance is their mean."""
+        """Whether electrons are counted (shot noise), so that their variance equals their mean."""
         return self.sensor.high["shot_noise"] is not None
 
     @cached_property
@@ -205,26 +209,28 @@ class Pixel:
         return Ends(read_out_variances(self.sensor.low), read_out_variances(self.sensor.high))
 
     def added(self, name: str = "") -> float:
-        """Variance added after the conversion by all sources but one, at their low ends."""
+        """Return the variance added after the conversion by all noise sources except one, at the
+        lower ends of their ranges."""
         return sum(v for key, v in self.variances.low.items() if key != name)
 
     @property
     def surely_counted(self) -> float:
-        """Smallest variance of the brightest charge. It is 0 if a full well may limit the charge or
-        charges repel each other, because both reduce the variance."""
+        """The smallest certain variance of the brightest charge. It is 0 if a full well may limit
+        the charge or if charges repel each other, because both reduce the variance."""
         sure = self.counted and self.spilt.rms < 1e-6 and self.repulsion == 0 and not self.acting
         return self.light + self.dark if sure else 0.0
 
     @property
     def rank_of_counts(self) -> Rank:
-        """Rank of a bound that assumes Poisson counts. With the brighter-fatter effect counts are
-        not Poisson, and a bound for more light is used as an estimate."""
+        """The rank of a bound that assumes Poisson counts. With the brighter-fatter effect, counts
+        are not Poisson, and the bound for more light is only an estimate."""
         return "bound" if self.repulsion == 0 else "estimate"
 
     @cached_property
     def counted_dark(self) -> float:
-        """Smallest variance of any charge: counted dark electrons, minus those that charge transfer
-        leaves behind. A well that clips a charge lowers its rms by at most the excess."""
+        """The smallest variance of any charge: that of the counted dark electrons, less those that
+        charge transfer loses. A full well that clips a charge reduces its rms by at most the
+        excess."""
         if not self.counted or self.acting or self.sensor.high["brighter_fatter"] is not None:
             return 0.0
         dark = max(min(self._darks) - self.missing, 0.0)
@@ -232,7 +238,7 @@ class Pixel:
 
     @cached_property
     def read_share(self) -> float:
-        """Smallest share of its charge that is read from a pixel of an evenly lit sensor."""
+        """The smallest share of its charge that is read from a pixel of an evenly lit sensor."""
         transfer = self.sensor.high["charge_transfer"]
         if transfer is None:
             return 1.0
@@ -242,32 +248,35 @@ class Pixel:
 
     @cached_property
     def quiet(self) -> float:
-        """Smallest variance of a pixel, that of the darkest one, referred to its charge."""
+        """The smallest variance of any pixel, that of the darkest, divided by the gains to refer it
+        to its charge."""
         larger = (1 + self.high("conversion_prnu") ** 2) * self.grown**2
         return self.counted_dark + self.added() / larger
 
     @cached_property
     def behind_column(self) -> float:
-        """DN per electron added after the conversion: K sqrt(1 + q^2)."""
+        """The change in DN for one electron added after the conversion: K sqrt(1 + q^2). K sqrt(1 +
+        q^2)."""
         return self.gain * math.hypot(1, self.high("column_prnu"))
 
     @cached_property
     def behind_charge(self) -> float:
-        """DN per electron of arriving charge: K sqrt((1 + c^2)(1 + q^2)). The brighter-fatter
-        effect adds a factor e^(3 c), or e^(2 c) for variances divided by an rms that is smaller by
-        up to e^-c."""
+        """The change in DN for one electron of arriving charge: K sqrt((1 + c^2)(1 + q^2)), with
+        the largest factors of all effects on charge. The brighter-fatter effect adds a factor e^(3
+        c), or e^(2 c) for variances divided by an rms that is smaller by up to e^-c, where c is
+        `repulsion`."""
         return self.behind_own * self.pushing**3
 
     @cached_property
     def behind_own(self) -> float:
-        """DN per electron of arriving charge, including the largest factor of external effects on
-        charge.
+        """The change in DN for one electron of arriving charge, with the largest factor of the
+        effects on charge.
         """
         return self.behind_conversion * self.grown
 
     @cached_property
     def grown(self) -> float:
-        """The largest factor of the effects on charge on a charge or a change of it."""
+        """The largest factor by which the effects on charge multiply a charge or a change of it."""
         return math.prod(own_bound(effect, self.rms)[1] for effect in self.acting)
 
     @cached_property
@@ -278,14 +287,14 @@ class Pixel:
 
     @cached_property
     def acting(self) -> tuple[Ends[Any], ...]:
-        """Effects on charge: external ones, mixing, and a nonlinearity."""
+        """All effects on charge: the external ones, mixing, and the nonlinearity."""
         last = (Ends(*(end[name] for end in self.sensor)) for name in ("mixing", "nonlinearity"))
         return (*self.own, *(ends for ends in last if ends.low is not None))
 
     def moved_by(self, effect: Ends[Any]) -> float:
-        """Root mean square displacement, in electrons, of any pixel by an effect on charge. A curve
-        g moves charges of mean m and rms s by |g(m) - m| + L s, where L is the largest deviation of
-        its slope from 1."""
+        """Return the root mean square change, in electrons, that an effect on charge makes in any
+        pixel. A curve g moves charges of mean m and rms s by |g(m) - m| + L s, where L is the
+        largest deviation of its slope from 1."""
         curve, electrons = stage_of(effect.low).curve, self.rms * self.grown
         leaning = own_bound(effect, 1.0)[0]
         known = effect.low is effect.high and math.isfinite(electrons * leaning)
@@ -302,23 +311,23 @@ class Pixel:
 
     @cached_property
     def read_bright(self) -> float:
-        """Electrons of the brightest pixel after the effects on charge."""
+        """The electrons of the brightest pixel after the effects on charge."""
         return self.bright * self.grown
 
     @cached_property
     def rms(self) -> float:
-        """Root mean square of the electrons of the brightest pixel."""
+        """The root mean square of the electrons of the brightest pixel."""
         noise = self.bright if self.counted else 0.0
         return math.hypot(self.bright, math.sqrt(noise), self.high("prnu") * self.light)
 
     @cached_property
     def behind_conversion(self) -> float:
-        """DN per electron of charge: K sqrt((1 + c^2)(1 + q^2))."""
+        """The change in DN for one electron of charge: K sqrt((1 + c^2)(1 + q^2))."""
         return self.behind_column * math.hypot(1, self.high("conversion_prnu"))
 
     @cached_property
     def charge(self) -> Charge:
-        """The brightest charge before any well, of a hot pixel if there are any."""
+        """The brightest charge before any full well; that of a hot pixel if there are any."""
         gaussian = isinstance(self.sensor.high["shot_noise"], GaussianShotNoise)
         return Charge(
             self.light,
@@ -330,15 +339,16 @@ class Pixel:
 
     @cached_property
     def spilt(self) -> Excess:
-        """The brightest charge minus the full well. It is 0 without a full well."""
+        """Bounds on the excess of the brightest charge over the full well. The excess is 0 without
+        a full well."""
         well = self.sensor.low["full_well"]
         return Excess(0.0, 0.0) if well is None else excess(self.charge, float(well))
 
     @cached_property
     def flood(self) -> Flood:
-        """Share of the spilt charge of all other pixels of a column that reaches one pixel. From a
-        distance of d rows the share b^d / 2 arrives, because every full well on the way passes on a
-        share b. It is largest in the middle of a column."""
+        """The shares of the overflow of all other pixels of a column that reach one pixel. From a
+        distance of d rows the share b^d / 2 arrives, because each full well on the way passes on a
+        share b. The sum is largest for a pixel in the middle of a column."""
         blooming, others = self.high("blooming"), self.shape[0] - 1
         distances = np.concatenate([np.arange(others // 2), np.arange(others - others // 2)]) + 1
         shares = blooming**distances / 2
@@ -346,11 +356,13 @@ class Pixel:
 
     @cached_property
     def received(self) -> float:
-        """Root mean square of the charge that spills into a pixel, electrons: at most a full well.
+        """The root mean square of the charge that overflows into a pixel, in electrons. It is at
+        most a full well:
 
             R = sum s_i X_i,   E R^2 <= (E X sum s)^2 + E X^2 sum s^2,   R <= w
 
-        Excesses X of different pixels are independent.
+        Here s_i is the share that arrives from pixel i, and the excesses X_i of different pixels
+        are independent.
         """
         mean, rms = self.spilt
         if self.flood.all == 0 or rms == 0:
@@ -362,18 +374,19 @@ class Pixel:
         return min(spilt, math.sqrt(well * self.flood.all * mean), well)
 
     def read(self, by: float) -> float:
-        """The largest change of a reading, DN, if every charge before the wells changes by at most
-        `by` electrons. Overflow adds up along a column: half of each change arrives from either
-        side where charge spills, and all of it where a well fills on the way. The change is also
-        at most the charge received before and after."""
+        """Return the largest change of a reading, in DN, if every charge before the full wells
+        changes by at most `by` electrons. Overflow adds up along a column. Half of each change
+        arrives from either side where charge overflows, and all of it where a well on the way
+        becomes full. The change is also at most the sum of the charges received before and after
+        it."""
         if self.received == 0:
             return self.behind_charge * by
         return self.behind_charge * min(by * (1 + 2 * self.flood.all), by + 2 * self.received)
 
     @cached_property
     def reach(self) -> float:
-        """The number of pixels that one charge may change: itself, the trail of charge transfer,
-        the column that it may flood, or all of them under the brighter-fatter effect."""
+        """The number of pixels that one charge may change: its own, the trail of charge transfer,
+        the column into which it may overflow, or all of them under the brighter-fatter effect."""
         pixels = math.prod(self.shape)
         mixing = self.sensor.high["mixing"]
         shared = 1 if mixing is None else mixing.kernel.size
@@ -386,19 +399,20 @@ class Pixel:
         return min(rows * trail * columns * shared, pixels)
 
     def tap_change(self, name: str) -> float:
-        """The largest difference of a tap's parameter from the value without taps: 0 DN for the
-        offset, 1 for factors."""
+        """Return the largest difference between a parameter of the read-out taps and its value
+        without taps, which is 0 DN for the offset and 1 for factors."""
         none = 0.0 if name == "offset" else 1.0
         values = [getattr(end["taps"], name, None) for end in self.sensor]
         changes = (np.abs(np.asarray(v, float) - none) for v in values if v is not None)
         return max((float(np.max(change)) for change in changes), default=0.0)
 
     def moved(self, by: float, *, patterned: bool) -> float:
-        """Change of a pixel's distribution, DN, for a change d of the charge, `by` electrons.
+        """Return the change of a pixel's distribution, in DN, if its charge changes by `by`
+        electrons, called d.
 
-        The mean changes by d, the pattern of sensitivities by p d (if the charge is `patterned`),
-        and the variance of the counts by d. The change of the rms is largest in the darkest pixel:
-        sqrt(V + d) - sqrt(V).
+        The mean changes by d, the sensitivity pattern by p d (if the charge is `patterned`, with
+        PRNU p), and the variance of the counts by d. The rms changes most in the darkest pixel, of
+        variance V: by sqrt(V + d) - sqrt(V).
         """
         if not math.isfinite(by):
             return INF
@@ -408,12 +422,13 @@ class Pixel:
         return self.read(math.hypot(mean, noise) + cut)
 
     def at_the_well(self, by: float) -> tuple[float, float]:
-        """Effect of a full well on the distance between two charges that differ by d electrons.
+        """Return how a full well affects the distance between two charges that differ by d = `by`
+        electrons.
 
-        The result is the largest V that is certain, electrons^2, and electrons to be added. If the
-        well is rarely reached, the limit changes each charge by at most the excess. Otherwise the
-        limit reduces the distance. Then the noise that is added to the change is only that of the
-        light, at least a quarter of the well where this matters.
+        The result is the largest certain variance, in electrons^2, and a number of electrons to add
+        to the distance. If charges rarely reach the well, it changes each of them by at most the
+        mean excess. Otherwise the well reduces the distance. Then the only certain noise is that of
+        the light, with a variance of at least a quarter of the well where it matters.
         """
         if self.spilt.rms <= 1e-3 * by:
             return INF, 2 * self.spilt.rms
@@ -421,8 +436,9 @@ class Pixel:
 
 
 def own_bound(effect: Ends[Any], electrons: float) -> tuple[float, float]:
-    """Return upper bounds on the change of a pixel by an external effect, electrons rms, and on the
-    factor by which it multiplies a change of charge; inf for an effect without a bound."""
+    """Return upper bounds on the change of a pixel by an external effect, in electrons rms, and on
+    the factor by which the effect multiplies a change of charge. Both are inf for an effect without
+    a bound."""
     bound = stage_of(effect.low).bound
     if bound is None or not math.isfinite(electrons):
         return INF, 1.0 if bound is not None else INF
@@ -432,8 +448,9 @@ def own_bound(effect: Ends[Any], electrons: float) -> tuple[float, float]:
 def pixel_of(
     sensor: Ends[Sensor], irradiance: np.ndarray, shape: tuple[int, int], gone: Gone
 ) -> Pixel:
-    """Return the pixel of a sensor with (rows, columns), without dropped effects, given by names
-    such as "sensor.read_noise". The irradiance is at most (bands,) W m^-2 on any pixel."""
+    """Return the bounds of any pixel of a sensor with (rows, columns) pixels. `gone` names the
+    dropped effects, such as "sensor.read_noise". The irradiance of each pixel is at most
+    `irradiance`, (bands,) W m^-2."""
 
     def left(of: Sensor, extreme: Callable[[Any], Any]) -> Mapping[str, Any]:
         fields = vars(of).items()
@@ -446,7 +463,8 @@ def pixel_of(
 
 
 def _of_one_tap(kept: Mapping[str, Any], extreme: Callable[[Any], Any]) -> dict[str, Any]:
-    """The parameters of the sensor with the smallest or the largest factors of its taps."""
+    """Return the sensor's parameters multiplied by the smallest or the largest factor of any of its
+    read-out taps."""
     taps = kept["taps"]
     found: dict[str, Any] = {"untapped": kept}
     for name in ("gain", "read_noise", "prnu", "quantum_efficiency"):

@@ -1,14 +1,15 @@
-"""Estimates of the light of long paths from a small picture, where the proved bound is not sharp.
+"""Estimate the light of long paths from small pictures, where the proved bound is not sharp.
 
-In a bright closed room the proved bound of `bounces` is too wide: for the Cornell box it requires
-tens of segments. Instead, pictures of 16 x 16 pixels with 64 paths each are rendered with n, n + 1
-and n + 2 segments and the same random numbers. They give the light of each further segment and the
-factor r by which it falls. The factor is assumed to be the same for all further segments,
+In a bright closed room the proved bound of `bounces` is far too large: for the Cornell box it
+requires tens of path segments. Instead, pictures of 16 x 16 pixels with 64 paths each are rendered
+with n, n + 1 and n + 2 segments and the same random numbers. Their differences give the light D of
+each further segment and the factor r by which it decreases. The factor is assumed to be the same
+for all further segments, so paths of more than m segments add
 
     sum over k > m of D r^(k - n - 1) = D r^(m - n) (1 - r^(depth - m)) / (1 - r)
 
-where D is that of the brightest pixel, and r two standard errors above the observed factor. W m^-2
-sr^-1.
+where D is taken from the brightest pixel, and r is two standard errors above the observed factor. W
+m^-2 sr^-1.
 """
 
 from dataclasses import replace
@@ -27,9 +28,9 @@ ASSUMED = "Each further segment of a path beyond the probed ones reduces its lig
 
 
 def probed_rows(scene: Scene, view: View, depth: int | None) -> tuple[Row, ...]:
-    """Return rows "bounces" like those of `bounces.bounce_rows`, with rank "estimate", for each
-    number of segments in `bounces.shorter`. The scene is taken at its brightest, in any view. There
-    are none for direct light (`depth` None), or for paths too short to estimate."""
+    """Return rows "bounces" like those of `bounces.bounce_rows`, but with rank "estimate", for each
+    path length in `bounces.shorter`. Free parameters are at their upper ends. There are no rows for
+    direct light (`depth` None), or for paths that are too short to estimate."""
     n = min(_SETTLED, (depth or 0) - 2)
     if depth is None or n < DIRECT:
         return ()
@@ -59,9 +60,9 @@ _probe = jax.jit(_traced, compiler_options=QUICKLY)
 def tails_of(
     short: np.ndarray, longer: np.ndarray, longest: np.ndarray, *, n: int, depth: int
 ) -> list[np.ndarray]:
-    """Estimate the light of paths with more than m segments, (bands,) W m^-2 sr^-1 for each m of
-    `bounces.shorter`, from three pictures, (h, w, bands), with n, n + 1 and n + 2 segments. It is
-    inf if the added light does not decrease."""
+    """Estimate the light of paths with more than m segments, (bands,) W m^-2 sr^-1, for each m of
+    `bounces.shorter`. The three pictures, (h, w, bands), have n, n + 1 and n + 2 segments. The
+    estimate is inf if the light of further segments does not decrease."""
     first, second = np.maximum(longer - short, 0), np.maximum(longest - longer, 0)
     total = first.sum((0, 1))
     some = np.where(total > 0, total, 1)

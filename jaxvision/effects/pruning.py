@@ -1,5 +1,5 @@
-"""`inspect` lists the effects of a scene and a camera, and `prune` drops those within a tolerance.
-Eager; radiance in W m^-2 sr^-1."""
+"""List the effects of a scene and a camera (`inspect`), and drop those within a tolerance
+(`prune`). These functions cannot be traced; radiance is in W m^-2 sr^-1."""
 
 from collections.abc import Callable, Collection
 from dataclasses import replace
@@ -32,8 +32,8 @@ _probe = jax.jit(render, compiler_options=QUICKLY)
 
 
 def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
-    """Return the rows from the scene to the picture; for a view without a camera, the rows of scene
-    and lens."""
+    """Return the rows of all effects from the scene to the developed picture. For a view without a
+    sensor, return only those of the scene and the lens."""
     view, sensor = camera.of("view"), camera.of("sensor")
     rows, arriving = scene_rows(scene, view, sensor.high, method)
     aperture = sensor.low.pixel_aperture
@@ -50,7 +50,8 @@ def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
 
 
 def _chain_of(scene: Scene, camera: Camera, free: Box | None, method: Method) -> Chain:
-    """The rows, without bounds if a number is not finite or a map rotates normals."""
+    """Return the rows of all effects. If a number is not finite or a map rotates normals, no row
+    has a bound."""
     refuse_tracers(scene, camera)
     depth = method.depth
     if depth is not None and (depth < 1 or depth != int(depth)):
@@ -157,7 +158,7 @@ def inspect(
 
 
 def _start(scene: Scene, camera: Camera, method: Method) -> Draft:
-    """The complete scene and camera."""
+    """Return the draft that contains all effects."""
     everything = scene.surfaces, scene.lights, frozenset[int](), scene.ambient, camera
     return Draft(*everything, method.samples, method.motion, method.moments, method.depth)
 
@@ -177,7 +178,7 @@ def prune(
     whole_paths: bool = False,
     caustics: bool = False,
 ) -> Pruned:
-    """Return a scene and a camera without the effects within a tolerance.
+    """Drop the effects of a scene and a camera whose total change is within a tolerance.
 
     Args:
         scene, camera, free, samples, motion, moments, depth: as in `inspect`. Free fields are never
@@ -251,9 +252,10 @@ def prune(
 
 
 def looking_pays(scene: Scene, *, rays: int, nodes: int) -> bool:
-    """Whether `prune`, with its libraries, takes less than a twentieth of the time of a picture by
-    direct light, without its program: at least a nanosecond of a processor for each ray and
-    surface. Both are rough estimates. `nodes` of the rule for lamps of some size."""
+    """Return whether pruning probably pays: `prune` must take less than a twentieth of the render
+    time by direct light, without compilation. That time is at least a nanosecond for each ray and
+    surface. Both times are rough estimates. `nodes` is the number of nodes of the rule for lamps
+    with a size."""
     meshes = (s.shape for s in scene.surfaces if isinstance(s.shape, TriangleMesh))
     each = 2.5e-4 + 1.5e-4 * len(scene.lights)
     looking = 0.15 + each * len(scene.surfaces) + 5e-6 * sum(len(mesh.faces) for mesh in meshes)
@@ -264,9 +266,9 @@ def looking_pays(scene: Scene, *, rays: int, nodes: int) -> bool:
 def removals(
     scene: Scene, camera: Camera, **asked: Any
 ) -> tuple[dict[str, Effect], Callable[[Collection[str]], tuple[Scene, Camera] | None]]:
-    """The effects that can be dropped, by name, and a function from some names to the records
-    without them, whatever their bounds; None where they cannot go together. `asked`: `free`,
-    `samples` and `depth`, as in `inspect`."""
+    """Return the effects that can be dropped, by name, and a function from names to the records
+    without these effects, whatever their bounds. The function returns None if they cannot be
+    dropped together. `asked`: `free`, `samples` and `depth`, as in `inspect`."""
     free, method = tuple(asked.pop("free", None) or ()), Method(**asked)
     chain, start = _chain_of(scene, camera, None, method), _start(scene, camera, method)
     parties: dict[str, list[Row]] = {}
@@ -290,8 +292,8 @@ def removals(
 
 
 def _new_kinds(scene: Scene, draft: Draft) -> tuple[str, ...]:
-    """Materials whose pruning would add a new kind of material, and with it one more shading
-    program."""
+    """Return the materials whose pruning would create a new type of material, and with it a further
+    shading program."""
     before, after = (
         [jax.tree.structure(surface.material) for surface in surfaces]
         for surfaces in (scene.surfaces, draft.left)
@@ -305,8 +307,8 @@ def _new_kinds(scene: Scene, draft: Draft) -> tuple[str, ...]:
 
 
 def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> bool:
-    """Return whether the remaining scene moves like the whole one. A motion may refer to a dropped
-    record, which raises an error, or restore it, or assign it to another surface."""
+    """Return whether the motion moves the pruned scene like the full one. A motion may refer to a
+    dropped record, which raises an error, or add it again, or apply it to another surface."""
     draft = choice.draft
     if motion is None or draft.motion is None:
         return True
@@ -329,14 +331,14 @@ def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> boo
 
 
 def _kept_with(row: Row, names: tuple[str, ...], reason: str) -> Row:
-    """The row as kept, for an effect with one of these names."""
+    """Mark the row of an effect with one of these names as one that cannot be dropped."""
     if row.drop is None or not row.name.startswith(names):
         return row
     return replace(row, drop=None, why=f"{row.why}; {reason}".removeprefix("; "))
 
 
 def _level(scene: Scene, view: View) -> float:
-    """The radiance, W m^-2 sr^-1, of the brightest of a few pixels."""
+    """Return the radiance, in W m^-2 sr^-1, of the brightest pixel of a coarse picture."""
     rows, columns = view.resolution
     scale = max(rows, columns) / _PROBE
     small = (max(round(rows / scale), 1), max(round(columns / scale), 1))

@@ -1,8 +1,9 @@
-"""Bounds on the change of radiance by each effect of a scene.
+"""Bound the change of radiance by each effect of a scene.
 
-Each function has the name of its effect and returns a row. A bound is a supremum over the cells
-that a pixel may see. It ignores effects that only remove light, so that it is valid for every scene
-between the full and the pruned one. W m^-2 sr^-1, lengths in m; NumPy float64.
+Each function has the name of an effect and returns its row. A bound is the supremum over all cells
+that a pixel may see. A bound ignores effects that only remove light, so that it is valid for every
+scene between the full and the pruned one. Radiance is in W m^-2 sr^-1, lengths in m; computed in
+NumPy float64.
 """
 
 from collections.abc import Callable, Iterator
@@ -43,10 +44,10 @@ _OWN = 0.02  # the same for every other effect
 def scene_stage(
     scene: Ends[Scene], view: Ends[View], *, depth: int | None = None, caustics: bool = False
 ) -> tuple[tuple[Row, ...], Arriving, Sums]:
-    """Return the rows of a scene between the two ends of its free parameters, a bound on the light
-    at the camera, W m^-2 sr^-1, and the suprema from which both follow.
+    """Return the rows of all effects of a scene over the range of its free parameters, a bound on
+    the light at the camera, in W m^-2 sr^-1, and the suprema from which both follow.
 
-    `depth` is the longest path, for interreflections; None: direct light, as in `render`.
+    `depth` is the largest number of path segments, or None for direct light, as in `render`.
     `caustics`: paths start at the lights, too.
     """
     eye, whole = eye_of(view), scene.low.surfaces
@@ -70,8 +71,8 @@ def scene_stage(
 
 
 def top(sums: Sums, onward: Onward) -> np.ndarray:
-    """Return the supremum of the picture, (bands,), over reflected light, emission and visible
-    lamps."""
+    """Return the supremum of the picture's radiance, (bands,), over reflected light, emission and
+    visible lamps."""
     found = onward(sums.own[sums.cells.surface], pieces=EMITTED)
     for k in range(len(sums.sources)):
         found = found + onward(sent(sums, k), sent(sums, k, around=True))
@@ -79,7 +80,8 @@ def top(sums: Sums, onward: Onward) -> np.ndarray:
 
 
 def depths(sums: Sums) -> tuple[float, float]:
-    """Depths, m along the axis, of everything that may be in view or blur into it."""
+    """Return the smallest and largest depth, in m along the axis, of everything that may be in view
+    or blur into it."""
     eye = sums.eye
     found = [body_of(surface.of("shape")) for surface in sums.surfaces]
     lamps = [
@@ -110,10 +112,10 @@ def _light_rows(sums: Sums, onward: Onward, k: int) -> Iterator[Row]:
 
 
 def light(sums: Sums, onward: Onward, k: int) -> Row:
-    """The effect of a whole light. A visible light also hides objects behind it, even if it is
-    dark. There the picture changes by at most its own radiance or the largest radiance of the
-    picture. The same is true in mirrors for the lights behind it. While shadows are kept, cells in
-    full shadow do not count."""
+    """Bound the effect of dropping a light. A light that can be seen also hides objects behind it,
+    even if it is dark. At such pixels the picture changes by at most the light's own radiance or
+    the largest radiance of the picture. The same holds for lights that a mirror shows behind the
+    lamp. While shadows are kept, cells in full shadow of the light are excluded."""
     source, dark = sums.sources[k], sums.dark[k]
     why = source.why or type(sums.lights[k].low).__name__
     hides = source.kind == "area" and (sums.visible[k] or onward.depth is not None)
@@ -142,7 +144,8 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
 
 
 def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
-    """(bands,) the largest radiance that mirrors among the cells, (c,), show behind a lamp."""
+    """Return the largest radiance, (bands,), of objects behind a lamp that mirrors in the given
+    cells, (c,), show."""
     if sums.sources[k].kind != "area":
         return np.zeros(sums.spectrum.shape[1])
     extended = np.array([own.extended for own in sums.sources])[:, None]
@@ -152,8 +155,8 @@ def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
 
 
 def shadows(sums: Sums, onward: Onward, k: int) -> Row:
-    """The effect of a lamp's shadows: at most all light of the lamp on surfaces that may be shaded;
-    0 if no surface can be shaded.
+    """Bound the effect of a lamp's shadows by all light of the lamp on surfaces that may be shaded.
+    The bound is 0 if no surface can be shaded.
     """
     count, whole = int(sums.blocked[k].sum()), sums.blocked[k].size
     amount = pictured(sums, sent(sums, k, only=sums.shaded[k]))
@@ -171,7 +174,7 @@ def shadows(sums: Sums, onward: Onward, k: int) -> Row:
 
 
 def extent(sums: Sums, onward: Onward, k: int) -> Row:
-    """Replace a rectangle by a `SmallLight` at its middle, if they are indistinguishable."""
+    """Bound the change if a rectangular lamp is replaced by a `SmallLight` at its centre."""
     amount, small, why = extent_change(sums, k)
     if onward.depth is not None:
         small, why = None, "paths meet the lamp, which hides the objects behind it"
@@ -185,7 +188,7 @@ def extent(sums: Sums, onward: Onward, k: int) -> Row:
 
 
 def _unknown(sums: Sums) -> np.ndarray:
-    """(bands,) inf, where no bound is known."""
+    """Return inf for each band, (bands,), because no bound is known."""
     return np.full(sums.spectrum.shape[1], np.inf)
 
 
@@ -220,9 +223,10 @@ def _largest_sent(
     of_light: Callable[[int, bool], np.ndarray],
     others: np.ndarray,
 ) -> np.ndarray:
-    """(bands,) the largest light in the picture that a surface reflects of all lights and of other
-    surfaces, `others`, (bands,). `of_light` returns that of a light, by number, from each cell, (c,
-    bands), to the eye or, where its second argument is true, to any viewer."""
+    """Bound the light in the picture, (bands,), that a surface reflects from all lights and from
+    other surfaces, `others`, (bands,). `of_light` returns the part of a light, by index, from
+    each cell, (c, bands). That part goes to the eye or, if the second argument is true, to any
+    viewer."""
     part = part_of(sums.cells, i)
 
     def sent(around: bool) -> np.ndarray:
@@ -242,7 +246,8 @@ def _make_lambertian(i: int) -> Drop:
 
 
 def lobe(sums: Sums, onward: Onward, i: int) -> Row:
-    """The effect of a lobe: all of its light. A Lambertian with the same k_d remains."""
+    """Bound the effect of a specular lobe by all of its light. If the lobe is dropped, a Lambertian
+    surface with the same k_d remains."""
     material = sums.surfaces[i].low.material
     others = times(_size(sums.reflections[i].lobe) * sums.k_lobe[i], onward.of_lobe(i))
 
@@ -268,8 +273,8 @@ def _is_plain_without_lobe(material: Material) -> bool:
 
 
 def interface(sums: Sums, onward: Onward, i: int) -> Row:
-    """The effect of the facets' Fresnel reflectance: at most the gain of the lobe if the facets
-    reflected all light.
+    """Bound the effect of the Fresnel reflectance of facets: at most the light that the lobe would
+    gain if the facets reflected all light.
     """
     facets = sums.reflections[i].facets
     assert facets is not None
@@ -288,7 +293,7 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def roughness(sums: Sums, onward: Onward, i: int) -> Row:
-    """The difference of a rough or measured body from a Lambertian."""
+    """Bound the difference between a rough or measured body and a Lambertian one."""
     reflection, material = sums.reflections[i], sums.surfaces[i].low.material
     plain = np.broadcast_to(reflection.plain, sums.k_body.shape[1:])
     grazing = times(np.array(reflection.grazing), sums.k_body[i])
@@ -309,13 +314,15 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def _unbent(surface: Surface) -> Surface:
-    """A surface without a map of normals; `pruning` proves nothing about scenes with one."""
+    """Return a surface without its map of normals. `pruning` proves nothing about scenes with such
+    a map."""
     return surface if surface.normals is None else replace(surface, normals=None)
 
 
 def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
-    """Replace a map by its mean. A map of k_d or k_s changes the body or the lobe by at most its
-    range, where they are proportional to it. Any other changes at most all reflected light."""
+    """Bound the change if a map is replaced by its mean. A map of k_d or k_s changes the light of
+    the body or the lobe by at most the relative range of the map, if that light is proportional to
+    it. Any other map changes at most all light that the surface reflects."""
     own, material = sums.reflections[i], sums.surfaces[i].of("material")
     bands, field = sums.k_body.shape[1], place.removeprefix("material.")
     of_body = of_lobe = np.ones(bands)
@@ -350,7 +357,7 @@ def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
 
 
 def _is_proportional(material: Ends[Any], field: str) -> bool:
-    """Whether the suprema of a material double with a field."""
+    """Return whether the suprema of a material are proportional to a field."""
     twice = Ends(*(replace(end, **{field: 2 * getattr(end, field)}) for end in material))
     one, other = reflection_of(material), reflection_of(twice)
     if field == "diffuse":
@@ -361,7 +368,7 @@ def _is_proportional(material: Ends[Any], field: str) -> bool:
 
 
 def emission(sums: Sums, onward: Onward, i: int) -> Row:
-    """The radiance that a surface emits."""
+    """Bound the effect of the radiance that a surface emits."""
     own = emitted(sums.surfaces, sums.own.shape[1])
     own[np.arange(len(own)) != i] = 0
     amount = pictured(sums, onward(own[sums.cells.surface], pieces=EMITTED))
@@ -370,9 +377,9 @@ def emission(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def absorption(sums: Sums, onward: Onward, i: int) -> Row:
-    """Bound on the effect of absorption: 1 - exp(-a x) of all light through glass, where x is at
-    most the diameter for each crossing. A surface that is not closed has no bound. In direct light
-    glass is black, and the effect is 0."""
+    """Bound the effect of absorption in glass: 1 - exp(-a x) of all light, with the absorption
+    coefficient a and the path length x. Each crossing is at most as long as the diameter. A surface
+    that is not closed has no bound. Under direct light, glass is black, and the effect is 0."""
     material, shape = sums.surfaces[i].of("material"), sums.surfaces[i].of("shape")
     a = np.max([numbers(end.absorption).max() for end in material])
     body = body_of(shape)
@@ -393,7 +400,8 @@ def absorption(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def ambient(scene: Ends[Scene], sums: Sums, onward: Onward) -> Row:
-    """Return k_a L_a of the visible surfaces. Transport ignores ambient light."""
+    """Bound the effect of ambient light: k_a L_a of the visible surfaces. Transport ignores ambient
+    light."""
     present = scene.low.ambient is not None
     own = ambient_reflected(scene, sums.surfaces, sums.own.shape[1])
     if onward.depth is not None:

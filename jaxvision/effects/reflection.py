@@ -1,8 +1,9 @@
-"""Upper bounds on the light that a material reflects.
+"""Bound the light that each type of material reflects.
 
-The shading f_r cos of a family is a body, at most `body` times the cosine, plus a lobe, at most a
-function of the angles of a cell. A family states these bounds in `register`. Without them it is not
-bounded, and effects that depend on it are kept. Everything is without a unit, except sr^-1 values.
+The shading f_r cos is a body, at most `body` times the cosine, plus a lobe, which is bounded by a
+function of the angles of a cell. A material type states these bounds in `register`. A type without
+bounds is unbounded, and effects that depend on it are kept. Values have no unit, except those in
+sr^-1.
 """
 
 from typing import Any
@@ -14,12 +15,12 @@ from ..core._bounds import Reflection as Reflection
 
 
 def fills(material: Any) -> bool:
-    """Return whether light continues inside the shape that a material covers."""
+    """Return whether light enters the shape that a material covers."""
     own = families().get(type(material))
     return own is not None and own.absorption is not None
 
 
 def absorbs(material: Any) -> bool:
-    """Whether a material absorbs inside its shape."""
+    """Return whether a material absorbs light inside its shape."""
     own = families().get(type(material))
     return own is not None and own.absorption is not None and own.absorption(material) is not None

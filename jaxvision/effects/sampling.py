@@ -1,6 +1,6 @@
-"""Samples inside a pixel: the error of a single sample in its middle, as a displacement in pixels.
+"""Bound the error of a single sample at a pixel's centre, as a displacement in pixels.
 
-The mean over a pixel is over points within half of its diagonal.
+The mean over a pixel is a mean over points at most half of the pixel's diagonal from its centre.
 """
 
 import math
@@ -19,8 +19,9 @@ _COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sq
 
 
 def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
-    """Rays inside a pixel extend to its corners. A ray through its middle replaces them. The
-    radiance is at most (bands,) W m^-2 sr^-1. Lens blur must have been dropped before."""
+    """Return the row for replacing the rays of a pixel, which extend to its corners, by one ray.
+    The one ray passes through the pixel's centre. The radiance is at most (bands,) W m^-2 sr^-1.
+    The blur of the lens must have been dropped before."""
     nothing, why = np.zeros_like(radiance), "a pixel's rays reach its corners"
     needs = frozenset({"view.defocus"} if isinstance(view.high, ThinLens) else ())
     more = {"unit": IRRADIANCE, "place": _MIDDLE, "saves": 0.5, "needs": needs}
@@ -30,9 +31,10 @@ def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
 def oversampling_row(
     view: Ends[View], opening: float, radiance: np.ndarray, oversampling: int
 ) -> Row:
-    """One sample in a pixel's middle replaces all. None is farther away than the corners, and the
-    cos^4 falloff changes by at most 1.04 of the slope. The opening is in W m^-2 per W m^-2 sr^-1,
-    and no part of the view acts between pixels."""
+    """Return the row for replacing all samples of a pixel aperture by one at the pixel's centre. No
+    sample is farther from the centre than the corners, and the cos^4 falloff changes by at most
+    1.04 times the slope. `opening` is the largest gain, in W m^-2 per W m^-2 sr^-1. Parts of the
+    view that act between pixels must have been dropped before."""
     reach = _MIDDLE * (1 - 1 / oversampling)
     amount = np.zeros_like(radiance)
     if not isinstance(view.high, Orthographic) and view.high.f_number is not None:
@@ -46,6 +48,6 @@ def oversampling_row(
 
 
 def times(radiance: np.ndarray, gain: float) -> np.ndarray:
-    """A product in which 0 times infinity is not a number, without a warning."""
+    """Multiply without a warning for 0 times infinity, which gives NaN."""
     with np.errstate(invalid="ignore"):
         return radiance * gain

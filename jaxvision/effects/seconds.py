@@ -1,9 +1,10 @@
-"""Measure the time, s, of each effect in a picture, by alternating calls with and without it.
+"""Measure the time of each effect in a picture, in s, by alternating calls of programs with and
+without it.
 
-A picture consists of four programs, each with its own records: the scene, the lens, the sensor and
-the development. Dropping an effect changes the records of some programs, and the difference of
-their times is the time of the effect. Programs with the same records and sizes, in any order of the
-surfaces, are compiled and run once for all effects. One program serves paths of any number of
+A picture is made by four programs, each with its own records: the scene, the lens, the sensor and
+the development. Dropping an effect changes the records of some programs. The difference of their
+times is the time of the effect. Programs whose records have the same structure and sizes, in any
+order of the surfaces, are compiled and timed only once. One program traces paths of any number of
 segments.
 """
 
@@ -34,7 +35,8 @@ Advance = Callable[[int, int], Any]
 
 
 class _Part(NamedTuple):
-    """One program of a picture: its identity, a call, and the number of calls in a picture."""
+    """One program of a picture: its identity, a function that calls it, and the number of calls in
+    a picture."""
 
     kind: Hashable
     run: Callable[[], Any]
@@ -44,12 +46,12 @@ class _Part(NamedTuple):
 def seconds_of(
     rows: Sequence[Row], start: Draft, scene: Scene, *, whole: bool, advance: Advance | None = None
 ) -> list[float | None]:
-    """Return the time, s, that a picture saves without each effect; negative if it takes longer. It
-    is None if the effect cannot be dropped alone. Effects that can only be dropped together share
-    the saved time.
+    """Return the time, in s, that dropping each effect saves in a picture; it is negative if the
+    picture then takes longer. The time is None if the effect cannot be dropped alone. Effects that
+    can only be dropped together share the saved time equally.
 
-    `start` is the complete scene. `whole` says whether a sensor and a development follow the lens.
-    `advance` is called with the number of finished programs and the number of all.
+    `start` is the draft with all effects. `whole` states whether a sensor and a development follow
+    the lens. `advance` is called with the number of finished programs and of all programs.
     """
     view = start.camera.view
     scale = max(max(view.resolution) / _SIDE, 1.0)
@@ -90,7 +92,8 @@ def _without(party: Sequence[Row], start: Draft) -> Draft | None:
 
 
 class _Calls:
-    """The programs of drafts, run on the light of the whole picture."""
+    """Makes the programs of a draft. The lens and the sensor run on the light of the picture with
+    all effects."""
 
     def __init__(self, scene: Scene, start: Draft, *, whole: bool) -> None:
         self.scene, self.whole = scene, whole
@@ -134,8 +137,8 @@ def _part(
 
 
 def _sorted_scene(scene: Scene) -> Scene:
-    """The scene with its surfaces sorted by records and sizes, if nothing refers to them by
-    number."""
+    """Return the scene with its surfaces sorted by structure and sizes, unless occluders refer to
+    them by index."""
     if scene.occluders:
         return scene
 
@@ -149,7 +152,7 @@ def _sorted_scene(scene: Scene) -> Scene:
 def _median_seconds(
     runs: dict[Hashable, Callable[[], Any]], advance: Advance | None
 ) -> dict[Hashable, float]:
-    """s, the median for each; the first calls, which compile, do not count."""
+    """Return the median time of each program, in s; the first call, which compiles, is excluded."""
     found: dict[Hashable, list[float]] = {kind: [] for kind in runs}
     for done, run in enumerate(runs.values()):
         if advance is not None:

@@ -1,8 +1,8 @@
-"""The stage of the sensor: a row for each effect, and the change in DN for a change of light.
+"""Bound the effects of a sensor, and its change in DN for a change of light.
 
-The bounds are in `sensor_light`, `sensor_charge` and `sensor_reading`, in the order of the light's
-path. Each bound is for the sensor without the effects dropped before. With less noise an effect is
-more visible, and the bounds of successive drops add.
+The bounds are in `sensor_light`, `sensor_charge` and `sensor_reading`, in the order in which light
+becomes a reading. Each bound is for the sensor without the effects that were dropped before. With
+less noise a further effect changes the distribution more, and the bounds of successive drops add.
 """
 
 import math
@@ -58,7 +58,7 @@ _ASSUMES = {
 def sensor_stage(
     sensor: Ends[Sensor], irradiance: np.ndarray, *, shape: tuple[int, int]
 ) -> tuple[tuple[Row, ...], Response]:
-    """The rows of a sensor, and its response to a change of light."""
+    """Return the rows of a sensor's effects, and its response to a change of light."""
     light = np.asarray(irradiance, float)
     arriving = jax.ShapeDtypeStruct((*shape, *light.shape), jnp.result_type(float))
     jax.eval_shape(lambda seen: mean_photoelectrons(sensor.high, seen), arriving)
@@ -86,9 +86,10 @@ def sensor_stage(
 
 
 def dark_noise(pixel: Pixel) -> float:
-    """Smallest noise of a pixel in the dark, temporal and fixed, including rounding.
+    """Return the smallest noise, in DN rms, of a pixel in the dark: temporal, fixed-pattern and
+    rounding.
 
-    Pixels with defects or traps are excluded, because they are noisier.
+    Pixels with defects or traps are not considered, because they are noisier.
     """
     conversion, column = pixel.low("conversion_prnu"), pixel.low("column_prnu")
     dark = pixel.counted_dark
@@ -99,8 +100,8 @@ def dark_noise(pixel: Pixel) -> float:
 
 
 def _response(pixel: Pixel, change: np.ndarray) -> float:
-    """DN by which a change of irradiance, (bands,) W m^-2, changes the distribution of any
-    pixel."""
+    """Return the change of any pixel's distribution, in DN, for a change of irradiance, (bands,) W
+    m^-2."""
     if not np.any(change):
         return 0.0
     ends = (
@@ -114,8 +115,8 @@ def _response(pixel: Pixel, change: np.ndarray) -> float:
 def _row(
     name: str, bound: BoundOf, pixel: Callable[[Gone], Pixel], drop: Drop | None, **more: Any
 ) -> Row:
-    """The row of an effect, whose bound is that of the sensor without the effects dropped
-    before."""
+    """Return the row of an effect. Its bound is computed for the sensor without the effects that
+    were dropped before."""
 
     def after(gone: Gone) -> float:
         return clean(bound(pixel(gone - {name})).dn)
@@ -127,8 +128,8 @@ def _row(
 
 
 def _field(name: str, bound: BoundOf, sensor: Ends[Sensor], pixel: Callable[[Gone], Pixel]) -> Row:
-    """The row of one field, which is dropped by setting it to None, and with it the factors of taps
-    on it."""
+    """Return the row of one sensor field. Dropping it sets the field to None, and also the factors
+    of the taps on it."""
     identity = _is_identity(name, sensor)
 
     def drop(draft: Draft) -> Draft:
@@ -153,7 +154,7 @@ def _unchanged(_: Pixel) -> Bound:
 
 
 def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Row:
-    """The row of an external effect, with its own bound."""
+    """Return the row of an external effect, with the bound that the effect states."""
 
     def bound(pixel: Pixel) -> Bound:
         dn, kind = clean(pixel.behind_own * pixel.moved_by(ends)), type(ends.low).__name__
@@ -169,14 +170,14 @@ def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Ro
 def _faster(
     name: str, bound: BoundOf, kind: type[ShotNoise], pixel: Callable[[Gone], Pixel]
 ) -> Row:
-    """The row of a faster counting method."""
+    """Return the row for replacing the shot noise by a faster counting method."""
     field, drop = f"sensor.shot_noise.{name}", setting("camera.sensor.shot_noise", to=kind())
     others = {"sensor.shot_noise", "sensor.shot_noise.exact", "sensor.shot_noise.whole"} - {field}
     return _row(field, bound, pixel, drop, saves=0.25, instead_of=frozenset(others))
 
 
 def _is_identity(name: str, sensor: Ends[Sensor]) -> bool:
-    """Whether a factor is 1, so that dropping it changes nothing."""
+    """Return whether a factor is 1, so that dropping it changes nothing."""
     if name in ("gain", "infrared_cut", "quantum_efficiency"):
         return all(bool(np.all(np.asarray(getattr(end, name), float) == 1)) for end in sensor)
     if name == "pixel_aperture":
