@@ -1,5 +1,4 @@
-"""The findings of a noise calibration, each with its condition: a misfit first, then its
-consequences."""
+"""The findings of a noise calibration, each with the condition under which it is reported."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -38,7 +37,8 @@ SAID = 2.0  # standard errors below which an offset of the light is not reported
 
 
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
-    """Return all findings, the most consequential first."""
+    """Return the findings that apply to a calibration, as sentences, the most consequential
+    first."""
     return said(FINDINGS, calibration)
 
 
@@ -48,7 +48,7 @@ def is_impossible(calibration: NoiseCalibration) -> bool:
 
 
 def is_no_sensor(calibration: NoiseCalibration) -> bool:
-    """Whether a sensor made from the calibration would not describe the camera."""
+    """Whether no sensor file is written, because it would not describe the camera."""
     return (
         calibration.likelihood is None
         or any("system_gain" in doubt.of for doubt in calibration.measurement.doubts)
@@ -58,14 +58,17 @@ def is_no_sensor(calibration: NoiseCalibration) -> bool:
 
 
 def processing(calibration: NoiseCalibration) -> list[str]:
-    """Sentences on how the files were processed; none for raw frames."""
+    """Return sentences on how the files were processed (compressed, denoised or resized); none for
+    raw frames."""
     sentences = processing_in_words(calibration.measurement, calibration.usable)
     no_sensor = "No sensor file is written: it would describe how these files were processed."
     return [*sentences, no_sensor] if sentences else []
 
 
 def _efficiency(kind: str, calibration: NoiseCalibration) -> Numbers | None:
-    """An efficiency that is too low for a sensor, impossibly high, or above 1 within its error."""
+    """Return the quantum efficiency for the finding of this kind: too low for a sensor ("low"),
+    impossibly high ("high"), or above 1 within its error ("one"). None if the finding does not
+    apply."""
     value = calibration.efficiency
     if value is None:
         return None
@@ -75,7 +78,8 @@ def _efficiency(kind: str, calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
-    """The periodic structure without the blocks of a compression and the repeats of resizing."""
+    """Return the periodic structure, without periods that the blocks of a compression or resizing
+    explain."""
     blocks = compressed_in_words(calibration.measurement, calibration.usable)
     return tuple(
         one for one in calibration.periodic if not (blocks and BLOCK % (one.period or 3) == 0)
@@ -83,15 +87,15 @@ def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
 
 
 def periodic_findings(calibration: NoiseCalibration, *, apart: bool = False) -> list[str]:
-    """Findings on rows, columns, cells and parts of the frame that differ. `apart` names those that
-    were calibrated separately."""
+    """Return findings on rows, columns, mosaic sites and parts of the frame that differ from each
+    other. `apart` states that they were calibrated separately."""
     spacing = 1 if calibration.measurement.pattern is None else 2
     return periodic_in_words(_periodic(calibration), calibration.gain, apart=apart, spacing=spacing)
 
 
 def unstated_taps(calibration: NoiseCalibration) -> tuple[int, int] | str | None:
-    """The value of `camera.taps` for a camera whose pixels need separate calibrations; None if they
-    agree, or if frames are not raw."""
+    """Return the `camera.taps` to state for a camera whose pixel classes need separate
+    calibrations. None if the pixels agree, or if the frames are not raw."""
     measurement = calibration.measurement
     if is_no_sensor(calibration):
         return None
@@ -101,23 +105,25 @@ def unstated_taps(calibration: NoiseCalibration) -> tuple[int, int] | str | None
 
 
 def _as_they_are(key: str, sentences: Callable[[NoiseCalibration], Iterable[str]]) -> Finding:
-    """Return a finding whose sentences come from another module."""
+    """Make a finding whose complete sentences another function returns."""
     return Finding(key, lambda c: [{"sentence": one} for one in sentences(c)], "{sentence}")
 
 
 def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
-    """Value and standard error of one of the likelihood's parameters, as tables show them."""
+    """Return the value and standard error of one of the likelihood's parameters, as the report's
+    tables give them."""
     estimate = calibration.shown[name]
     return float(estimate.value or 0.0), float(estimate.standard_error or 0.0)
 
 
 def _size(calibration: NoiseCalibration, name: str, scale: float = 100) -> str:
-    """A parameter with its error, by default in per cent."""
+    """Format a parameter with its error, by default in per cent."""
     return format_with_error(*(scale * x for x in _shown(calibration, name)))
 
 
 def _contradicted(calibration: NoiseCalibration) -> tuple[str, ...]:
-    """Numbers of the rig that differ from the estimates by more than both errors explain."""
+    """Return sentences on numbers stated in the rig that differ from the estimates by more than
+    both errors explain."""
     sentences = []
     for key, name, stated, sd in calibration.measurement.stated:
         estimate = calibration.shown.get(name)
@@ -134,7 +140,7 @@ def _contradicted(calibration: NoiseCalibration) -> tuple[str, ...]:
 
 
 def _has(name: str, calibration: NoiseCalibration) -> bool:
-    """Whether the chosen model has an effect."""
+    """Whether the chosen model includes the parameter `name`."""
     return calibration.likelihood is not None and name in calibration.chosen.values
 
 
@@ -159,7 +165,8 @@ def _drifting(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _unequal_steps(calibration: NoiseCalibration) -> Numbers | None:
-    """Unequal steps of the converter, if they change the read noise."""
+    """Return the numbers for the finding on unequal steps of the converter; None unless they change
+    the read noise by half its error."""
     converter = calibration.measurement.converter
     read = next((one for one in calibration.sheet if one.name == "read_noise"), None)
     if not converter.imbalance or read is None or not read.value or not read.standard_error:
@@ -184,7 +191,8 @@ def _two_converters(below: bool, calibration: NoiseCalibration) -> bool:
 
 
 def _linear(fits: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Whether a linear camera explains the measurement."""
+    """Return the numbers for the finding on the fit of a linear camera; None unless its success is
+    that of `fits`."""
     if calibration.likelihood is None:
         return None
     linear, chosen = calibration.linear, calibration.chosen
@@ -224,7 +232,8 @@ def _compression(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """The light at an exposure of zero, as a time or as photons, where it is significant."""
+    """Return the numbers for the finding on a light offset (the light at zero exposure), as a time
+    or as photons; None if it is not significant."""
     if not _has("light_offset", calibration) or calibration.chosen.data.photons_known == in_time:
         return None
     offset, error = _shown(calibration, "light_offset")
@@ -248,8 +257,9 @@ def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | Non
 
 
 def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
-    """Darks whose black level is not that of the flats look like an offset of the light: their
-    difference in DN is the offset times the responsivity."""
+    """Return the numbers for the finding that darks with another black level than the flats would
+    resemble the light offset. The difference in black level, DN, is the offset times the
+    responsivity."""
     shifted = _light_offset(True, calibration) or _light_offset(False, calibration)
     if not shifted or not _linear(False, calibration):
         return None
@@ -269,8 +279,8 @@ def _of_the_dimmest(calibration: NoiseCalibration) -> bool:
 
 
 def _dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
-    """Whether only the dimmest level shows an offset of the light: the others lie on a line of
-    signal over light through the origin."""
+    """Whether the light offset comes from the dimmest level alone, because the signal of all other
+    levels extrapolates to 0 without light."""
     bright = measurement.bright
     light = np.asarray(bright.light if measurement.photons_known else bright.exposure)[usable]
     rest = np.argsort(light)[1:]
@@ -320,8 +330,8 @@ def _variance_scatter(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _rest(explained: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the chi-square of the chosen model, if it is significant or if the linear model
-    failed."""
+    """Return the numbers for the finding on the chosen model's chi-square, either if its misfit is
+    significant or (`explained`) if only the linear model's is; else None."""
     if calibration.likelihood is None or (calibration.chosen.inflation == 1) != explained:
         return None
     chosen = calibration.chosen
@@ -332,7 +342,8 @@ def _rest(explained: bool, calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _counted(failed: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Whether tables of codes replaced moments, and by how much the errors decreased."""
+    """Return the numbers for the finding on histograms of codes that replaced means and variances,
+    or whose fit `failed`; None if it does not apply."""
     counted = calibration.counted
     if counted is None or calibration.likelihood is None or bool(counted.failures) != failed:
         return None
@@ -358,7 +369,8 @@ def _standard_scatter(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _exact(calibration: NoiseCalibration) -> Numbers | None:
-    """The number of levels with exact moments of rounding and clipping."""
+    """Return the number of levels whose rounding and clipping is computed exactly; None if there
+    are none."""
     window = None if calibration.likelihood is None else calibration.chosen.data.window
     if window is None:
         return None
@@ -367,8 +379,9 @@ def _exact(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _floored(bent: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the floor if the standard's dark noise is at it; `bent` tells whether each single dark
-    is above it."""
+    """Return the standard's minimum of the dark variance if the extrapolated dark noise is below
+    it; else None. `bent` selects the finding for series in which each single dark is above the
+    minimum."""
     measurement = calibration.measurement
     least = least_dark_variance(measurement)
     above = float(np.min(np.asarray(measurement.dark.variance))) > least
@@ -403,7 +416,8 @@ def _unsaturated(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _glow(calibration: NoiseCalibration) -> Numbers | None:
-    """Darks with a smooth unevenness that grows with exposure."""
+    """Return the numbers for the finding on glow: darks with a smooth unevenness that grows with
+    exposure; None if there is none."""
     dark = calibration.measurement.dark
     if dark.local_pattern is None or dark.spatial_variance is None:
         return None
@@ -430,8 +444,9 @@ def _glow(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _dark_currents(kind: str, calibration: NoiseCalibration) -> Numbers | None:
-    """Return dark currents from mean and variance that disagree because variances scatter, because
-    rounding biases both, or for another reason."""
+    """Return the dark currents from mean and variance if they disagree for the reason `kind`:
+    variances scatter ("scattered"), rounding biases both ("biased"), or neither ("plain"). Else
+    None."""
     values, errors = calibration.standard.values, calibration.standard.errors
     if "dark_current_mean" not in values:
         return None
@@ -446,14 +461,15 @@ def _dark_currents(kind: str, calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _bounds_alone(calibration: NoiseCalibration) -> bool:
-    """Whether both linearity errors are within their noise."""
+    """Whether both linearity errors are insignificant."""
     values, errors = calibration.standard.values, calibration.standard.errors
     names = ("linearity_error_min", "linearity_error_max")
     return all(abs(float(values[name])) <= FAR * float(errors[name]) for name in names)
 
 
 def _shared_noise(calibration: NoiseCalibration) -> list[Numbers]:
-    """Temporal noise that rows and columns of the darks share, in electrons."""
+    """Return the numbers for findings on temporal noise that rows or columns of the darks share, in
+    electrons."""
     dark, scale, found = calibration.measurement.dark, calibration.gain, []
     whole = float(np.mean(np.asarray(dark.variance)))
     for axis, name in enumerate(LINES):
@@ -466,7 +482,8 @@ def _shared_noise(calibration: NoiseCalibration) -> list[Numbers]:
 
 
 def _banding(calibration: NoiseCalibration) -> list[Numbers]:
-    """Fixed differences of rows and columns of the darks, in electrons."""
+    """Return the numbers for findings on fixed differences between rows or columns of the darks, in
+    electrons."""
     kind, scale = "" if _glow(calibration) else "banding, ", 1 / calibration.gain
     return [
         {"lines": name, "size": _of_lines(one, scale), "kind": kind}
@@ -476,7 +493,7 @@ def _banding(calibration: NoiseCalibration) -> list[Numbers]:
 
 
 def _of_lines(found: Found, scale: float) -> str:
-    """The standard deviation of lines with its error, times a scale."""
+    """Format the standard deviation of rows or columns with its error, times a scale."""
     size = found.deviation
     return format_with_error(scale * size, scale * found.error / (2 * size))
 

@@ -1,4 +1,4 @@
-"""Photon transfer from frames in memory: the same measurement as from a rig with these frames."""
+"""Photon transfer from frames in memory, with the same result as from a rig with these frames."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -26,7 +26,7 @@ def from_frames(
     dark_exposures: Sequence[float] | None = None,
     channel: str = "",
 ) -> PhotonTransfer:
-    """A photon transfer measurement from frames in memory, for `noise.calibrate`.
+    """Make a photon transfer measurement from frames in memory, as the input of `noise.calibrate`.
 
     Args:
         flats: for each level of light two or more frames, (h, w) DN.
@@ -72,7 +72,8 @@ def stacks_from_frames(
     dark_exposures: Sequence[float] | None = None,
     channel: str = "",
 ) -> Stacks:
-    """Average frames and spatial variances from frames in memory, for `release_4_sheet`.
+    """Compute average frames and spatial variances from frames in memory, as the input of
+    `release_4_sheet`.
 
     Args:
         flats: for each level of light two or more frames, (h, w) DN.
@@ -101,7 +102,7 @@ def _rig_of(
     camera: Camera,
     dark_exposures: Sequence[float] | None,
 ) -> tuple[Rig, Load]:
-    """The rig for frames in memory, and the function that loads them."""
+    """Return a rig that describes frames in memory, and the function that loads these frames."""
     require_frames("flats", flats)
     require_frames("darks", darks)
     exposures = each("exposures", exposures)
@@ -131,7 +132,8 @@ def _rig_of(
 def _entries(
     kind: str, levels: Sequence[Sequence[ArrayLike]], exposures: Sequence[float]
 ) -> tuple[list[dict[str, Any]], dict[str, ArrayLike]]:
-    """The entries of a rig for levels of one kind, and the frames by name."""
+    """Return the rig's entries for all levels of one kind ("flats" or "darks"), and their frames by
+    name."""
     named = [
         {f"{kind}[{i}][{j}]": frame for j, frame in enumerate(level)}
         for i, level in enumerate(levels)
@@ -148,7 +150,8 @@ def darks_from_frames(
     camera: Camera,
     channel: str = "",
 ) -> Levels:
-    """Darks from frames in memory, of a gain and temperature at which there are no flats.
+    """Compute the statistics of darks in memory, for a gain and temperature at which there are no
+    flats.
 
     Args:
         darks: for each exposure two or more frames, (h, w) DN.

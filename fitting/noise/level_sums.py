@@ -1,4 +1,4 @@
-"""Statistics of the frames of one level, one frame in memory at a time."""
+"""Statistics of the frames of one light level, computed with one frame in memory at a time."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +15,8 @@ from .raw_frames import block_products, combs, local_variance
 
 @dataclass(frozen=True)
 class TemporalVariance:
-    """The parts of a pixel's temporal variance. Without an effect its estimates scatter about 0."""
+    """The temporal variance of a pixel, divided into independent noise and noise shared by rows,
+    columns and whole frames. Estimates of an absent part scatter about 0."""
 
     pixels: float  # independent noise of each pixel, DN^2
     rows: float  # noise that the pixels of a row share, DN^2
@@ -24,29 +25,31 @@ class TemporalVariance:
 
     @property
     def of_a_pixel(self) -> float:
-        """The variance of a pixel without drift, DN^2."""
+        """The temporal variance of a pixel about the frame's mean, DN^2, at least 0."""
         return max(self.pixels + self.rows + self.columns, 0.0)
 
 
 def temporal_variance(
     live: LivePixels, pixels: float, rows: float, columns: float, frames: float
 ) -> TemporalVariance:
-    """The variances of pixels, rows, columns and whole frames between frames, DN^2, from those of a
-    pixel, T, of the lines' means about the frame's mean, Q_rows and Q_columns, and of the frames'
-    means, W. The parts solve
+    """Divide the temporal variance into parts of pixels, rows, columns and whole frames, DN^2. The
+    arguments are variances between frames: T of a pixel about the frame's mean (`pixels`), Q_rows
+    and Q_columns of the means of rows and columns about the frame's mean, and W of the frames'
+    means (`frames`). The parts solve
 
         (T, Q_rows, Q_columns) = A (pixels, rows, columns),
         frames = W - b (pixels, rows, columns),
 
-    where A and b are `LivePixels.variance_shares`. If all h x w pixels are valid,
+    where A is the first three rows of `LivePixels.variance_shares` and b the last. If all h x w
+    pixels are valid,
 
         pixels = (T - Q_rows - Q_columns) / ((1 - 1 / h) (1 - 1 / w)),
         rows = Q_rows / (1 - 1 / h) - pixels / w,        columns likewise,
         frames = W - rows / h - columns / w - pixels / (h w).
 
-    Each part is unbiased, whatever the others are. Without row and column effects the expected sum
-    of the three is T (h w) / (h w - 1). If a frame is a single row or column, its lines are single
-    pixels.
+    Each estimate is unbiased, whatever the sizes of the other parts. Without noise of rows and
+    columns, the expected sum of the first three parts is T (h w) / (h w - 1). If a frame is a
+    single row or column, all noise counts as noise of pixels.
     """
     parts = _parted(live, pixels, rows, columns)
     pixels, rows, columns = parts.tolist()
@@ -57,8 +60,9 @@ def temporal_variance(
 def fixed_variance(
     live: LivePixels, average: np.ndarray, temporal: TemporalVariance, count: int
 ) -> tuple[float, float]:
-    """The fixed variances of rows and of columns, DN^2, from the average of `count` frames, which
-    retains a share of the temporal parts; 0 where a frame is a single row or column."""
+    """Return the variances of rows and of columns that are the same in all frames, DN^2, from the
+    average of `count` frames. The temporal noise left in the average is subtracted. Both are 0 if a
+    frame is a single row or column."""
     if min(live.shape) == 1:
         return 0.0, 0.0
     away = average - live.mean(average)
@@ -68,15 +72,15 @@ def fixed_variance(
 
 
 def _parted(live: LivePixels, total: float, of_rows: float, of_columns: float) -> np.ndarray:
-    """The parts for pixels, rows and columns."""
+    """Solve for the variances of pixels, rows and columns."""
     if min(live.shape) == 1:
         return np.array([total / live.variance_shares[0, 0], 0.0, 0.0])
     return np.linalg.solve(live.variance_shares[:3], [total, of_rows, of_columns])
 
 
 class SquareSums:
-    """Sums over frames of functions that are quadratic in a frame, and the variances and
-    covariances between the frames that follow from them."""
+    """Sums of squares and products over the frames of a level, from which variances and covariances
+    between frames follow."""
 
     def __init__(self, live: LivePixels) -> None:
         self._of: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -89,13 +93,14 @@ class SquareSums:
         self._sums: dict[str, np.ndarray] = {}
 
     def add(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
-        """Add a further frame, after subtracting the first frame and the shift of the mean."""
+        """Add the deviation of a further frame from the first, without the shift of its mean."""
         for name, square in self._of.items():
             self._sums[name] = self._sums.get(name, 0.0) + weight * square(deviation)
 
     def variance(self, name: str, total: np.ndarray, count: int) -> np.ndarray:
-        """The sum of a function over the deviations of `count` frames from their mean, over L - 1;
-        `total` is the sum of the frames that were added."""
+        """Return the variance (or covariance) `name` between `count` frames: the sum of squares of
+        their deviations from their mean, over `count` - 1. `total` is the sum of the added
+        deviations."""
         return (count * self._sums[name] - self._of[name](total)) / (count * (count - 1))
 
 
@@ -111,7 +116,7 @@ class Unlit(NamedTuple):
 
 
 class ReducedLevel(NamedTuple):
-    """The statistics of one level."""
+    """The statistics of the frames of one level."""
 
     numbers: dict[str, float | np.ndarray]  # fields of `Levels`
     lines: tuple[float, ...]  # variances of rows, columns, fixed rows, fixed columns, frames, DN^2
@@ -121,11 +126,11 @@ class ReducedLevel(NamedTuple):
 
 
 class LevelSums:
-    """Sums over the frames of a level. They use deviations from the first frame, so that S2 and
-    S1^2 are small and their difference keeps its precision.
+    """Running sums over the frames of a level. They sum deviations from the first frame, which are
+    small, so that differences of sums keep their precision.
 
     `top` is the DN from which a pixel is saturated, `unlit` has mean and variance of a flat's
-    darks, and `corner` is the position of a frame's first pixel in its file."""
+    darks, and `corner` is the row and column of the frame's first pixel in its file."""
 
     def __init__(
         self,
@@ -145,7 +150,7 @@ class LevelSums:
         self.hits = 0
 
     def add(self, name: str, frame: np.ndarray) -> None:
-        """Add the first or a further frame."""
+        """Add a frame; the first one added is the reference."""
         deviation = frame - self.first
         if self.shown and (jumps := hits(deviation, self.live)) is not None:
             deviation = jumps.change
@@ -170,12 +175,13 @@ class LevelSums:
         return frame_sample(name, self.live.filled(frame), top=self._top)
 
     def _without_flicker(self, average: np.ndarray) -> float:
-        """Remove the effect of a flickering lamp on the unevenness of its light.
+        """Remove from the sums the temporal variance that a flickering lamp causes where its light
+        is uneven. Return the factor by which the remaining variance is still too large.
 
         A frame with a relative excess e_f of light exceeds the mean by e_f P at a pixel that
-        differs by P from the mean. With s^2 the sum of e_f^2, the component sum_f (e_f / s) d_f of
-        the frames contains s P, and all components orthogonal to it contain none. P is taken from
-        the average frame, including its noise.
+        differs by P from the mean. Let d_f be the deviation of frame f and s^2 the sum of e_f^2.
+        The component sum_f (e_f / s) d_f then contains s P, which is subtracted; all orthogonal
+        components contain no P. P is estimated by the average frame, including its noise.
         """
         if self._unlit is None:
             return 1.0
@@ -202,7 +208,7 @@ class LevelSums:
         return 1 + (1 - 2 * shot) * share / (count * (count - 1))
 
     def level(self) -> ReducedLevel:
-        """The statistics of two frames or more."""
+        """Return the statistics of the added frames, at least two."""
         count, total, live = len(self.shown), self._total, self.live
         average = self.first + total / count + np.mean(self._shifts)
         excess = self._without_flicker(average)

@@ -1,25 +1,25 @@
-"""The record of a photon transfer measurement, and which of its levels are below saturation.
+"""The record of a photon transfer measurement, and the choice of its levels below saturation.
 
-At one level every pixel sees the same light in L frames. With S1, S2 the sums of its digital
-numbers and of their squares,
+At each level, L frames are taken in the same light. For one pixel, let S1 be the sum of its digital
+numbers over the frames and S2 the sum of their squares:
 
     mean      y   = S1 / L                               averaged over the pixels
     variance  s^2 = (L S2 - S1^2) / (L (L - 1))          averaged over the pixels
     spatial   s^2_measured = variance of S1 / L over the pixels
 
-All frames of a level are used, and a fixed pattern cancels in the temporal variance. DN is the
-digital number; exposures are seconds; light is counted in photons per pixel and exposure.
+The temporal variance contains no fixed pattern. DN is the digital number; exposures are seconds;
+light is counted in photons per pixel and exposure.
 
-Some converters write codes of a piecewise linear curve (companding): above a knee, the slope of the
-signal is r times the slope below.
+Some converters compress their codes by a piecewise linear curve (companding). Above its knee, the
+slope of the signal is r times the slope below. With K DN per electron below the knee and a signal
+of s_k DN at the knee, the shot-noise variance at the signal s is
 
-With K DN an electron below the knee and s_k DN of signal at it, the variance of light is
+    K s                        below the knee,
+    r K (s - (1 - r) s_k)      above.
 
-    K s                        below,
-    r K (s - (1 - r) s_k)      above:
-
-At the knee it falls to r^2 of its value, as at a full well, and then rises again. The light itself
-is not used, so a lamp that flickers between levels neither hides nor imitates a knee.
+At the knee the variance falls to r^2 of its value, as at a full well, and then rises again. The
+knee is found from signal and variance without the light, so a lamp that changes between levels
+neither hides nor imitates it.
 """
 
 from typing import NamedTuple
@@ -52,7 +52,8 @@ def knee_of(
     shot: Float[np.ndarray, " levels"],
     error: Float[np.ndarray, " levels"],
 ) -> Knee | None:
-    """The knee of a response of two slopes."""
+    """Find the knee of a response with two slopes, from the signal, shot variance and its error at
+    each level; None if there is none."""
     known = (signal > 0) & (shot > 0) & (error < shot / 4)
     places = np.flatnonzero(known)
     s, v, e = signal[places], shot[places], error[places] / shot[places]
@@ -84,8 +85,8 @@ FEWEST_OF_ONE = 4  # fewest levels read by one of two converters
 
 
 class SharedVariance(eqx.Module):
-    """The variance that the pixels of a line share at each level, of rows and of columns. Without
-    shared noise the estimates scatter about 0.
+    """The noise that the pixels of a row or of a column share, at each level. Estimates of absent
+    noise scatter about 0.
     """
 
     lines: Float[Array, "2 levels"]  # temporal variance that the pixels of a line share, DN^2
@@ -165,7 +166,7 @@ class Levels(eqx.Module):
 
 
 class Doubt(NamedTuple):
-    """A contradiction in the frames, and the figures that are therefore not given."""
+    """A contradiction in the frames, and the figures that are not reported because of it."""
 
     of: tuple[str, ...]  # names of the doubtful figures
     reason: str  # a clause that replaces their values
@@ -173,11 +174,11 @@ class Doubt(NamedTuple):
 
 
 class CodeTables(eqx.Module):
-    """How often each code occurs at levels of few electrons, counted from the pixel's own black
+    """Histograms of codes at levels of few electrons. Codes are relative to the pixel's own black
     level.
 
-    A pixel's black level is its mean over the dark frames. The black levels of one table's pixels
-    lie at about the same position between two codes.
+    A pixel's black level is its mean over the dark frames. The pixels are divided into several
+    tables by the position of their black level between two codes.
     """
 
     level: Int[Array, " tables"]  # index of the bright level
@@ -229,17 +230,19 @@ class PhotonTransfer(eqx.Module):
 
     @property
     def converter(self) -> Converter:
-        """The grid on which the numbers of flats and darks lie."""
+        """The finer of the grids on which the codes of flats and darks lie."""
         return finer(self.bright, self.dark)
 
     @property
     def clear(self) -> Bool[np.ndarray, " levels"]:
-        """The bright levels at least four standard deviations below full scale."""
+        """Mask of the bright levels whose mean is at least four standard deviations below full
+        scale."""
         return reached(self.bright) <= (np.inf if self.full_scale is None else self.full_scale)
 
     @property
     def saturated(self) -> int | None:
-        """The index of the standard's saturation point; None without one, or above a knee."""
+        """Index of the bright level at the standard's saturation point. None if the variance has no
+        maximum, or if a knee explains it."""
         return None if self.knee is not None else saturation_index(self.bright)
 
     @property
@@ -253,29 +256,30 @@ class PhotonTransfer(eqx.Module):
 
 
 def signal_of(measurement: PhotonTransfer) -> Float[np.ndarray, " levels"]:
-    """Mean of each bright level above that of its dark, DN."""
+    """Return the signal of each bright level: its mean minus that of its dark, DN."""
     dark = np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)]
     return np.asarray(measurement.bright.mean) - dark
 
 
 def shot_of(measurement: PhotonTransfer) -> Float[np.ndarray, " levels"]:
-    """Variance of each bright level above that of its dark, DN^2."""
+    """Return the shot variance of each bright level: its variance minus that of its dark, DN^2."""
     dark = np.asarray(measurement.dark.variance)[np.asarray(measurement.dark_of)]
     return np.asarray(measurement.bright.variance) - dark
 
 
 def finer(bright: Levels, dark: Levels) -> Converter:
-    """Return the common grid of the numbers of bright and dark levels."""
+    """Return the finer of the grids of codes of the bright and the dark levels."""
     return min(bright.converter, dark.converter, key=lambda one: one.step)
 
 
 def reached(levels: Levels) -> Float[np.ndarray, " levels"]:
-    """The number four standard deviations above the mean of each level, DN."""
+    """Return the mean plus four temporal standard deviations of each level, DN."""
     return np.asarray(levels.mean) + CLEAR_OF_CLIPPING * np.sqrt(np.asarray(levels.variance))
 
 
 def saturation_index(levels: Levels) -> int | None:
-    """The standard's saturation point."""
+    """Return the level of largest variance, which EMVA 1288 takes as the saturation point; None
+    unless the variance decreases above it."""
     variance = np.asarray(levels.variance)
     peak = int(np.argmax(variance))
     least = variance[peak] - SATURATED_DROP * levels.variance_error[peak]
@@ -283,7 +287,7 @@ def saturation_index(levels: Levels) -> int | None:
 
 
 def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
-    """Bright levels below the effects of full well and ADC range."""
+    """Return the indices of the bright levels that full well and ADC range do not affect."""
     bright = measurement.bright
     usable = (np.asarray(bright.variance) > 0) & measurement.clear
     knee, saturated = measurement.knee, measurement.saturated
@@ -299,5 +303,5 @@ def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
 
 
 def rounding_step(amounts: np.ndarray) -> float:
-    """Return 1 if all photon counts are whole numbers, as if rounded; else 0."""
+    """Return the rounding step of photon counts: 1 if all are whole numbers, else 0."""
     return 1.0 if np.array_equal(amounts, np.round(amounts)) else 0.0

@@ -2,9 +2,10 @@
 exposure.
 
 The columns are `photons_per_pixel`; one of `exposure_s`, `_ms`, `_us`, `_ns`; the four moments
-`mean_bright_DN`, `var_bright_DN2`, `mean_dark_DN`, `var_dark_DN2`, or the sums `bright_sum` (of S1
-over the pixels), `bright_pvar` (of L (L S2 - S1^2)), `dark_sum`, `dark_pvar`; `frames` (L, default
-2); and `pixels`, which sums and means together may replace. Lines that start with # are skipped.
+`mean_bright_DN`, `var_bright_DN2`, `mean_dark_DN`, `var_dark_DN2`, or the sums `bright_sum` (the
+sum of S1 over the pixels), `bright_pvar` (the sum of L (L S2 - S1^2) over the pixels), `dark_sum`,
+`dark_pvar`; `frames` (L, default 2); and `pixels`, which may be missing if both sums and means are
+given. Lines that start with # are skipped.
 """
 
 import csv
@@ -26,7 +27,7 @@ EXPOSURE_UNITS = {"exposure_s": 1.0, "exposure_ms": 1e-3, "exposure_us": 1e-6, "
 
 
 def read_table(file: Path, bits: int | None) -> PhotonTransfer:
-    """A photon transfer measurement from a CSV table."""
+    """Read a photon transfer measurement from a CSV table."""
     columns = _columns(file)
     units = [name for name in EXPOSURE_UNITS if name in columns]
     if not units:
@@ -118,7 +119,7 @@ def _column(file: Path, columns: dict[str, np.ndarray], name: str) -> np.ndarray
 
 
 def _pixels(file: Path, columns: dict[str, np.ndarray], frames: np.ndarray) -> int:
-    """The pixel count: given, or what sums and means imply."""
+    """Return the number of pixels: the table's, or that which its sums and means imply."""
     if PIXELS_COLUMN in columns:
         counts = columns[PIXELS_COLUMN]
     elif "bright_sum" in columns and "mean_bright_DN" in columns:
@@ -140,8 +141,8 @@ def _pixels(file: Path, columns: dict[str, np.ndarray], frames: np.ndarray) -> i
 def _moments(
     file: Path, columns: dict[str, np.ndarray], frames: np.ndarray, pixels: int
 ) -> tuple[np.ndarray, ...]:
-    """(bright mean, bright variance, dark mean, dark variance) of each row, from the sums if there
-    are any, because these are exact."""
+    """Return (bright mean, bright variance, dark mean, dark variance) of each row. They come from
+    the sums if the table has these, because sums are exact."""
     if not any(name in columns for name in COUNT_COLUMNS):
         return tuple(_column(file, columns, name) for name in MOMENT_COLUMNS)
     sums = [_column(file, columns, name) for name in COUNT_COLUMNS]
@@ -152,8 +153,8 @@ def _moments(
 def _refuse_deviations(
     file: Path, mean: np.ndarray, variance: np.ndarray, unlit: np.ndarray, of_dark: np.ndarray
 ) -> None:
-    """Refuse standard deviations in a column of variances. Their squares are proportional to the
-    signal, but the values themselves are not."""
+    """Raise InputError if a column of variances seems to contain standard deviations. In that case
+    the squares of its values are proportional to the signal, but the values are not."""
     signal = mean - unlit
     seen = (signal > 0) & (variance > of_dark) & (mean <= mean[np.argmax(variance)])
     if seen.sum() < FEWEST_FOR_POWER or np.ptp(np.log(signal[seen])) < np.log(LIGHTS):
@@ -173,8 +174,8 @@ def _refuse_deviations(
 def _depth(
     file: Path, bits: int | None, mean: np.ndarray, variance: np.ndarray
 ) -> tuple[float | None, tuple[str, ...]]:
-    """(full scale, remarks), from `bits` or from levels at which every pixel has the same
-    number."""
+    """Return (full scale in DN, remarks). Full scale follows from `bits`, or from saturated levels
+    at which every pixel has the same number."""
     brightest = float(mean.max())
     if bits is not None:
         if brightest > 2**bits - 1:

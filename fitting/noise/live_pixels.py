@@ -1,14 +1,15 @@
-"""Pixels that respond to light normally, and those that do not: dead, stuck and hot ones.
+"""Detection of dead, stuck and hot pixels, and statistics over all other pixels.
 
-A dead or stuck pixel has the same number in the dark and under light. A hot pixel differs from the
-others without light, because of its larger dark current. Such pixels are excluded from means, from
-variances, and from the pixel count for the errors. So are pixels whose converter has a bit that
-never changes, where columns, rows or sites have converters of their own.
+A dead or stuck pixel has the same number in the dark and under light. A hot pixel is far above (or
+below) the others in the dark, usually because its dark current is larger. Such pixels are excluded
+from means and variances, and from the number of pixels on which errors depend. If columns, rows or
+mosaic sites have separate converters, pixels whose converter has a bit that never changes are
+excluded, too.
 
-Pixels with outliers in single frames, such as hits by cosmic rays, can outweigh the noise of all
-others in a variance. Such outliers are separated by a gap from the distribution of all other
-pixels, while a noise distribution with a tail (few electrons, multiplied electrons, warm pixels) is
-continuous.
+Outliers in single frames, such as hits by cosmic rays, can increase a variance by more than the
+noise of all pixels. They are recognised by a gap between them and the distribution of all other
+pixels. A noise distribution with a long tail (few electrons, multiplied electrons, warm pixels) has
+no such gap.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ REACH = 3  # rows and columns up to which pixels count as neighbours
 
 
 class StuckBit(NamedTuple):
-    """Where a bit never changes."""
+    """A bit of the code that never changes in some pixels."""
 
     where: str  # in which pixels, in words
     bit: int  # index of the bit, 0 the lowest
@@ -38,7 +39,7 @@ class StuckBit(NamedTuple):
 
     @property
     def clause(self) -> str:
-        """The clause for a report."""
+        """A clause for the report that states the pixels and the bit."""
         return (
             f"in {self.where}, where bit {self.bit} of the codes is always {self.value} and half "
             "of the codes never occur"
@@ -46,7 +47,7 @@ class StuckBit(NamedTuple):
 
 
 def stuck_bits(frames: Sequence[np.ndarray]) -> list[StuckBit]:
-    """Find bits that are stuck in some columns, rows or sites of a cell of 2 x 2.
+    """Find bits that never change in some columns, rows or sites of a 2 x 2 mosaic.
 
     Example:
         >>> from fitting.noise.live_pixels import stuck_bits
@@ -115,16 +116,16 @@ SHOWN = 6  # rows, columns or pixels that are listed
 
 
 def line_products(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
-    """Return sums of products of neighbouring pixels: by row for vertical neighbours, by column for
-    horizontal neighbours."""
+    """Return sums of products of neighbouring pixels: one for each pair of successive rows, and one
+    for each pair of successive columns."""
     below = np.einsum("ij,ij->i", x[:-1], x[1:])
     beside = np.einsum("ij,ij->j", x[:, :-1], x[:, 1:])
     return below, beside
 
 
 def neighbour_products(x: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "lags lags"]:
-    """Sum of x_p x_q over the pairs of pixels at each offset of 0 to `REACH` rows and columns, of
-    either sign; 0 beyond a small frame."""
+    """Return the sum of x_p x_q over all pairs of pixels at each offset of 0 to `REACH` rows and
+    columns. Offsets of both signs are added. Offsets larger than the frame give 0."""
     rows, columns = (min(REACH, size - 1) for size in x.shape)
     width, found = x.shape[1] + columns, np.zeros((REACH + 1, REACH + 1))
     flat = np.pad(x, ((0, 0), (0, columns))).ravel()  # zeros beside the frame
@@ -135,7 +136,7 @@ def neighbour_products(x: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "lags l
 
 
 class LivePixels:
-    """The mask of valid pixels of a frame, (h, w), and means over them."""
+    """The (h, w) mask of the valid pixels of a frame, and statistics over these pixels."""
 
     def __init__(self, mask: Bool[np.ndarray, "h w"]) -> None:
         self.mask, self.count = mask, int(mask.sum())
@@ -144,42 +145,46 @@ class LivePixels:
 
     @cached_property
     def pairs_by_line(self) -> tuple[np.ndarray, np.ndarray]:
-        """Neighbouring pixels that are both valid, as `line_products` sums them."""
+        """The numbers of neighbouring pixels that are both valid, in the order of
+        `line_products`."""
         return line_products(self.mask.astype(float))
 
     @cached_property
     def neighbours(self) -> Float[np.ndarray, "lags lags"]:
-        """Pairs of valid pixels, as `neighbour_products` sums them."""
+        """The numbers of pairs of valid pixels at each offset, as in `neighbour_products`."""
         return neighbour_products(self.mask.astype(float))
 
     @property
     def shape(self) -> tuple[int, int]:
-        """The number of rows and of columns with at least one live pixel."""
+        """The number of rows and of columns with at least one valid pixel."""
         rows, columns = (int((of > 0).sum()) for of in self._of_line)
         return rows, columns
 
     def only(self, plane: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-        """The plane with 0 elsewhere."""
+        """Return the plane with 0 at invalid pixels."""
         return plane if self._all else np.where(self.mask, plane, 0.0)
 
     def mean(self, plane: Float[np.ndarray, "h w"]) -> float:
-        """Mean over all valid pixels."""
+        """Return the mean of a plane over the valid pixels."""
         return float(self.only(plane).sum()) / self.count
 
     def line_means(self, plane: Float[np.ndarray, "h w"], axis: int) -> np.ndarray:
-        """Means of rows (axis 0) or columns (axis 1); NaN for a line without valid pixels."""
+        """Return the means of rows (axis 0) or columns (axis 1) over valid pixels; NaN for a line
+        without any."""
         sums = self.only(plane).sum(axis=1 - axis)
         counts = self._of_line[axis]
         return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
 
     def filled(self, plane: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-        """The plane with its mean in place of invalid pixels."""
+        """Return the plane with its mean at invalid pixels."""
         return plane if self._all else np.where(self.mask, plane, self.mean(plane))
 
     @cached_property
     def variance_shares(self) -> Float[np.ndarray, "4 3"]:
-        """The contributions of independent pixels, rows and columns of variance 1 to the variances
-        of a frame."""
+        """(4, 3) expected variances of a frame if its pixels, its rows or its columns (the three
+        columns of the result) have independent noise of variance 1. The four rows are the variance
+        of a pixel, of the rows' means and of the columns' means, all about the frame's mean, and
+        that of the frame's mean."""
         counts = [of[of > 0].astype(float) for of in self._of_line]
         n, lines = float(self.count), [of.size for of in counts]
         inverse = [float(np.mean(1 / of)) for of in counts]
@@ -210,7 +215,7 @@ class LivePixels:
 
 @dataclass(frozen=True)
 class DeadPixels:
-    """Invalid pixels."""
+    """The invalid pixels of a frame, by kind."""
 
     still: Bool[np.ndarray, "h w"]  # true where light changes nothing
     # true where a pixel is far from the others in the dark, but responds to light
@@ -224,7 +229,7 @@ class DeadPixels:
 
     @property
     def sentence(self) -> str:
-        """The finding for a report."""
+        """The finding on the invalid pixels, with numbers and positions."""
         parts = [
             f"{int(mask.sum())} {what}{_where(mask)}"
             for mask, what in (
@@ -243,7 +248,7 @@ class DeadPixels:
 
 
 def dead_pixels(flats: Sequence[np.ndarray], darks: Sequence[np.ndarray]) -> DeadPixels | None:
-    """Pixels that are dead, stuck or hot.
+    """Find pixels that are dead, stuck or hot; None if there are none.
 
     Example:
         >>> from fitting.noise.live_pixels import dead_pixels
@@ -276,7 +281,8 @@ def dead_pixels(flats: Sequence[np.ndarray], darks: Sequence[np.ndarray]) -> Dea
 
 
 def _covered_border(still: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Rows and columns at the border of the frame that hardly respond to light."""
+    """Return a mask of the rows and columns at the border of the frame that hardly respond to
+    light."""
     covered = np.zeros_like(still)
     for axis in (0, 1):
         line = still.mean(axis=1 - axis) >= 1 - MOST
@@ -288,21 +294,21 @@ def _covered_border(still: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _far(values: np.ndarray, sign: int) -> np.ndarray:
-    """Whether a pixel is far above (sign 1) or below (-1) the others."""
+    """Return a mask of the values that are far above (sign 1) or far below (-1) all others."""
     middle = float(np.median(values))
     decile = float(np.quantile(sign * (values - middle), 0.9)) / DECILE
     return sign * (values - middle) > FAR * max(decile, _step(values))
 
 
 def _step(values: np.ndarray) -> float:
-    """The step between neighbouring numbers, DN."""
+    """Return the smallest step between different values, DN."""
     gaps = np.diff(np.unique(values))
     return float(gaps.min()) if gaps.size else 1.0
 
 
 def _where(mask: Bool[np.ndarray, "h w"]) -> str:
-    """The positions in words: whole columns and rows by number, and single pixels if they are
-    few."""
+    """Describe the positions of masked pixels in words: whole columns and rows by number, then
+    single pixels."""
     parts, left = [], mask.copy()
     for axis, name in ((0, "column"), (1, "row")):
         whole = np.flatnonzero(mask.all(axis=axis))
@@ -325,7 +331,8 @@ SAMPLED = 100_000  # pixels used to estimate the usual change
 
 
 class Hits(NamedTuple):
-    """Outlying pixels between two frames, and their replacement values."""
+    """Pixels whose change between two frames is an outlier, and replacement values for that
+    change."""
 
     up: Bool[np.ndarray, "h w"]  # true where a pixel is much brighter in the second frame
     down: Bool[np.ndarray, "h w"]  # true where it is much brighter in the first frame
@@ -333,7 +340,7 @@ class Hits(NamedTuple):
 
 
 def hits(change: Float[np.ndarray, "h w"], live: LivePixels) -> Hits | None:
-    """The outlying pixels."""
+    """Find pixels whose change between two frames is an outlier; None if there are none."""
     stride = max(int(np.sqrt(change.size / SAMPLED)), 1)
     sample = change[::stride, ::stride][live.mask[::stride, ::stride]]
     if not sample.size:

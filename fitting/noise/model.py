@@ -16,24 +16,26 @@ is added behind the compression. C_00: the variance of a pixel whose charges rep
 (Astier 2019, `jaxvision.sensor.flat_covariances`). Its a_00 = -beta K / X, so to first order beta
 is the relative loss of variance at the brightest level. The other a_ij are proportional to the
 measured covariances. kappa is the relative loss of a pixel's signal variance by linear mixing with
-its neighbours. Neither changes the noise of sums over many pixels.
+its neighbours. Repulsion and mixing do not change the noise of sums over many pixels.
 
 The observed mean of L frames of n pixels is Normal with variance s^2 / (n L). Given the mean, the
-observed variance is Gamma. Its degrees of freedom follow from its sampling variance, (2 s^4 / (L -
-1) + kappa_4 / L) / n, minus the part that the mean explains. Shot noise is skewed, which gives mean
-and variance a covariance of kappa_3 / (n L). Two random effects are optional: an error tau_H mu_p
-of the light of a level, and an error tau_0 of its black level.
+observed variance has a Gamma distribution. The degrees of freedom of that distribution follow from
+its sampling variance, (2 s^4 / (L - 1) + kappa_4 / L) / n, minus the part that the mean explains.
+Because shot noise is skewed, mean and variance have the covariance kappa_3 / (n L). kappa_3 and
+kappa_4 are the cumulants of a pixel's number. Two random effects per level are optional: an error
+of the light with standard deviation tau_H mu_p, and an error of the black level with standard
+deviation tau_0.
 
-The data of the `Problem` are a row for each level: mean, temporal variance, T, and the spatial
-variance of a dark level, NaN where unknown. `predict` gives their `Expected` distribution, and
-`LevelStatistics` compares the two.
+The data of the `Problem` have a row for each level: mean, temporal variance, T, and (for darks) the
+spatial variance, NaN where unknown. `predict` returns their sampling distribution as `Expected`,
+and `LevelStatistics` is the likelihood.
 
-An effect that is not in the parameter space is not traced. Where black is clipped, or read noise is
-too small to smooth the rounding (`window`), the moments of the affected levels come from
-`quantised_moments`. If the offsets of the pixels differ significantly there, their spread is a
-parameter. The spatial variance of each dark level, which rounding also changes, is then part of the
-data (`OffsetData`). At levels of few electrons, tables of codes may replace the moments
-(`CountedLevels`).
+An effect whose parameter is not in the parameter space adds nothing to the compiled program. If
+black is clipped, or read noise is too small to smooth the rounding (`window`), `quantised_moments`
+gives the exact moments of the affected levels. If the pixels' offsets differ significantly at such
+levels, their spread is a parameter. The spatial variance of each dark level, which rounding also
+changes, is then part of the data (`OffsetData`). At levels of few electrons, histograms of codes
+may replace means and variances (`CountedLevels`).
 """
 
 from typing import Any
@@ -64,7 +66,8 @@ class OffsetData(eqx.Module):
 
 
 class CountedLevels(eqx.Module):
-    """A Gaussian from tables of codes, which replaces the means and variances of dim levels."""
+    """The result of a fit to histograms of codes, a Gaussian that replaces the means and variances
+    of dim levels."""
 
     levels: Int[Array, " m"]  # their indices
     # (2 + m,) logarithms of the gain (DN/e-), of the read noise (e-) and of the electrons of each
@@ -76,7 +79,8 @@ class CountedLevels(eqx.Module):
 
 
 class NoiseData(eqx.Module):
-    """How the bright and the dark levels, in one row, were taken: the inputs of a `Problem`."""
+    """The inputs of the `Problem`: light, exposure and frames of the bright levels followed by the
+    dark levels, and what is known about the sensor."""
 
     light: Float[Array, " levels"]  # photons per pixel, or s where no photon count is known
     lit: Float[Array, " levels"]  # 1 for bright, 0 for dark
@@ -104,7 +108,7 @@ class NoiseData(eqx.Module):
 
 
 class Expected(eqx.Module):
-    """The sampling distribution of the statistics of each level."""
+    """The expectation and sampling variances of each level's statistics under the model."""
 
     mean: Float[Array, " levels"]  # DN
     variance: Float[Array, " levels"]  # temporal variance, DN^2
@@ -125,7 +129,7 @@ class Expected(eqx.Module):
 
 
 def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
-    """h(x), the compression behind the gain."""
+    """Return h(x), the signal after the compression behind the gain, DN."""
     if "compression" not in values:
         return x
     loss = values["compression"] * x / top
@@ -137,7 +141,7 @@ def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
 def level_moments(
     values: dict[str, Array], data: NoiseData, light: Array, lit: Array, exposure: Array
 ) -> Moments:
-    """The model at ONE level, away from the ends of the scale."""
+    """Return the moments at ONE level, without clipping at the ends of the scale."""
     gain, read = values["system_gain"], values["read_noise"]
     electrons = expected_electrons(values, data, light, lit, exposure)
     x = gain * electrons
@@ -154,7 +158,7 @@ def level_moments(
 
 
 def expected_neighbours(values: dict[str, Array], data: NoiseData) -> Float[Array, " levels"]:
-    """Return T, the covariance of a pixel with all others, summed."""
+    """Return T of each level, the sum of a pixel's covariances with all other pixels, DN^2."""
 
     def at(light: Array, lit: Array, exposure: Array) -> Array:
         mu = expected_electrons(values, data, light, lit, exposure)
@@ -169,7 +173,7 @@ def expected_neighbours(values: dict[str, Array], data: NoiseData) -> Float[Arra
 def expected_electrons(
     values: dict[str, Array], data: NoiseData, light: Array, lit: Array, exposure: Array
 ) -> Array:
-    """mu at ONE level."""
+    """Return mu, the expected electrons of a pixel, at ONE level."""
     responsivity = values[RESPONSIVITY.name if data.photons_known else SIGNAL_RATE.name]
     if "light_offset" in values:
         light = light + lit * values["light_offset"]
@@ -180,8 +184,8 @@ def expected_electrons(
 
 
 def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -> Moments:
-    """The model at all levels. Compile it: outside a compiled program JAX caches every single
-    `vmap`, which takes 3 kB.
+    """Return the moments at all levels. Call it in a compiled program, because outside one JAX
+    caches every `vmap` of a new function, which takes 3 kB each.
     """
     moments = jax.vmap(lambda p, lit, t: level_moments(values, data, p, lit, t))(
         light, data.lit, data.exposure
@@ -212,7 +216,7 @@ def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -
 
 
 def predict(values: dict[str, Array], inputs: NoiseData) -> Expected:
-    """The distribution of the statistics of all levels."""
+    """Return the sampling distribution of the statistics of all levels."""
     data, n, frames = inputs, inputs.pixels, inputs.frames
     light_variance = None
     if "light_scatter" in values:
@@ -275,7 +279,8 @@ def predict(values: dict[str, Array], inputs: NoiseData) -> Expected:
 
 
 class LevelStatistics(eqx.Module):
-    """The likelihood of rows of mean, temporal variance, T and spatial variance of each level."""
+    """The likelihood of the measured mean, temporal variance, T and spatial variance of each
+    level."""
 
     # factor on the log likelihood, as if errors were larger by 1 / sqrt(weight)
     weight: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=1.0)
@@ -283,7 +288,7 @@ class LevelStatistics(eqx.Module):
     surrogate = None
 
     def log_density(self, prediction: Expected, data: Float[Array, "levels 4"]) -> Array:
-        """Up to a constant."""
+        """Return the log likelihood of every datum, up to a constant."""
         terms, _ = self._terms_and_residuals(prediction, data)
         if prediction.tables is not None:
             levels, log_density = prediction.tables
@@ -294,13 +299,14 @@ class LevelStatistics(eqx.Module):
         return terms
 
     def residuals(self, prediction: Expected, data: Array, chance: Any) -> Array:
-        """Standard normal for every datum under the model."""
+        """Return residuals that are standard normal for every datum under the model; 0 for unknown
+        data."""
         del chance
         return self._terms_and_residuals(prediction, jnp.asarray(data))[1]
 
     def draw(self, key: Array, prediction: Expected) -> Array:
-        """Return simulated rows of independent Gaussian numbers; NaN where a number is not
-        predicted."""
+        """Return simulated data with independent Gaussian errors; NaN where the model predicts no
+        number."""
         of, nothing = prediction, jnp.full_like(prediction.mean, jnp.nan)
         columns = ((of.mean, of.of_mean), (of.variance, of.of_variance))
         columns += ((of.neighbours, of.of_neighbours),)
@@ -343,7 +349,8 @@ class LevelStatistics(eqx.Module):
     def _spatial(
         at: Expected, deviation: Array, rest: Array, of_rest: Array
     ) -> tuple[Array | None, Array | None]:
-        """The spatial variance and its sampling variance, given mean and temporal variance."""
+        """Return the expected spatial variance and its sampling variance, conditional on the
+        observed mean and temporal variance."""
         if at.of_spatial is None or at.spatial is None:
             return None, None
         own, with_mean, with_variance = at.of_spatial
@@ -354,13 +361,14 @@ class LevelStatistics(eqx.Module):
 
 
 def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
-    """Log of Jeffreys' prior of each scatter separately, per unit of its logarithm.
+    """Return the log of Jeffreys' prior, separate for each random scatter of levels, as a density
+    in the scatter's logarithm.
 
-    The likelihood is constant toward a scatter of 0, so a prior that is flat in the logarithm would
-    make the posterior improper, and one that is flat in the scatter would make intervals from few
-    levels too wide. A scatter tau adds tau^2 a to the variance v of each level, so its information
-    is sum 2 tau^2 a^2 / (v + tau^2 a)^2. The prior is flat in ln tau if the scatter dominates, and
-    falls as tau^2 if the noise does.
+    As a scatter approaches 0 the likelihood becomes constant, so a prior that is flat in the
+    scatter's logarithm would make the posterior improper. A prior that is flat in the scatter
+    itself would make intervals from few levels too wide. A scatter tau adds tau^2 a to the variance
+    v of each level, so its information is sum 2 tau^2 a^2 / (v + tau^2 a)^2. The prior is flat in
+    ln tau if the scatter dominates, and falls as tau^2 if the noise does.
 
     Source:
         Box & Tiao, "Bayesian Inference in Statistical Analysis", 1973, section 5.2.
@@ -386,8 +394,8 @@ def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
 def _log_density_of_tables(
     values: dict[str, Array], data: NoiseData, counted: CountedLevels
 ) -> Array:
-    """ln p of the tables of codes. The light of a kept-out level is unknown, so only gain and read
-    noise enter for it."""
+    """Return the log density of the fit to histograms of codes. The light of a held-out level is
+    treated as unknown, so that only gain and read noise are compared."""
     at = counted.levels
     light, lit, exposure = data.light[at], data.lit[at], data.exposure[at]
     electrons = jax.vmap(lambda *of: expected_electrons(values, data, *of))(light, lit, exposure)

@@ -1,15 +1,16 @@
-"""Covariances of neighbouring pixels, and estimates of the brighter-fatter effect from them.
+"""Covariances of neighbouring pixels, which determine the brighter-fatter effect and linear mixing.
 
 Of L frames at one level of light, with d_p the deviation of pixel p from its mean over the frames,
 
     C_ij = sum over the frames of d_p d_(p + (i, j)) / (L - 1)    averaged over p, (i, j), (i, -j),
 
-minus the variance of the frames' means, as for the variance C_00. Independent pixels have C_ij = 0
-within s^2 / sqrt((L - 1) pairs). The brighter-fatter effect (Antilogus 2014, Astier 2019) gives
-a_ij x^2 at a signal of x DN, to first order, with a_ij per electron. Mixing after charge collection
-gives a term proportional to x. Covariances that all frames have, such as row noise, are subtracted
-with the darks. The noise r^2 of h rows adds r^2 (r^2 + 2 s^2 / w) / (h (L - 1)) to the sampling
-variance of C_ij, and twice that of C_0j.
+minus the variance of the frames' means, which is also subtracted from the variance C_00.
+Independent pixels have C_ij = 0 within s^2 / sqrt((L - 1) pairs). At a signal of x DN, the
+brighter-fatter effect (Antilogus 2014, Astier 2019) contributes a_ij x^2 to first order, with a_ij
+per electron. Linear mixing after charge collection contributes a term proportional to x.
+Covariances that darks have too, such as those of row noise, are subtracted. Row noise of variance
+r^2 in h rows adds r^2 (r^2 + 2 s^2 / w) / (h (L - 1)) to the sampling variance of C_ij, and twice
+as much to that of C_0j.
 """
 
 from math import factorial
@@ -43,7 +44,7 @@ class NeighbourData(eqx.Module):
 
 
 def are_known(around: NeighbourData | None) -> bool:
-    """Whether covariances of neighbouring pixels are among the data of a fit."""
+    """Return whether covariances of neighbouring pixels are among the data of a fit."""
     return around is not None and around.total is not None
 
 
@@ -53,10 +54,10 @@ COPIES[0, 0] = 0
 
 
 def above_dark(measurement: PhotonTransfer) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Covariances of bright levels minus those of the darks, the sampling variances of each, and
-    those of their sums over all neighbours. None without frames of adjacent pixels, or where the
-    light flickers: this also makes pixels covary, more strongly than charges do, and differs
-    between frames."""
+    """Return the covariances of bright levels minus those of the darks, their sampling variances,
+    and the sampling variances of their sums over all neighbours. Return None if there are no frames
+    of adjacent pixels. Also return None if the light flickers, because flicker makes neighbouring
+    pixels covary more strongly than charges do."""
     bright, dark = measurement.bright, measurement.dark
     if bright.covariances is None or dark.covariances is None or bright.flicker is not None:
         return None
@@ -96,9 +97,9 @@ def above_dark(measurement: PhotonTransfer) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def are_significant(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
-    """Whether nearest neighbours covary significantly along rows, along columns or along both, in
-    proportion to the signal's variance (mixing) or to its square (repulsion). The sum over all
-    neighbours, which a fit explains, is less precise.
+    """Return whether nearest neighbours covary significantly along rows, along columns or along
+    both, in proportion to the shot variance (mixing) or to its square (repulsion). This test is
+    more precise than one of the sum over all neighbours, which is the datum of a fit.
     """
     above = above_dark(measurement)
     if above is None:
@@ -114,7 +115,7 @@ def are_significant(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
 
 
 def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> NeighbourData:
-    """The covariances of a measurement in the form that a fit needs."""
+    """Return the covariances of a measurement as inputs of the likelihood."""
     terms = jnp.asarray(variance_terms(area_shape(measurement, usable)))
     above = above_dark(measurement)
     if above is None:
@@ -134,7 +135,8 @@ def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> Neighbour
 def own_variance(
     values: dict[str, Array], around: NeighbourData | None, electrons: Array, top: Array
 ) -> Array:
-    """V(mu), the variance of the charges of pixels."""
+    """Return V(mu), the variance of a pixel's charge at mu electrons, e-^2, after repulsion and
+    mixing."""
     own = electrons
     if "brighter_fatter" in values and around is not None:
         change = -values["brighter_fatter"] * values["system_gain"] * electrons / top
@@ -143,19 +145,20 @@ def own_variance(
 
 
 def area_shape(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
-    """a_ij / a_00 of a camera. The areas of all pixels together do not change."""
+    """Return a_ij / a_00 of a camera, as estimated from its covariances. They sum to 0 over all
+    pixels, because the total area does not change."""
     shape = -shares(measurement, usable, power=2)
     shape[0, 0] = 1
     return shape
 
 
 def shares(measurement: PhotonTransfer, usable: np.ndarray, *, power: int) -> Lags:
-    """How the covariances above dark that grow with a power (1 or 2) of the signal are distributed
-    over the neighbours, with the sum 1; 0 for the pixel itself.
+    """Return the distribution over the neighbours of the covariances that grow with the signal
+    (`power` 1) or with its square (2). It sums to 1 and is 0 at the pixel itself.
 
-    Each covariance is shrunk by the part of its square that chance explains. If none is
-    significant, or none is known, the four nearest neighbours share equally. For repulsion, the
-    distribution matters only at second order in a_00.
+    Each covariance is multiplied by the fraction of its square that chance does not explain. If
+    their sum is not significant, or if they are unknown, the four nearest neighbours have equal
+    shares. For repulsion, the distribution affects variances only at second order in a_00.
     """
     even = np.zeros((REACH + 1, REACH + 1))
     even[0, 1] = even[1, 0] = 0.25
@@ -174,8 +177,8 @@ def shares(measurement: PhotonTransfer, usable: np.ndarray, *, power: int) -> La
 def _powers_of(
     signal: np.ndarray, found: np.ndarray, variances: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Return r with its error and b with its error in C = r x + b x^2, at each offset, by weighted
-    least squares."""
+    """Fit C = r x + b x^2 to the covariances at each offset by weighted least squares; return (r,
+    its error) and (b, its error)."""
     x, weight = signal[:, None, None], 1 / variances
     moments = [np.sum(weight * x**power, axis=0) for power in (2, 3, 4)]
     first, second = (np.sum(weight * x**power * found, axis=0) for power in (1, 2))
@@ -189,8 +192,8 @@ def _powers_of(
 
 
 def variance_terms(shape: Lags) -> Float[np.ndarray, " terms"]:
-    """C_00 / mu in powers of a_00 mu: 2^m / (m + 1)! times (a * ... * a)_00 / a_00^m with m factors
-    a (Astier et al. 2019).
+    """Return the coefficients of C_00 / mu in powers m of a_00 mu, the highest first. They are 2^m
+    / (m + 1)! times (a * ... * a)_00 / a_00^m, a convolution of m factors a (Astier et al. 2019).
     """
     lags = np.arange(-REACH, REACH + 1)
     around = np.zeros((PERIOD, PERIOD))

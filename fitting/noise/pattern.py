@@ -1,17 +1,18 @@
-"""Fixed pattern of a sensor, DSNU and PRNU, from the spatial variances of its levels.
+"""Fixed pattern of a sensor (DSNU and PRNU) from the spatial variances at its light levels.
 
     s^2 = s^2_measured - var_y / L                 pattern without the noise of L averaged frames
     s^2 = s_dark^2 + PRNU^2 (mu_y - mu_y.dark)^2   sum of the variations of dark signal and gain
 
 The standard (EMVA 1288, release 3.1) uses one dark level and one at half of saturation. The
-weighted fit uses all levels. Uneven light counts as PRNU in both. Both are estimates for the
-population of which the die is a sample. The variance over n pixels contains only 1 - 1 / w of the
-variance of w unequal columns. The detected contribution of rows and columns is therefore scaled up
-to that of their population. Each part has the error of a chi-square with n or w - 1 degrees of
-freedom (`parts`).
+weighted fit uses all darks and all bright levels below saturation. Both count uneven light as PRNU.
+Both estimate the variance of the population of pixels, of which this sensor's pixels are a sample.
+The variance over the pixels of a frame contains only the share 1 - 1 / w of the variance of w
+unequal columns. Therefore significant contributions of rows and columns are scaled up to those of
+their population. The sampling error of each part (`parts`) is that of a chi-square with n degrees
+of freedom for n pixels, or w - 1 for w columns.
 
-Independent offsets and gains have a random covariance c in a sample, which adds 2 c (mu_y -
-mu_y.dark) to s^2. Its mean is 0, and it counts as an error.
+In a sample of pixels, even independent offsets and gains have a random covariance c, which adds 2 c
+(mu_y - mu_y.dark) to s^2. The mean of c is 0, so c is treated as an error.
 """
 
 from collections.abc import Sequence
@@ -32,7 +33,7 @@ SEEN = 2.0  # standard errors above zero from which a pattern variance is a find
 
 @dataclass(frozen=True)
 class Spread:
-    """Variance of a property of the pixels over their population.
+    """The variance of the pixels' offsets or of their gains over the population of pixels.
 
     Attributes:
         variance: DN^2 for offsets; relative for gains.
@@ -50,12 +51,13 @@ class Spread:
 
     @property
     def error(self) -> float:
-        """Standard error, including the sampling of the die from its population."""
+        """Standard error of the population's variance, including the sampling of this sensor's
+        pixels."""
         return float(np.sqrt(self.noise**2 + sampling_variance(self.parts)))
 
     @property
     def significant(self) -> bool:
-        """Whether it is significant."""
+        """Whether the variance exceeds 0 significantly."""
         return self.variance > SEEN * self.noise
 
     @property
@@ -65,7 +67,7 @@ class Spread:
 
     @property
     def hidden_by_noise(self) -> bool:
-        """Whether temporal noise limits it, so that more frames would help."""
+        """Whether temporal noise limits the bound, so that more frames would lower it."""
         return self.temporal is None or self.bound < MOSTLY * self._below(self.temporal)
 
     def _below(self, noise: float) -> float:
@@ -74,7 +76,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class PatternVariance:
-    """The parts of the spatial variances of levels.
+    """The fixed pattern of a sensor: the variances of dark signal and of gain.
 
     Attributes:
         dark: s_dark^2, DN^2.
@@ -121,14 +123,15 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
 
 
 def unequal_offsets(dark: Levels) -> tuple[Found, Found]:
-    """The inequality of rows and of columns of the darks, from all levels together."""
+    """Return the fixed variance of rows and of columns of the darks, from all exposures
+    together."""
     return fixed_lines(dark, 0), fixed_lines(dark, 1)
 
 
 def _population_spread(
     levels: Levels, of_die: float, noise: float, lines: Sequence[Found]
 ) -> Spread:
-    """The variance over the pixels of a die, scaled to that of their population."""
+    """Scale the variance over a sensor's pixels to that of their population."""
     n = float(levels.pixels)
     counts = () if levels.shared is None else levels.shared.shape
     parts = [
@@ -143,7 +146,8 @@ def _population_spread(
 
 
 def _chance_covariance(dark: Spread, response: Spread, pixels: float) -> float:
-    """Variance, over dies, of the sample covariance of independent offsets and gains, DN^2."""
+    """Return the variance between sensors of the sample covariance of offsets and gains, DN^2, if
+    the two are independent."""
     lines = zip(dark.parts[1:], response.parts[1:], strict=False)
     return max(dark.variance, 0.0) * max(response.variance, 0.0) / pixels + sum(
         one.variance * other.variance / one.degrees for one, other in lines
@@ -153,7 +157,8 @@ def _chance_covariance(dark: Spread, response: Spread, pixels: float) -> float:
 def unequal_gains(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Found, Found]:
-    """The inequality of the gains of rows and of columns, from all levels together."""
+    """Return the relative fixed variance of the gains of rows and of columns, from all levels
+    together."""
     bright, dark = measurement.bright, measurement.dark
     signal = signal_of(measurement)
     usable = usable[signal[usable] > 0]  # flats without light hold no information on gains
@@ -168,7 +173,8 @@ def unequal_gains(
         across = lit[1 - axis][2]
 
         def of(levels: Levels, lines: list) -> tuple[np.ndarray, np.ndarray]:
-            """The fixed part of the lines, and its share in the average frame."""
+            """Return the fixed variance of the lines, and the temporal variance left in the average
+            frame."""
             fixed, varying, _ = lines[axis]
             passing = np.maximum(varying, 0) + np.asarray(levels.variance) / across
             return fixed, passing / np.asarray(levels.frames)
@@ -187,7 +193,8 @@ def unequal_gains(
 
 
 def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """(fixed variance, temporal variance, count) of rows and of columns."""
+    """Return (fixed variances, temporal variances, number) of rows and of columns; empty if they
+    are unknown."""
     if levels.shared is None:
         return []
     fixed, varying, counts = (
@@ -197,8 +204,8 @@ def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:
 
 
 def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVariance:
-    """Return the pattern from the standard's two levels: those with the most frames, then the
-    bright level closest to half of saturation."""
+    """Return the pattern by the standard's method, from one bright level and its dark. The bright
+    level is the one with the most frames and, of these, the closest to half of saturation."""
     bright, dark = measurement.bright, measurement.dark
     pattern, by_noise = pattern_variance(bright)
     dark_pattern, dark_by_noise = pattern_variance(dark)
@@ -225,7 +232,8 @@ def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVari
 def fitted_pattern(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> PatternVariance:
-    """The pattern by weighted least squares over all darks and many bright levels."""
+    """Estimate the pattern by weighted least squares over all darks and the `usable` bright
+    levels."""
     bright, dark = measurement.bright, measurement.dark
     pattern, by_noise = pattern_variance(bright)
     dark_pattern, dark_by_noise = pattern_variance(dark)
@@ -242,7 +250,8 @@ def fitted_pattern(
     by_temporal = np.sqrt(np.diagonal(by_temporal))
 
     def fit(chance: float) -> tuple[Spread, Spread, float]:
-        """Offsets, gains and chi-square, given the variance of their random covariance."""
+        """Fit the variances of offsets and gains, given the variance `chance` of their random
+        covariance; also return chi-square."""
         weights = np.linalg.inv(np.diag(by_noise) + 4 * chance * np.outer(signal, signal))
         covariance = np.linalg.inv(design.T @ weights @ design)
         found = covariance @ (design.T @ (weights @ observed))

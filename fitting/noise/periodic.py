@@ -1,11 +1,13 @@
-"""Detection of unstated periodic structure: several amplifiers, colour mosaics, interlaced rows,
-halves with separate converters, and gains that vary with the distance from the centre.
+"""Detection of classes of pixels that differ although the rig does not state it: several
+amplifiers, colour mosaics, interlaced rows, halves with separate converters, and gains that vary
+with the distance from the centre.
 
-If neighbouring columns use two amplifiers, or pixels of a mosaic see two colours, rows or columns
-repeat with a period of 2 to 8. Statistics of the pixels are kept by row and by column, each modulo
-16 and modulo 30, and by position in a cell of 4 x 4. Members of one class are replicates. Their
-scatter contains noise and unequal lines, so an F-test detects a period. If the gains K of classes
-or halves differ, a common K is not the gain of any pixel.
+If neighbouring columns have different amplifiers, or if pixels form a colour mosaic, properties of
+rows or columns repeat with a period of 2 to 8. Therefore means are computed for classes of pixels:
+by row and by column, each modulo 16 and modulo 30, and by position in a cell of 4 x 4. For a period
+p, the classes whose numbers are equal modulo p are replicates. Their scatter contains noise and
+irregular differences of lines, so an F-test against it detects the period. If the gains K of two
+classes differ, a common K is the gain of neither.
 """
 
 from dataclasses import dataclass
@@ -62,7 +64,8 @@ WHOLES = {
 def residues(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
 ) -> Float[np.ndarray, "2 5 residues"]:
-    """Means by row and by column modulo 16, by position in a cell of 4 x 4, and by row and by
+    """Return the means of the average frame, and of its temporal variance, for five kinds of pixel
+    classes: by row and by column modulo 16, by position in a cell of 4 x 4, and by row and by
     column modulo 30.
     """
     found = np.full((2, 5, LONGER), np.nan)
@@ -89,21 +92,22 @@ def _cell_sums(plane: np.ndarray) -> np.ndarray:
 
 
 def _quotient(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Means; NaN where nothing was counted."""
+    """Divide sums by counts; NaN where the count is 0."""
     return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
 
 
 def _mean(values: np.ndarray, count: np.ndarray) -> float:
-    """Mean over the valid pixels; NaN if there are none."""
+    """Return the mean over the pixels marked in `count`; NaN if there are none."""
     return float(np.where(count, values, 0.0).sum() / count.sum()) if count.any() else np.nan
 
 
 def quarters(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
 ) -> Float[np.ndarray, "2 8"]:
-    """Means over the quarters of a frame (top left, top right, bottom left, bottom right), and over
-    the inner and the outer half of its pixels. Then the steps of the average from left to right and
-    from top to bottom at the middle, with their p-values.
+    """Return means of the average frame, and of its temporal variance, over the quarters (top left,
+    top right, bottom left, bottom right), and over the inner and the outer half of the pixels. The
+    last two numbers of each are the steps of the average at the vertical and the horizontal middle
+    line, and the p-values of these steps.
     """
     (h, w), found = average.shape, np.full((2, 8), np.nan)
     if min(h, w) > 1:
@@ -129,8 +133,8 @@ def _inner_half(h: int, w: int) -> Bool[np.ndarray, "h w"]:
 
 
 def _step(lines: np.ndarray) -> tuple[float, float]:
-    """The step of the lines at their middle relative to changes elsewhere, with its two-sided
-    p-value. Differences of neighbouring blocks elsewhere are the replicates."""
+    """Return the step of the lines' means at the middle of the frame, and its two-sided p-value.
+    The differences between neighbouring blocks of lines elsewhere give its error."""
     size = max(len(lines) // BLOCKS // 2 * 2, 2)  # even, for structure that repeats after two lines
     before = -(-len(lines) // 2) - size
     start = before % (2 * size)
@@ -149,7 +153,7 @@ def _step(lines: np.ndarray) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Periodic:
-    """The structures that repeat."""
+    """A structure in which classes of pixels differ from each other."""
 
     # "rows", "columns", "mosaic", "left and right", "top and bottom", "quadrants" or "centre and
     # border"
@@ -169,7 +173,8 @@ class Periodic:
 def periodic_structure(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Periodic, ...]:
-    """Rows, columns, cells and halves that differ significantly and by enough to matter."""
+    """Find rows, columns, mosaic sites and parts of the frame that differ significantly and by
+    enough to matter."""
     bright, dark = measurement.bright, measurement.dark
     if bright.residues is None or dark.residues is None or not len(usable):
         return ()
@@ -193,7 +198,7 @@ def periodic_structure(
         return tuple(_unequal_parts(measurement, usable, matched))
 
     def that_matter(classes: dict[str, tuple[float, ...]], signals: tuple[float, ...]) -> dict:
-        """The quantities whose differences are large enough to matter."""
+        """Return the quantities whose differences between classes are large enough to matter."""
         bent = BENT * _spread("signals", signals)
         small = least | {"gains": max(least["gains"], bent)}
         return {name: own for name, own in classes.items() if _spread(name, own) > small[name]}
@@ -219,7 +224,8 @@ def periodic_structure(
 
 
 def _spread(name: str, values: tuple[float, ...]) -> float:
-    """The spread of the classes: relative for gains, as signals already are."""
+    """Return the rms deviation between the classes, relative to the mean for gains. Signals are
+    already relative."""
     return float(np.std(values) / (np.mean(values) if name == "gains" else 1.0))
 
 
@@ -229,8 +235,8 @@ def _classes(values: Float[np.ndarray, "5 residues"], kind: int, period: int) ->
 
 
 def _period(values: Float[np.ndarray, "5 residues"], kind: int) -> int:
-    """The shortest period of rows (kind 0) or columns (1) that explains all structure; 0 if there
-    is none."""
+    """Return the shortest period of rows (`kind` 0) or columns (1) that explains all periodic
+    differences; 0 if there are none."""
     found, longer = _shortest(values[kind, :RESIDUES], PERIODS), values[3 + kind]
     if found > 2 or not np.isfinite(longer).all():
         return found
@@ -242,7 +248,8 @@ def _period(values: Float[np.ndarray, "5 residues"], kind: int) -> int:
 
 
 def _shortest(values: Float[np.ndarray, " residues"], periods: tuple[int, ...]) -> int:
-    """The shortest of periods that divide each other; 0 if none is significant."""
+    """Return the shortest of some periods, each a multiple of the one before, that explains all
+    differences; 0 if none is significant."""
     count = len(values)
     chosen, explained = 0, np.full(count, values.mean())
     for period in periods:
@@ -256,8 +263,8 @@ def _shortest(values: Float[np.ndarray, " residues"], periods: tuple[int, ...]) 
 
 
 def _cell_classes(values: Float[np.ndarray, " residues"]) -> tuple[float, ...]:
-    """Means of the four sites of a 2 x 2 cell if rows and columns together do not explain them;
-    else none."""
+    """Return the means of the four sites of a 2 x 2 cell if they are not a sum of a row and a
+    column effect; else an empty tuple."""
     cell = values.reshape(CELL // 2, 2, CELL // 2, 2)  # (., row, ., column)
     sites = cell.mean(axis=(0, 2))
     contrast = sites[0, 0] + sites[1, 1] - sites[0, 1] - sites[1, 0]
@@ -269,8 +276,8 @@ def _cell_classes(values: Float[np.ndarray, " residues"]) -> tuple[float, ...]:
 def _unequal_parts(
     measurement: PhotonTransfer, usable: np.ndarray, matched: np.ndarray
 ) -> list[Periodic]:
-    """Halves or quarters with different gains, which uneven light cannot cause, or with a step
-    between their black levels; and a centre with a different gain."""
+    """Find halves or quarters of the frame with different gains or with a step between their black
+    levels, and a centre whose gain differs from the border. Uneven light cannot cause these."""
     bright, dark = measurement.bright, measurement.dark
     if bright.quarters is None or dark.quarters is None:
         return []
@@ -333,13 +340,14 @@ def _gains_of_parts(
 
 
 def taps_in_words(taps: tuple[int, int] | str | None) -> str:
-    """Return `taps` as a rig states them."""
+    """Write `taps` as a rig file states them."""
     return f'"{taps}"' if isinstance(taps, str) else str(list(taps or ()))
 
 
 def taps_of(found: tuple[Periodic, ...], *, apart: int = 1) -> tuple[int, int] | str | None:
-    """The `camera.taps` that describes the differing pixels; None if none does. Pixels of a site
-    are `apart` pixels from each other: 2 in a mosaic."""
+    """Return the value of `camera.taps` that describes the classes of differing pixels; None if
+    none does. `apart` is the distance in the frame between neighbouring pixels of these data: 2 for
+    one site of a mosaic, else 1."""
     periods = {one.where: apart * one.period for one in found if one.period}
     if "mosaic" in periods:
         return (2 * apart, 2 * apart)
@@ -349,15 +357,15 @@ def taps_of(found: tuple[Periodic, ...], *, apart: int = 1) -> tuple[int, int] |
 
 
 def unequal_gains_of(found: tuple[Periodic, ...]) -> float:
-    """Relative rms deviation of the gains of all classes."""
+    """Return the relative rms deviation of the gains of all classes together."""
     return float(np.sqrt(sum(one.unequal**2 for one in found)))
 
 
 def periodic_in_words(
     found: tuple[Periodic, ...], gain: float, *, apart: bool = False, spacing: int = 1
 ) -> list[str]:
-    """Return one or two sentences for each structure; `spacing` is the distance of the pixels in
-    the frame."""
+    """Return one or two sentences for each structure. `spacing` is the distance in the frame
+    between neighbouring pixels of these data."""
     sentences = []
     for one in found:
         who = WHOLES.get(one.where, f"The {one.where} halves")
