@@ -1,8 +1,8 @@
-"""Prior densities of one number, in its own unit.
+"""Prior densities for one number, in the number's own unit.
 
-Each is a record of plain numbers with two functions: `log_density(x)`, normalised over all x, and
-`quantile(p)`, its inverse distribution function in NumPy, from which starts are spread. A record of
-your own with the same two functions works as well.
+A prior is a record of plain numbers with two functions: `log_density(x)`, normalised over all x,
+and `quantile(p)`, its inverse distribution function in NumPy. Searches start at quantiles. A record
+of your own with the same two functions works as well.
 """
 
 import math
@@ -23,14 +23,14 @@ HALF_LOG_2PI = math.log(2 * math.pi) / 2
 
 @runtime_checkable
 class Prior(Protocol):
-    """The density of one number."""
+    """A density of one number. Any record with these two functions is a prior."""
 
     def log_density(self, x: Array) -> Array:
-        """ln p(x), (...), for x (...) in the unit of the number."""
+        """Return ln p(x), (...), for x (...) in the unit of the number."""
         ...
 
     def quantile(self, p: np.ndarray) -> np.ndarray:
-        """Return the x with cumulative probability p."""
+        """Return the x (...) with cumulative probabilities p (...)."""
         ...
 
 
@@ -42,7 +42,7 @@ def _check(what: str, **positive: float) -> None:
 
 @dataclass(frozen=True)
 class Normal:
-    """exp(-((x - mean) / sd)^2 / 2) / (sqrt(2 pi) sd).
+    """A normal density: exp(-((x - mean) / sd)^2 / 2) / (sqrt(2 pi) sd).
 
     Attributes:
         mean: in the unit of the parameter.
@@ -61,17 +61,18 @@ class Normal:
         _check("Normal", sd=self.sd)
 
     def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
-        """ln p(x)."""
+        """Return ln p(x)."""
         return -(((x - self.mean) / self.sd) ** 2) / 2 - HALF_LOG_2PI - math.log(self.sd)
 
     def quantile(self, p: Probabilities) -> Probabilities:
-        """Inverse distribution function."""
+        """Return the x with cumulative probability p."""
         return self.mean + self.sd * ndtri(p)
 
 
 @dataclass(frozen=True)
 class LogNormal:
-    """ln x is Normal with mean ln median and standard deviation log_sd; x > 0.
+    """A log-normal density for x > 0: ln x is normal with mean ln median and standard deviation
+    log_sd.
 
     Attributes:
         median: in the unit of the parameter, positive.
@@ -91,20 +92,20 @@ class LogNormal:
         _check("LogNormal", median=self.median, log_sd=self.log_sd)
 
     def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
-        """ln p(x), -inf for x <= 0."""
+        """Return ln p(x), -inf for x <= 0."""
         log_x = jnp.log(jnp.where(x > 0, x, 1))
         z = (log_x - math.log(self.median)) / self.log_sd
         inside = -(z**2) / 2 - log_x - HALF_LOG_2PI - math.log(self.log_sd)
         return jnp.where(x > 0, inside, -jnp.inf)
 
     def quantile(self, p: Probabilities) -> Probabilities:
-        """Inverse distribution function."""
+        """Return the x with cumulative probability p."""
         return self.median * np.exp(self.log_sd * ndtri(p))
 
 
 @dataclass(frozen=True)
 class Uniform:
-    """Equally likely everywhere between two ends.
+    """A constant density between two ends.
 
     The ends act as bounds of the parameter.
 
@@ -129,18 +130,18 @@ class Uniform:
             )
 
     def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
-        """ln p(x), -inf outside."""
+        """Return ln p(x), -inf outside the ends."""
         inside = (x >= self.lower) & (x <= self.upper)
         return jnp.where(inside, -math.log(self.upper - self.lower), -jnp.inf)
 
     def quantile(self, p: Probabilities) -> Probabilities:
-        """Inverse distribution function."""
+        """Return the x with cumulative probability p."""
         return self.lower + (self.upper - self.lower) * p
 
 
 @dataclass(frozen=True)
 class HalfNormal:
-    """The positive half of a Normal about 0, for scales that may vanish.
+    """The positive half of a normal density about 0, for scales that may vanish.
 
     The parameter is bounded below by 0.
 
@@ -159,18 +160,18 @@ class HalfNormal:
         _check("HalfNormal", sd=self.sd)
 
     def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
-        """ln p(x), -inf for x < 0."""
+        """Return ln p(x), -inf for x < 0."""
         inside = math.log(2) - ((x / self.sd) ** 2) / 2 - HALF_LOG_2PI - math.log(self.sd)
         return jnp.where(x >= 0, inside, -jnp.inf)
 
     def quantile(self, p: Probabilities) -> Probabilities:
-        """Inverse distribution function."""
+        """Return the x with cumulative probability p."""
         return self.sd * ndtri((1 + p) / 2)
 
 
 @dataclass(frozen=True)
 class Gamma:
-    """x^(shape - 1) exp(-x / scale), normalised; x > 0.
+    """A gamma density for x > 0: x^(shape - 1) exp(-x / scale), normalised.
 
     The parameter is bounded below by 0. Its mean is shape * scale.
 
@@ -192,18 +193,18 @@ class Gamma:
         _check("Gamma", shape=self.shape, scale=self.scale)
 
     def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
-        """ln p(x), -inf for x <= 0."""
+        """Return ln p(x), -inf for x <= 0."""
         log_z = jnp.log(jnp.where(x > 0, x / self.scale, 1))
         norm = gammaln(jnp.asarray(self.shape, x.dtype)) + math.log(self.scale)
         inside = (self.shape - 1) * log_z - x / self.scale - norm
         return jnp.where(x > 0, inside, -jnp.inf)
 
     def quantile(self, p: Probabilities) -> Probabilities:
-        """Inverse distribution function."""
+        """Return the x with cumulative probability p."""
         return self.scale * gammaincinv(self.shape, p)
 
 
 def support(prior: Prior) -> tuple[float, float]:
-    """Lower and upper end of a prior's support, in the unit of the number."""
+    """Return the lower and upper end of a prior's support, in the unit of the number."""
     lower, upper = (float(prior.quantile(np.array(p))) for p in (0.0, 1.0))
     return lower, upper

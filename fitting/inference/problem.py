@@ -1,11 +1,11 @@
-"""A problem: the parameters, the prediction, the likelihood and the data.
+"""State a problem: the parameters, the prediction, the likelihood and the data.
 
 u -> values -> prediction -> ln p(data | values) + ln p(u)
 
-The model is written once, as `predict`. Residuals, cost and log density follow from it.
-`predict` is any JAX function, and the names of its arguments select its inputs: `values`
-(natural values by name), `inputs`, a record (such as a scene that contains the parameters), or
-the value of one parameter.
+Here u is the vector of unconstrained parameters. The user writes the model once, as `predict`.
+Residuals, cost and log density follow from it. `predict` is any JAX function, and the names of its
+arguments select what it receives: `values` (natural values by name), `inputs`, a record (such as a
+scene that contains the parameters), or the value of one parameter.
 """
 
 import inspect
@@ -37,7 +37,7 @@ Vector = Float[Array, " parameters"]
 
 
 class Tied(eqx.Module):
-    """A number that is computed from others.
+    """A number that is computed from other parameters.
 
     Attributes:
         of: function of natural values and fixed numbers, by name, that returns the number.
@@ -51,7 +51,7 @@ class Tied(eqx.Module):
 
 
 class Problem(eqx.Module):
-    """A problem to fit.
+    """A problem to fit: parameters, prediction, likelihood and data.
 
     Attributes:
         free: the parameters, each with its name and shape.
@@ -126,9 +126,9 @@ class Problem(eqx.Module):
 
         `start`: a JAX function that returns natural values by name, for some parameters or all,
         from which the first search begins. Its arguments are `data` (with NaN for missing data) and
-        those of `predict` that are not parameters. Each pixel of `fit_map` has its own start. NaN
-        means no value, and a value outside a bound is moved inside. None begins at the starts of
-        the parameters.
+        those of `predict` that are not parameters. `fit_map` calls it for each pixel. NaN means no
+        value, and a value outside a bound is moved inside. If `start` is None, the first search
+        begins at the starts of the parameters.
 
         `prior`: the posterior of an earlier fit, `earlier.as_prior("camera.*")`, or the draws of a
         camera file, `as_prior({"sensor": read_sensor("sensor.toml", draws=500)}, "sensor.*")`. It
@@ -136,12 +136,12 @@ class Problem(eqx.Module):
         of the prior that are not free in this problem are marginalised. A name that was given to
         `as_prior` without `*` must be a free parameter of this problem.
 
-        `chunk`: number of rows of data to read at a time, which bounds the memory; 50,000 suits
-        most problems. None reads all data at once. With `chunk`, the data are an array (it may be
-        memory-mapped) or a function without arguments that yields arrays or pairs (data, inputs),
-        the same at every call. Every input or likelihood array with one row per row of data is
-        split in the same way. Other arrays are passed whole. `predict` must predict each row from
-        its own inputs.
+        `chunk`: number of rows of data to read at a time, which limits the memory needed; 50,000
+        suits most problems. None reads all data at once. With `chunk`, the data are an array (it
+        may be memory-mapped) or a function without arguments that yields arrays or pairs (data,
+        inputs), the same at every call. Every array of the inputs or the likelihood that has one
+        row per row of data is split in the same way. Other arrays are passed whole. `predict` must
+        predict each row from its own inputs.
         """
         self.left_out = left_out
         self.records = dict(records or {})
@@ -188,7 +188,8 @@ class Problem(eqx.Module):
         _check_shapes(self)
 
     def with_data(self, data: Any, *, inputs: Any = None) -> "Problem":
-        """The same problem with other data. If the shapes are equal, its fit compiles nothing.
+        """Return the same problem with other data. If the shapes are equal, its fit needs no
+        compilation.
 
         Args:
             data: of the prediction's shape; NaN where missing. For a problem in chunks, in the form
@@ -201,7 +202,7 @@ class Problem(eqx.Module):
         return self._replaced(data=data, **({} if inputs is None else {"inputs": inputs}))
 
     def with_records(self, records: Mapping[str, Any], *, left_out: Any = None) -> "Problem":
-        """The same problem with other records for its paths.
+        """Return the same problem with other records.
 
         Args:
             records: all of them, by name.
@@ -213,8 +214,8 @@ class Problem(eqx.Module):
         return self._replaced(records=records, left_out=left_out)
 
     def without(self, name: str) -> "Problem":
-        """Return the same problem without a candidate, whose parameter is fixed at its `absent`
-        value.
+        """Return the same problem without a candidate. The candidate's parameter is fixed at its
+        `absent` value.
 
         Args:
             name: of the candidate.
@@ -237,7 +238,7 @@ class Problem(eqx.Module):
         return self._replaced({name: np.full(_shape(one.parameter), one.absent)})
 
     def with_priors(self, change: Callable[[Any], Any]) -> "Problem":
-        """The same problem with other priors.
+        """Return the same problem with other priors.
 
         Args:
             change: function that takes a prior and returns its replacement.
@@ -285,7 +286,9 @@ def _shape(parameter: Parameter) -> tuple[int, ...]:
 
 
 def _check_shapes(problem: Problem) -> None:
-    """Check both shapes with one trace, because tracing a picture takes time."""
+    """Check the shapes of the prediction and of the log density in one trace, because tracing a
+    picture takes time.
+    """
 
     def terms(vector: Vector, problem: Problem) -> Array:
         values = values_at(problem, vector)
@@ -328,12 +331,12 @@ def _check_shapes(problem: Problem) -> None:
 
 
 def values_at(problem: Problem, vector: Vector) -> Values:
-    """Natural values of every parameter by name, including fixed and tied numbers."""
+    """Return the natural values of every parameter by name, including fixed and tied numbers."""
     return values_from(problem, to_natural(problem.space, vector))
 
 
 def values_from(problem: Problem, natural: Vector) -> Values:
-    """Like `values_at`, from natural numbers (P,)."""
+    """Return the same as `values_at`, from natural numbers (P,)."""
     values, begin = {}, 0
     for parameter in problem.free:
         size = int(np.prod(_shape(parameter)))
@@ -352,14 +355,16 @@ def values_from(problem: Problem, natural: Vector) -> Values:
 
 
 def give(problem: Problem, function: Callable[..., Any], values: Values, inputs: Any) -> Any:
-    """Call a function with the arguments that it names."""
+    """Call a function with those values, inputs and records that its arguments name."""
     known = {"values": values, "inputs": inputs, **values, **records_at(problem, values)}
     who = "predict" if function is problem.predict else "The function"
     return _called(function, known, who)
 
 
 def _called(function: Callable[..., Any], known: Mapping[str, Any], who: str) -> Any:
-    """Call a function with its named arguments; an error says what JAX cannot trace."""
+    """Call a function with its named arguments. If JAX cannot trace the function, the error says
+    why.
+    """
     asked, rest = named_and_rest(function)
     for unknown in {argument.name for argument in asked} - known.keys():
         raise InputError(f"A function asks for {unknown!r}; {nearest(unknown, known)}.")
@@ -381,7 +386,7 @@ def _called(function: Callable[..., Any], known: Mapping[str, Any], who: str) ->
 
 
 def start_of_data(problem: Problem) -> Values:
-    """The result of the problem's `start` for its data."""
+    """Return the start values that the problem's `start` computes from its data."""
     assert problem.start is not None
     data = problem.data
     if problem.present is not None:
@@ -401,20 +406,21 @@ def start_of_data(problem: Problem) -> Values:
 
 
 def prediction(problem: Problem, values: Values, *, inputs: Any = None) -> Array:
-    """The prediction that the likelihood compares with the data: of their shape and in their unit,
-    or a record that the likelihood takes."""
+    """Return the prediction that the likelihood compares with the data: an array of their shape and
+    in their unit, or a record for a likelihood that takes one.
+    """
     return give(problem, problem.predict, values, problem.inputs if inputs is None else inputs)
 
 
 def records_at(problem: Problem, values: Values) -> dict[str, Any]:
-    """The records with the given natural values."""
+    """Return the records with the given natural values at their paths."""
     return replaced(
         problem.records, {name: value for name, value in values.items() if is_path(name)}
     )
 
 
 def likelihood_at(problem: Problem, values: Values) -> Likelihood:
-    """The likelihood with the values of the parameters and records that it names."""
+    """Return the likelihood with values in place of the names of parameters and records."""
 
     def value_of(name: str) -> Any:
         return values[name] if name in values else reach(records_at(problem, values), name)
@@ -423,7 +429,7 @@ def likelihood_at(problem: Problem, values: Values) -> Likelihood:
 
 
 def log_likelihood_terms(vector: Vector, problem: Problem) -> Float[Array, "..."]:
-    """ln p of every datum, 0 where it is missing."""
+    """Return ln p of every datum, 0 where it is missing."""
     values = values_at(problem, vector)
     return _terms(problem, values, prediction(problem, values))
 
@@ -434,17 +440,17 @@ def _terms(problem: Problem, values: Values, seen: Array) -> Array:
 
 
 def log_likelihood(vector: Vector, problem: Problem) -> Float[Array, ""]:
-    """ln p(data | values)."""
+    """Return ln p(data | values), the sum over all data."""
     return jnp.sum(log_likelihood_terms(vector, problem))
 
 
 def log_density(vector: Vector, problem: Problem) -> Float[Array, ""]:
-    """Log posterior density of the unconstrained vector, up to a constant."""
+    """Return the log posterior density of the unconstrained vector, up to a constant."""
     return log_likelihood(vector, problem) + log_prior_at(problem, vector)
 
 
 def log_prior_at(problem: Problem, vectors: Float[Array, "... parameters"]) -> Float[Array, "..."]:
-    """Log prior density of unconstrained vectors, up to a constant."""
+    """Return the log prior density of unconstrained vectors, up to a constant."""
     found = log_prior(problem.space, vectors)
     if problem.prior is None:
         return found
@@ -452,13 +458,14 @@ def log_prior_at(problem: Problem, vectors: Float[Array, "... parameters"]) -> F
 
 
 def least_squares_residuals(vector: Vector, problem: Problem) -> Float[Array, " data"]:
-    """Standardised residuals, 0 where a datum is missing. A clipped datum has the
-    value of the limit at which it was clipped."""
+    """Return the standardised residuals, 0 where a datum is missing. The residual of a clipped
+    datum is that of the end at which it was clipped.
+    """
     return residuals_from(to_natural(problem.space, vector), problem)
 
 
 def residuals_from(natural: Vector, problem: Problem) -> Float[Array, " data"]:
-    """Like `least_squares_residuals`, from natural numbers (P,)."""
+    """Return the same as `least_squares_residuals`, from natural numbers (P,)."""
     values = values_from(problem, natural)
     likelihood = likelihood_at(problem, values)
     found = likelihood.residuals(prediction(problem, values), problem.data, np.zeros(()))
@@ -473,8 +480,10 @@ PARTS = ("least_squares", "surrogate", "log_density", "residuals", "draw")  # of
 
 
 def as_arrays(tree: Any) -> Any:
-    """Floating-point leaves as arrays: they are data, not part of a compile key. Codes of 8 and 16
-    bits become 64-bit, so that squares and products do not overflow."""
+    """Return a tree with its floating-point leaves as arrays, which are data and no part of a
+    compile key. Codes of 8 and 16 bits become 64-bit integers, so that squares and products do not
+    overflow.
+    """
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
         listed = bool(path) and isinstance(path[-1], jax.tree_util.SequenceKey)
         if listed and isinstance(leaf, str | bytes | date):
@@ -489,8 +498,9 @@ def as_arrays(tree: Any) -> Any:
 
 
 def missing_in_words(problem: Problem, *, first: int = 0) -> str:
-    """The first NaN among the arguments of `predict`, in words; empty if there is none. `first` is
-    the index of the first row among all data."""
+    """Name the first NaN among the arguments of `predict`, in words; empty if there is none.
+    `first` is the index of the first row among all data.
+    """
     given = {"inputs": problem.inputs} | problem.fixed | problem.records
     for path, leaf in jax.tree_util.tree_leaves_with_path(given):
         if not eqx.is_inexact_array(leaf) or not (missing := np.isnan(on_host(leaf))).any():
@@ -505,7 +515,9 @@ def missing_in_words(problem: Problem, *, first: int = 0) -> str:
 
 
 def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Parameter:
-    """A parameter with its name, and with the shape and start of the number that it replaces."""
+    """Return a parameter with its name, and with the shape and start of the number that it replaces
+    in a record.
+    """
     known = None
     if is_path(name):
         known = np.asarray(read(records, name))
@@ -527,7 +539,9 @@ def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Param
 
 
 def _start_inside(parameter: Parameter, known: np.ndarray) -> np.ndarray | None:
-    """A record's own value as a start, moved inside the bounds; None if it cannot be one."""
+    """Return a record's own value as a start, moved inside the bounds; None if it cannot be a
+    start.
+    """
     if parameter.transform == "log" and not (known > 0).all():
         return None
     try:
@@ -537,7 +551,7 @@ def _start_inside(parameter: Parameter, known: np.ndarray) -> np.ndarray | None:
 
 
 def arguments(function: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
-    """Arguments of a function by name."""
+    """Return the arguments of a function by name."""
     if not callable(function):
         raise InputError(
             f"{function!r} is no function; give one whose arguments are named after what they are "
@@ -549,7 +563,9 @@ def arguments(function: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
 def named_and_rest(
     function: Callable[..., Any],
 ) -> tuple[tuple[inspect.Parameter, ...], bool]:
-    """Arguments of a function that computes a derived quantity."""
+    """Return the named arguments of a function, and whether it takes any further ones as
+    `**given`.
+    """
     found = arguments(function).values()
     for argument in found:
         if argument.kind is argument.VAR_POSITIONAL:
@@ -562,7 +578,7 @@ def named_and_rest(
 
 
 def argument_names(predict: Callable[..., Any]) -> tuple[str, ...]:
-    """The names of a function's arguments."""
+    """Return the names of the arguments of `predict`."""
     found = arguments(predict)
     for name, argument in found.items():
         if argument.kind in (argument.VAR_POSITIONAL, argument.VAR_KEYWORD):
@@ -571,7 +587,7 @@ def argument_names(predict: Callable[..., Any]) -> tuple[str, ...]:
 
 
 def placed_like(given: Any, values: np.ndarray) -> Array:
-    """An array on the devices of another, so that distributed data stay distributed."""
+    """Put an array on the devices of another one, so that distributed data stay distributed."""
     if not isinstance(given, jax.Array):
         return jnp.asarray(values)
     # Not `device_put`, which compares the values of all processes.
@@ -579,7 +595,7 @@ def placed_like(given: Any, values: np.ndarray) -> Array:
 
 
 def finite_data(data: Any) -> np.ndarray:
-    """Data as an array, NaN where a datum is missing."""
+    """Return the data as an array, NaN where a datum is missing; refuse infinite data."""
     data = on_host(plain_numbers("data", data), dtype=jnp.result_type(float))
     if np.isinf(data).any():
         raise InputError(
@@ -589,7 +605,7 @@ def finite_data(data: Any) -> np.ndarray:
 
 
 def check_names(problem: "Problem", parameters: Mapping[str, Any]) -> None:
-    """Refuse conflicting names, and arguments and likelihoods that name nothing."""
+    """Refuse names that conflict, and names of arguments and in likelihoods that do not exist."""
     if not problem.free:
         raise InputError("Nothing to fit: give at least one Parameter.")
     for name in (*problem.fixed, *problem.tied):

@@ -1,7 +1,8 @@
-"""Paths into records: `scene.lights[0].position`, `camera.sensor.gain`.
+"""Read and replace the numbers at paths into records, such as `scene.lights[0].position` and
+`camera.sensor.gain`.
 
-A path names a record, then attributes, indices in lists and keys of dictionaries, down to an array.
-A last `[i]` may select one number of that array.
+A path begins with the name of a record. Attributes, indices in lists and keys of dictionaries
+follow, down to an array. A last `[i]` may select one number of that array.
 """
 
 import re
@@ -21,12 +22,12 @@ Step = str | int
 
 
 def is_path(name: str) -> bool:
-    """Whether a parameter's name leads into a record."""
+    """Return whether a parameter's name is a path into a record."""
     return "." in name or "[" in name
 
 
 def head(path: str) -> str:
-    """The record in which a path begins."""
+    """Return the name of the record in which a path begins."""
     return re.split(r"[.\[]", path, maxsplit=1)[0]
 
 
@@ -39,7 +40,7 @@ def _steps(path: str) -> list[Step]:
 
 
 def _inside(value: Any) -> dict[Step, Any]:
-    """The fields, items or keys of a value."""
+    """Return the fields, items or keys of a value, with what they contain."""
     if is_dataclass(value):
         return {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, Mapping):
@@ -54,7 +55,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _offers(value: Any) -> str:
-    """The available names, in words."""
+    """Say in words which names a path may continue with."""
     there = _inside(value)
     if _is_number(value):
         return f"an array of shape {np.shape(value)}"
@@ -66,7 +67,7 @@ def _offers(value: Any) -> str:
 
 
 def read(records: Mapping[str, Any], path: str) -> Array:
-    """The number or array that a path leads to."""
+    """Return the number or array at the end of a path."""
     value = reach(records, path)
     if not _is_number(value):
         raise InputError(f"{path} is no number; there is {_offers(value)}.")
@@ -74,7 +75,7 @@ def read(records: Mapping[str, Any], path: str) -> Array:
 
 
 def reach(records: Mapping[str, Any], path: str) -> Any:
-    """The value of a path, a number or a record."""
+    """Return the value at the end of a path, a number or a record."""
     if head(path) not in records:
         raise InputError(
             f"{path}: there is no record {head(path)!r}; {nearest(head(path), records)}."
@@ -94,7 +95,7 @@ def reach(records: Mapping[str, Any], path: str) -> Any:
 
 
 def replaced(records: Mapping[str, Any], values: Mapping[str, Array]) -> dict[str, Any]:
-    """The records with other numbers at some paths."""
+    """Return the records with other numbers at some paths."""
     new = dict(records)
     for path, value in values.items():
         name = head(path)

@@ -1,19 +1,20 @@
-"""The best fit of a problem: a search from many starts, then Newton's method to the mode.
+"""Find the best fit of a problem: search from many starts, then run Newton's method to the mode.
 
-Likelihoods that are sums of squares are searched by Levenberg and Marquardt's method. It needs a
-sum of squares, so a prior enters the search as a Gaussian with its mean and standard deviation in
-the unconstrained value. Newton's method then goes from the best end to the mode of the exact
-posterior, with the Gauss-Newton curvature J^T J of the data. Other likelihoods are searched by
-Newton's method. If they have a least-squares surrogate, it starts from the Levenberg-Marquardt
-optimum of the surrogate.
+For likelihoods that are sums of squares, the search is Levenberg and Marquardt's method. This
+method needs a sum of squares, so a prior enters the search as a Gaussian with the prior's mean and
+standard deviation on the unconstrained scale. Newton's method then leads from the best optimum to
+the mode of the exact posterior, with the Gauss-Newton curvature J^T J of the data. For other
+likelihoods the search is Newton's method. If such a likelihood has a least-squares surrogate,
+Newton's method starts at the Levenberg-Marquardt optimum of the surrogate.
 
 All searches advance together, in NumPy. One compiled program evaluates the cost of the data and its
-derivatives at the current point of each search. The same program serves the search, the mode, the
-covariance and the test of Laplace's approximation.
+derivatives at the current point of each search. It also serves to find the mode, to compute the
+covariance and to test Laplace's approximation.
 
-The table gives how many of 100 single starts in the box reached the best optimum, for a Phong ball,
-two exponential decays and a peak with unknown noise (5 unknowns each; the likelihood of the peak is
-not a sum of squares). Each search was compiled as a whole:
+The table compares five methods. It states how many of 100 searches, each from its own start within
+the bounds, reached the best optimum. The three problems, with 5 unknowns each, are a Phong ball,
+two exponential decays and a peak with unknown noise, whose likelihood is not a sum of squares. Each
+search was compiled as a whole:
 
                         ball    decays    peak    CPU seconds, ball (first, again)
     Levenberg-Marquardt  62       58        -        31,  10
@@ -22,16 +23,16 @@ not a sum of squares). Each search was compiled as a whole:
     L-BFGS-B (jaxopt)    93      100       17       160,  92
     L-BFGS-B (scipy)     42      100       14        11,   6
 
-No method is reliable from one start. The library uses the cheaper, steadier methods, whose final
-curvature is the information that the posterior needs. From 16 starts they reached the best optimum
-of all three problems in 100 of 100 fits. For the ball with Student's t noise of known scale, whose
-log density has little curvature far from the optimum, 30 of 30 fits reached it, and 55 of 100
-without the surrogate.
+No method is reliable from one start. The library uses Levenberg-Marquardt and Newton, which are
+cheap and whose final curvature is the information that the posterior needs. From 16 starts they
+reached the best optimum of all three problems in 100 of 100 fits. With Student's t noise of known
+scale, the log density of the ball has little curvature far from the optimum. Its best optimum was
+reached in 30 of 30 fits, and in 55 of 100 without the surrogate.
 
 For data that are read in chunks, the searches use a sample, whose optima are close to those of all
-data. The ends are compared by their cost over all data, and Newton's method continues from the
-best. Cost, gradient and curvature are summed over the chunks in float64. Every step reads all data
-once.
+data. The optima found are compared by their cost over all data, and Newton's method continues from
+the best. Cost, gradient and curvature are summed over the chunks in float64. Every step reads all
+data once.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -100,7 +101,7 @@ Ended = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Optimum:
-    """The ends of the searches.
+    """The best optimum that the searches found, and where each of them ended.
 
     Attributes:
         vector: (P,) the mode, unconstrained.
@@ -131,14 +132,15 @@ class Optimum:
 
     @property
     def saddle(self) -> bool:
-        """Whether the density increases to both sides in some direction."""
+        """Return whether the log density increases to both sides along some direction."""
         return bool(_scaled(self.information)[0][0] < -UNDETERMINED)
 
     @property
     def curvature(self) -> Float[np.ndarray, "parameters parameters"]:
-        """Return the (P, P) information with the eigenvalues of saddle directions made positive, so
-        that draws are possible. A search that did not end at a maximum is reported in words
-        instead."""
+        """Return the information (P, P) with the eigenvalues of saddle directions made positive, so
+        that draws are possible. That the search did not end at a maximum is reported separately, in
+        words.
+        """
         if not self.saddle:
             return self.information
         values, axes, size = _scaled(self.information)
@@ -147,7 +149,9 @@ class Optimum:
 
 
 def _scaled(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Eigenvalues (ascending) and axes of a symmetrically scaled matrix, and the scales."""
+    """Return the eigenvalues (ascending) and eigenvectors of a symmetrically scaled matrix, and the
+    scales.
+    """
     information = np.nan_to_num(information)
     size = np.sqrt(np.linalg.norm(information, axis=1))
     size = np.where(size > 0, size, 1)
@@ -158,11 +162,11 @@ def _scaled(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
 def spread_starts(
     problem: Problem, count: int, *, seed: int
 ) -> Float[np.ndarray, "starts parameters"]:
-    """Starts spread evenly over bounds and priors.
+    """Return starts spread evenly over bounds and priors.
 
-    The first is each parameter's own start, computed from the problem's data or given by the user,
-    if it has one. The others fill the box of prior quantiles by a Kronecker sequence. A parameter
-    without both bounds and prior is placed about its start.
+    The first start is the one that the user gave or that `start` computes from the data, for each
+    parameter that has one. The other starts fill the box of prior quantiles by a Kronecker
+    sequence. A parameter with neither bounds nor prior is placed about its start.
 
     Source:
         The sequence: Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018.
@@ -182,8 +186,10 @@ def spread_starts(
 def prior_starts(
     problem: Problem, count: int, *, seed: int
 ) -> tuple[Float[np.ndarray, "starts parameters"], Float[np.ndarray, "starts parameters"]]:
-    """Starts spread over bounds and priors, unconstrained (NaN for a parameter without both, 0 for
-    one that is solved in closed form), and the distance of each number from its own start."""
+    """Return starts spread over bounds and priors, unconstrained, and the distance of each number
+    from its own start. A start is NaN for a parameter with neither bounds nor prior, and arbitrary
+    for one that is solved in closed form.
+    """
     closed = closed_form_indices(problem)
     shares = _kronecker(count, len(problem.space), seed)
     columns = []
@@ -196,15 +202,18 @@ def prior_starts(
 
 
 def starts_about(table: Any, distances: Any, given: Any, *, xp: Any = jnp) -> Any:
-    """`prior_starts` with the given start added, (starts, P); NaN if there is none."""
+    """Combine the results of `prior_starts` with the given start, and return (starts, P); NaN where
+    a number has no start.
+    """
     table = xp.where(xp.isnan(table), given[None] + distances, table)
     first = xp.where(xp.isnan(given), table[0], given)
     return xp.concatenate([first[None], table[1:]])
 
 
 def given_start(problem: Problem) -> Float[Array, " parameters"]:
-    """Each parameter's own start, unconstrained; NaN where it has none. It may be compiled or
-    traced."""
+    """Return each parameter's own start, unconstrained; NaN where it has none. The function may be
+    compiled or traced.
+    """
     natural = [
         np.broadcast_to(np.nan if p.start is None else np.asarray(p.start), p.shape or ())
         for p in problem.free
@@ -234,7 +243,7 @@ def _either(parameter: Parameter, found: Any, own: np.ndarray) -> Array:
 def start_at(
     space: ParameterSpace, natural: Float[ArrayLike, " parameters"]
 ) -> Float[Array, " parameters"]:
-    """A start from natural values (P,), moved inside the bounds; NaN stays NaN."""
+    """Return a start vector from natural values (P,), moved inside the bounds; NaN stays NaN."""
     low, high = np.array([ends(parameter) for parameter in space]).T
     xp = np if isinstance(natural, np.ndarray) else jnp
     size = xp.where(natural == 0, 1.0, abs(natural))
@@ -246,7 +255,9 @@ def start_at(
 
 
 def _kronecker(count: int, dimensions: int, seed: int) -> np.ndarray:
-    """(count, dimensions) evenly spread over the unit cube."""
+    """Return points (count, dimensions) spread evenly over the unit cube by a Kronecker
+    sequence.
+    """
     ratio = 2.0
     for _ in range(60):
         ratio = (1 + ratio) ** (1 / (dimensions + 1))
@@ -267,7 +278,8 @@ def search(
     """Return the mode of a problem's posterior. `solver` is a solver of optimistix or jaxopt; None
     takes the method that suits the likelihood. `progress` is called with the count of ended
     searches. The candidates in `without` are absent. Newton's method still uses the compiled
-    program of the whole problem, which serves every choice of candidates."""
+    program of the problem with all candidates, so that no choice of candidates needs a new
+    compilation."""
     begin, modes = np.asarray(starts, np.float64), None
     free, whole = present_numbers(problem, without)
     begin = begin[:, free]
@@ -336,7 +348,7 @@ def present_numbers(
 
 
 def merge_optima(one: Optimum, other: Optimum) -> Optimum:
-    """The better of two optima of a problem, with the ends of the searches of both."""
+    """Return the better of two optima of a problem, with the ends of the searches of both."""
     costs = np.concatenate([one.cost + one.costs, other.cost + other.costs])
     return replace(
         one if one.cost <= other.cost else other,
@@ -348,8 +360,10 @@ def merge_optima(one: Optimum, other: Optimum) -> Optimum:
 def _surrogate_ends(
     starts: np.ndarray, problem: Problem, as_given: bool, progress: Ended | None
 ) -> np.ndarray:
-    """Return where the searches of the surrogate end. A start is kept if its posterior density is
-    higher than at that end (as with outliers), or if there is no surrogate."""
+    """Return where the searches with the surrogate likelihood end, as starts for Newton's method. A
+    start remains unchanged if there is no surrogate or if its posterior density is higher than at
+    that end, as outliers may cause.
+    """
     surrogate = problem.likelihood.surrogate
     if surrogate is None:
         return starts
@@ -361,7 +375,9 @@ def _surrogate_ends(
 
 
 def _is_of_jaxopt(solver: Any) -> bool:
-    """Whether a solver is a class of jaxopt's minimisers, or a `functools.partial` of one."""
+    """Return whether a solver is a class of jaxopt's minimisers, or a `functools.partial` of
+    one.
+    """
     kind = getattr(solver, "func", solver)
     fields = getattr(kind, "__dataclass_fields__", ())
     return isinstance(kind, type) and kind.__module__.startswith("jaxopt.") and "fun" in fields
@@ -388,7 +404,7 @@ def _require_solver(solver: Any, problem: Problem) -> None:
 
 @eqx.filter_jit
 def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, solver: Any) -> Array:
-    """The end of a search by a solver of optimistix or jaxopt."""
+    """Return where the searches by a solver of optimistix or jaxopt end."""
     if _is_of_jaxopt(solver):
         return jax.lax.map(partial(_jaxopt_end, problem, mean, weight, solver), starts)
     import optimistix as optx
@@ -412,11 +428,11 @@ def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, sol
 
 
 def _jaxopt_end(problem: Problem, mean: Array, weight: Array, solver: Any, start: Array) -> Array:
-    """Return the end of jaxopt's minimiser, with numbers scaled by their prior and the cost divided
-    by the number of data.
+    """Return where the search by jaxopt's minimiser ends. Numbers are scaled by their prior's
+    width, and the cost is divided by the number of data.
 
-    L-BFGS-B needs a box, which is ten standard deviations wide to either side. Without the scaling
-    it misses up to a tenth of the optima."""
+    L-BFGS-B needs bounds, which are ten prior standard deviations to either side. Without the
+    scaling it misses up to a tenth of the optima."""
     count = max(int(np.size(problem.data)), 1)
 
     known = weight > 0
@@ -438,13 +454,14 @@ def _jaxopt_end(problem: Problem, mean: Array, weight: Array, solver: Any, start
 
 
 def negative_log_density(vector: Vector, problem: Problem) -> Float[Array, ""]:
-    """The cost that Newton's method minimises."""
+    """Return the cost that Newton's method minimises, the negative log posterior density."""
     return -log_density(vector, problem)
 
 
 def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
     """Return the residuals of the data and of a Gaussian prior on `vector`. `vector` holds all
-    numbers, or those that are not solved in closed form."""
+    numbers, or only those that are not solved in closed form.
+    """
     problem, mean, weight = args
     if vector.size < len(problem.space):
         residuals = eliminate(vector, problem).residuals
@@ -454,9 +471,10 @@ def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
 
 
 def searches_at_once(vectors: Any) -> int:
-    """Return the number of starts that a user's solver searches at once. A CPU takes two: their
-    residuals stay in the cache, and a search waits for at most one other. An accelerator takes
-    all."""
+    """Return the number of starts from which a user's solver searches at once. On a CPU two
+    searches run together: their residuals fit in the cache, and a search waits for at most one
+    other. On an accelerator all run together.
+    """
     return min(_OF_CORE if on_processor() else len(vectors), len(vectors))
 
 
@@ -494,14 +512,15 @@ def _levenberg_marquardt(
 
 
 def _modes(starts: np.ndarray, local: Local, progress: Ended | None = None) -> Any:
-    """Ends of Newton's method."""
+    """Return where Newton's method ends from each start."""
     return minimise_many(local, starts, max_steps=STEPS, progress=progress, **_tolerances())
 
 
 def _mode(start: np.ndarray, local: Local) -> Any:
-    """Like `_modes`, for one search that continues after convergence while its steps become
-    smaller. The Gauss-Newton curvature is approximate, so the first small step may still be far
-    from the mode."""
+    """Return where Newton's method ends from one start. The search continues after convergence
+    while its steps become smaller. The Gauss-Newton curvature is approximate, so the first small
+    step may still be far from the mode.
+    """
     found = _modes(start, local)
     for _ in range(BEYOND):
         if not found.converged[0] or found.decrement[0] <= NOTHING * _tolerances()["tolerance"]:
@@ -514,15 +533,16 @@ def _mode(start: np.ndarray, local: Local) -> Any:
 
 
 def _tolerances() -> dict[str, Any]:
-    """Return the predicted decrease of the cost at which a search ends, and the unit of rounding.
-    In single precision, a sum over many data cannot resolve a smaller decrease."""
+    """Return the predicted decrease of the cost at which a search ends, and the relative rounding
+    error. In single precision, a sum over many data cannot resolve a smaller decrease.
+    """
     precise = jnp.result_type(float) == jnp.float64
     digit = float(jnp.finfo(jnp.result_type(float)).eps)
     return {"tolerance": 1e-7 if precise else 1e-3, "digit": digit}
 
 
 def _nonlinear(problem: Problem) -> np.ndarray:
-    """Indices of the numbers that are searched."""
+    """Return the indices of the numbers that are searched and not solved in closed form."""
     return np.setdiff1d(np.arange(len(problem.space)), closed_form_indices(problem))
 
 
@@ -534,8 +554,9 @@ def _completed(vectors: Array, problem: Problem) -> Array:
 def _lowest_of_grid(
     starts: np.ndarray, problem: Problem, cost: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Return (starts, 1): the lowest points of the cost as a function of the only searched number,
-    on a grid over its bounds or prior with the first start added."""
+    """Evaluate the cost as a function of the only searched number, on a grid over its bounds or
+    prior and at the first start. Return the lowest points (starts, 1).
+    """
     parameter = problem.space[int(_nonlinear(problem)[0])]
     values = prior_values(parameter)
     if values is None:
@@ -554,8 +575,9 @@ def gauss_newton(vector: Vector, problem: Problem) -> Derivatives:
 
 
 def squares(vector: Vector, problem: Problem) -> Derivatives:
-    """Half the sum of squared residuals, its gradient J^T r, and J^T J. `vector` is all numbers, or
-    those that are not found in closed form."""
+    """Return half the sum of squared residuals r, its gradient J^T r, and J^T J. `vector` holds all
+    numbers, or only those that are not solved in closed form.
+    """
 
     def of(vector: Vector) -> Array:
         if vector.size < len(problem.space):
@@ -570,10 +592,11 @@ def squares(vector: Vector, problem: Problem) -> Derivatives:
 def add_prior(
     vector: Any, problem: Problem, of_data: Derivatives, *, squared: bool = True
 ) -> Derivatives:
-    """Return cost, gradient and curvature of the data with the prior's exact derivatives.
+    """Add the prior's exact derivatives to cost, gradient and curvature of the data.
 
-    Like J^T J, the curvature of a sum of squares neglects second derivatives of the prediction by
-    the natural values. It includes those of the transforms, which dominate at an active bound."""
+    For a sum of squares, J^T J neglects the second derivatives of the prediction with respect to
+    the natural values. The second derivatives of the parameters' transforms dominate near an active
+    bound and are included."""
     cost, steepness, curvature = of_data
     unlikely, slope, bend = prior_derivatives(vector, problem)
     if squared:
@@ -583,8 +606,9 @@ def add_prior(
 
 
 def prior_derivatives(vector: Any, problem: Problem) -> Derivatives:
-    """The prior's part of the cost, its gradient and curvature: at one vector (P,) of JAX, or at
-    each of several (n, P) of NumPy."""
+    """Return the prior's part of the cost, its gradient and its curvature. They are computed by JAX
+    at one vector (P,), or by NumPy at each of several vectors (n, P).
+    """
     space = problem.space
     if problem.prior is None and all(parameter.prior is None for parameter in space):
         first, second = log_flat_slopes(space, vector)
@@ -610,8 +634,9 @@ def _negative_log_likelihood(vector: Vector, problem: Problem) -> Float[Array, "
 def _derivatives_at(
     local: Callable[[Vector, Problem], Derivatives], vectors: Array, wanted: Array, problem: Problem
 ) -> Derivatives:
-    """Return the derivatives at each vector that is wanted: one after another on a CPU, all at once
-    on an accelerator."""
+    """Return the derivatives at each vector for which `wanted` is true. On a CPU the vectors are
+    evaluated one after another, on an accelerator all at once.
+    """
     count = vectors.shape[1]
     nothing = tuple(jnp.zeros((count,) * axes, vectors.dtype) for axes in (0, 1, 2))
 
@@ -644,8 +669,9 @@ def _prior_at(vectors: Array, wanted: Array, problem: Problem) -> Derivatives:
 def _grouped_calls(
     program: Callable[..., Derivatives], vectors: np.ndarray, problem: Problem
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Evaluate (n, P) vectors in groups of `TOGETHER`, so that one compiled program serves any
-    n."""
+    """Evaluate vectors (n, P) in groups of `TOGETHER`, so that one compiled program serves any
+    n.
+    """
     found = []
     for begin in range(0, len(vectors), TOGETHER):
         own = vectors[begin : begin + TOGETHER]
@@ -663,7 +689,9 @@ ONE_END = 0.1
 
 
 def _missing(problem: Problem) -> str:
-    """Like `missing_in_words`, with the index of the row among all data."""
+    """Name the first NaN among the arguments of `predict`, with the index of its row among all
+    data.
+    """
     if problem.stream is None:
         return missing_in_words(problem)
     parts = enumerate(chunks(problem))
@@ -672,7 +700,7 @@ def _missing(problem: Problem) -> str:
 
 
 def search_read(problem: Problem, sampled: Optimum, advance: Advance) -> Optimum:
-    """The mode of the posterior of all data."""
+    """Return the mode of the posterior for all data of a problem that reads them in chunks."""
     assert problem.stream is not None
     dtype, count = problem.data.dtype, problem.stream.count
     ends = jnp.asarray(sampled.ends, dtype)
@@ -721,9 +749,10 @@ def derivatives(
     parts: Iterable[Problem] | None = None,
     exact: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cost (n,), gradient (n, P) and curvature (n, P, P) at each of (n, P) vectors, summed over
-    `parts` if they are given. With `exact`, the curvature of a sum of squares includes second
-    derivatives."""
+    """Return cost (n,), gradient (n, P) and curvature (n, P, P) at each of n vectors (n, P), summed
+    over `parts` if they are given. With `exact`, the curvature of a sum of squares includes the
+    second derivatives of the residuals.
+    """
     squared = problem.likelihood.least_squares and not exact
     program = _squares_at if squared else _twice_at
     found = [_grouped_calls(program, vectors, part) for part in parts or [problem]]

@@ -1,20 +1,20 @@
-"""Variable projection: linear parameters in closed form, nonlinear ones by search.
+"""Solve for linear parameters in closed form, and search for the nonlinear ones (variable
+projection).
 
-Suppose the residuals r of a `Problem` are linear in some numbers a, r(t, a) = r(t, 0) + J(t) a. The
-best a for given nonlinear numbers t, free or at least 0, is then the solution of a small linear
-problem, and the search is over t alone (`eliminate`). Its steps include the derivative of a by t,
-so they equal the steps of the whole problem. No start for a is needed.
+Suppose the residuals r of a `Problem` are linear in some numbers a, r(t, a) = r(t, 0) + J(t) a. For
+given nonlinear numbers t, the best a, unbounded or at least 0, then solve a small linear problem,
+and the search is over t alone (`eliminate`). Its steps include the derivative of the best a with
+respect to t, so they equal the steps of the whole problem. No start for a is needed.
 
-`fit_separable` needs no start at all.
-
-It fits a model that is linear except for one parameter t, which all bands b share,
+`fit_separable` needs no start at all. It fits data y_b in several bands b by a model with fixed
+columns f_1 ... f_K and one column g(t). Its only nonlinear parameter t is shared by all bands:
 
     y_b ~ a_1b f_1 + ... + a_Kb f_K + a_b g(t),    all a >= 0,
 
-The best amplitudes at a given t solve one small non-negative least-squares problem for each band,
-so the cost is a function of t alone (Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973). The search
-evaluates this function on a grid over the whole interval, and then on finer grids around the lowest
-point.
+At a given t, the best amplitudes a solve one small non-negative least-squares problem for each
+band, so the cost is a function of t alone (Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973). The
+search evaluates this function on a grid over the whole interval, and then on finer grids around the
+lowest point.
 """
 
 import itertools
@@ -62,10 +62,11 @@ class SeparableFit(eqx.Module):
 def non_negative_amplitudes(
     gram: Float[Array, "columns columns"], moment: Float[Array, " columns"]
 ) -> tuple[Float[Array, " columns"], Float[Array, ""]]:
-    """The a >= 0 that minimise a^T G a - 2 a^T b.
+    """Return the a >= 0 that minimise a^T G a - 2 a^T b, with G = `gram` and b = `moment`.
 
-    The optimum solves the unconstrained problem on its own support. With few columns every support
-    is tried, which needs no branches and is cheap under `vmap`. A column of zeros gets 0."""
+    The optimum solves the unconstrained problem for its support, the columns with a > 0. With few
+    columns every support is tried, which needs no branches and is cheap under `vmap`. A column of
+    zeros has the amplitude 0."""
     count = len(moment)
     if count > 4:
         raise ValueError(f"at most four columns, got {count}: the supports grow as 2^columns.")
@@ -78,8 +79,9 @@ def non_negative_amplitudes(
 
 
 def _supports(signed: tuple[bool, ...]) -> list[tuple[bool, ...]]:
-    """The possible supports (columns that may be non-zero), smallest first; a free column is in all
-    of them."""
+    """Return the possible supports, smallest first. A support is the set of columns that may be
+    non-zero; a column without a sign constraint is in all of them.
+    """
     choices = [(False, True) if one else (True,) for one in signed]
     return sorted(itertools.product(*choices), key=sum)
 
@@ -89,7 +91,9 @@ def amplitudes(
     moment: Float[Array, " columns"],
     signed: tuple[bool, ...],
 ) -> Float[Array, " columns"]:
-    """The a that minimise a^T G a - 2 a^T b, free or at least 0."""
+    """Return the a that minimise a^T G a - 2 a^T b, with G = `gram` and b = `moment`. Where
+    `signed` is true, a is at least 0.
+    """
     if not any(signed):
         return _solve_scaled(gram, moment)[0]
     if sum(signed) > MOST_SIGNED:
@@ -105,7 +109,7 @@ def amplitudes(
 
 
 def _descended(gram: Array, moment: Array, signed: np.ndarray) -> Array:
-    """The support after some sweeps of coordinate descent."""
+    """Return the support that some sweeps of coordinate descent find."""
     own = jnp.where(jnp.diagonal(gram) > 0, jnp.diagonal(gram), 1)
 
     def step(i: Array, a: Array) -> Array:
@@ -118,15 +122,16 @@ def _descended(gram: Array, moment: Array, signed: np.ndarray) -> Array:
 
 
 def _support_optimum(support: Array, gram: Array, moment: Array) -> tuple[Array, Array]:
-    """Return the unconstrained optimum for the columns of a support, 0 for all other columns, and
-    whether it exists."""
+    """Return the unconstrained optimum for the columns of a support, with 0 for all other columns,
+    and whether it exists.
+    """
     both = support[:, None] & support[None]
     own = jnp.where(both, gram, jnp.eye(len(moment), dtype=gram.dtype))
     return _solve_scaled(own, jnp.where(support, moment, 0))
 
 
 def _solve_scaled(gram: Array, moment: Array) -> tuple[Array, Array]:
-    """G^-1 b through the Cholesky factor of G scaled to unit diagonal, and whether it exists."""
+    """Return G^-1 b by the Cholesky factor of G scaled to unit diagonal, and whether it exists."""
     diagonal = jnp.diagonal(gram)
     present = diagonal > 0
     scale = jnp.where(present, jnp.sqrt(jnp.where(present, diagonal, 1)), 1)
@@ -162,8 +167,10 @@ def fit_separable(
     coarse: Float[Any, "knots observations"] | None = None,
     finer: int = KNOTS,
 ) -> SeparableFit:
-    """Return the global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t. Fewer
-    knots in each of the `finer` grids, and more such grids, evaluate fewer columns."""
+    """Return the global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t. To
+    evaluate fewer columns, use fewer knots in each of the `finer` grids, of which more are then
+    needed.
+    """
     knots = first_knots(lower, upper)
     table = columns(knots.astype(values.dtype)) if coarse is None else coarse
     amplitudes, cost = _projected(table, fixed, values, weights)
@@ -177,7 +184,7 @@ def fit_separable(
 
 
 def first_knots(lower: float, upper: float) -> Float[np.ndarray, " knots"]:
-    """The grid on which the search begins, (knots,) from `lower` to `upper`."""
+    """Return the grid (knots,) from `lower` to `upper` on which the search begins."""
     return np.linspace(lower, upper, KNOTS)
 
 
@@ -186,7 +193,9 @@ def fit_amplitudes(
     values: Float[Any, "observations bands"],
     weights: Float[Any, "observations bands"],
 ) -> SeparableFit:
-    """`fit_separable` without a searched column: its amplitudes are 0, its t is NaN."""
+    """Fit the fixed columns alone. In the result, the amplitudes of the searched column are 0, and
+    t is NaN.
+    """
     nothing = np.zeros((1, fixed.shape[1]), values.dtype)
     amplitudes, cost = _projected(nothing, fixed, values, weights)
     return SeparableFit(amplitudes[0], float("nan"), float(cost[0]))
@@ -222,7 +231,7 @@ _non_negative = jax.jit(jax.vmap(jax.vmap(non_negative_amplitudes)), compiler_op
 
 
 def closed_form_indices(problem: Problem) -> tuple[int, ...]:
-    """Indices, in a problem's space, of the numbers that are solved in closed form."""
+    """Return the indices, in a problem's space, of the numbers that are solved in closed form."""
     surrogate = problem.likelihood.surrogate
     if not (
         problem.likelihood.least_squares or (surrogate is not None and surrogate.least_squares)
@@ -246,7 +255,7 @@ class Eliminated(eqx.Module):
 
 
 def eliminate(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Eliminated:
-    """The best linear numbers at given nonlinear ones."""
+    """Return the best linear numbers for given nonlinear ones, with the residuals that remain."""
     closed = closed_form_indices(problem)
     rest, along = jax.linearize(
         lambda a: residuals_from(_natural(nonlinear, a, problem), problem),
@@ -264,7 +273,9 @@ def eliminate(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Elimin
 
 
 def _natural(nonlinear: Array, linear: Array, problem: Problem) -> Array:
-    """(P,) in the order of the space."""
+    """Return the linear and the nonlinear numbers, in natural units, as one vector (P,) in the
+    order of the space.
+    """
     closed = np.array(closed_form_indices(problem), int)
     others = np.setdiff1d(np.arange(len(problem.space)), closed)
     space = tuple(problem.space[i] for i in others)
@@ -273,9 +284,10 @@ def _natural(nonlinear: Array, linear: Array, problem: Problem) -> Array:
 
 
 def complete(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Float[Array, " all"]:
-    """Return (P,) unconstrained: the nonlinear numbers and the best linear ones. A linear number
-    that is at least 0 is at the mode of its posterior on the logarithmic scale, a = (a_0 +
-    sqrt(a_0^2 + 4 sd^2)) / 2."""
+    """Return the unconstrained vector (P,) of the nonlinear numbers and the best linear ones. A
+    linear number that is at least 0 takes the mode of its posterior on the logarithmic scale, (a_0
+    + sqrt(a_0^2 + 4 sd^2)) / 2, with a_0 its best value and sd its standard deviation.
+    """
     found = eliminate(nonlinear, problem)
     signed = np.array([ends(problem.space[i])[0] == 0 for i in closed_form_indices(problem)], bool)
     variance = 1 / jnp.where(found.precision > 0, found.precision, 1)
@@ -285,7 +297,7 @@ def complete(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Float[A
 
 
 def require_linear(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> None:
-    """Refuse parameters that are stated as linear and are not."""
+    """Refuse parameters that are stated to be linear if the prediction is not linear in them."""
     on_line, own = (on_host(x) for x in _bends(nonlinear, problem))
     size = np.max(np.abs(on_line)) + np.finfo(on_line.dtype).tiny
     if np.isfinite(own).all() and np.max(np.abs(own)) > BEND * size:

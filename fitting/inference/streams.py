@@ -1,9 +1,10 @@
-"""Data larger than memory: the rows of an array, of a memory-mapped file, or from a generator
-function. They are read again in every pass and divided into chunks of one shape.
+"""Read data larger than memory in chunks: the rows of an array, of a memory-mapped file, or from a
+generator function. Every pass over the data reads them again and divides them into chunks of one
+shape.
 
 The last chunk is padded with copies of its last row, which count as missing, so that one compiled
-program serves all chunks. A sample of one chunk, drawn evenly from all rows, represents the data
-where an approximation is enough: at the beginning of a search, and in figures.
+program serves all chunks. A sample of the size of one chunk, drawn evenly from all rows, represents
+the data where an approximation is enough: at the beginning of a search, and in figures.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -42,9 +43,10 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """The source of the data of a problem.
+    """The source of a problem's data, which are read in chunks.
 
-    All streams compare equal: no compiled program reads one, so programs can be shared.
+    All streams compare equal, so that problems with different streams share a compiled program. No
+    compiled program reads from a stream.
 
     Attributes:
         data: (rows, ...) array, or a function that yields blocks of rows.
@@ -78,8 +80,9 @@ class Stream:
 def open_stream(
     data: Any, inputs: Any, likelihood: Any, size: int
 ) -> tuple[Stream, np.ndarray, Any, Any]:
-    """Read all data once to count, check and sample them: the stream, and `size` rows of data in
-    their order (NaN in rows that are missing) with their inputs and their likelihood."""
+    """Read all data once to count, check and sample them. Return the stream, and a sample of `size`
+    rows in their order (NaN in rows that are missing) with their inputs and their likelihood.
+    """
     if isinstance(likelihood, Clustered):
         raise InputError(
             "Clustered: errors that groups share are estimated with all data in memory; leave "
@@ -126,7 +129,7 @@ def open_stream(
 
 
 def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
-    """The problem with each chunk of its data in turn, all of one shape."""
+    """Yield the problem with each chunk of its data in turn, all of one shape."""
     stream = problem.stream
     if stream is None:
         yield problem
@@ -164,8 +167,9 @@ def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
 def _row_leaves(
     first: Any, inputs: Any, likelihood: Any, *, yielded: bool
 ) -> tuple[tuple[Any, Any], tuple[bool, ...]]:
-    """Inputs and likelihood, and which of their leaves belong to the rows: for all data, or for the
-    first piece that a function yields."""
+    """Return inputs and likelihood, and which of their arrays have one row for each row of data. A
+    function yields inputs with its data; then those of its first piece are returned.
+    """
     if not yielded:
         beside, known = (inputs, likelihood), len(first)
         return beside, tuple(_holds_rows(leaf, known) for leaf in jax.tree.leaves(beside))
@@ -178,7 +182,9 @@ def _row_leaves(
 
 
 def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Rows]:
-    """The pieces in order, with floating data, from a started or a new reading."""
+    """Yield the pieces of the data in order, as floating-point numbers, from a reading that has
+    begun or from a new one.
+    """
     data, dtype = stream.data, jnp.result_type(float)
     if not callable(data):
         own = _chosen(stream, stream.beside)
@@ -199,7 +205,7 @@ def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Row
 
 
 def _marked(mark: int, rows: Rows) -> int:
-    """A checksum updated with some rows: the bits of all numbers, summed modulo 2^64."""
+    """Add some rows to a checksum, which is the sum of the bits of all numbers modulo 2^64."""
     for leaf in (rows.data, *rows.own):
         bits = np.ascontiguousarray(leaf).view(f"u{min(leaf.itemsize, 8)}")
         mark += int(bits.sum(dtype=np.uint64))
@@ -207,7 +213,7 @@ def _marked(mark: int, rows: Rows) -> int:
 
 
 def _check_beside(stream: Stream, beside: tuple[Any, Any], count: int) -> None:
-    """Check that the inputs from a function have the same form in every piece."""
+    """Refuse inputs from a function that have another form than in its first piece."""
     alike = jax.tree.structure(beside) == jax.tree.structure(stream.beside)
     if alike:
         pairs = zip(jax.tree.leaves(beside), jax.tree.leaves(stream.beside), strict=True)
@@ -223,7 +229,9 @@ def _check_beside(stream: Stream, beside: tuple[Any, Any], count: int) -> None:
 
 
 def _chunks(stream: Stream) -> Iterator[tuple[Rows, np.ndarray]]:
-    """Chunks of one size, and the mask of their valid rows."""
+    """Yield chunks of equal length, each with a mask that is true for rows that hold data and false
+    for padding.
+    """
     rest = None
     every = np.ones(stream.size, bool)
     for piece in _pieces(stream):
@@ -249,13 +257,13 @@ def _check(piece: Rows, first: Rows | None) -> None:
 
 
 def _chosen(stream: Stream, beside: tuple[Any, Any]) -> tuple[Any, ...]:
-    """The leaves of inputs and likelihood that belong to the rows."""
+    """Return the arrays of inputs and likelihood that have one row for each row of data."""
     leaves = jax.tree.leaves(beside)
     return tuple(leaf for leaf, own in zip(leaves, stream.by_row, strict=True) if own)
 
 
 def _placed(stream: Stream, beside: tuple[Any, Any], rows: Rows) -> tuple[Any, Any]:
-    """Inputs and likelihood with the leaves for these rows."""
+    """Return inputs and likelihood with the arrays that belong to these rows."""
     leaves, form = jax.tree.flatten(beside)
     own = iter(rows.own)
     return jax.tree.unflatten(
@@ -278,7 +286,9 @@ def _joined(first: Rows | None, second: Rows) -> Rows:
 
 
 def _filled(rows: Rows, size: int) -> tuple[Rows, np.ndarray]:
-    """Rows padded to a size, and the mask of valid ones."""
+    """Pad rows to a size. Return them with a mask that is true for rows that hold data and false
+    for padding.
+    """
     place = np.arange(size)
     return _taken(rows, np.minimum(place, len(rows.data) - 1)), place < len(rows.data)
 

@@ -1,5 +1,6 @@
-"""Logarithms of the normal and Student's t distribution functions that are accurate in the far
-tails, and the inverse of the first."""
+"""Compute the logarithms of the normal and Student's t distribution functions, accurate in the far
+tails, and the inverse of the first.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +24,9 @@ HALF_LOG_PI = float(np.log(np.pi)) / 2
 
 
 def log1mexp(log_p: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln(1 - exp(`log_p`)), (...) no unit. XLA's log1p is accurate from -0.29 upward in float64."""
+    """Return ln(1 - exp(`log_p`)), (...) no unit. XLA's log1p is accurate only above -0.29 in
+    float64, so this function avoids it below.
+    """
     likely = log_p > -1.4
     rare = jnp.log1p(-jnp.exp(jnp.where(likely, -2, log_p)))
     return jnp.where(likely, jnp.log(-jnp.expm1(jnp.where(likely, log_p, -1))), rare)
@@ -31,15 +34,18 @@ def log1mexp(log_p: Float[Array, "..."]) -> Float[Array, "..."]:
 
 @jax.custom_jvp
 def log_ndtr(z: Float[Array, "..."]) -> Float[Array, "..."]:
-    """log Phi(z) at `z` standard deviations; its slope, phi(z) / Phi(z), tends to -z. The relative
-    error of JAX's own slope is 30 % at -1e4 in float32, and 1 at -1e10 in float64."""
+    """Return log Phi(z) for `z` standard deviations. Its derivative phi(z) / Phi(z) tends to -z.
+    The relative error of the derivative by JAX is 30 % at z = -1e4 in float32, and 100 % at -1e10
+    in float64.
+    """
     return _log_ndtr(z)
 
 
 @jax.jit  # one program, and one trace for each shape
 def _log_ndtr(z: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Above the mean it uses the small probability beyond, which JAX's own function rounds to
-    eps."""
+    """Return log Phi(z). Above the mean it is computed from the small probability above z, which
+    JAX's own function rounds to eps.
+    """
     above = z > 1
     below = special.log_ndtr(jnp.where(above, -z, z))
     return jnp.where(above, log1mexp(jnp.where(above, below, -1)), below)
@@ -53,8 +59,9 @@ def _log_ndtr_jvp(primals, tangents):
 
 @jax.jit
 def _hazard(z: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Return phi(z) / Phi(z). In the tail it is Laplace's continued fraction a + 1 / (a + 2 / (a +
-    3 / (...))) with a = -z."""
+    """Return phi(z) / Phi(z). In the lower tail the ratio is computed by Laplace's continued
+    fraction a + 1 / (a + 2 / (a + 3 / (...))) with a = -z.
+    """
     far = z < -_FAR
     a = jnp.where(far, -z, _FAR)
     fraction = a
@@ -67,7 +74,7 @@ def _hazard(z: Float[Array, "..."]) -> Float[Array, "..."]:
 
 @jax.custom_jvp
 def ndtri_exp(log_p: Float[Array, "..."]) -> Float[Array, "..."]:
-    """The z with log Phi(z) = `log_p`."""
+    """Return the z with log Phi(z) = `log_p`."""
     rare = log_p < _RARE
     square = -2 * jnp.where(rare & jnp.isfinite(log_p), log_p, _RARE)
     z = -jnp.sqrt(square - jnp.log(2 * np.pi * square))
@@ -85,12 +92,13 @@ def _ndtri_exp_jvp(primals, tangents):
 
 @jax.custom_jvp
 def log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Return log F(z) of Student's t, z scales above the median. It is differentiable by z only.
+    """Return log F(z) of Student's t, with z in units of the scale, measured from the median. The
+    function is differentiable with respect to z only.
 
-    It is computed from the incomplete beta function. Beyond z^2 = 3 dof it uses the series (DLMF
-    8.17.22), with the logarithm of its leading power, so that nothing underflows. For many degrees
-    of freedom the series loses digits. There the density is integrated: by Gauss-Laguerre
-    quadrature in the tail, and from there to the median by Gauss-Legendre quadrature."""
+    F is computed by the incomplete beta function. Beyond z^2 = 3 dof its series (DLMF 8.17.22) is
+    used, with the logarithm of its leading power, so that nothing underflows. For many degrees of
+    freedom the series loses digits. There the density is integrated, by Gauss-Laguerre quadrature
+    in the tail and by Gauss-Legendre quadrature from the tail to the median."""
     return _log_student(z, dof)
 
 
@@ -115,9 +123,10 @@ def _log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Arra
 
 
 def _near_normal(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Return log F(-z) for z >= 0. In the tail it is the density times the integral of the
-    remaining relative density. Before the tail it is the value at the beginning of the tail plus
-    the integral up to there. No term is negative."""
+    """Return log F(-z) for z >= 0 and many degrees of freedom. In the tail F is the density times
+    the integral of the relative density beyond. Nearer to the median, F is its value where the tail
+    begins plus the integral up to z. No term is negative.
+    """
     long = jnp.maximum(z, _STEEP)
     square = dof + long * long
     rate = (dof + 1) * long / square
@@ -133,18 +142,18 @@ def _near_normal(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Arra
 
 
 def _over(z: Float[Array, "..."], values: np.ndarray) -> np.ndarray:
-    """Values with a new axis before those of z."""
+    """Return values along a new axis before those of z."""
     return values.astype(z.dtype).reshape(-1, *(1,) * z.ndim)
 
 
 def student_log_density(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln of Student's density at z scales, of scale 1."""
+    """Return ln of Student's t density of unit scale at z."""
     norm = _half_step(dof / 2) - jnp.log(dof) / 2 - HALF_LOG_PI
     return norm - (dof + 1) / 2 * _log1p_square(z / jnp.sqrt(dof))
 
 
 def _log1p_square(q: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln(1 + q^2), where q^2 may overflow."""
+    """Return ln(1 + q^2), where q^2 may overflow."""
     far = jnp.abs(q) > 1
     near = jnp.log1p(jnp.where(far, 0, q) ** 2)
     return jnp.where(far, 2 * jnp.log(jnp.hypot(1, q)), near)
@@ -158,8 +167,10 @@ def _log_student_jvp(primals, tangents):
 
 
 def _half_step(a: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln Gamma(a + 1/2) - ln Gamma(a) without cancellation of two large logarithms. The asymptotic
-    series (DLMF 5.11.13) is used some steps further on, where a few terms are exact."""
+    """Return ln Gamma(a + 1/2) - ln Gamma(a) without cancellation of two large logarithms. The
+    recurrence raises a by some steps, and there a few terms of the asymptotic series (DLMF 5.11.13)
+    are exact enough.
+    """
     product = jnp.ones_like(a)
     for k in range(_STEPS):
         product = product * (a + k) / (a + k + 0.5)

@@ -1,4 +1,4 @@
-"""Reliability of draws, as findings."""
+"""Judge whether posterior draws are reliable, and say so in sentences."""
 
 import math
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ DIVERGENT = 0.001  # share of divergent trajectories from which they are reporte
 
 
 def is_trusted(posterior: Posterior) -> bool:
-    """Whether the chains, if any, are long enough, and few of their trajectories diverge."""
+    """Return whether the chains, if any, are long enough and few of their trajectories diverge."""
     return not (posterior.missing_steps or _diverges(posterior))
 
 
@@ -27,7 +27,9 @@ def _diverges(posterior: Posterior) -> bool:
 
 
 def convergence_in_words(posterior: Posterior) -> str:
-    """The reliability of the draws in one sentence; for a short chain, with the missing length."""
+    """Return one sentence on the reliability of the draws; for a short chain, with the number of
+    missing steps.
+    """
     if posterior.endless:
         return (
             f"The data bound {posterior.endless} on one side only, and a chain diverged. "
@@ -104,10 +106,13 @@ def cost_in_words(
     typed: bool = False,
     argument: str = "posterior",
 ) -> str:
-    """The error of a fit's approximations, in standard errors, its time in s, and the next cheaper
-    and better settings in one sentence. `typed`: as options of a command; else `argument` of the
-    function takes them. A cubic or quartic term that is m at two standard deviations moves the
-    97.5 % point by .73 m or .84 m (Cornish and Fisher's expansion)."""
+    """Return one sentence on the error of a fit's approximations in standard errors, on its time in
+    s, and on settings that are cheaper or more accurate. With `typed` the settings are options of a
+    command; otherwise they are values of the function's `argument`. The error of Laplace's
+    intervals is derived from the test of the approximation: a cubic or quartic term of the log
+    density that is m at two standard deviations moves the 97.5 % point by 0.73 m or 0.84 m standard
+    errors (Cornish and Fisher's expansion).
+    """
     every = list(posteriors)
     if not every:
         return ""
@@ -134,7 +139,9 @@ def cost_in_words(
 
 
 def _error_of_end(posterior: Posterior) -> float:
-    """Error of the ends of 95 % intervals by the approximation of a posterior, standard errors."""
+    """Return the error of the ends of 95 % intervals due to the approximation of a posterior, in
+    standard errors.
+    """
     if posterior.method == "Laplace":
         return np.inf if posterior.missed or posterior.endless else _OF_A_MISS * posterior.miss
     if posterior.method == "marginal":
