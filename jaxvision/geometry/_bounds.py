@@ -14,7 +14,7 @@ from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 
 
 class Ball(Shown):
-    """A sphere that encloses something.
+    """A bounding sphere.
 
     Attributes:
         centre: (3,) m.

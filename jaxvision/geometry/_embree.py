@@ -1,10 +1,10 @@
-"""Intersect rays with large meshes by Embree, which returns the numbers of triangles; optional
-(`embreex`).
+"""Intersection of rays with large meshes by Embree, which returns the indices of triangles;
+optional (`embreex`).
 
-Distances and normals are computed here from the triangle, so they have gradients and the caller's
-dtype. Embree works in float32. If a float64 ray passes an edge within float32 rounding, Embree may
-return the neighbouring triangle. Embree misses a triangle whose distance is below the float32
-rounding error of the mesh's size.
+This module computes distances and normals from the triangle, so they have gradients and the
+caller's dtype. Embree works in float32. If a float64 ray passes an edge within float32 rounding,
+Embree may return the neighbouring triangle. Embree misses a triangle whose distance is below the
+float32 rounding error of the mesh's size.
 """
 
 import importlib.util
@@ -50,7 +50,7 @@ def embree_nearest(ray: Ray, mesh: TriangleMesh) -> Int[Array, ""]:
 
 
 def embree_blocks(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, ""]:
-    """Whether the ray hits a triangle before `distance`, m."""
+    """Return whether the ray hits a triangle before `distance`, m."""
     return _answer(_blocks, jnp.bool_, ray, mesh, distance)
 
 
@@ -85,8 +85,9 @@ def _found_before(
 
 
 def _broadcast(direction: np.ndarray) -> np.ndarray:
-    """Change directions by a few rounding errors. A ray without a hit is traced again with such a
-    direction, because one in 100000 rays aimed at a vertex slips through the mesh."""
+    """Perturb directions by a few rounding errors. A ray without a hit is traced again in the
+    perturbed direction, because one in 100000 rays aimed at a vertex slips through the mesh.
+    """
     return direction + 4 * np.finfo(np.float32).eps * direction[:, [1, 2, 0]]
 
 
@@ -138,8 +139,8 @@ def _threads() -> ThreadPoolExecutor:
 
 def _scene(vertices: np.ndarray, faces: np.ndarray) -> tuple[Any, np.float32]:
     """Return the search tree of a mesh scaled to a size of about 1, because rays slip through very
-    small triangles, and the scale, a power of two. Trees are cached by the numbers of the mesh,
-    whose comparison costs less than tracing a thousand rays."""
+    small triangles, and the scale, a power of two. Trees are cached by the mesh's numbers, because
+    comparing them costs less than tracing a thousand rays."""
     from embreex.mesh_construction import TriangleMesh as EmbreeMesh
     from embreex.rtcore_scene import EmbreeScene
 

@@ -1,6 +1,6 @@
 """Intersection of a ray with a triangle mesh. In a mesh of up to a hundred triangles (some thousand
-on an accelerator) each triangle is tested; Embree searches larger meshes. For ONE ray; lengths in
-metres."""
+on an accelerator) each triangle is tested; Embree searches larger meshes. Functions take one ray;
+lengths are in metres."""
 
 import warnings
 from functools import cache
@@ -29,7 +29,7 @@ def mesh_nearest(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:
 
 
 def mesh_blocks(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, ""]:
-    """Whether the ray hits the mesh before `distance`, m."""
+    """Return whether the ray hits the mesh before `distance`, m."""
     if not _search(mesh):
         return any_triangle(ray, mesh, distance)
     return _embree.embree_blocks(ray, mesh, distance)

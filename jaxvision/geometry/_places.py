@@ -1,7 +1,7 @@
 """Points distributed uniformly over a shape, for sampling emissive surfaces.
 
-Two uniform numbers become a point with the constant density 1 / area. Lengths in m, areas in m^2,
-normals unit. For ONE point; the caller vmaps.
+Two uniform numbers become a point with the constant density 1 / area. Lengths are in m and areas in
+m^2; normals have unit length. Functions draw one point; use `jax.vmap` for many.
 """
 
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from .hemisphere import cross, direction_at, local_frame, to_world
 
 
 class SurfacePoint(Shown):
-    """A point of a shape.
+    """A point on the surface of a shape, and its normal.
 
     Attributes:
         point: (3,) m.
@@ -30,7 +30,7 @@ class SurfacePoint(Shown):
 
 
 def has_area(shape: Shape) -> bool:
-    """Whether points of a shape can be sampled.
+    """Return whether `point_on` can sample points of a shape.
 
     Args:
         shape: any shape.
@@ -75,7 +75,7 @@ def surface_area(shape: Shape) -> Scalar:
 
 @takes_numbers
 def point_on(shape: Shape, u: Float[Array, "2"]) -> SurfacePoint:
-    """Draw a point of a shape, uniform by area.
+    """Draw a point on a shape's surface, uniform by area.
 
     Args:
         shape: any shape but a plane.
@@ -136,7 +136,9 @@ def _point_on_box(box: Box, u: Float[Array, "2"]) -> SurfacePoint:
 
 
 def _pick(weights: Float[Array, " n"], u: Scalar) -> tuple[Array, Scalar]:
-    """Draw an index with probability proportional to its weight; return it and the rescaled `u`."""
+    """Draw an index with probability proportional to its weight; return it, and `u` rescaled to be
+    uniform again.
+    """
     ends = running_sum(weights)
     at = u * ends[-1]
     last = jnp.searchsorted(ends, ends[-1])  # the last index with a weight, as `at` may round up

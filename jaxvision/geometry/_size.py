@@ -23,7 +23,7 @@ def largest_component(v: Vec3) -> Scalar:
 
 
 def largest_coordinate(points: Sequence[Vec3]) -> Scalar:
-    """Return the largest magnitude of all components.
+    """Return the largest magnitude of any component of any of the points.
 
     Args:
         points: (3,) each, in any one unit.
@@ -66,8 +66,8 @@ def largest_size(shapes: Sequence[Shape]) -> Scalar:
 
 @takes_numbers
 def offset_length(size: Scalar) -> Scalar:
-    """Return the offset of a point from its surface, so that no ray from it hits the same surface
-    again.
+    """Return the distance by which to move a point off its surface, so that no ray from it hits the
+    same surface again.
 
     Args:
         size: () m, the largest length in the computation of the point.

@@ -1,4 +1,5 @@
-"""Intersection of a ray with triangles, without gaps along shared edges. For ONE ray; lengths in m.
+"""Intersection of a ray with triangles, without gaps along shared edges. Functions take one ray;
+lengths are in m.
 
 The method is that of Woop, Benthin & Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1)
 (2013). In a frame where the ray is the z axis, the vertices a, b, c give three edge functions:
@@ -6,9 +7,9 @@ The method is that of Woop, Benthin & Wald, "Watertight Ray/Triangle Intersectio
     U = c x b    V = a x c    W = b x a    t = (U a_z + V b_z + W c_z) / (U + V + W).
 
 t is the distance along the ray. Two triangles compute the function of a shared edge from the same
-two vertices, so the values are opposite except for rounding. Compiled code may round the products
-and the transformed vertices differently. An edge function within this rounding error of zero
-therefore counts as inside, for both triangles.
+two vertices, so the values are opposite except for rounding. Compiled code may round them
+differently for the two triangles. An edge function within this rounding error of zero therefore
+counts as inside, for both triangles.
 """
 
 import jax
@@ -45,14 +46,16 @@ def _perpendicular_size(v: Vec) -> Scalar:
 
 
 def _reach(v: Vec) -> Scalar:
-    """Return an upper bound on the length of a vector in the frame of the ray; the rounding error
-    of each component is proportional to it."""
+    """Return an upper bound on the length of a vector in the frame of the ray. The rounding error
+    of each component is proportional to that bound.
+    """
     return _perpendicular_size(v) + jnp.abs(v.z)
 
 
 def triangle_distance(ray: Ray, frame: Frame, a: Vec, b: Vec, c: Vec) -> Scalar:
-    """Return the distance to one triangle, m, inf for a miss. `frame`: about the ray's direction.
-    `a`, `b`, `c`: the vertices, m."""
+    """Return the distance to one triangle, m, inf for a miss. `frame`: a local frame whose normal
+    is the ray's direction. `a`, `b`, `c`: the vertices, m.
+    """
     a, b, c = (_view(ray, frame, v) for v in (a, b, c))
     (u, du), (v, dv), (w, dw) = _edge(c, b), _edge(a, c), _edge(b, a)
     front = (u >= -du) & (v >= -dv) & (w >= -dw)
@@ -89,7 +92,7 @@ def nearest_triangle(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, "
 
 
 def any_triangle(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, ""]:
-    """Whether the ray hits a triangle before `distance`, m."""
+    """Return whether the ray hits a triangle before `distance`, m."""
     frame, triangles = local_frame(ray.direction), corners(mesh)
 
     def try_one(
@@ -120,7 +123,7 @@ def scan_chunks(step, carry, items, count: int):
 
 def triangle_hit(ray: Ray, mesh: TriangleMesh, primitive: Int[Array, ""]) -> Hit:
     """Return the hit of a triangle that the ray is known to hit, computed from its plane; a miss
-    for -1. It is differentiable with respect to the ray and the vertices."""
+    for -1. The hit is differentiable with respect to the ray and the vertices."""
     face = mesh.faces.at[primitive].get(mode="clip")
     a, b, c = (as_vec(v) for v in mesh.vertices.at[face].get(mode="clip"))
     distance, v, w = materialise(_place, ray, primitive >= 0, a, b, c)
@@ -145,8 +148,9 @@ def triangle_hit(ray: Ray, mesh: TriangleMesh, primitive: Int[Array, ""]) -> Hit
 def _place(
     ray: Ray, known: Bool[Array, ""], a: Vec, b: Vec, c: Vec
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Return the distance, m, and the barycentric weights of b and c. The weights come from the
-    reciprocal edges, and are clipped if rounding puts them outside the triangle."""
+    """Return the distance, m, and the barycentric weights of b and c. The weights are inner
+    products with the reciprocal edges, clipped if rounding puts the point outside the triangle.
+    """
     edge_b, edge_c = b - a, c - a
     area = cross(edge_b, edge_c)
     normal = as_vec(normalize(area))

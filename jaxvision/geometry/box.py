@@ -1,5 +1,5 @@
 """Intersection of a ray with a box, by slabs: Kay & Kajiya, "Ray Tracing Complex Scenes", SIGGRAPH
-1986. For ONE ray; lengths in metres."""
+1986. Functions take one ray; lengths are in metres."""
 
 from collections.abc import Callable
 from typing import Any
@@ -54,8 +54,8 @@ def _slabs(
 
 
 def _faces(ray: Ray, box: Box) -> tuple[Scalar, Int[Array, ""]]:
-    """Return (distance in m, number of the face): inf and -1 for a miss. The number is twice the
-    number of the axis, plus one on its positive side. On an edge the first axis counts.
+    """Return (distance in m, number of the face): inf and -1 for a miss. The number of a face is
+    twice the number of its axis, plus one on the positive side. On an edge the first axis counts.
     """
     origin, direction = _local(box, ray.origin - box.centre), _local(box, ray.direction)
     enter, leave, between = _slabs(origin, direction, as_vec(box.half_extents))
@@ -74,7 +74,7 @@ def _component(v: Vec, axis: Int[Array, ""]) -> Scalar:
 
 
 def box_distance(ray: Ray, box: Box) -> Scalar:
-    """Return only the distance, m, inf for a miss."""
+    """Return the distance to the nearest hit, m, inf for a miss."""
     return _faces(ray, box)[0]
 
 
@@ -83,7 +83,9 @@ def _first_face(ray: Ray, box: Box) -> Int[Array, ""]:
 
 
 def _place(ray: Ray, box: Box, face: Int[Array, ""]) -> tuple[Scalar, Vec]:
-    """Return the distance to a known face, and the hit in the box's axes, projected onto it, m."""
+    """Return the distance to the face with this number, and the hit in the box's axes, projected
+    onto the face, m.
+    """
     origin, direction = _local(box, ray.origin - box.centre), _local(box, ray.direction)
     axis, half = face // 2, as_vec(box.half_extents)
     to_face = _side(face, half.x) * _component(half, axis) - _component(origin, axis)
@@ -107,7 +109,7 @@ def _side(face: Int[Array, ""], like: Scalar) -> Scalar:
 def intersect_box(ray: Ray, box: Box) -> Hit:
     """Return the nearest hit of a box ahead of the ray's origin, which may lie inside.
 
-    On an edge, the first of the box's own axes gives the normal.
+    On an edge, the normal is along the first of the box's axes.
 
     Args:
         ray: its origin in m.

@@ -1,5 +1,5 @@
-"""Findings on invalid shapes for files and command lines, before tracing. NumPy; lengths in
-metres."""
+"""Checks of shapes: messages about invalid shapes for files and command lines, before tracing.
+NumPy; lengths in metres."""
 
 import jax
 import numpy as np
@@ -67,8 +67,9 @@ def invalid(shape: Shape) -> list[str]:
 
 
 def coarse(shape: Shape) -> list[str]:
-    """Return a finding if a shape is so far from the origin that the spacing of its dtype there
-    exceeds a thousandth of the shape's size, or 4 % of the mean height of a mesh's triangles."""
+    """Return a message if a shape is so far from the origin that the spacing of its dtype there
+    exceeds a thousandth of the shape's size, or 4 % of the mean height of a mesh's triangles.
+    """
     match shape:
         case Sphere() | Disc():
             place, size = np.asarray(shape.centre), float(shape.radius)
@@ -103,7 +104,9 @@ def coarse(shape: Shape) -> list[str]:
 
 
 def warn_if_coarse(*shapes: Shape) -> None:
-    """Warn of the first shape that rounding deforms at its position, if its numbers are known."""
+    """Warn about the first shape so far from the origin that rounding deforms it, if its numbers
+    are known.
+    """
     for shape in shapes:
         if all(map(is_known, jax.tree.leaves(shape))) and (found := coarse(shape)):
             warn_caller(found[0])

@@ -1,5 +1,5 @@
-"""Intersection of a ray with flat shapes: planes, discs, parallelograms. For ONE ray; lengths in
-metres.
+"""Intersection of a ray with flat shapes: planes, discs, parallelograms. Functions take one ray;
+lengths are in metres.
 
     t = n.(p - o) / n.d
 
@@ -44,8 +44,10 @@ def _hit(
     size: Scalar,
     compute: Callable[..., Any],
 ) -> Hit:
-    """Return the hit of a plane through `point`, projected onto the plane, if it lies ahead.
-    `compute` as for `box_hit`: a height that is rounded twice differently would miss the plane."""
+    """Return the hit of a plane through `point`, projected onto the plane, if the plane lies ahead.
+    `compute` as for `box_hit`: if the distance were computed twice with different rounding, the hit
+    would miss the plane.
+    """
     distance = compute(_distance, ray, point, normal)
     hit = meets & (distance > 0)
     place = compute(_along, ray, jnp.where(hit, distance, 0))
@@ -73,7 +75,7 @@ def intersect_plane(ray: Ray, plane: Plane) -> Hit:
 
 
 def plane_hit(ray: Ray, plane: Plane, compute: Callable[..., Any]) -> Hit:
-    """Return the hit of a plane, m; `compute` as in `_hit`."""
+    """Return the hit of a plane, m. `compute` as for `box_hit`."""
     normal = as_vec(normalize(plane.normal))
     return _hit(ray, plane.point, normal, jnp.asarray(True), size_of(plane), compute)
 
@@ -97,7 +99,7 @@ def intersect_disc(ray: Ray, disc: Disc) -> Hit:
 
 
 def disc_hit(ray: Ray, disc: Disc, compute: Callable[..., Any]) -> Hit:
-    """Return the hit of a disc, m; `compute` as in `_hit`."""
+    """Return the hit of a disc, m. `compute` as for `box_hit`."""
     normal = as_vec(normalize(disc.normal))
     aside = ray.origin + _distance(ray, disc.centre, normal) * ray.direction - disc.centre
     inside = dot(aside, aside) <= disc.radius * disc.radius
@@ -155,7 +157,7 @@ def quad_distance(ray: Ray, quad: FlatQuad) -> Scalar:
 
 
 def quad_blocks(ray: Ray, quad: FlatQuad, distance: Scalar) -> Bool[Array, ""]:
-    """Whether the ray hits the parallelogram before `distance`, m."""
+    """Return whether the ray hits the parallelogram before `distance`, m."""
     height, slope, meets = _meet_quad(ray, quad)
     return meets & (height < distance * slope)
 
@@ -181,6 +183,7 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
 
 
 def quad_hit(ray: Ray, quad: FlatQuad, meets: Bool[Array, ""], compute: Callable[..., Any]) -> Hit:
-    """Return the hit of a parallelogram, m, given whether the ray hits it; `compute` as in
-    `_hit`."""
+    """Return the hit of a parallelogram, m, given whether the ray hits it. `compute` as for
+    `box_hit`.
+    """
     return _hit(ray, quad.corner, quad.normal, meets, quad.size, compute)

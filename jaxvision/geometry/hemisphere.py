@@ -1,8 +1,10 @@
-"""Directions above a surface: the local frame, two samplers with densities, and a quadrature.
+"""Directions above a surface: the local frame, two samplers with their densities, and a quadrature
+over the hemisphere.
 
 The local frame has the normal along +z. Directions are unit vectors that point away from the
-surface; densities and weights are per solid angle, in sr^-1 and sr. For ONE direction: the caller
-vmaps. Sampling functions return a `Vec`. Rotations return the type they were given.
+surface; densities and weights are per solid angle, in sr^-1 and sr. Functions take one direction;
+use `jax.vmap` for many. Sampling functions return a `Vec`. Rotations return the type they were
+given.
 """
 
 import equinox as eqx
@@ -128,7 +130,8 @@ def to_world(frame: Frame, w: Vec3) -> Vec3:
 @takes_numbers
 def direction_at(one_minus_cos: Scalars, phi: Scalars) -> Vec:
     """Return the unit vector at azimuth `phi` (rad) whose polar cosine is 1 - `one_minus_cos`, with
-    `one_minus_cos` in [0, 2]. This argument is precise for narrow lobes, unlike the cosine."""
+    `one_minus_cos` in [0, 2]. Near the pole 1 minus the cosine is more precise than the cosine,
+    which matters for narrow lobes."""
     sine = safe_sqrt(one_minus_cos * (2 - one_minus_cos))
     return Vec(sine * jnp.cos(phi), sine * jnp.sin(phi), 1 - one_minus_cos)
 
@@ -170,9 +173,10 @@ def _spherical_direction(sine: Scalars, cosine: Scalars, turns: Scalars) -> Vec:
 def product_nodes(
     polar: int, azimuths: int
 ) -> tuple[Float[np.ndarray, "nodes 3"], Float[np.ndarray, " nodes"]]:
-    """Return unit local directions, (nodes, 3), and weights, (nodes,) sr, in NumPy float64. They
-    are Gauss-Legendre nodes in cos(theta) times the trapezium rule in phi, exact up to degree
-    min(2 polar - 1, azimuths - 1)."""
+    """Return unit local directions, (nodes, 3), and weights, (nodes,) sr, in NumPy float64. The
+    rule is Gauss-Legendre in cos(theta) times the trapezium rule in phi. It integrates polynomials
+    in the direction's components exactly up to degree min(2 polar - 1, azimuths - 1).
+    """
     if polar < 1 or azimuths < 1:
         raise ValueError(f"polar and azimuths must be at least 1, got {polar} and {azimuths}.")
     mu, w_mu = gauss_legendre(polar)

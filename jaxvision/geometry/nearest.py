@@ -1,9 +1,9 @@
-"""Find the first of many surfaces that a ray intersects, and test for occlusion. For ONE ray; the
-caller vmaps.
+"""Find the first of many surfaces that a ray intersects, and test for occlusion. Functions take one
+ray; use `jax.vmap` for many.
 
-The search returns integers and has no gradient. The hit is then recomputed from the found shape,
-and has all gradients. Only intersections at a distance > 0 count. A miss has distance inf, a zero
-normal, and gradients of zero. Lengths are metres.
+The search returns integers and has no gradient. The hit is then recomputed from the shape that was
+found, with gradients with respect to ray and shape. Only intersections at a distance > 0 count. A
+miss has distance inf, a zero normal, and gradients of zero. Lengths are metres.
 """
 
 from collections.abc import Callable, Sequence
@@ -133,8 +133,8 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
 
 
 def nearest_shape(ray: Ray, shapes: Shapes) -> Encounter:
-    """Find the shape that a ray intersects first. Among equally near shapes of one type it is the
-    one with the smallest index.
+    """Find the shape that a ray intersects first. Among equally near shapes of one type, the shape
+    with the smallest index is returned.
 
     Args:
         ray: its origin in m.
@@ -228,8 +228,9 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
 
 
 def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:
-    """Return the hit of one shape, computed inside a loop of the caller. `among`: whether this
-    shape is known to be hit."""
+    """Return the hit of one shape, without materialising values, for use inside a caller's loop.
+    `among`: whether this shape is known to be hit.
+    """
     match shape:
         case FlatQuad():
             return quad_hit(ray, shape, among, inline)
@@ -262,7 +263,7 @@ def occluded(
     *,
     size: Scalar | None = None,
 ) -> Bool[Array, ""]:
-    """Whether any shape lies between a point of a surface and its target.
+    """Return whether any shape lies between a point of a surface and its target.
 
     Args:
         point: (3,) m.
@@ -293,7 +294,7 @@ def blocked(
     shapes: Shapes,
     size: Scalar | None,
 ) -> Bool[Array, ""]:
-    """Do what `occluded` does, as part of a loop of the caller.
+    """Return what `occluded` returns, for use inside a caller's loop.
 
     Args:
         point: (3,) m.
@@ -344,8 +345,9 @@ def blocked(
 
 
 def meets(ray: Ray, shapes: Sorted, number: Int[Array, ""]) -> Bool[Array, ""]:
-    """Whether a ray meets the shape with this index, even if other shapes are nearer; always False
-    for a mesh. No gradient."""
+    """Return whether a ray hits the shape with this index, even if other shapes are nearer; always
+    False for a mesh. No gradient.
+    """
     ray, shapes = jax.lax.stop_gradient((ray, shapes))
     met = jnp.zeros((), bool)
     for members, group in zip(shapes.members, shapes.groups, strict=True):
@@ -385,8 +387,9 @@ def _blocks(ray: Ray, shape: Shape | FlatQuad, distance: Scalar) -> Bool[Array, 
 
 
 def _each_stored(of_chunk: Callable[..., Any], count: int) -> Callable[..., Any]:
-    """Return the function of a chunk, materialised separately if it is called in a loop over
-    chunks. Otherwise the chunk would be read again for each ray."""
+    """Wrap a function of a chunk of shapes so that its result is materialised if there are several
+    chunks. Otherwise the chunk would be read again for each ray.
+    """
     return partial(materialise, of_chunk) if count > 2 * _CHUNK else of_chunk
 
 
@@ -417,8 +420,9 @@ def _each(chunk: Any) -> list[Any]:
 
 
 def _first_of(ray: Ray, chunk: Any) -> Int[Array, ""]:
-    """Return the nearest shape of a chunk as one integer: the bits of its distance, whose order is
-    that of the distances, with the last three replaced by the shape's position."""
+    """Return the nearest shape of a chunk as one integer: the bits of its distance, with the last
+    three replaced by the shape's position. These integers have the order of the distances.
+    """
     keys = []
     for place, shape in enumerate(_each(chunk)):
         distance = _distance(ray, shape)

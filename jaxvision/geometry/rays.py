@@ -1,4 +1,5 @@
-"""Rays, their hits, and the origins of continued rays. For ONE ray; the caller vmaps.
+"""Rays, their hits, and the origins of continued rays. Functions take one ray; use `jax.vmap` for
+many.
 
 Lengths are metres, directions unit vectors.
 """
@@ -20,7 +21,7 @@ from ._size import largest_component, offset_length
 
 
 class Ray(Shown):
-    """A ray; (3,) arrays are split into components.
+    """A ray: its origin and unit direction. Arrays (3,) are split into components.
 
     Attributes:
         origin: (3,) m.
@@ -41,7 +42,7 @@ class Ray(Shown):
 
 
 class Encounter(Shown):
-    """The first intersection of a ray, as integers.
+    """The first intersection of a ray, as the indices of the shape and of its triangle.
 
     Attributes:
         shape: () index, -1 if nothing is hit.
@@ -86,7 +87,7 @@ class Hit(Shown):
 
 @takes_numbers
 def mirror_direction(normal: Directions, w: Directions) -> Vec3:
-    """Return the mirror direction s = (2 n n^T - I) w for the normal n.
+    """Return the mirror direction s = (2 n n^T - I) w of a direction w about the normal n.
 
     Args:
         normal: (..., 3) unit.
@@ -112,9 +113,9 @@ def offset_origin(
     again.
 
     The point moves along the normal to the side of the ray, by the largest distance by which
-    rounding can have put it on the wrong side. Only one normal is known here. At an edge or a
-    corner of a mesh, a ray may leave one face outward and its neighbour inward. It then starts on
-    the wrong side of the neighbour and may hit it.
+    rounding can have put it on the wrong side. This function knows the normal of one face only. At
+    an edge or a corner of a mesh, a ray may leave one face outward and its neighbour inward. The
+    ray then starts on the wrong side of the neighbour and may hit it.
 
     Args:
         point: (3,) m.

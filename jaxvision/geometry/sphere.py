@@ -1,4 +1,4 @@
-"""Intersection of a ray with a sphere. For ONE ray; lengths in metres."""
+"""Intersection of a ray with a sphere. Functions take one ray; lengths are in metres."""
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +22,10 @@ from .rays import Hit, Ray
 
 
 def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:
-    """Return only the distance, m, by the plain formula. It is accurate to a few eps of the
-    distance to the centre, which is enough to find the first of several surfaces."""
+    """Return the distance to the nearest hit, m, inf for a miss, by the textbook formula. Its error
+    is a few eps of the distance to the centre, which is small enough to find the first of several
+    surfaces.
+    """
     b, discriminant = _closest(ray, sphere)
     half_chord = jnp.sqrt(jnp.maximum(discriminant, 0))
     near, far = b - half_chord, b + half_chord
@@ -32,7 +34,9 @@ def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:
 
 
 def sphere_blocks(ray: Ray, sphere: Sphere, distance: Scalar) -> Bool[Array, ""]:
-    """Whether the ray hits the sphere before `distance`, m, without a square root."""
+    """Return whether the ray hits the sphere before `distance`, m, without computing a square
+    root.
+    """
     b, discriminant = _closest(ray, sphere)
     rest = distance - b  # from the closest approach to the end
     less, more = jnp.minimum(b, rest), jnp.maximum(b, rest)
@@ -89,16 +93,19 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
 
 
 def _first_crossing(ray: Ray, sphere: Sphere) -> Scalar:
-    """Return the distance to the first crossing ahead, m, inf for a miss. It must be materialised,
-    because for a ray that starts on the sphere rounding decides between both crossings."""
+    """Return the distance to the first crossing ahead, m, inf for a miss. The result must be
+    materialised, so that every use has the same rounding: for a ray that starts on the sphere,
+    rounding decides between both crossings.
+    """
     near, far, meets = _crossings(ray, sphere)
     return jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)
 
 
 def _crossings(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar, Bool[Array, ""]]:
-    """Return (near, far, whether the line meets the sphere), distances in m. They are computed from
-    the closest approach and the product of both roots, without cancellation for distant or small
-    spheres (Haines et al., Ray Tracing Gems (2019), ch. 7)."""
+    """Return (near, far, whether the line meets the sphere), distances in m. The crossings are
+    computed from the closest approach and the product of both roots, without cancellation for
+    distant or small spheres (Haines et al., Ray Tracing Gems (2019), ch. 7).
+    """
     r = sphere.radius
     b, closest = _closest_approach(ray, sphere)
     discriminant = r * r - dot(closest, closest)

@@ -1,9 +1,9 @@
-"""Histograms and what follows from them: distributions, quantiles, thresholds, equalisation (full,
-partial, locally adaptive) and matching.
+"""Histograms and operations based on them: cumulative distributions, quantiles, thresholds,
+equalisation (full, partial, locally adaptive) and matching.
 
 Images are (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a
-separate plane. `uint8` and `uint16` images are counted exactly, code by code. Floating images
-have relative values, counted in equal bins of a stated range. NaN is never counted.
+separate plane. `uint8` and `uint16` images are counted exactly, with one bin per code. Floating
+images have relative values and are counted in equal bins of a stated range. NaN is never counted.
 """
 
 from ..core.lazy_names import names_of

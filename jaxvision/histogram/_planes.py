@@ -1,7 +1,8 @@
-"""Planes, their bins, and counting.
+"""Counting the values of image planes in bins.
 
 A single scatter into a flat table counts everything: bin b of group g is entry g bins + b, where a
-group is a plane or a tile of a plane. Bands therefore need no transposition, and a batch no loop.
+group is a plane or a tile of a plane. Bands therefore need no transposition, and a batch needs no
+loop.
 """
 
 from collections.abc import Sequence
@@ -31,7 +32,9 @@ PAIRED = 4  # largest number of 8-bit planes for which pairs of codes are counte
 
 
 class Binning(NamedTuple):
-    """Equal bins of a range as in numpy: half-open [edge, next edge), only the last one closed."""
+    """Equal bins of a range as in numpy: half-open [edge, next edge), except that the last bin
+    includes its upper edge.
+    """
 
     bins: int
     low: float
@@ -47,8 +50,9 @@ class Binning(NamedTuple):
 
 
 def as_stack(image: Pixels) -> Stack:
-    """An image as (n, h, w, bands), with half precision converted to float32, which also has the
-    counts; `ValueError` for a wrong rank, no pixels or another dtype."""
+    """Return an image as (n, h, w, bands). Half precision becomes float32, which can also hold the
+    counts. Raise `ValueError` for a wrong rank, no pixels or another dtype.
+    """
     pixels = jnp.asarray(image)
     if pixels.ndim < 2 or 0 in pixels.shape:
         raise ValueError(
@@ -64,19 +68,23 @@ def as_stack(image: Pixels) -> Stack:
 
 
 def per_plane(table: Shaped[Array, "planes ..."], image: Pixels) -> Shaped[Array, "..."]:
-    """From one row per plane to (...) for (h, w) and (..., bands, ...) for (..., h, w, bands)."""
+    """Reshape a table with one row per plane to the image's leading axes: (...) for an image (h,
+    w), and (..., bands, ...) for (..., h, w, bands).
+    """
     shape = jnp.shape(image)
     planes = () if len(shape) == 2 else (*shape[:-3], shape[-1])
     return table.reshape(*planes, *table.shape[1:])
 
 
 def levels_of(image: Pixels) -> int | None:
-    """The number of codes of an integer image's dtype; None for a floating image."""
+    """Return the number of codes of an integer image's dtype, and None for a floating image."""
     return LEVELS.get(np.dtype(image.dtype))
 
 
 def binning(image: Pixels, bins: int | np.integer | None, value_range: Range | None) -> Binning:
-    """The requested bins; by default one a code, or `FLOAT_BINS` of [0, 1]."""
+    """Return the requested bins, by default one per code for integer images, or `FLOAT_BINS` over
+    [0, 1].
+    """
     levels = levels_of(image)
     bins = (levels or FLOAT_BINS) if bins is None else bins
     low, high = (0.0, float(levels or 1)) if value_range is None else value_range
@@ -96,7 +104,9 @@ def binning(image: Pixels, bins: int | np.integer | None, value_range: Range | N
 
 
 def check_codes_whole(stack: Stack, bins: Any, value_range: Any) -> None:
-    """Raise `ValueError` for bins or a range with integer images: these are equalised by code."""
+    """Raise `ValueError` for bins or a range with integer images, which are always equalised code
+    by code.
+    """
     if levels_of(stack) is not None and (bins, value_range) != (None, None):
         raise ValueError(
             f"an integer image is equalised code by code, without bins or value_range; got {bins} "
@@ -105,13 +115,15 @@ def check_codes_whole(stack: Stack, bins: Any, value_range: Any) -> None:
 
 
 def plane_numbers(stack: Stack) -> Int[Array, "n 1 1 bands"]:
-    """0, 1, 2 ... for the planes of a stack, in the order of `per_plane`."""
+    """Number the planes of a stack 0, 1, 2 ..., in the order of `per_plane`."""
     n, _, _, bands = stack.shape
     return jnp.arange(n * bands, dtype=jnp.int32).reshape(n, 1, 1, bands)
 
 
 def bin_of_codes(levels: int, chosen: Binning) -> np.ndarray:
-    """(levels,) the bin of each code; `bins` for a code outside the range."""
+    """Return the bin of each code, (levels,); the number of bins stands for a code outside the
+    range.
+    """
     codes, edges = np.arange(levels), chosen.edges
     index = np.searchsorted(edges, codes, side="right") - 1
     index[codes == chosen.high] = chosen.bins - 1
@@ -119,8 +131,9 @@ def bin_of_codes(levels: int, chosen: Binning) -> np.ndarray:
 
 
 def bin_of_values(x: Float[Array, "..."], chosen: Binning) -> Int[Array, "..."]:
-    """The bin of each value, corrected by a comparison with the edges as in numpy; `bins` for NaN
-    and values outside the range."""
+    """Return the bin of each value, corrected by a comparison with the edges as in numpy. The
+    number of bins stands for NaN and for values outside the range.
+    """
     bins, low, high = chosen
     edges = jnp.asarray(chosen.edges, x.dtype)
     inside = (x >= low) & (x <= high)
@@ -134,7 +147,7 @@ def bin_of_values(x: Float[Array, "..."], chosen: Binning) -> Int[Array, "..."]:
 def count(
     index: Int[Array, "..."], group: Int[Array, "..."], groups: int, bins: int
 ) -> Int[Array, "groups bins"]:
-    """How often each index in [0, bins) occurs in each group; other indices are not counted."""
+    """Count how often each index in [0, bins) occurs in each group. Other indices are ignored."""
     nowhere = groups * bins
     small = jnp.uint16 if nowhere < 2**16 else jnp.int32
     entry = jnp.where(index < bins, group * bins + index, nowhere).astype(small).ravel()
@@ -152,8 +165,9 @@ def count(
 
 
 def _pair_counts(stack: Stack) -> Int[Array, "planes 256"]:
-    """The counts of codes of 8 bits. Counting two neighbours as one of 65536 pairs takes half as
-    many steps, and halves of a large picture are counted at the same time."""
+    """Count the codes of 8-bit images. Counting two neighbours as one of 65536 pairs takes half as
+    many steps, and the two halves of a large picture are counted at the same time.
+    """
     n, h, w, bands = stack.shape
     planes, even = jnp.moveaxis(stack, -1, 1).reshape(n * bands, h * w), h * w // 2 * 2
     tables = []
@@ -174,7 +188,7 @@ def _pair_counts(stack: Stack) -> Int[Array, "planes 256"]:
 
 
 def bin_counts(stack: Stack, chosen: Binning) -> Int[Array, "planes bins"]:
-    """The counts of every plane, exact."""
+    """Return the exact counts of every plane."""
     group, planes = plane_numbers(stack), stack.shape[0] * stack.shape[-1]
     levels = levels_of(stack)
     if levels is None:
@@ -192,7 +206,7 @@ def bin_counts(stack: Stack, chosen: Binning) -> Int[Array, "planes bins"]:
 def cumulative_fractions(
     counts: Shaped[Array, "*planes bins"], dtype: DTypeLike
 ) -> Float[Array, "*planes edges"]:
-    """The fraction of all counts below each edge; 0 throughout if there are none."""
+    """Return the fraction of all counts below each edge, 0 at every edge if there are no counts."""
     below = jnp.cumsum(counts, axis=-1).astype(dtype)
     total = below[..., -1:]
     fractions = divide(below, total, total != 0)
@@ -202,8 +216,9 @@ def cumulative_fractions(
 def equalising_curves(
     counts: Shaped[Array, "groups bins"], chosen: Binning, dtype: DTypeLike
 ) -> Float[Array, "groups edges"]:
-    """The new value of each edge: low + (high - low) CDF; the identity if fewer than two bins are
-    occupied, since there is no contrast to spread."""
+    """Return the value to which equalisation maps each edge: low + (high - low) CDF. The mapping is
+    the identity if fewer than two bins are occupied, since there is no contrast to spread.
+    """
     curves = chosen.low + (chosen.high - chosen.low) * cumulative_fractions(counts, dtype)
     several = (counts > 0).sum(-1, keepdims=True) > 1
     return jnp.where(several, curves, jnp.asarray(chosen.edges, dtype)[None])
@@ -215,7 +230,9 @@ def interpolated(
     x: Float[Array, "..."],
     chosen: Binning,
 ) -> Float[Array, "..."]:
-    """The piecewise linear curve of each value's group, given at the edges; constant outside."""
+    """Map each value by its group's piecewise linear curve, which is given at the edges and
+    constant outside.
+    """
     bins, low, _ = chosen
     position = jnp.clip((x - low) / chosen.width, 0, bins)
     index = jnp.clip(position.astype(jnp.int32), 0, bins - 1)

@@ -2,8 +2,8 @@
 cumulative distribution, quantiles, Otsu's threshold.
 
 Edges and values are in the unit of the image: codes (integer images) or relative values. Bins are
-numpy's: equal, half-open [edge, next edge), only the last one closed. NaN and values outside the
-range are not counted.
+as in numpy: equal, half-open [edge, next edge), except that the last bin includes its upper edge.
+NaN and values outside the range are not counted.
 """
 
 import warnings
@@ -39,7 +39,7 @@ DIGITS = 2**11  # step of a weight's upper digits, of which 2^13 weights sum exa
 
 
 class Histogram(Shown):
-    """Counts of the planes of an image.
+    """The histograms of the planes of an image: counts and edges.
 
     Attributes:
         counts: (bins,) for a grey image, else (..., bands, bins), no unit; integers if exact.
@@ -58,7 +58,7 @@ class Histogram(Shown):
 def exact_histogram(
     image: Pixels, *, bins: int | np.integer | None = None, value_range: Range | None = None
 ) -> Histogram:
-    """The number of pixels of each plane in each of `bins` equal bins of a range.
+    """Count the pixels of each plane in each of `bins` equal bins of a range.
 
     The result equals numpy's exactly; its gradient is 0.
 
@@ -87,7 +87,7 @@ def exact_histogram(
 
 
 def _warn_of_outside(image: Pixels, counts: Array) -> None:
-    """Warn of values outside [0, 1] if the caller has not stated this range and the values are not
+    """Warn about values outside [0, 1] if the caller gave no range and the values are not
     traced.
     """
     if is_known(counts) and jnp.issubdtype(image.dtype, jnp.floating):
@@ -108,13 +108,14 @@ def soft_histogram(
     value_range: Range | None = None,
     kernel: str = "linear",
 ) -> Histogram:
-    """The differentiable histogram: each value shares its weight of 1 among the nearest bins.
+    """Compute a differentiable histogram, in which each value distributes its weight of 1 over the
+    nearest bins.
 
     Weight that would lie outside the range is added to the end bin, so the counts sum to the number
     of values in the range, within a millionth for 25 million equal values in 256 bins. An integer
-    code is at the centre of its own unit interval. `departure` is the difference from the exact
-    histogram. It grows with the number of bins (fewer values near a centre). For data that are
-    smooth on the scale of a bin it decreases as the square of the bin's width.
+    code lies at the centre of its bin of width 1. `departure` is the difference from the exact
+    histogram. It grows with the number of bins, because fewer values lie near a bin's centre. For
+    data that are smooth on the scale of a bin it decreases as the square of the bin's width.
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
@@ -145,7 +146,8 @@ def soft_histogram(
 
 @takes_numbers
 def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges"]:
-    """The fraction of counted values below each edge (at the last edge: up to and including it).
+    """Return the fraction of counted values below each edge (at the last edge: up to and including
+    it).
 
     Args:
         histogram: exact or soft.
@@ -164,7 +166,7 @@ def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges
 @takes_numbers
 @in_range(q=SHARE)
 def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
-    """The smallest value that a fraction q of the counted values does not exceed.
+    """Return the smallest value that a fraction q of the counted values does not exceed.
 
     Values outside the histogram's range are not counted. Values are assumed to be uniformly
     distributed within their bin, so the result is within a bin's width of the exact quantile.
@@ -200,12 +202,13 @@ def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
 
 @takes_numbers
 def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
-    """The inner edge t with the largest variance between the values < t and those >= t.
+    """Return the inner edge t that maximises the variance between the two classes, values < t and
+    values >= t.
 
-    It is the first such edge, and the first of all if the values are in one bin. For integer images
-    OpenCV and scikit-image return the last code of the lower class: t - 1. Near its maximum the
-    variance is flat within float32 rounding: without x64 the threshold for 65536 bins may be off by
-    a few bins (30002 for 30000).
+    If several edges give the same variance, the first of them is returned; if all values are in one
+    bin, the first inner edge is. For integer images OpenCV and scikit-image return the last code of
+    the lower class: t - 1. Near its maximum the variance is flat within float32 rounding: without
+    x64 the threshold for 65536 bins may be off by a few bins (30002 for 30000).
 
     Args:
         histogram: exact or soft, of at least 2 bins.
@@ -249,7 +252,7 @@ def _exact(stack: Stack, chosen: Binning) -> Int[Array, "planes bins"]:
 def _soft(
     stack: Stack, chosen: Binning, kernel: str
 ) -> tuple[Float[Array, "planes bins"], Float[Array, " planes"]]:
-    """The counts, and their difference from the exact counts."""
+    """Return the soft counts, and their difference from the exact counts."""
     exact = bin_counts(stack, chosen)
     values = stack if levels_of(stack) is None else as_float(stack) + 0.5
     counts = _weighted_counts(values, chosen, kernel)
@@ -267,9 +270,11 @@ def _edges(stack: Stack, chosen: Binning) -> Float[Array, " edges"]:
 def _weighted_counts(
     values: Float[Array, "n h w bands"], chosen: Binning, kernel: str
 ) -> Float[Array, "planes bins"]:
-    """Sums of B-spline weights about the bins' centres. A running float32 sum of equal weights
-    stalls near 2^24 of them, so a weight is split: upper digits of thousands add without rounding,
-    and groups of pixels are summed in pairs. The lower digits carry the gradient."""
+    """Add the B-spline weights of all values about the bins' centres. A running float32 sum of
+    equal weights stalls after about 2^24 of them. Each weight is therefore split into upper digits,
+    thousands of which add without rounding, and lower digits, and groups of pixels are summed
+    pairwise. The lower digits carry the gradient.
+    """
     bins, low, high = chosen
     n, h, w, bands = values.shape
     inside = (values >= low) & (values <= high)
@@ -300,7 +305,9 @@ def _weighted_counts(
 
 
 def _pairwise_sum(parts: Float[Array, "planes parts bins"]) -> Float[Array, "planes bins"]:
-    """Sums over parts, whose error grows only with the logarithm of their number."""
+    """Sum over the parts in pairs, with an error that grows only with the logarithm of their
+    number.
+    """
     while (count := parts.shape[1]) > 1:
         parts = jnp.pad(parts, ((0, 0), (0, count % 2), (0, 0)))
         parts = parts[:, ::2] + parts[:, 1::2]

@@ -1,9 +1,9 @@
-"""Equalisation: the tone curve of an image is its own cumulative distribution (Szeliski, Computer
+"""Equalisation: the tone curve of an image is its cumulative distribution (Szeliski, Computer
 Vision, 3.1.4). Values are codes (integer images) or relative.
 
 Gradients treat the curve as constant: a pixel's derivative is the slope of the curve at its value.
-For an exact histogram that is the true derivative almost everywhere, because counts are constant as
-long as no value crosses an edge.
+For an exact histogram this slope is the true derivative almost everywhere, because counts do not
+change unless a value crosses an edge.
 """
 
 from collections.abc import Callable
@@ -42,16 +42,16 @@ def equalise(
     value_range: Range | None = None,
     first_to_zero: bool = True,
 ) -> Shaped[Array, "..."]:
-    """Each plane mapped by its equalising curve.
+    """Equalise each plane by its own curve.
 
     For uint8 and uint16 it equals OpenCV's `equalizeHist`: the first occupied code c becomes 0, and
     every code becomes round((N(<= code) - n_c) / (N - n_c) (levels - 1)). Without `first_to_zero`
     it is the textbook's f(I) = (levels - 1) c(I), rounded, with c(I) = N(<= I) / N.
 
-    In floating images the value x becomes low + (high - low) CDF(x), with values uniform within
-    their bin. The darkest bin starts at low, as the first code becomes 0, and the brightest ends at
-    high. Values outside are clamped to [low, high] and counted there. NaN stays NaN and is not
-    counted.
+    In floating images the value x becomes low + (high - low) CDF(x), where values are assumed
+    uniform within their bin. The lower edge of the darkest bin becomes low, and the upper edge of
+    the brightest becomes high. Values outside are clipped to [low, high] before counting. NaN stays
+    NaN and is not counted.
 
     A plane with a single code, with all values in one bin, or without values is unchanged.
 
@@ -97,8 +97,10 @@ def _equalise(stack: Stack, amount: float | Scalars, chosen: Binning, first_to_z
 
 
 def _equalising_codes(counts: Int[Array, "groups levels"]) -> Float[Array, "groups levels"]:
-    """The new value of each code before rounding: 0 up to the first occupied code, levels - 1 for
-    the last occupied one; the identity if only one code is occupied."""
+    """Return the value to which each code is mapped, before rounding: 0 up to the first occupied
+    code, and levels - 1 from the last occupied code on. The mapping is the identity if only one
+    code is occupied.
+    """
     levels = counts.shape[-1]
     dtype = jnp.result_type(float)
     below = jnp.cumsum(counts, axis=-1)
@@ -111,7 +113,9 @@ def _equalising_codes(counts: Int[Array, "groups levels"]) -> Float[Array, "grou
 
 
 def _cumulative_codes(counts: Int[Array, "groups levels"]) -> Float[Array, "groups levels"]:
-    """The textbook's (levels - 1) c(I) before rounding."""
+    """Return the textbook's mapping before rounding: levels - 1 times the cumulative distribution
+    c(I) of each code I.
+    """
     below = jnp.cumsum(counts, axis=-1).astype(jnp.result_type(float))
     return (counts.shape[-1] - 1) * below / below[:, -1:]
 

@@ -1,8 +1,8 @@
 """Contrast-limited adaptive equalisation (CLAHE; Zuiderveld, Graphics Gems IV, 1994).
 
-Each tile has a curve, computed from its clipped histogram. Each pixel is a bilinear blend of the
-curves of the four nearest tiles. Values are codes (integer images) or relative. Gradients treat the
-curves as constants.
+Each tile has an equalising curve, computed from its clipped histogram. Each pixel is mapped by a
+bilinear blend of the curves of the four nearest tiles. Values are codes (integer images) or
+relative. Gradients treat the curves as constants.
 """
 
 from collections.abc import Callable, Sequence
@@ -46,17 +46,17 @@ def equalise_locally(
     bins: int | np.integer | None = None,
     value_range: Range | None = None,
 ) -> Shaped[Array, "..."]:
-    """Each plane equalised tile by tile.
+    """Equalise each plane tile by tile (CLAHE).
 
-    For uint8 and uint16 it equals OpenCV's `CLAHE`, including whole counts and its order of
-    redistributing the remainder. As in OpenCV, a size that the tiles do not divide is first
-    extended by `tiles - size % tiles` rows and columns, mirrored about the last pixel. Where a
-    blend of curves ends half-way between two codes, rounding may give the other one, in 1 of 1,000
-    pixels of noise.
+    For uint8 and uint16 the result equals OpenCV's `CLAHE`, which counts in integers and
+    redistributes the clipped counts in a fixed order. As in OpenCV, a picture whose size is not a
+    multiple of the number of tiles is first extended by `tiles - size % tiles` rows and columns,
+    mirrored about the last pixel. Where a blend of curves lies half-way between two codes, rounding
+    may give the other code than OpenCV, in 1 of 1,000 pixels of noise.
 
-    Floating images use equal bins and fractional counts. Values outside the range are clamped to it
-    and counted there. NaN stays NaN. A tile keeps its values if they share one bin after
-    redistribution, or if it has none.
+    Floating images use equal bins and fractional counts. Values outside the range are clipped to it
+    before counting. NaN stays NaN. A tile's values are unchanged if all are in one bin after
+    redistribution, or if the tile has none.
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
@@ -133,7 +133,9 @@ def _equalise(
 
 
 def _extend(stack: Stack, tiles: Tiles) -> Stack:
-    """Mirrored at the bottom and right until the tiles divide the size."""
+    """Extend the pictures by reflection at the bottom and right, until their size is a multiple of
+    the number of tiles.
+    """
     over = [-size % parts for size, parts in zip(stack.shape[1:3], tiles, strict=True)]
     if not any(over):
         return stack
@@ -162,13 +164,13 @@ def _tile_counts(
 def _group(
     plane: Int[Array, "n 1 1 bands"], row: Int[Array, " h"], column: Int[Array, " w"], tiles: Tiles
 ) -> Int[Array, "n h w bands"]:
-    """The index of the tile in that row and column of tiles, for every plane."""
+    """Return the index of the tile in that row and column of tiles, for every plane."""
     row, column = row[None, :, None, None], column[None, None, :, None]
     return (plane * tiles[0] + row) * tiles[1] + column
 
 
 def _clip(counts: Float[Array, "groups bins"], limit: Scalars) -> Float[Array, "groups bins"]:
-    """Counts up to the limit, with the excess distributed evenly."""
+    """Clip counts at the limit, and distribute the excess evenly over all bins."""
     kept = jnp.minimum(counts, limit)
     return kept + (counts - kept).mean(axis=-1, keepdims=True)
 
@@ -192,8 +194,9 @@ def _blend(
     tiles: Tiles,
     tile: Tiles,
 ) -> Float[Array, "..."]:
-    """Each pixel mapped by the curves of the four tiles around it, blended bilinearly, with each
-    curve at the centre of its tile."""
+    """Map each pixel by the curves of the four tiles around it, blended bilinearly between the
+    centres of the tiles.
+    """
     plane = plane_numbers(stack)
     (top, bottom, down), (left, right, along) = (
         _neighbours(size, parts, length)
@@ -214,8 +217,9 @@ def _blend(
 
 
 def _neighbours(size: int, parts: int, length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For each pixel along an axis: the tiles before and after it, and its position in [0, 1]
-    between their centres."""
+    """Return, for each pixel along an axis, the tiles before and after it, and its position in [0,
+    1] between their centres.
+    """
     position = np.arange(size) / length - 0.5
     before = np.floor(position).astype(np.int32)
     first, second = (np.clip(before + i, 0, parts - 1) for i in (0, 1))

@@ -18,9 +18,9 @@ def match_histogram(image: Pixels, reference: Pixels) -> Shaped[Array, "..."]:
     The result is F_reference^-1(F_image(x)), linear between the values that occur. Integer images
     are matched as in scikit-image's `match_histograms`, but rounded to the nearest code instead of
     truncated. Floating images are matched by rank, without bins. NaN in the image stays NaN and is
-    left out of its ranks. A plane of the reference with NaN gives NaN. The result has a gradient
-    with respect to the values of `reference`. The gradient with respect to `image` is 0, because a
-    small change leaves every rank unchanged.
+    not ranked. A reference plane that contains NaN makes the whole result plane NaN. The result has
+    a gradient with respect to the values of `reference`. The gradient with respect to `image` is 0,
+    because a small change leaves every rank unchanged.
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
@@ -67,7 +67,7 @@ def _match_codes(source: Stack, target: Stack, levels: int) -> Stack:
 def _matching_codes(
     counts: Int[Array, "planes levels"], offered: Int[Array, "planes levels"]
 ) -> Float[Array, "planes levels"]:
-    """The new value of each code, rounded."""
+    """Return the code to which each code is mapped."""
     codes = jnp.arange(counts.shape[-1], dtype=jnp.int32)[None]
     occupied = offered > 0
     # an empty code repeats the last occupied one, so that interpolation skips it
@@ -96,7 +96,7 @@ def _match_ranks(source: Stack, target: Stack) -> Stack:
 def _match_plane(
     values: Float[Array, " pixels"], offered: Float[Array, " others"]
 ) -> Float[Array, " pixels"]:
-    """One plane by ranks. NaN is sorted last, beyond every fraction."""
+    """Match one plane by ranks. NaN is sorted last and has no fraction."""
     ordered = jnp.sort(offered)
     at, wanted = _fraction_up_to(ordered, ordered), _fraction_up_to(jnp.sort(values), values)
     unknown = jnp.isnan(values) | jnp.isnan(ordered[-1])
@@ -104,7 +104,9 @@ def _match_plane(
 
 
 def _fraction_up_to(ordered: Float[Array, " n"], values: Float[Array, " m"]) -> Float[Array, " m"]:
-    """The fraction of the ordered values, without NaN, that are at most each value."""
+    """Return, for each value, the fraction of the ordered values, without NaN, that do not exceed
+    it.
+    """
     rank = jnp.searchsorted(ordered, values, side="right", method="sort")
     known = (~jnp.isnan(ordered)).sum()
     return rank.astype(values.dtype) / jnp.maximum(known, 1).astype(values.dtype)

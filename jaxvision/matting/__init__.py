@@ -1,9 +1,9 @@
-"""Matting: coverage alpha and foreground light, from pictures in linear light.
+"""Matting: estimate the coverage alpha and the foreground light from pictures in linear light.
 
     picture = alpha foreground + (1 - alpha) background
 
 `keying` needs a known background, `closed_form` a trimap, `foreground` the coverage. Light is
-relative. An alpha is (..., 1) in [0, 1]; a foreground comes as a layer of `compositing`:
+relative. An alpha is (..., 1) in [0, 1]; a foreground is returned as a layer of `compositing`:
 premultiplied light, then alpha.
 """
 

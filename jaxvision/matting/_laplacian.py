@@ -26,8 +26,9 @@ _WINDOW = tuple(product(range(3), repeat=2))
 def matting_laplacian(
     image: Float[Array, "h w bands"], *, epsilon: Scalar | float = 1e-7
 ) -> Stencil:
-    """The stencil of a picture (h, w, bands), any number of bands; `epsilon` in the unit of light
-    squared, relative. `ValueError` below 3 x 3 pixels."""
+    """Return the stencil of a picture (h, w, bands) with any number of bands. `epsilon` is a
+    relative light squared. Raise `ValueError` below 3 x 3 pixels.
+    """
     rows, columns, bands = image.shape
     if min(rows, columns) < 3:
         raise ValueError(f"image must be at least 3 x 3 pixels, got {rows} x {columns}.")
@@ -49,7 +50,7 @@ def matting_laplacian(
 
 
 def apply_stencil(stencil: Stencil, x: Plane) -> Plane:
-    """The stencil's matrix times a one-band picture, (h, w); relative."""
+    """Multiply the stencil's matrix by a one-band picture, (h, w); relative."""
     rows, columns = x.shape
     padded = jnp.pad(x, 2)
 
@@ -62,8 +63,9 @@ def apply_stencil(stencil: Stencil, x: Plane) -> Plane:
 
 
 def restricted_to(stencil: Stencil, kept: Plane) -> Stencil:
-    """The stencil whose matrix is 0 in the rows and columns of all pixels that are not kept;
-    `kept`: (h, w) 1 or 0."""
+    """Return the stencil with its matrix set to 0 in the rows and columns of all pixels whose
+    `kept`, (h, w), is 0 rather than 1.
+    """
     rows, columns = kept.shape
     padded = jnp.pad(kept, 2)
     there = [[padded[i : i + rows, j : j + columns] for j in range(5)] for i in range(5)]
@@ -73,8 +75,10 @@ def restricted_to(stencil: Stencil, kept: Plane) -> Stencil:
 def _whitened_windows(
     image: Float[Array, "h w bands"], floor: Scalar | float
 ) -> list[list[Scalars]]:
-    """[pixel of the window][band], each (h - 2, w - 2): C^-1 (colour - mean) with C C^T the
-    covariance plus `floor` on its diagonal, by Cholesky factors band by band."""
+    """Return the whitened colours C^-1 (colour - mean) of all windows, as [pixel of the
+    window][band], each (h - 2, w - 2). C is the Cholesky factor of the covariance with `floor`
+    added to its diagonal.
+    """
     rows, columns, bands = image.shape
     colours = [
         [image[i : i + rows - 2, j : j + columns - 2, b] for b in range(bands)] for i, j in _WINDOW

@@ -1,9 +1,11 @@
-"""One V-cycle of geometric multigrid for a symmetric positive definite stencil. As a preconditioner
-it reduces conjugate gradients to tens of steps; a diagonal one needs hundreds.
+"""One V-cycle of geometric multigrid for a symmetric positive definite stencil. With the V-cycle as
+preconditioner, conjugate gradients take tens of steps; with a diagonal preconditioner they take
+hundreds.
 
-Every second pixel is kept, interpolation P is bilinear, and restriction is its transpose. The
-coarse stencil is Galerkin's P^T A P, which again has 5 x 5 coefficients. Source: Briggs, Henson,
-McCormick, "A Multigrid Tutorial" (2000), chapter 10; nothing here has a unit.
+A coarse grid keeps every second pixel, interpolation P from coarse to fine is bilinear, and
+restriction is its transpose. The coarse stencil is Galerkin's P^T A P, which again has 5 x 5
+coefficients. Source: Briggs, Henson, McCormick, "A Multigrid Tutorial" (2000), chapter 10; nothing
+here has a unit.
 """
 
 from itertools import product
@@ -24,15 +26,16 @@ _DAMPING = 0.7  # damping of Jacobi's iteration, for matting Laplacians
 
 
 class Grids(NamedTuple):
-    """`stencils`: from the finest grid to the second coarsest. `coarsest`: (n, n), the Cholesky
-    factor of the matrix of the coarsest grid."""
+    """The grids of a multigrid solver. `stencils`: from the finest grid to the second coarsest.
+    `coarsest`: (n, n), the Cholesky factor of the matrix of the coarsest grid.
+    """
 
     stencils: tuple[Float[Array, "5 5 _ _"], ...]
     coarsest: Float[Array, "n n"]
 
 
 def coarsen(stencil: Stencil) -> Grids:
-    """All grids of a stencil (5, 5, h, w), down to at most 8 x 8 pixels; no unit."""
+    """Compute all grids of a stencil (5, 5, h, w), down to at most 8 x 8 pixels; no unit."""
     stencils = [stencil]
     while max(stencils[-1].shape[2:]) > _COARSEST:
         stencils.append(_galerkin(stencils[-1]))
@@ -59,14 +62,15 @@ def v_cycle(grids: Grids, residual: Plane) -> Plane:
 
 
 def interpolated(coarse: Grid, shape: tuple[int, ...]) -> Grid:
-    """P: pixel (2 i, 2 j) gets coarse (i, j), and the others the mean of their neighbours; (h,
-    w)."""
+    """Apply P: pixel (2 i, 2 j) of the result, (h, w), is coarse (i, j), and the pixels between are
+    means of their coarse neighbours.
+    """
     rows, columns = shape
     return _double(_double(coarse, rows, 0), columns, 1)
 
 
 def restrict(fine: Grid) -> Grid:
-    """P^T, the transpose of `interpolated`."""
+    """Apply P^T, the transpose of `interpolated`."""
     coarse = jnp.zeros(_coarse_shape(fine.shape), fine.dtype)
     return jax.linear_transpose(lambda x: interpolated(x, fine.shape), coarse)(fine)[0]
 
@@ -84,8 +88,9 @@ def _coarse_shape(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _galerkin(stencil: Stencil) -> Float[Array, "5 5 _ _"]:
-    """P^T A P, from its action on combs: pixels five apart do not interact in a 5 x 5 stencil, so
-    25 combs give every coefficient."""
+    """Return the coarse stencil P^T A P, from its products with 25 combs of pixels five apart. Such
+    pixels do not interact in a 5 x 5 stencil, so the products contain every coefficient.
+    """
     shape = stencil.shape[2:]
     rows, columns = _coarse_shape(shape)
     y, x = np.mgrid[:rows, :columns]

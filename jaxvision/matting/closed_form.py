@@ -5,8 +5,8 @@ with a trimap.
 
 Here K are the pixels whose alpha s is given by the trimap, U are the other pixels, and D is the
 diagonal that marks K (Levin, Lischinski, Weiss, PAMI 30 (2008), equation 12, and its limit of full
-confidence). It is solved by conjugate gradients with a multigrid preconditioner. The derivative is
-computed by one more solve, not by differentiating the steps.
+confidence). The equation is solved by conjugate gradients with a multigrid preconditioner. The
+derivative is computed by one more solve, not by differentiating the steps.
 """
 
 from functools import partial
@@ -28,7 +28,7 @@ STEPS = 500  # largest number of steps of the solver
 
 
 class Matte(Shown):
-    """A coverage and whether its solver converged.
+    """A coverage, and whether the solver that computed it converged.
 
     Attributes:
         alpha: (h, w, 1) in [0, 1], no unit.
@@ -50,10 +50,10 @@ def closed_form_matte(
     tolerance: float | None = None,
     max_steps: int = STEPS,
 ) -> Matte:
-    """The matte of a picture from a trimap.
+    """Compute the matte of a picture from a trimap.
 
-    The first call for a size of picture compiles for some seconds, and later ones take a fraction
-    of a second.
+    The first call for a size of picture compiles for some seconds. Later calls take a fraction of a
+    second.
 
     Args:
         image: (h, w, bands) linear relative light, at least 3 x 3 pixels.
@@ -100,7 +100,7 @@ def closed_form_matte(
 
 
 def _least_residual(image: Array) -> float:
-    """The relative residual that the solver can reach in the image's precision."""
+    """Return the relative residual that the solver can reach in the image's precision."""
     return 1e-7 if image.dtype == jnp.float64 else 1e-6
 
 
@@ -113,7 +113,7 @@ def _solve(
     tolerance: Scalar,
     max_steps: int,
 ) -> Matte:
-    """The matte from checked arguments, with one program for each size."""
+    """Compute the matte from checked arguments, with one compiled program for each size."""
     known = ((trimap <= BACKGROUND) | (trimap >= FOREGROUND)).astype(image.dtype)
     # a pixel whose trimap is NaN is neither known nor unknown
     known = jnp.where(jnp.isnan(trimap), jnp.nan, known)

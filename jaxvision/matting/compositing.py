@@ -1,8 +1,8 @@
 """Compositing: pictures with coverage, layered in linear light.
 
 A layer is (..., bands + 1): linear relative light multiplied by its coverage, then the coverage
-alpha in [0, 1] as the last channel. In this form every operator of Porter and Duff is one line for
-all channels,
+alpha in [0, 1] as the last channel. In this form every operator of Porter and Duff is one equation
+for all channels,
 
     result = F_A A + F_B B,
 
@@ -10,9 +10,9 @@ and light may exceed its alpha (a glow). `layer_from_srgb` and `layer_to_srgb` c
 the straight, encoded RGBA of files. Integer codes are a `ValueError`.
 
 An alpha that is NaN, or outside [0, 1] by more than rounding (100 ULP: blurred full coverage
-reaches 1 + 4 eps), is a `ValueError` with their number. During tracing alpha is not checked, and
-the same polynomials apply. Nothing is clipped. Source: Porter and Duff, "Compositing Digital
-Images", SIGGRAPH 1984.
+reaches 1 + 4 eps), is a `ValueError` with their number. A traced alpha is not checked, and the
+equation then applies to any value. Nothing is clipped. Source: Porter and Duff, "Compositing
+Digital Images", SIGGRAPH 1984.
 """
 
 import warnings
@@ -53,9 +53,9 @@ _FRACTIONS: dict[str, tuple[Callable[[Alpha], Alpha], Callable[[Alpha], Alpha]]]
 
 @takes_numbers
 def over(front: Layer, back: Layer) -> Layer:
-    """front + (1 - alpha) back: the front hides the back in proportion to its coverage.
+    """Composite front + (1 - alpha) back: the front hides the back in proportion to its coverage.
 
-    It is associative, not commutative.
+    The operator is associative, not commutative.
 
     Args:
         front: (..., bands + 1) premultiplied relative light and coverage.
@@ -77,7 +77,7 @@ def over(front: Layer, back: Layer) -> Layer:
 
 @takes_numbers
 def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
-    """F_A front + F_B back, for any of the thirteen operators.
+    """Composite F_A front + F_B back, for any of Porter and Duff's thirteen operators.
 
     "in" is the front where the back covers, "out" where it does not, "atop" the front within the
     outline of the back, and "xor" each where the other is absent. "back ..." exchanges the roles.
@@ -110,8 +110,8 @@ def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
 
 
 def _warn_of_rgb(*layers: Layer) -> None:
-    """Warn of a picture with three channels whose last channel is almost never 0 or 1, and thus not
-    a coverage.
+    """Warn about a picture with three channels whose last channel is rarely 0 or 1, and thus
+    probably no coverage.
     """
     if any(not is_known(x) or x.ndim < 3 or x.shape[-1] != 3 or x.size < 100 for x in layers):
         return
@@ -127,7 +127,7 @@ def _warn_of_rgb(*layers: Layer) -> None:
 
 @takes_numbers
 def flatten(layers: Float[Array, "layers *picture channels"]) -> Layer:
-    """All layers as one, the first in front: `over` from the back to the front.
+    """Combine all layers to one by `over`, from the back to the front. The first layer is in front.
 
     Args:
         layers: (layers, ..., bands + 1) premultiplied relative light and coverage, at least one.
@@ -145,7 +145,7 @@ def flatten(layers: Float[Array, "layers *picture channels"]) -> Layer:
 
 @takes_numbers
 def dissolve(layer: Layer, fraction: Scalars | float) -> Layer:
-    """A layer with light and coverage times `fraction`.
+    """Multiply the light and the coverage of a layer by `fraction`.
 
     Args:
         layer: (..., bands + 1) premultiplied relative light and coverage.
@@ -160,7 +160,7 @@ def dissolve(layer: Layer, fraction: Scalars | float) -> Layer:
 
 @takes_numbers
 def darken(layer: Layer, factor: Scalars | float) -> Layer:
-    """A layer with its light times `factor` and its coverage kept.
+    """Multiply the light of a layer by `factor`, and keep its coverage.
 
     Args:
         layer: (..., bands + 1) premultiplied relative light and coverage.
@@ -175,7 +175,7 @@ def darken(layer: Layer, factor: Scalars | float) -> Layer:
 
 @takes_numbers
 def premultiply(colour: Float[Array, "... bands"], alpha: Alpha) -> Layer:
-    """The layer of a straight colour and its coverage.
+    """Return the layer of a straight (not premultiplied) colour and its coverage.
 
     Args:
         colour: (..., bands) linear relative light.
@@ -198,7 +198,7 @@ def premultiply(colour: Float[Array, "... bands"], alpha: Alpha) -> Layer:
 
 @takes_numbers
 def unpremultiply(layer: Layer) -> Float[Array, "... bands"]:
-    """The straight colour of a layer: light over coverage.
+    """Return the straight colour of a layer: light divided by coverage.
 
     Args:
         layer: (..., bands + 1) premultiplied relative light and coverage.
@@ -216,7 +216,7 @@ def unpremultiply(layer: Layer) -> Float[Array, "... bands"]:
 
 @takes_numbers
 def layer_from_srgb(rgba: Layer) -> Layer:
-    """The layer of straight sRGB with coverage, as PNG files store it.
+    """Return the layer of straight sRGB with coverage, as PNG files store it.
 
     The colour is decoded to linear light, then premultiplied. The coverage is not encoded.
 
@@ -250,7 +250,7 @@ def layer_to_srgb(layer: Layer) -> Layer:
 
 @takes_numbers
 def checked_alpha(alpha: Float[Array, "..."]) -> Float[Array, "..."]:
-    """`alpha` unchanged, after a check that it lies in [0, 1].
+    """Return `alpha` unchanged, after a check that it lies in [0, 1].
 
     Args:
         alpha: (...) coverage, relative; a tracer passes unchecked.

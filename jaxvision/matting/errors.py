@@ -1,14 +1,16 @@
 """Standard deviations of a closed-form matte, by a parametric bootstrap.
 
-The errors come mostly from the model: colours of foreground and background vary, where closed-form
-matting assumes that they lie on lines in each window. New pictures of the same matte are drawn,
+The errors come mostly from the model: closed-form matting assumes that the colours of foreground
+and background lie on a line in each window, but real colours vary. The bootstrap simulates new
+pictures from the matte,
 
     J = alpha F + (1 - alpha) B,    F, B = smooth colour + texture,
 
-with textures that have the covariance, over pixels and bands, of those in the known foreground and
-background: a texture convolved with white noise. Their mattes differ from alpha as alpha does from
-the true one. The inverse of the matting Laplacian, which would be the covariance if its energy were
-a probability, is not a good estimate: on simulated hair the true errors are 1.2 to 9 times as
+where F and B are the colours of foreground and background. A simulated texture is the texture of
+the known foreground or background, convolved with white noise, which keeps its covariance over
+pixels and bands. The mattes of the simulated pictures differ from alpha as alpha differs from the
+true coverage. The inverse of the matting Laplacian, which would be the covariance if its energy
+were a probability, is not a good estimate: on simulated hair the true errors are 1.2 to 9 times as
 large.
 
 Source:
@@ -33,7 +35,7 @@ _FAR = 1e-6  # weight of a side's mean colour, for places far from all of its pi
 
 
 class MatteErrors(Shown):
-    """A coverage with its standard deviations.
+    """A coverage, its standard deviations, and the draws from which they are computed.
 
     Attributes:
         alpha: (h, w, 1) in [0, 1], no unit.
@@ -57,13 +59,14 @@ def matte_errors(
     epsilon: float = 1e-5,
     confidence: float | None = None,
 ) -> MatteErrors:
-    """The matte of a picture from a trimap, with its errors.
+    """Compute the matte of a picture from a trimap, with its standard deviations.
 
-    They include the errors caused by texture and noise of both sides. Errors from colours that are
-    absent in the known regions, and from a wrong trimap, are not included. On simulated hair the
-    errors are 1 to 1.2 times the standard deviations for sides of even colour with noise, and 1.4
-    on average (up to 2) where textures vary by a fifth of the contrast or more. The computation
-    takes as long as `draws` mattes.
+    The standard deviations include errors from texture and noise of foreground and background.
+    Errors from colours that are absent in the known regions, and from a wrong trimap, are not
+    included. On simulated hair the true errors are 1 to 1.2 times the standard deviations if
+    foreground and background have an even colour with noise. They are 1.4 times on average (up to
+    2) where textures vary by a fifth of the contrast or more. The computation takes as long as
+    `draws` mattes.
 
     Args:
         key: of the draws.
@@ -109,8 +112,8 @@ def _draw_picture(
     epsilon: Any,
     confidence: Any,
 ) -> Float[Array, "draws h w 1"]:
-    """The difference between the matte of a simulated picture and the matte from which it was
-    simulated.
+    """Return the difference between the matte of a simulated picture and the matte from which it
+    was simulated.
     """
     tolerance = jnp.asarray(_least_residual(image), image.dtype)
     sides = [_side(image, at[..., None]) for at in (trimap >= FOREGROUND, trimap <= BACKGROUND)]
@@ -129,8 +132,9 @@ def _draw_picture(
 def _side(
     image: Float[Array, "h w bands"], known: Array
 ) -> tuple[Float[Array, "h w bands"], Float[Array, "h w bands"]]:
-    """The smooth colour of a side everywhere, and its texture where the side is known, scaled so
-    that its sum of squares is the variance.
+    """Return the smooth colour of one side (foreground or background) in every pixel, and its
+    texture where the side is known. The texture is scaled so that its sum of squares is the
+    variance.
     """
     share = jnp.broadcast_to(known.astype(image.dtype), image.shape)
     count = jnp.maximum(share[..., 0].sum(), 1)
@@ -141,7 +145,7 @@ def _side(
 
 
 def _texture(key: Array, texture: Float[Array, "h w bands"]) -> Float[Array, "h w bands"]:
-    """White noise, one for all bands, convolved with a texture around the torus."""
+    """Convolve white noise, the same for all bands, with a texture, with periodic borders."""
     noise = jax.random.normal(key, texture.shape[:2], texture.dtype)
     found = jnp.fft.rfft2(texture, axes=(0, 1)) * jnp.fft.rfft2(noise)[..., None]
     return jnp.fft.irfft2(found, s=texture.shape[:2], axes=(0, 1))

@@ -1,9 +1,9 @@
-"""Mattes from a known background: its picture, its colour, or several of them.
+"""Mattes from a known background: its picture, its colour, or several known backgrounds.
 
-Pictures are (..., bands) in linear light of any unit; alpha is (..., 1), clipped to [0, 1]. If a
-background carries no information (the same behind every picture, or equal to the foreground, within
-eight roundings), the matte is opaque: the picture itself. NaN stays NaN, in its own pixel only.
-Integer codes are a `ValueError`.
+Pictures are (..., bands) in linear light of any unit; alpha is (..., 1), clipped to [0, 1]. If the
+background gives no information, the matte is opaque and the layer is the picture itself. This holds
+for a background that is the same behind every picture, or equal to the foreground, within eight
+rounding errors. A NaN affects only its own pixel. Integer codes are a `ValueError`.
 """
 
 import jax.numpy as jnp
@@ -26,7 +26,8 @@ print_by_name(globals(), "Picture", "Alpha", "Layer")
 def difference_matte(
     image: Picture, background: Picture, low: Scalar | float, high: Scalar | float
 ) -> Alpha:
-    """The distance of each pixel from the clean background, mapped linearly to [0, 1].
+    """Return the distance of each pixel's colour from the clean background, mapped linearly to [0,
+    1].
 
     Args:
         image: (..., bands) linear relative light.
@@ -62,7 +63,8 @@ def difference_matte(
 def blue_screen_matte(
     image: Picture, backing: Picture, *, channel: int = 2, foreground: str = "grey"
 ) -> Alpha:
-    """The matte of an object before a screen of one colour, under an assumption about the object.
+    """Compute the matte of an object before a screen of one colour, under an assumption about the
+    object's colours.
 
     A combination n of each pixel's bands then depends on the screen only, so that alpha = 1 - n .
     image / n . backing.
@@ -146,14 +148,16 @@ def least_squares_matte(
     images: Float[Array, "pictures *picture bands"],
     backgrounds: Float[Array, "pictures *picture bands"],
 ) -> Layer:
-    """The layer whose composites over the known backgrounds are nearest to their pictures.
+    """Return the layer whose composites over the known backgrounds K_i are nearest to their
+    pictures C_i.
 
-    The residual C_i - C_o - (1 - alpha) K_i is linear in both unknowns. The means eliminate C_o,
-    and the clipped optimum of the rest is the optimum in [0, 1]:
+    The residual C_i - C_o - (1 - alpha) K_i is linear in the unknown colour C_o and in alpha.
+    Subtracting the means over i eliminates C_o. The optimal alpha in [0, 1] is then, after
+    clipping,
 
         alpha = 1 - sum (C_i - mean C) . (K_i - mean K) / sum |K_i - mean K|^2
 
-    It is exact for two backgrounds without noise, for any colours of the object.
+    The result is exact for two backgrounds without noise, for any colours of the object.
 
     Args:
         images: (pictures, ..., bands) linear relative light of one object in front of at least two
@@ -194,9 +198,9 @@ def least_squares_matte(
 def triangulation_matte(
     image: Picture, background: Picture, image_2: Picture, background_2: Picture
 ) -> Layer:
-    """The exact layer of an object before two backgrounds that differ in every pixel.
+    """Return the exact layer of an object before two backgrounds that differ in every pixel.
 
-    It is `least_squares_matte` of two pictures.
+    The function is `least_squares_matte` of two pictures.
 
     Args:
         image: (..., bands) linear relative light in front of the first background.
@@ -228,9 +232,9 @@ def triangulation_matte(
 
 @takes_numbers
 def lift(image: Picture, alpha: Alpha, background: Picture) -> Layer:
-    """The light of the object itself, image - (1 - alpha) background, as a layer.
+    """Return the light of the object alone, image - (1 - alpha) background, as a layer.
 
-    Composited over the same background, the layer gives the picture again.
+    Composited over the same background, the layer gives the original picture.
 
     Args:
         image: (..., bands) linear relative light.
@@ -257,7 +261,9 @@ def _lift(image: Picture, alpha: Alpha, background: Picture) -> Layer:
 
 
 def _is_rounding(difference: Scalars, light: Scalars) -> Bool[Array, "... 1"]:
-    """Whether a difference of light is within eight rounding errors of the light, in each band."""
+    """Return whether a difference of light is at most eight rounding errors of the light, in every
+    band.
+    """
     least = 8 * float(jnp.finfo(light.dtype).eps) * jnp.max(jnp.abs(light), axis=-1, keepdims=True)
     return (jnp.abs(difference) <= least).all(axis=-1, keepdims=True)
 
