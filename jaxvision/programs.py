@@ -1,9 +1,9 @@
-"""Settings for compiling programs: for a processor or an accelerator, with compiled programs kept
-between runs, and with quick compilation if most programs run once. JAX and XLA read the last two
-from the environment before their first use.
+"""Settings for compiling programs: options for a CPU or an accelerator, a cache of compiled
+programs between runs, and quick compilation if most programs run once. JAX and XLA read the last
+two settings from the environment before their first use.
 
-JAX keeps what XLA compiles, and traces and lowers each program again in every process. `kept_whole`
-keeps the compiled program under a name that is known before it is traced.
+JAX's cache stores what XLA compiles, but every process traces and lowers each program again.
+`kept_whole` stores the compiled program under a name that is known before tracing.
 """
 
 import dataclasses
@@ -47,8 +47,9 @@ _keeps_whole = False  # unless a command asks: a library's user may change what 
 
 
 def on_processor() -> bool:
-    """Whether programs are now traced for a processor: by `jax.default_device`, else by the devices
-    that JAX found."""
+    """Return whether programs are now traced for a CPU, according to `jax.default_device`, else to
+    the devices that JAX found.
+    """
     import jax  # here: what else this module does comes before JAX's first use
 
     device = getattr(jax.config, "jax_default_device", None)
@@ -56,8 +57,10 @@ def on_processor() -> bool:
 
 
 def quick_options() -> Options:
-    """XLA's options for programs that run once and take longer to compile: no optimisation, and the
-    older emitters; none for an untested version or an accelerator's plugin."""
+    """Return XLA's options for programs that run once and take longer to compile than to run: no
+    optimisation, and the older emitters. There are no options for an untested version of jaxlib or
+    an accelerator's plugin.
+    """
     if not _is_tried():
         return {}
     older = version("jaxlib").startswith(_HAVE_OLDER_EMITTERS)
@@ -69,15 +72,17 @@ def _is_tried() -> bool:
 
 
 def for_rays(*, paths: bool) -> Options | None:
-    """`compiler_options` of `jax.jit` for a program that computes many rays, or many paths, unless
-    the user's XLA_FLAGS say how (even if empty). None for a version that has not been tried."""
+    """Return `compiler_options` of `jax.jit` for a program that computes many rays, or many paths.
+    Return None if the user has set XLA_FLAGS (even if empty), and for an untested version of
+    jaxlib.
+    """
     if not _is_tried() or "XLA_FLAGS" in os.environ:
         return None
     return _OF_RAYS | (_OF_PATHS if paths else {})
 
 
 def quick_flags() -> str:
-    """`quick_options` in the form for XLA_FLAGS."""
+    """Return `quick_options` as a string for XLA_FLAGS."""
     return " ".join(f"--{name}={str(x).lower()}" for name, x in quick_options().items())
 
 
@@ -89,22 +94,25 @@ def compile_quickly() -> None:
 
 
 def briefly() -> Options | None:
-    """`compiler_options` of `jax.jit` for a program that runs for less time than XLA takes to
-    optimise it: `quick_options`, unless the user has set XLA_FLAGS (even if empty)."""
+    """Return `compiler_options` of `jax.jit` for a program that runs for less time than XLA takes
+    to optimise it: `quick_options`, or None if the user has set XLA_FLAGS (even if empty).
+    """
     return None if "XLA_FLAGS" in os.environ else quick_options() or None
 
 
 def moderately() -> Options | None:
-    """`compiler_options` of `jax.jit` for a program that computes about as long as XLA takes to
-    optimise it: `quick_options` with a little optimisation, unless the user's XLA_FLAGS say how."""
+    """Return `compiler_options` of `jax.jit` for a program that runs about as long as XLA takes to
+    optimise it: `quick_options` with optimisation level 1, or None if the user has set XLA_FLAGS.
+    """
     given, options = os.environ.get("XLA_FLAGS"), quick_options()
     ours = given is None or given == quick_flags()
     return options | {"xla_backend_optimization_level": 1} if ours and options else None
 
 
 def keep_programs() -> None:
-    """Keep compiled programs in the user's cache folder, if it is writable and
-    JAX_COMPILATION_CACHE_DIR neither names another nor is empty."""
+    """Store compiled programs in the user's cache folder if it is writable, unless
+    JAX_COMPILATION_CACHE_DIR is set.
+    """
     global _keeps_whole
     _keeps_whole = True
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
@@ -120,7 +128,9 @@ def keep_programs() -> None:
 
 
 def kept_in() -> str:
-    """The folder in which the commands keep compiled programs; empty if there is none."""
+    """Return the folder in which the commands store compiled programs, or an empty string if there
+    is none.
+    """
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return os.environ["JAX_COMPILATION_CACHE_DIR"]
     try:
@@ -130,8 +140,9 @@ def kept_in() -> str:
 
 
 def _folder() -> Path:
-    """The folder for programs of this version of XLA and this processor. If there are too many
-    programs of all versions, the older half is deleted."""
+    """Create and return the folder for programs of this version of XLA and this processor. If the
+    programs of all versions take too many bytes, delete the older half.
+    """
     kept = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxvision"
     folder = kept / f"{version('jaxlib')}-{_processor()}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -143,8 +154,9 @@ def _folder() -> Path:
 
 
 def _processor() -> str:
-    """An identifier of the processor in eight letters, because machines with different programs may
-    share a home folder."""
+    """Return an identifier of the processor in eight letters, because machines with different
+    processors may share a home folder.
+    """
     described = f"{sys.platform} {platform.machine()} {platform.processor()}"
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -168,8 +180,10 @@ def source_digest() -> str:
 
 
 def kept_whole(function: Any, about: str) -> Callable[..., Any]:
-    """`function`, a `jax.jit` of arrays and this distribution's records, whose compiled program the
-    next run reads without tracing; `about` is all else on which it depends."""
+    """Wrap a `jax.jit` of arrays and this distribution's records so that the next run reads the
+    compiled program without tracing. `about` describes everything else on which the program
+    depends.
+    """
     import jax
 
     programs: dict[str, Callable[..., Any]] = {}
@@ -196,7 +210,9 @@ def kept_whole(function: Any, about: str) -> Callable[..., Any]:
 
 
 def _name_of_program(args: tuple[Any, ...], about: str) -> str:
-    """Of everything that the program depends on; `TypeError` where that is not known."""
+    """Return a file name, a digest of everything on which the program depends. Raise `TypeError`
+    where that is unknown.
+    """
     import jax
 
     if not on_processor() or jax.device_count() > 1 or jax.config.values["jax_disable_jit"]:
@@ -218,8 +234,9 @@ def _name_of_program(args: tuple[Any, ...], about: str) -> str:
 
 
 def _describe(x: Any, *, static: bool = False) -> str:
-    """What a program depends on in an argument: of arrays their kind, of all else the value.
-    `TypeError` for what this distribution does not define."""
+    """Describe what a program depends on in an argument: dtype and shape of arrays, and the value
+    of everything else. Raise `TypeError` for types that this distribution does not define.
+    """
     if type(x) in (tuple, list):
         return f"({','.join(_describe(part, static=static) for part in x)})"
     if dataclasses.is_dataclass(x) and type(x).__module__.partition(".")[0] in _OWN:
@@ -236,7 +253,7 @@ def _describe(x: Any, *, static: bool = False) -> str:
 
 
 def _written(path: Path, lowered: Any) -> Any:
-    """The compiled program, after it was written to the file as a whole or not at all."""
+    """Compile a program, write it to the file completely or not at all, and return it."""
     import jax
     from jax.experimental.compilation_cache.compilation_cache import reset_cache
     from jax.experimental.serialize_executable import serialize
@@ -260,8 +277,9 @@ def _written(path: Path, lowered: Any) -> Any:
 
 
 def _read_program(path: Path, args: tuple[Any, ...]) -> Any:
-    """The program in a file, or None where there is none, where it is damaged, and where another
-    user could have written it: loading a program can run whatever is in the file."""
+    """Read a compiled program from a file. Return None if the file is missing or damaged, or if
+    another user could have written it, because loading a program can run any code in the file.
+    """
     import jax
     from jax.experimental.serialize_executable import deserialize_and_load
 

@@ -41,7 +41,7 @@ _OF_PATHS = 0x70617468  # apart from what a sensor draws by the same key
 
 
 class Capture(Shown):
-    """Every stage of one picture.
+    """Every stage of one picture, from radiance to the developed picture.
 
     Attributes:
         radiance: (h, w, bands) W m^-2 sr^-1 seen by each pixel.
@@ -71,7 +71,9 @@ class Capture(Shown):
     error: Image | None = None
 
     def _repr_html_(self) -> str:
-        """The developed picture, or the raw numbers in grey, with the table, for a notebook."""
+        """Return HTML for a notebook: the developed picture, or the raw values in grey, with the
+        table of fields.
+        """
         table = super()._repr_html_()
         if not is_known(self.raw) or not np.size(self.raw):
             return table
@@ -197,8 +199,10 @@ def capture(
 def _prune_losslessly(
     scene: Scene, camera: Camera, rule: Rule, samples: PixelSamples | None
 ) -> Pruned | None:
-    """What is left without what is proved to change nothing; None for all of it, where looking
-    would take more than a twentieth of the picture's time or saves little."""
+    """Return the scene and camera without the parts that are proved not to change the picture.
+    Return None if the search would take more than a twentieth of the picture's time, or if it saves
+    little.
+    """
     if not isinstance(rule, Quadrature) or scene.rules is not None or not on_processor():
         return None
     if not all(map(is_known, jax.tree.leaves((scene, camera)))):
@@ -214,8 +218,9 @@ def _prune_losslessly(
 
 
 def _seen_as(shot: Capture) -> np.ndarray:
-    """(h, w, 1 or 3), for the first of a batch: the developed picture if it is RGB, else the mean
-    of the bands, scaled from its minimum to its maximum."""
+    """Return a preview (h, w, 1 or 3) of the first picture of a batch: the developed picture if it
+    is RGB, else the mean of the bands, scaled from its minimum to its maximum.
+    """
     seen = np.asarray(shot.raw if shot.picture is None else shot.picture, float)
     seen = np.nan_to_num(seen.reshape(-1, *seen.shape[-3:])[0], posinf=0, neginf=0)
     if shot.picture is None or seen.shape[2] != 3:
@@ -233,8 +238,9 @@ def _bands(scene: Scene) -> int:
 
 
 def _check_keys(key: Key | None, die_key: Key | None, camera: Camera, bands: int) -> None:
-    """`ValueError` for a missing key that the sensor needs for its draws, checked by tracing
-    without running."""
+    """Raise `ValueError` if a key is missing that the sensor needs for its draws. The check traces
+    the sensor without running it.
+    """
     if key is None or die_key is None:
         view = camera.view
         seen = jax.ShapeDtypeStruct((*view.resolution, bands), view.pixel_pitch.dtype)
@@ -242,7 +248,9 @@ def _check_keys(key: Key | None, die_key: Key | None, camera: Camera, bands: int
 
 
 def _check_bands(bands: int, sensor: Sensor) -> None:
-    """`ValueError` if scene and sensor have unequal numbers of bands, neither of which is one."""
+    """Raise `ValueError` if scene and sensor have unequal numbers of bands, neither of which is
+    one.
+    """
     conversion, mosaic = sensor.photon_conversion, sensor.colour_filter
     spectra = {
         "photon_conversion.wavelength": None if conversion is None else conversion.wavelength,
@@ -262,8 +270,9 @@ def _check_bands(bands: int, sensor: Sensor) -> None:
 
 
 def _check_unit(camera: Camera, light: Array) -> None:
-    """Warn about a wrong unit: radiance that no lens has converted to irradiance, and watts that
-    count as photons, of which the sensor gets hardly any."""
+    """Warn about a wrong unit: radiance that no lens has converted to irradiance, or watts that
+    count as photons, so that the sensor gets hardly any.
+    """
     sensor, view = camera.sensor, camera.view
     if sensor.photon_conversion is not None and view.f_number is None:
         warnings.warn(
@@ -308,8 +317,9 @@ def _renderer(
 def _light_on_sensor(
     renderer: Any, scene: Scene, camera: Camera, motion: Motion | None, moments: int
 ) -> tuple[Image, Image, Image | None]:
-    """Radiance and irradiance of each pixel, over its aperture and its exposure, and the standard
-    error of the radiance where it is known."""
+    """Return radiance and irradiance of each pixel, averaged over its aperture and its exposure,
+    and the standard error of the radiance where it is known.
+    """
     sensor = camera.sensor
     if motion is None:
         return _seen(renderer, scene, camera.view, sensor.pixel_aperture)

@@ -2,8 +2,8 @@
 
 An RGB colour is a spectrum of three bands, so every function of `bands` takes both.
 `spectrum_to_camera`, `spectrum_to_xyz` and `reflectance_to_xyz` reduce the bands of a physical
-spectrum to the few of a camera or an observer. `rgb_to_reflectance` does the opposite. Integrals
-are the sums of CIE 15:2018, section 7: value times width of the band. Tables for these functions
+spectrum to the few bands of a camera or an observer. `rgb_to_reflectance` does the opposite.
+Integrals are sums of value times band width (CIE 15:2018, section 7). Tables for these functions
 (illuminants, reflectances, sensitivities, observers) come from `colour_data`.
 """
 
@@ -66,7 +66,7 @@ def interpolate_spectrum(
     method: str = "linear",
     outside: str = "clamp",
 ) -> Float[Array, "... wanted"]:
-    """Spectra interpolated to other wavelengths.
+    """Interpolate spectra to other wavelengths.
 
     Args:
         values: (..., bands) in any unit.
@@ -126,7 +126,7 @@ def interpolate_spectrum(
 
 
 def _check_visible(name: str, wavelengths: Wavelengths) -> None:
-    """`ValueError` for known wavelengths outside the range of every observer."""
+    """Raise `ValueError` for known wavelengths outside the range of every observer."""
     if is_known(wavelengths):
         shortest, longest = np.min(np.asarray(wavelengths)), np.max(np.asarray(wavelengths))
         if shortest > 1e-6 or longest < 1e-7:
@@ -137,17 +137,17 @@ def _check_visible(name: str, wavelengths: Wavelengths) -> None:
 
 
 def _check_ascending(name: str, wavelengths: Wavelengths) -> None:
-    """`ValueError` for known wavelengths that are not ascending."""
+    """Raise `ValueError` for known wavelengths that are not ascending."""
     if is_known(wavelengths) and (np.diff(np.asarray(wavelengths)) <= 0).any():
         raise ValueError(f"{name} must ascend.")
 
 
 @takes_numbers
 def band_widths(wavelengths: Wavelengths) -> Wavelengths:
-    """Width of the interval that each sample of a spectrum represents.
+    """Return the width of the interval that each sample of a spectrum represents.
 
-    It is half the distance between both neighbours; an end sample has a full step. On an even grid
-    every width is the step, so an integral is the sum times the step, as in CIE 15:2018.
+    The width is half the distance between both neighbours; an end sample has a full step. On an
+    even grid every width is the step, so an integral is the sum times the step, as in CIE 15:2018.
 
     Args:
         wavelengths: (bands,) m, ascending, at least two.
@@ -171,7 +171,7 @@ def band_widths(wavelengths: Wavelengths) -> Wavelengths:
 
 @takes_numbers
 def integrate_spectrum(spectrum: Spectrum, wavelengths: Wavelengths) -> Float[Array, "..."]:
-    """Integral over wavelength: the sum of value times band width.
+    """Integrate over wavelength: the sum of value times band width.
 
     Args:
         spectrum: (..., bands) in any unit.
@@ -192,7 +192,7 @@ def integrate_spectrum(spectrum: Spectrum, wavelengths: Wavelengths) -> Float[Ar
 def spectrum_to_camera(
     spectrum: Spectrum, wavelengths: Wavelengths, sensitivities: Responses
 ) -> Float[Array, "... channels"]:
-    """Response of each channel: the integral of spectrum times sensitivity.
+    """Return the response of each channel, the integral of spectrum times sensitivity.
 
     Args:
         spectrum: (..., bands) per m of wavelength, such as W m^-3.
@@ -210,7 +210,8 @@ def spectrum_to_camera(
 def spectrum_to_xyz(
     spectrum: Spectrum, wavelengths: Wavelengths, observer: Responses
 ) -> Float[Array, "... 3"]:
-    """Absolute tristimulus values: X, Y, Z = K_m times the integral of spectrum times observer.
+    """Absolute tristimulus values: Return X, Y, Z: the constant K_m times the integral of spectrum
+    times colour matching functions.
 
     Args:
         spectrum: (..., bands) W m^-2 sr^-1 per m, for Y in cd m^-2; or W m^-2 per m, for lux.
@@ -231,7 +232,7 @@ def spectrum_to_xyz(
 def reflectance_to_xyz(
     reflectance: Spectrum, wavelengths: Wavelengths, observer: Responses, illuminant: Wavelengths
 ) -> Float[Array, "... 3"]:
-    """Tristimulus values of a reflecting object relative to a perfect white of Y = 1.
+    """Return the tristimulus values of a reflecting object, relative to a perfect white of Y = 1.
 
     Args:
         reflectance: (..., bands) relative, 1 for perfect white.
@@ -254,13 +255,14 @@ def reflectance_to_xyz(
 def rgb_to_reflectance(
     rgb: Float[Array, "... 3"], basis: Float[Array, "bands 3"]
 ) -> Float[Array, "... bands"]:
-    """A smooth reflectance whose colour under D65 is the given linear sRGB.
+    """Return a smooth reflectance whose colour under D65 is the given linear sRGB.
 
-    It is the sum of the reflectances of red, green and blue, each times its amount. It is linear,
-    and within [0, 1] for colours within [0, 1]. It is one of many reflectances of that colour:
-    under another lamp, or seen by another camera, a real surface of the same colour may look
-    different. Converted back, the error of RGB is at most 2.4e-4 every 5 nm from 380 to 780 nm, and
-    1.1e-2 every 10 nm from 400 to 700 nm.
+    The result is the sum of the basis reflectances of red, green and blue, each times its component
+    of the colour. It is linear in the colour, and within [0, 1] for colours within [0, 1]. Many
+    reflectances have that colour: under another lamp, or seen by another camera, a real surface of
+    the same colour may look different. If the reflectance is converted back to RGB, the error is at
+    most 2.4e-4 with samples every 5 nm from 380 to 780 nm, and 1.1e-2 with samples every 10 nm from
+    400 to 700 nm.
 
     Args:
         rgb: (..., 3) linear sRGB, relative; or k_d in sr^-1.
@@ -286,7 +288,8 @@ def rgb_to_reflectance(
 @takes_numbers
 @in_range(temperature=AMOUNT)
 def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
-    """Planck's law: spectral radiance 2 h c^2 / lambda^5 / (exp(h c / (lambda k T)) - 1).
+    """Return the spectral radiance of a black body by Planck's law: 2 h c^2 / lambda^5 / (exp(h c /
+    (lambda k T)) - 1).
 
     Args:
         wavelengths: (bands,) m.
@@ -324,8 +327,9 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
 
 @jax.custom_jvp
 def _planck(wavelengths: Wavelengths, kelvin: Scalar) -> Wavelengths:
-    """`blackbody` within two ULP: each product and quotient is computed with its rounding error,
-    and the errors are added at the end."""
+    """Compute `blackbody` within two ULP: each product and quotient is computed with its rounding
+    error, and the errors are added at the end.
+    """
     one = jnp.ones_like(wavelengths)
     x = float(_H_C_OVER_K) / (wavelengths * kelvin)
     left, left_rest, scale, further, lost, lost_rest = decay(
@@ -365,7 +369,9 @@ def _planck_jvp(primals, tangents):
 
 
 def _lost_of_exponent(x: Wavelengths, wavelengths: Wavelengths, kelvin: Scalar) -> Wavelengths:
-    """The rounding error h c / (lambda k T) - x, which the exponential amplifies; no unit."""
+    """Return the rounding error h c / (lambda k T) - x, which the exponential amplifies; no
+    unit.
+    """
     product, one = wavelengths * kelvin, jnp.ones_like(wavelengths)
     nearest, rest = exact(_H_C_OVER_K, x.dtype)
     lost = difference_of_products(nearest * one, one, x, product)
@@ -375,8 +381,10 @@ def _lost_of_exponent(x: Wavelengths, wavelengths: Wavelengths, kelvin: Scalar) 
 
 
 def _locus_polynomial(constant: str, x: str, y: str) -> tuple[float, float, float]:
-    """Coefficients of constant + x x_D + y y_D on the daylight locus y_D = -3 x_D^2 + 2.87 x_D -
-    0.275. Rounding x_D and y_D first would amplify the error 300 times by cancellation."""
+    """Return the coefficients of constant + x x_D + y y_D as a polynomial in x_D, on the daylight
+    locus y_D = -3 x_D^2 + 2.87 x_D - 0.275. Evaluating the sum from rounded x_D and y_D would
+    amplify their error 300 times by cancellation.
+    """
     c, a, b = Fraction(constant), Fraction(x), Fraction(y)
     return float(c - b * Fraction("0.275")), float(a + b * Fraction("2.87")), float(-3 * b)
 
@@ -395,9 +403,9 @@ _DAYLIGHT = (  # CIE 15:2018, equations 4.3: the divisor, the numerators of M_1 
 
 @takes_numbers
 def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths:
-    """Relative power of CIE daylight: S_0 + M_1 S_1 + M_2 S_2, 100 at 560 nm.
+    """Return the relative power of CIE daylight: S_0 + M_1 S_1 + M_2 S_2, 100 at 560 nm.
 
-    M_1 and M_2 are not rounded.
+    The CIE rounds M_1 and M_2 to three decimals; here they are not rounded.
 
     Args:
         basis: (bands, 3) relative, from `colour_data.daylight_basis`.
@@ -419,7 +427,7 @@ def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths
     cool = temperature <= 7000
 
     def above(x_0: float) -> Scalar:
-        """x - x_0, from CIE's polynomials in 1 / T for either half of the range."""
+        """Return x_D - x_0, from the CIE's two polynomials in 1 / T, below and above 7000 K."""
         low = (0.244063 - x_0) + inverse * (0.09911 + inverse * (2.9678 - 4.6070 * inverse))
         high = (0.237040 - x_0) + inverse * (0.24748 + inverse * (1.9018 - 2.0064 * inverse))
         return jnp.where(cool, low, high)

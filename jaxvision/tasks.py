@@ -2,9 +2,9 @@
 
 Tiles and passes of a render, folders of a study and simulations of a check are independent. Inside
 `with jaxvision.cluster(client)` they run on the workers of a Dask client. Results come in the order
-of the tasks, regardless of the order of arrival. A file made of them has the same bytes as one made
-without workers on the same kind of processor. Another worker repeats the unfinished tasks of a lost
-one.
+of the tasks, regardless of the order of arrival. A file made from the results has the same bytes as
+one made without workers on the same type of processor. If a worker is lost, another worker repeats
+its unfinished tasks.
 """
 
 import hashlib
@@ -47,7 +47,7 @@ _objects: dict[str, Any] = {}  # in a worker: what its tasks share, by digest; o
 
 @contextmanager
 def cluster(client: "Client") -> Iterator[None]:
-    """Context in which independent tasks run on the workers of a Dask client.
+    """Return a context in which independent tasks run on the workers of a Dask client.
 
     Args:
         client: `dask.distributed.Client`.
@@ -88,8 +88,9 @@ def cluster(client: "Client") -> Iterator[None]:
 
 
 def _answers(client: "Client", wanted: Mapping[str, Any]) -> dict[str, Any]:
-    """The difference of each worker, or why it cannot report. Workers that were just lost are asked
-    again when others have replaced them."""
+    """Return, for each worker, how it differs from the client, or the error if it cannot report. If
+    workers were just lost, ask again once others have replaced them.
+    """
     found: Any = {}
     for _ in range(_ASKED):
         found = client.run(_difference, wanted, on_error="return")
@@ -102,9 +103,10 @@ def _answers(client: "Client", wanted: Mapping[str, Any]) -> dict[str, Any]:
 
 @contextmanager
 def workers(count: int, *, scheduler: str = "") -> Iterator[None]:
-    """Context in which tasks run on `count` processes of this machine or on the cluster at
-    `scheduler` ("tcp://10.0.0.1:8786"); in this process with neither. `InputError` for both,
-    without Dask, a scheduler or enough memory."""
+    """Return a context in which tasks run on `count` processes of this machine or on the cluster at
+    `scheduler` ("tcp://10.0.0.1:8786"), or in this process if neither is given. Raise `InputError`
+    if both are given, and without Dask, a scheduler or enough memory.
+    """
     if count and scheduler:
         raise InputError("--workers and --scheduler exclude each other; give one.")
     if not (count or scheduler):
@@ -137,9 +139,11 @@ def in_order(
     *,
     memory: float = 0.0,
 ) -> Iterator[Result]:
-    """Yield `function(shared, item)` for each item, in order, on the workers of `cluster` or here.
-    `memory`: bytes of a worker for the largest task, or 0. `InputError` for a worker of another
-    version or with too little memory, and for a task that lost too many."""
+    """Yield `function(shared, item)` for each item, in order, computed on the workers of `cluster`
+    or in this process. `memory`: bytes that a worker needs for the largest task, or 0 for no check.
+    Raise `InputError` for a worker of another version or with too little memory, and for a task
+    during which too many workers were lost.
+    """
     client = _client.get()
     if client is None:
         for item in items:
@@ -200,7 +204,9 @@ def _run_on(
 
 
 def _check_room(client: "Client", needed: float) -> None:
-    """Check the memory: each worker's threads share it, and each thread works on one task."""
+    """Raise `InputError` if a worker has too little memory: its threads share the memory, and each
+    thread works on one task.
+    """
     rooms: Any = client.run(_room, on_error="ignore")  # one that is lost just now starts again
     for address, room in rooms.items():
         if room < needed:
@@ -211,13 +217,14 @@ def _check_room(client: "Client", needed: float) -> None:
 
 
 def _room(dask_worker: Any) -> float:
-    """Memory per thread of a worker in bytes; infinite without a limit."""
+    """Return the memory per thread of a worker in bytes, infinite without a limit."""
     return (dask_worker.memory_manager.memory_limit or math.inf) / dask_worker.state.nthreads
 
 
 def _pack(shared: Any) -> bytes:
-    """The shared data of tasks as bytes. Equinox 0.13 permanently retains records that pickle
-    creates, as unfinished ones. Here they are created differently."""
+    """Serialise the shared data of tasks to bytes. Records are rebuilt by `_record`, because
+    Equinox 0.13 takes records that pickle creates for unfinished ones and retains them permanently.
+    """
     import cloudpickle
     from equinox import Module
 
@@ -267,15 +274,17 @@ def _await(client: "Client", future: "Future") -> Any:
 
 
 class _Bundles:
-    """Items in bundles of about `BUNDLE` seconds, over which Dask's cost per task is spread; a size
-    at most doubles, and the last bundles are small."""
+    """A queue of items, handed out in bundles of about `BUNDLE` seconds of work, over which Dask's
+    cost per task is spread. From one bundle to the next the size at most doubles, and the last
+    bundles are small.
+    """
 
     def __init__(self, items: Iterable[Any], threads: int) -> None:
         self._left, self._threads = deque(items), max(threads, 1)
         self._size = 1
 
     def next(self) -> tuple[Any, ...]:
-        """Return the next items; none if all are assigned."""
+        """Return the next bundle of items, empty if all are handed out."""
         size = min(self._size, max(len(self._left) // (2 * self._threads), 1))
         return tuple(self._left.popleft() for _ in range(min(size, len(self._left))))
 
@@ -286,8 +295,10 @@ class _Bundles:
 
 
 class _Task:
-    """A function in a worker. It is sent after the worker was found equal to the client, and uses
-    the unpacked shared data."""
+    """A task that is sent to a worker: a function, and the digest of the shared data that the
+    worker unpacks once. A worker that joined later is first checked for differences from the
+    client.
+    """
 
     def __init__(
         self, function: Callable[..., Any], wanted: Mapping[str, Any], digest: str
@@ -295,9 +306,10 @@ class _Task:
         self.function, self.wanted, self.digest = function, wanted, digest
 
     def __call__(self, packed: bytes, items: Sequence[Any]) -> tuple[list[Any], float]:
-        """Results of the first items of a bundle (at least one), and their duration in seconds. If
-        a task fails or time is up, the results before it are returned. The failed task is then the
-        first of its own bundle, and raises there."""
+        """Compute the results of the first items of a bundle (at least one), and their duration in
+        seconds. If a task fails or time is up, return the results before it. The failed task is
+        then the first of its own bundle, and raises there.
+        """
         import cloudpickle
 
         if self.digest not in _objects:
@@ -320,7 +332,9 @@ class _Task:
 
 
 def _environment() -> dict[str, Any]:
-    """Everything besides the task that results depend on."""
+    """Return everything besides the task on which results depend: versions, source, device, machine
+    and precision.
+    """
     import jax
 
     packages = ("jax", "jaxlib", "numpy")
@@ -335,8 +349,9 @@ def _environment() -> dict[str, Any]:
 
 
 def _difference(wanted: Mapping[str, Any]) -> str:
-    """Describe the difference of a worker from the command, in words. A different precision is set
-    instead."""
+    """Describe in words how a worker differs from the command. A different precision is not
+    reported but set.
+    """
     import jax
 
     jax.config.update("jax_enable_x64", wanted["x64"])

@@ -176,8 +176,10 @@ def _clip(counts: Float[Array, "groups bins"], limit: Scalars) -> Float[Array, "
 
 
 def _clip_counts(counts: Int[Array, "groups bins"], limit: Scalars) -> Int[Array, "groups bins"]:
-    """`_clip` for whole counts: the limit is rounded down to at least 1, and the remainder r of
-    the clipped counts goes to codes 0, s, 2 s ..., s = bins // r."""
+    """Clip integer counts as OpenCV does. The limit is rounded down, to at least 1. The excess is
+    divided equally among the bins, and its remainder r is added one by one to codes 0, s, 2 s, and
+    so on, with s = bins // r.
+    """
     bins = counts.shape[-1]
     most = jnp.clip(jnp.floor(limit), 1, MOST_PIXELS).astype(counts.dtype)
     kept = jnp.minimum(counts, most)

@@ -1,6 +1,7 @@
 """The optics of a camera, from the scene to the sensor's surface.
 
-Projection, focus, apertures, diffraction, vignetting, distortion and chromatic aberrations.
+This package computes projection, focus, apertures, diffraction, vignetting, distortion and
+chromatic aberrations.
 """
 
 from ..core.lazy_names import names_of

@@ -1,8 +1,8 @@
 """The Bessel function of diffraction at a round aperture, vectorised.
 
-It uses Chebyshev expansions, computed with 40 digits and truncated below 1e-16. Up to x = 8, 2
-J_1(x) / x is expanded in x^2. For larger x, the slowly varying functions P and
-Q of
+The function J_1 is computed by Chebyshev expansions, whose coefficients have 40 digits and are
+dropped below 1e-16. Up to x = 8, 2 J_1(x) / x is expanded in x^2. For larger x, the slowly varying
+functions P and Q of
 
     J_1(x) = sqrt(2 / (pi x)) (P cos(x - 3 pi / 4) - (8 / x) Q sin(x - 3 pi / 4))
 

@@ -1,7 +1,7 @@
 """The aperture of a lens: points in it, its area, and its image of a point out of focus.
 
-Points are (right, down) in the camera's axes, relative to the radius of the lens. Everything is in
-closed form and differentiable with respect to the shape.
+Points are (right, down) in the camera's axes, relative to the radius of the lens. All functions are
+closed forms and differentiable with respect to the shape.
 """
 
 import jax
@@ -103,8 +103,8 @@ def aperture_corners(
 
 @takes_numbers
 def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[Array, "size size"]:
-    """Return the kernel by which a pixel gathers light from points out of focus. It has the shape
-    of the aperture.
+    """Return the kernel by which a pixel gathers light from points out of focus. The kernel has the
+    shape of the aperture.
 
     Each weight is the share of the aperture's area that falls on that pixel.
 
@@ -171,7 +171,9 @@ def _sample_polygon(aperture: PolygonalAperture, u: Float[Array, "2"]) -> tuple[
 
 
 def _disc_in_pixels(radius: Scalar, size: int) -> Float[Array, "size size"]:
-    """Return the area of a disc centred at 0 in each pixel of a square, from one quadrant."""
+    """Return, for each pixel of a square, the area inside it of a disc centred at 0. Only one
+    quadrant is computed.
+    """
     away = np.abs(np.arange(size) - size // 2)
     outer = jnp.asarray(np.arange(size // 2 + 1) + 0.5, radius.dtype)
     inner = jnp.maximum(outer - 1, 0)
@@ -187,9 +189,10 @@ def _disc_in_pixels(radius: Scalar, size: int) -> Float[Array, "size size"]:
 def _disc_in_rectangle(
     radius: Scalar, left: Scalar, right: Scalar, low: Scalar, high: Scalar
 ) -> Scalar:
-    """Return the area of the disc where left < x < right and low < y < high, all bounds >= 0. It is
-    the sum of the area left of the arc, the area below the arc's chord, and the segment beyond the
-    chord, none of them negative."""
+    """Return the area of the disc where left < x < right and low < y < high, all bounds >= 0. The
+    result is the sum of three parts that are never negative: the area left of the arc, the area
+    below the arc's chord, and the segment beyond the chord.
+    """
     (start_x, start_y), (end_x, end_y), angle = _arc(radius, left, right, low, high)
     full = (start_x - left) * (high - low)
     below = (end_x - start_x) * ((start_y - low) + (end_y - low)) / 2
@@ -228,9 +231,10 @@ def _arc(
 def _polygon_in_pixels(
     starts: Float[Array, " n"], x: Float[Array, " corners"], y: Float[Array, " corners"]
 ) -> Float[Array, "n n"]:
-    """Return the area of a polygon in each unit pixel that starts at given x and y. By Green's
-    theorem it is the integral of x dy around the polygon: for each side, its extent in y within the
-    row times its mean x, clipped to the pixel."""
+    """Return the area of a polygon inside each unit pixel whose upper left corner is at the given x
+    and y. By Green's theorem the area is the integral of x dy around the polygon. Each side
+    contributes its extent in y within the row times its mean x, clipped to the pixel.
+    """
 
     def share(x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar, top: Scalar, left: Scalar) -> Scalar:
         run = y1 - y0
@@ -246,8 +250,9 @@ def _polygon_in_pixels(
 
 
 def _mean_within(a: Scalar, b: Scalar, left: Scalar) -> Scalar:
-    """Return the mean of x from a to b, with each x clipped to [left, left + 1]. It is relative to
-    the point of this interval nearest to 0, so that a small polygon is accurate."""
+    """Return the mean of x from a to b, with each x clipped to [left, left + 1]. The mean is
+    relative to the point of this interval nearest to 0, so that small polygons have accurate areas.
+    """
     right = left + 1
     origin = jnp.clip(0, left, right)
     low, high = jnp.minimum(a, b), jnp.maximum(a, b)

@@ -1,8 +1,9 @@
 """Diffraction at a round aperture, which limits the sharpness of every image.
 
 All lengths are m on the sensor, frequencies in cycles per m (m^-1). The f-number is the working
-one, image distance over diameter (`working_f_number`), which equals that of the lens at infinity
-focus. Arguments are elementwise and broadcast: wavelengths (bands,) give a result for each band.
+f-number, image distance over lens diameter (`working_f_number`), which equals that of the lens at
+infinity focus. Arguments are elementwise and broadcast: wavelengths (bands,) give a result for each
+band.
 
 Source:
     Born and Wolf, Principles of Optics, sections 8.5.2 and 9.5.
@@ -93,15 +94,15 @@ def airy_kernel(
     """Return the share of a point's light that falls on each pixel around it.
 
     Pixels up to 3 lambda N use Gauss-Legendre quadrature of the pattern over each pixel. Larger
-    pixels contain more rings than nodes. For these, the light that leaves a pixel is integrated
-    along its edges. By Gauss's theorem, with Rayleigh's encircled energy 1 - J_0(x)^2 - J_1(x)^2 in
-    x = pi r / (lambda N), a pixel keeps
+    pixels contain too many rings for the quadrature. For these, the light that leaves a pixel is
+    integrated along its edges. By Gauss's theorem, with Rayleigh's encircled energy 1 - J_0(x)^2 -
+    J_1(x)^2 in x = pi r / (lambda N), a pixel keeps
 
         [1 in the middle, else 0] - integral (J_0^2 + J_1^2) / (2 pi r^2) (r . n) ds
 
-    with the edge's normal n. This integrand has hardly any rings. The share of light beyond the
-    distance R is about 2 lambda N / (pi^2 R). The kernel is rescaled to sum 1, which includes the
-    light outside it. At a wavelength or an f-number of 0, all light is in the middle.
+    with the edge's normal n. The integrand J_0^2 + J_1^2 hardly oscillates. The share of light
+    beyond the distance R is about 2 lambda N / (pi^2 R). The kernel is rescaled to sum 1, which
+    includes the light outside it. At a wavelength or an f-number of 0, all light is in the middle.
 
     Args:
         wavelength: () or (bands,) m.
@@ -142,8 +143,9 @@ def airy_kernel(
 
 
 def _leaving(scale: Scalar, size: int, order: int) -> Float[Array, "size size"]:
-    """Return the integral of (J_0^2 + J_1^2) / (2 pi r^2) (r . n) around each pixel, no unit.
-    `scale`: x at a distance of one pixel."""
+    """Return the integral of (J_0^2 + J_1^2) / (2 pi r^2) (r . n) along the edges of each pixel, no
+    unit. `scale`: the Bessel functions' argument x per pixel of distance.
+    """
     nodes, weights = np.polynomial.legendre.leggauss(order)
     right = np.arange(size // 2 + 1)[:, None, None] + 0.5  # distances of edges from the middle
     along = np.arange(size)[:, None] - size // 2 + nodes / 2
@@ -164,7 +166,9 @@ def _outside(x: Float[Array, "..."]) -> Float[Array, "..."]:
     wave = jnp.cos(far - np.pi / 4), jnp.sin(far - np.pi / 4)
 
     def expanded(order: int) -> tuple[Array, Array]:
-        """Return P and Q of the expansion for the Bessel function of this order."""
+        """Return the slowly varying functions P and Q of Hankel's expansion for the Bessel function
+        of this order.
+        """
         term, sums = jnp.ones_like(far), [jnp.ones_like(far), jnp.zeros_like(far)]
         for k in range(1, 8):
             term = term * inverse * ((4 * order**2 - (2 * k - 1) ** 2) / (8 * k))
@@ -220,7 +224,7 @@ def lens_kernel(
 def _warn_of_a_small_window(
     wavelength: Scalar | Colour, f_number: Scalar, pixel_pitch: Scalar, size: int
 ) -> None:
-    """Warn of a kernel that ends within the first dark ring, if the numbers are known."""
+    """Warn about a kernel that ends within the first dark ring, if the numbers are known."""
     if not all(map(is_known, (wavelength, f_number, pixel_pitch))):
         return
     waves, numbers, pitches = map(np.asarray, (wavelength, f_number, pixel_pitch))
@@ -267,9 +271,9 @@ def diffraction_mtf(
     """Return the contrast of a sine pattern after diffraction; 0 from the cut-off 1 / (lambda N)
     on.
 
-    It is the overlap of the pupil with a copy that is shifted by 2 lambda N `frequency` pupil
-    radii. For a full disc it is (2 / pi) (arccos v - v sqrt(1 - v^2)), with v the ratio of the
-    frequency to the cut-off.
+    The contrast is the overlap of the pupil with a copy of itself, shifted by 2 lambda N
+    `frequency` pupil radii. For a full disc it is (2 / pi) (arccos v - v sqrt(1 - v^2)), with v the
+    ratio of the frequency to the cut-off.
 
     Args:
         frequency: (...) m^-1.

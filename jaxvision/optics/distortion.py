@@ -2,9 +2,9 @@
 inverse.
 
 Positions are in units of the image distance. Slopes are relative: m to the side per m forward. The
-forward map is the closed form of `Distortion`. The inverse uses Newton's method. Started at the
-distorted position, it converges for barrel and pincushion distortion. The inverse is differentiated
-as an implicit function, not step by step.
+forward map is the closed form of `Distortion`. The inverse uses Newton's method. The iteration
+starts at the distorted position and converges for barrel and pincushion distortion. The inverse is
+differentiated as an implicit function, not step by step.
 
 Source:
     Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971).
@@ -51,7 +51,7 @@ def distort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scala
 
 
 def _bent(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """Apply only the polynomial of `distort`."""
+    """Apply only the radial and tangential polynomial of `distort`."""
     s, _ = _scale(distortion, x, y)
     if distortion.tangential is None:
         return x * s, y * s
@@ -67,7 +67,7 @@ def _bent(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]
 def distortion_area(distortion: Distortion, x: Scalar, y: Scalar) -> Scalar:
     """Return the ratio of a small area in the distorted image to its area in an ideal image.
 
-    It is the determinant of the derivative of `distort`.
+    The ratio is the determinant of the derivative of `distort`.
 
     Args:
         distortion: coefficients.
@@ -91,8 +91,8 @@ def distortion_area(distortion: Distortion, x: Scalar, y: Scalar) -> Scalar:
 def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
     """Return the slopes of the chief ray that meets the sensor at a position: invert `distort`.
 
-    A strong barrel distortion folds the plane, and nothing is imaged beyond its edge. There the
-    result is a slope near the fold, with gradient 0. NaN stays NaN.
+    A strong barrel distortion folds the plane, and no ray is imaged beyond the fold. For a position
+    there, the result is a slope near the fold, with gradient 0. NaN stays NaN.
 
     Args:
         distortion: coefficients.
@@ -118,7 +118,7 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
 @jax.custom_jvp
 @one_program
 def _undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """Invert `_bent` by Newton's method, with the derivative of the implicit function."""
+    """Invert `_bent` by Newton's method. The derivative is that of the implicit function."""
     accuracy = 4 * jnp.finfo(x.dtype).eps * jnp.maximum(jnp.abs(x), jnp.abs(y))
 
     def residual(u: Scalar, v: Scalar) -> tuple[Scalar, Scalar]:
@@ -192,7 +192,9 @@ def _jacobian(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
 
 
 def _is_before_fold(distortion: Distortion, x: Scalar, y: Scalar) -> Bool[Array, ""]:
-    """Whether the derivative of `distort` is positive definite, as it is on the axis."""
+    """Return whether the derivative of `distort` is positive definite, as on the axis. The slope is
+    then not beyond a fold.
+    """
     a, b, c = _jacobian(distortion, x, y)
     return (a > 0) & (a * c - b * b > 0)
 

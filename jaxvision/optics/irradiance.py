@@ -1,11 +1,11 @@
-"""From radiance in front of the lens to irradiance on the sensor.
+"""Conversion of radiance in front of the lens to irradiance on the sensor.
 
     E = L A cos^4 / z_i^2,   with a round aperture   E = L (pi / 4) (d / z_i)^2 cos^4
 
 E is the irradiance, L the radiance, A the area of the aperture, d its diameter, z_i the distance to
 the sensor (the focal length only at infinity focus) and cos the cosine between the chief ray and
 the axis. The aperture is small, at distance z_i / cos, and inclined to both the ray and the sensor.
-cos^4 is applied once, here, never in a ray's weight.
+The factor cos^4 is applied here only; rays have no such weight.
 
 Source:
     Szeliski, Computer Vision, section 2.2.3.

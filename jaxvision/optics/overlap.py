@@ -1,8 +1,8 @@
 """Overlap of two apertures in projection: areas in closed form.
 
 Areas are in the square of the unit of the lengths, such as m^2 for m. The derivative of an area is
-the length of an arc or a chord, which also has a closed form. It is finite even where the
-derivative of the area's formula is not.
+the length of an arc or a chord, which also has a closed form. That length is finite even where
+differentiating the formula of the area gives infinity.
 """
 
 import jax
@@ -18,9 +18,9 @@ from ..core._types import Scalar, Scalars
 def overlap_of_discs(distance: Scalars, first_radius: Scalars, second_radius: Scalars) -> Scalars:
     """Return the area that two discs share, elementwise.
 
-    It is the sum of two circular segments, r^2 (alpha - sin alpha cos alpha) with alpha half the
-    angle of the arc. alpha comes from the sides of the triangle of both centres and an intersection
-    of the circles, by the half-angle formula, which is accurate if the circles just touch.
+    The area is the sum of two circular segments, r^2 (alpha - sin alpha cos alpha), with alpha half
+    the angle of the arc. The half-angle formula gives alpha from the sides of the triangle of both
+    centres and an intersection of the circles. It is accurate even if the circles just touch.
 
     Args:
         distance: (...) m between the centres, >= 0.
@@ -103,9 +103,11 @@ def _overlap_with_polygon(
 
 @_overlap_with_polygon.defjvp
 def _overlap_with_polygon_jvp(primals, tangents):
-    """Differentiate the shared area. With respect to the radius it is the length of the arcs. With
-    respect to a corner it is the area that the chords of both sides sweep, whose points move in
-    proportion to their distance from the fixed end of the side."""
+    """Differentiate the shared area. The derivative with respect to the radius is the length of the
+    arcs. The derivative with respect to a corner is the area that the chords of its two sides sweep
+    per unit of motion. A point of a side moves in proportion to its distance from the side's other,
+    fixed end.
+    """
     radius, x, y = primals[2:]
     to_right, to_down, wider, x_by, y_by = tangents
     _, arcs, enters, leaves = _sides(*primals)
@@ -145,7 +147,8 @@ def _half_angles(d: Scalars, r1: Scalars, r2: Scalars) -> tuple[Scalars, Scalars
 
 def _segment(alpha: Scalars) -> Scalars:
     """Return alpha - sin alpha cos alpha = (t - sin t) / 2 with t = 2 alpha. If the terms nearly
-    cancel, t - sin t is the series t^3 / 3! (1 - t^2 / (4 5) (1 - t^2 / (6 7) (...)))."""
+    cancel, t - sin t is computed by the series t^3 / 3! (1 - t^2 / (4 5) (1 - t^2 / (6 7) (...))).
+    """
     t = 2 * alpha
     small = t < 2
     square = jnp.square(jnp.minimum(t, 2.25))
@@ -159,8 +162,8 @@ def _side(
     right: Scalar, down: Scalar, radius: Scalar, x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar
 ) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     """Return, for one side, its contribution to the area, the angle of its arcs, and the positions
-    in [0, 1] where it enters and leaves the disc. The part of the side outside the disc is
-    projected onto the rim."""
+    in [0, 1] where it enters and leaves the disc. Parts of the side outside the disc are projected
+    radially onto the rim."""
     along_x, along_y = x1 - x0, y1 - y0
     square = along_x * along_x + along_y * along_y
     some = ~(square <= smallest_divisor(square.dtype) ** 2)

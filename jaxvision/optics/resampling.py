@@ -172,14 +172,16 @@ def _bent(
 
 
 def _linear_taps(x: Scalars) -> list[tuple[Array, Scalars]]:
-    """Return (index, weight) of the two samples around x."""
+    """Return (index, weight) of the two samples around x, for linear interpolation."""
     start = jnp.floor(x)
     t, first = x - start, start.astype(int)
     return [(first, 1 - t), (first + 1, t)]
 
 
 def _cubic_taps(x: Scalars) -> list[tuple[Array, Scalars]]:
-    """Return (index, weight) of the four samples around x, for Keys' kernel with a = -1/2."""
+    """Return (index, weight) of the four samples around x, for cubic interpolation by Keys' kernel
+    with a = -1/2.
+    """
     start = jnp.floor(x)
     t, first = x - start, start.astype(int)
     s = 1 - t

@@ -4,9 +4,10 @@
 
 with object distance z_o and image distance z_i in m from the lens, both positive for a real object
 and a real image. z_i < 0 is a virtual image on the object's side, as for an object inside the focal
-length. All functions are elementwise on arrays that broadcast. A distance of inf is exact, with
-gradient 0; NaN stays NaN. Divisors are at least `smallest_divisor`, 3e-10 in float32. So at z_o = f
-the image distance is f^2 / `smallest_divisor` instead of infinite, and all gradients are finite.
+length. All functions are elementwise on arrays that broadcast. For a distance of inf the result is
+the exact limit, with gradient 0. NaN stays NaN. Divisors are at least `smallest_divisor`, 3e-10 in
+float32. At z_o = f the image distance is therefore f^2 / `smallest_divisor` instead of infinite,
+and all gradients are finite.
 
 Sources:
     Szeliski, Computer Vision, section 2.2.3; Hecht, Optics, chapters 5 and 6.
@@ -121,8 +122,8 @@ def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: S
     """Return the ratio of image distance to lens diameter, z_i / d = N (1 + |m|), for a lens in
     focus.
 
-    m is the magnification. The ratio determines exposure and diffraction, and is N at infinity
-    focus.
+    m is the magnification. The working f-number determines exposure and diffraction. At infinity
+    focus it equals N.
 
     Args:
         f_number: (...) N of the lens, no unit.
@@ -158,7 +159,7 @@ def lens_power(
 ) -> Scalars:
     """Return 1 / f = (n - 1) (c_1 - c_2 + (n - 1) t c_1 c_2 / n), the lensmaker's equation.
 
-    Distances of a thick lens count from its principal planes.
+    Distances of a thick lens are measured from its principal planes.
 
     Args:
         front_curvature: (...) 1 / radius in m^-1, 0 for a plane; positive if the centre lies behind
@@ -288,7 +289,7 @@ def depth_of_field(
 def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: Scalars) -> Scalars:
     """Return the nearest focus distance at which infinity is still sharp: f + f^2 / (c N).
 
-    Everything beyond half of it is then sharp.
+    With that focus, everything beyond half the hyperfocal distance is sharp.
 
     Args:
         focal_length: (...) f in m.
@@ -358,8 +359,9 @@ def _is_near(z: Scalars, f: Scalars, times: float = 2.0) -> Bool[Array, "..."]:
 
 
 def _parts(z: Scalars, f: Scalars) -> tuple[Scalars, Scalars]:
-    """Return z, m, as the input of the near formula and as that of the far formula, each replaced
-    by a harmless value outside the range of its formula."""
+    """Return z, m, twice: as the input of the formula for near z and of the formula for far z.
+    Outside the range of its formula, z is replaced by a value that gives finite numbers.
+    """
     return jnp.where(_is_near(z, f, 4.0), z, 0), jnp.where(_is_near(z, f, 1.5), jnp.inf, z)
 
 

@@ -1,15 +1,16 @@
-"""Projection: the ray that each pixel sees.
+"""Projection: the relation between pixels and the rays that reach them.
 
-Camera axes are right, down and forward; pixel (0, 0) is the upper left one and (row, column) its
-centre, so the optical axis passes between the middle pixels of an even grid. Lengths are metres.
+Camera axes are right, down and forward. Pixel (0, 0) is the upper left pixel, and integer (row,
+column) are centres of pixels, so the optical axis passes between the middle pixels of an even grid.
+Lengths are metres.
 
 For a lens at distance z_i from the sensor, the chief ray of the image point (x, y) has the
 direction (x / z_i, y / z_i, 1). The ray through the point (a, b) of the lens is
 
     origin (a, b, 0),   direction (x / z_i - a / z_f, y / z_i - b / z_f, 1)
 
-with z_f the distance in focus. Because reciprocals of distances are used, infinity is no special
-case.
+with z_f the distance in focus. The functions use reciprocals of distances, so infinity is no
+special case.
 """
 
 from collections.abc import Sequence
@@ -87,13 +88,13 @@ def opencv_view(
     translation: np.ndarray | None = None,
     pixel_pitch: float = 1e-5,
 ) -> Pinhole:
-    """Make the view of a camera that OpenCV calibrated, with any fx, fy, cx and cy.
+    """Return the view of a camera calibrated by OpenCV, with any fx, fy, cx and cy.
 
     Views have OpenCV's conventions: x right, y down, z forward, and integers at the centres of
     pixels. `u` is the column, `v` the row. The result is an ordinary pinhole, whose `Distortion`
-    contains shift and stretch besides the coefficients. Its fields may be traced or fitted. If fx
-    and fy differ, the irradiance on the sensor is computed for square pixels of the pitch, behind a
-    lens that stretches the image.
+    contains shift and stretch besides the coefficients. The fields of the view may be traced or
+    fitted. If fx and fy differ, the irradiance on the sensor is computed for square pixels of the
+    pitch, behind a lens that stretches the image.
 
     Args:
         matrix: (3, 3) [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] pixels.
@@ -287,7 +288,7 @@ def chief_slope(view: Pinhole | ThinLens, row: Scalar, column: Scalar) -> tuple[
 
 @takes_numbers
 def camera_ray(view: View, row: Scalar, column: Scalar) -> Ray:
-    """Return the ray that a pixel's centre sees, through the middle of a lens.
+    """Return the ray from the scene that reaches a pixel's centre through the middle of the lens.
 
     Args:
         view: the camera's projection.
@@ -358,12 +359,13 @@ def project(view: View, point: Float[Array, "3"]) -> Projection:
 
 @takes_numbers
 def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) -> Ray:
-    """Return the ray that a pixel's centre sees through one point of the aperture.
+    """Return the ray from the scene that reaches a pixel's centre through one point of the
+    aperture.
 
-    Uniform `u` give rays with equal shares of the aperture. The mean of the radiance along these
-    rays is the argument of `pixel_irradiance`. Vignetting by a rim acts on that irradiance, not on
-    the rays. So a blurred point far off the axis has the right brightness, but the full shape of
-    the aperture instead of a cat's eye.
+    For uniformly distributed `u`, each ray stands for an equal area of the aperture. The mean of
+    the radiance along these rays is the argument of `pixel_irradiance`. Vignetting by a rim is
+    applied to that irradiance, not to the rays. A blurred point far off the axis therefore has the
+    right brightness, but the full shape of the aperture instead of a cat's eye.
 
     Args:
         view: the lens.
@@ -395,7 +397,8 @@ def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) 
 
 @takes_numbers
 def view_ray(view: View, row: Scalar, column: Scalar, *, u: Float[Array, "2"] | None = None) -> Ray:
-    """Return the ray of any view: `lens_ray` for a thin lens with a given `u`, else `camera_ray`.
+    """Return the ray of a pixel for any view: `lens_ray` for a thin lens with a given `u`, else
+    `camera_ray`.
 
     Args:
         view: the camera's projection.

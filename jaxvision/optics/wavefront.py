@@ -1,11 +1,12 @@
-"""Aberrations of a lens: diffraction, defocus and Zernike's terms as one pupil function.
+"""Aberrations of a lens: diffraction, defocus and Zernike terms combined in one pupil function.
 
 With the wavefront error W, m, over points rho of the unit disc of the pupil, a point has the image
 
     |U(x)|^2,   U(x) = integral exp(2 pi i W(rho) / lambda - pi i x . rho / (lambda N)) d^2 rho
 
-with x in m on the sensor, wavelength lambda and f-number N. W = 0 gives the Airy pattern. For a
-large W, each point of the pupil sends its light to 2 N grad W, as in geometrical optics.
+with x the position on the sensor in m, wavelength lambda and f-number N. W = 0 gives the Airy
+pattern. For a large W, each point of the pupil sends its light to 2 N grad W, as in geometrical
+optics.
 
 Source:
     Born and Wolf, Principles of Optics, sections 9.1 to 9.3; Noll, "Zernike polynomials and
@@ -85,7 +86,7 @@ def wavefront_kernel(
     aberrations.
 
     The pupil is integrated by Gauss-Legendre quadrature along its chords, which has no error at the
-    rim. The kernel is rescaled to sum 1, which includes the light outside it.
+    rim. The kernel is rescaled to sum 1, which adds the light outside the window to its pixels.
 
     Args:
         coefficients: (terms,) m, of the terms 1, 2, ... of `zernike`; x of the pupil is to the
@@ -180,8 +181,10 @@ def _check_nodes(
     f_number: Scalar,
     pixel_pitch: Scalar,
 ) -> None:
-    """Raise `ValueError` for too few nodes. A rule of n nodes on [-1, 1] integrates a phase whose
-    slope is at most 2 n rad per unit in the middle, and 2 n / sqrt(1 - x^2) at x."""
+    """Raise `ValueError` for too few quadrature nodes. A rule of n nodes on [-1, 1] integrates a
+    phase accurately if its slope is at most 2 n rad per unit in the middle, and 2 n / sqrt(1 - x^2)
+    at x.
+    """
     wide = float(np.max(pixel_pitch / (np.asarray(wavelength, float) * f_number)))
     if order < 8 / 3 * wide:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Gains that vary across a picture: a graded filter and vignetting. Relative values."""
+"""Gains that vary across a picture: a graded filter and vignetting. Values are relative."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,9 +23,10 @@ def graded_filter(
     centre: Scalar | float,
     width: Scalar | float,
 ) -> Picture:
-    """A graded neutral density filter in front of the lens: linear light times 10^(-density s).
+    """Apply a graded neutral density filter in front of the lens: multiply linear light by
+    10^(-density s).
 
-    s rises smoothly, 3 t^2 - 2 t^3, from 0 on the clear side to 1 on the dark one.
+    s rises smoothly, as 3 t^2 - 2 t^3, from 0 on the clear side to 1 on the dark side.
 
     Args:
         image: (h, w) or (..., h, w, bands) relative, linear.
@@ -49,10 +50,10 @@ def graded_filter(
 
 @takes_numbers
 def vignette(image: Picture, coefficients: Float[Array, " terms"]) -> Picture:
-    """Linear light times the falloff 1 + k_1 r^2 + k_2 r^4 + ...
+    """Multiply linear light by the falloff 1 + k_1 r^2 + k_2 r^4 + ...
 
-    r is the distance from the centre of the picture relative to that of its corner. The cos^4 law
-    of an ideal lens belongs to `optics`.
+    r is the distance from the picture's centre, divided by that of a corner. For the cos^4 law of
+    an ideal lens use `optics`.
 
     Args:
         image: (h, w) or (..., h, w, bands) relative, linear.
@@ -72,7 +73,7 @@ def vignette(image: Picture, coefficients: Float[Array, " terms"]) -> Picture:
 
 @takes_numbers
 def correct_vignetting(image: Picture, coefficients: Float[Array, " terms"]) -> Picture:
-    """The inverse of `vignette`; pixels without any light stay 0.
+    """Divide by the falloff, the inverse of `vignette`. Pixels where the falloff is 0 stay 0.
 
     Args:
         image: (h, w) or (..., h, w, bands) relative, linear.
@@ -103,7 +104,9 @@ def _falloff(
 
 
 def _check_size(image: Picture) -> tuple[Picture, int, int]:
-    """The picture with its numbers of rows and columns."""
+    """Return the picture and its numbers of rows and columns. Raise `ValueError` for an array that
+    is no picture.
+    """
     image = as_relative(image)
     if image.ndim < 2:
         raise ValueError(f"image must be (h, w) or (..., h, w, bands), got shape {image.shape}.")
@@ -114,14 +117,16 @@ def _check_size(image: Picture) -> tuple[Picture, int, int]:
 def _centred_places(
     rows: int, columns: int, dtype: np.dtype, *, unit: float | int
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-    """(right, up) of each pixel's centre relative to the picture's centre, in `unit`s of pixels."""
+    """Return (right, up), the position of each pixel's centre relative to the picture's centre, in
+    multiples of `unit` pixels.
+    """
     right = (jnp.arange(columns, dtype=dtype) - (columns - 1) / 2) / unit
     up = ((rows - 1) / 2 - jnp.arange(rows, dtype=dtype)) / unit
     return jnp.broadcast_to(right, (rows, columns)), jnp.broadcast_to(up[:, None], (rows, columns))
 
 
 def _per_pixel(values: Float[Array, "h w"], image: Picture) -> Float[Array, "..."]:
-    """A map of the picture, in the axes of a batch of images."""
+    """Reshape a map (h, w) to broadcast over a batch of images."""
     if image.ndim == 2:
         return values
     return values.reshape((1,) * (image.ndim - 3) + values.shape + (1,))

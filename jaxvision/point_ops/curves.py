@@ -1,4 +1,4 @@
-"""Encoding curves: gamma and sRGB, and clipping. Relative values."""
+"""Encoding curves (gamma and sRGB) and clipping, for relative values."""
 
 from fractions import Fraction
 
@@ -21,7 +21,7 @@ from ..core._types import DIVISOR, Scalars, as_relative, check_choice, refuse_co
 @takes_numbers
 @in_range(gamma=DIVISOR)
 def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
-    """linear^(1 / gamma); values below 0 count as 0, where the gradient is 0.
+    """Encode linear values by linear^(1 / gamma). Values below 0 count as 0, with gradient 0.
 
     Textbooks call this gamma correction: it compensates the power law of a display. Some
     (Szeliski, Computer Vision, section 3.1.1) write the same formula for inverting a gamma.
@@ -48,7 +48,7 @@ def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "powe
 @takes_numbers
 @in_range(gamma=DIVISOR)
 def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
-    """encoded^gamma, the inverse of `gamma_encode`; values below 0 count as 0.
+    """Decode values by encoded^gamma, the inverse of `gamma_encode`. Values below 0 count as 0.
 
     Args:
         encoded: (...) relative.
@@ -73,7 +73,8 @@ def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "pow
 
 @takes_numbers
 def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
-    """The sRGB curve: 12.92 x up to 0.0031308 (also below 0), else 1.055 x^(1/2.4) - 0.055.
+    """Encode linear values by the sRGB curve: 12.92 x up to 0.0031308 (also below 0), else 1.055
+    x^(1/2.4) - 0.055.
 
     Args:
         linear: (...) relative.
@@ -119,7 +120,7 @@ def _above_offset(root: Scalars, rest: Scalars) -> Scalars:
 def srgb_decode(encoded: Scalars, *, method: str = "power") -> Scalars:
     """The inverse of `srgb_encode`.
 
-    It is x / 12.92 up to 0.04045 (also below 0), else ((x + 0.055) / 1.055)^2.4.
+    The decoded value is x / 12.92 up to 0.04045 (also below 0), else ((x + 0.055) / 1.055)^2.4.
 
     Args:
         encoded: (...) relative.
@@ -161,8 +162,8 @@ def _raise_to_power(base: Scalars, exponent: Exponent, method: str) -> Scalars:
 
 @takes_numbers
 def clip(x: Scalars, low: Scalars | float, high: Scalars | float) -> Scalars:
-    """x limited to [low, high]. Outside, the gradient with respect to x is 0, and that with respect
-    to the limit 1.
+    """Clip x to [low, high]. Outside, the gradient with respect to x is 0, and the gradient with
+    respect to the nearer limit is 1.
 
     Args:
         x: (...) relative.

@@ -39,7 +39,8 @@ def contrast_brightness(
     *,
     pivot: Scalars | float = 0.5,
 ) -> Scalars:
-    """contrast (x - pivot) + pivot + brightness: the contrast changes about the grey `pivot`.
+    """Return contrast (x - pivot) + pivot + brightness, which changes the contrast about the grey
+    value `pivot`.
 
     Args:
         x: (...) relative.
@@ -57,7 +58,8 @@ def contrast_brightness(
 
 @takes_numbers
 def exposure(x: Scalars, stops: Scalars | float) -> Scalars:
-    """2^stops x: the linear light that `stops` more of exposure would have recorded.
+    """Return 2^stops x, the linear values that an exposure longer by `stops` stops would have
+    recorded.
 
     Args:
         x: (...) relative, linear.
@@ -73,7 +75,7 @@ def exposure(x: Scalars, stops: Scalars | float) -> Scalars:
 
 @takes_numbers
 def blend(first: Scalars, second: Scalars, fraction: Scalars | float) -> Scalars:
-    """(1 - fraction) first + fraction second, the linear blend.
+    """Return the linear blend (1 - fraction) first + fraction second.
 
     Args:
         first: (...) relative.
@@ -94,8 +96,8 @@ def blend(first: Scalars, second: Scalars, fraction: Scalars | float) -> Scalars
 def cross_dissolve(
     first: Float[Array, "frames ..."], second: Float[Array, "frames ..."]
 ) -> Float[Array, "frames h w bands"]:
-    """Two sequences blended frame by frame: only `first` at the first frame, only `second` at the
-    last.
+    """Blend two sequences frame by frame, from `first` alone in the first frame to `second` alone
+    in the last.
 
     Args:
         first: (frames, h, w, bands) relative, at least two frames.

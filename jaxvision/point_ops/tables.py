@@ -1,4 +1,4 @@
-"""Curves and colour maps that are given as tables. Relative values in, the table's unit out."""
+"""Curves and colour maps given as tables, from relative values to the unit of the table."""
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,8 @@ from .linear import blend
 
 @takes_numbers
 def lookup(x: Scalars, table: Float[Array, " entries"]) -> Scalars:
-    """A curve through equally spaced entries: piecewise linear, constant outside [0, 1].
+    """Evaluate a curve through equally spaced table entries, piecewise linear and constant outside
+    [0, 1].
 
     Args:
         x: (...) relative.
@@ -33,7 +34,7 @@ def lookup(x: Scalars, table: Float[Array, " entries"]) -> Scalars:
 def lookup_codes(
     codes: UInt[Array, "..."] | Int[Array, "..."], table: Float[Array, " entries"]
 ) -> Float[Array, "..."]:
-    """table[codes]: the exact curve of integer codes.
+    """Map integer codes by a table with one entry per code: table[codes].
 
     Args:
         codes: (...) whole numbers; a code outside the table takes the nearest entry.
@@ -49,7 +50,8 @@ def lookup_codes(
 def lookup_3d(
     image: Float[Array, "... 3"], table: Float[Array, "red green blue channels"]
 ) -> Float[Array, "... channels"]:
-    """A colour table over the cube of R, G and B: trilinear, constant outside [0, 1].
+    """Map colours by a table over the cube of R, G and B, with trilinear interpolation, constant
+    outside [0, 1].
 
     Args:
         image: (..., 3) relative.
@@ -79,7 +81,9 @@ def lookup_3d(
 
 
 def _cell(x: Scalars, entries: int) -> tuple[Int[Array, "..."], Scalars]:
-    """The entry at or below x in a table over [0, 1], and the fraction of the way to the next."""
+    """Return the index of the entry at or below x in a table over [0, 1], and x's fraction of the
+    way to the next entry.
+    """
     at = jnp.where(x <= 0, 0, jnp.minimum(x, 1)) * (entries - 1)
     # NaN has no integer: it may take any entry, since the fraction is NaN
     lower = jnp.clip(jax.lax.stop_gradient(at).astype(jnp.int32), 0, entries - 2)

@@ -1,4 +1,4 @@
-"""Tone mapping: from relative light of any range to [0, 1]."""
+"""Tone mapping of relative light of any range to [0, 1]."""
 
 import jax
 import jax.numpy as jnp
@@ -19,9 +19,9 @@ from ..core._types import AMOUNT, DIVISOR, Scalars, as_relative, refuse_codes
 
 @takes_numbers
 def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
-    """Reinhard's tone curve: x / (1 + x), or with a white x (1 + x / white^2) / (1 + x).
+    """Apply Reinhard's tone curve: x / (1 + x), or with a `white`, x (1 + x / white^2) / (1 + x).
 
-    Below 0 it is x itself, with continuous value and slope.
+    Below 0 the curve is x, so value and slope are continuous at 0.
 
     Args:
         x: (...) relative scaled luminance, from `scaled_to_key`.
@@ -47,8 +47,9 @@ def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
 
 @jax.custom_jvp
 def _saturating(x: Scalars) -> Scalars:
-    """x / (1 + x), and 1 at infinity. The slope is computed as 1 / (1 + x)^2, without
-    cancellation."""
+    """Return x / (1 + x), and 1 at infinity. The slope is computed as 1 / (1 + x)^2, without
+    cancellation.
+    """
     return jnp.where(x == jnp.inf, 1, x / (1 + x))
 
 
@@ -62,9 +63,11 @@ def _saturating_jvp(primals, tangents):
 @takes_numbers
 @in_range(key_value=DIVISOR)
 def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) -> Scalars:
-    """Luminance times key / log-average, which moves the picture's middle grey to the key.
+    """Multiply the luminance by the key divided by its log-average (geometric mean), which moves
+    the picture's middle grey to the key.
 
-    The log-average clamps black at 1e-6 of the mean and ignores values that are not finite.
+    The log-average counts values below 1e-6 of the mean as 1e-6 of it, and ignores values that are
+    not finite.
 
     Args:
         luminance: (h, w) relative.
@@ -89,9 +92,9 @@ def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) ->
 
 @takes_numbers
 def filmic(x: Scalars) -> Scalars:
-    """The ACES film curve x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), clipped to 1.
+    """Apply the ACES film curve x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), clipped to 1.
 
-    Without clipping it would reach 1.033.
+    Without clipping the curve would reach 1.033.
 
     Args:
         x: (...) relative; negative values are set to 0.
@@ -118,7 +121,8 @@ def filmic(x: Scalars) -> Scalars:
 @takes_numbers
 @in_range(strength=AMOUNT)
 def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
-    """log(1 + strength x) / log(1 + strength): 0 at 0 and 1 at 1.
+    """Apply the logarithmic curve log(1 + strength x) / log(1 + strength), which is 0 at 0 and 1 at
+    1.
 
     Args:
         x: (...) relative; negative values are set to 0.
@@ -139,7 +143,7 @@ def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
 
 @jax.custom_jvp
 def _log_ratio(x: Scalars, strength: Scalars) -> Scalars:
-    """log(1 + strength x) / log(1 + strength), however small or large the product."""
+    """Return log(1 + strength x) / log(1 + strength), accurate for any strength x."""
     product = strength * x
     overflows = jnp.isinf(product) & jnp.isfinite(x) & jnp.isfinite(strength)
     bright, steep = jnp.where(overflows, x, 1), jnp.where(overflows, strength, 1)
@@ -151,8 +155,9 @@ def _log_ratio(x: Scalars, strength: Scalars) -> Scalars:
 
 @_log_ratio.defjvp
 def _log_ratio_jvp(primals, tangents):
-    """The slope in `strength` is a difference of nearly equal numbers if both logarithms are of
-    numbers near 1; their series is used there."""
+    """Differentiate `_log_ratio`. The derivative with respect to `strength` is a difference of
+    nearly equal numbers if both logarithms are of numbers near 1, where a series is used.
+    """
     (x, strength), (dx, ds) = primals, tangents
     mapped, product = _log_ratio(x, strength), strength * x
     gentle = strength < 1
@@ -188,8 +193,8 @@ _SERIES = [(-1) ** n * n / (n + 1) for n in range(17, 0, -1)]
 def with_luminance(
     image: Float[Array, "... channels"], luminance: Scalars, wanted: Scalars
 ) -> Float[Array, "... channels"]:
-    """image times wanted / luminance, pixel by pixel, which applies a curve and keeps the
-    chromaticity.
+    """Scale each pixel from its luminance to a wanted luminance, which applies a curve and keeps
+    the chromaticity.
 
     Args:
         image: (..., channels) relative.
