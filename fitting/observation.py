@@ -1,7 +1,7 @@
-"""Images of a rig as arrays, from files or from memory, checked before any fit.
+"""Read the images of a rig as arrays, from files or from memory, and check them before any fit.
 
-Digital numbers are float64 (h, w) or (h, w, channels), as stored. Black level, gamma and saturation
-are handled by the models, not here.
+Digital numbers are float64 (h, w) or (h, w, channels), as stored in the files. The models handle
+black level, gamma and saturation.
 """
 
 from collections.abc import Callable, Mapping, Sequence, Sized
@@ -30,15 +30,16 @@ MEMORY = Path("arrays")  # folder that messages name for images in memory
 def in_memory(
     images: Mapping[str, ArrayLike], *, called: Mapping[str, str] | None = None, **entries: Any
 ) -> tuple[Rig, Load]:
-    """A rig for images in memory, and the function that returns them by path."""
+    """Return a rig for images in memory, and the function that returns an image by its path."""
     rig = checked(MEMORY, {"folder": MEMORY, **entries}, Rig, "rig", first=0, called=called)
     stored = {rig.path(n): _unmasked(n, image) for n, image in images.items()}
     return rig, stored.__getitem__
 
 
 def _unmasked(name: str, image: ArrayLike) -> np.ndarray:
-    """An image as an array. A mask in the image is ignored if it hides no pixel, and refused
-    otherwise."""
+    """Return an image as an array. A mask in the image is ignored if it hides no pixel, and refused
+    otherwise.
+    """
     if isinstance(image, np.ma.MaskedArray) and (hidden := int(np.ma.count_masked(image))):
         raise InputError(
             f"{name} is a masked array, {hidden} of its {image.size} numbers masked, and an image "
@@ -49,7 +50,7 @@ def _unmasked(name: str, image: ArrayLike) -> np.ndarray:
 
 
 def each(name: str, values: Sequence[float] | ArrayLike) -> list[float]:
-    """The numbers of a list, such as exposures, in order.
+    """Return the numbers of a list, such as exposures, in order.
 
     Args:
         name: of the argument.
@@ -92,7 +93,7 @@ def require_several_images(name: str, images: Sequence[ArrayLike]) -> None:
 
 
 def require_frames(name: str, levels: Sequence[Sequence[ArrayLike]]) -> None:
-    """Refuse levels without two or more frames."""
+    """Refuse levels with fewer than two frames."""
     if len(levels) == 0:
         raise InputError(f"{name} is empty; give a list of levels, each a list of frames, (h, w).")
     for i, level in enumerate(levels):
@@ -112,7 +113,7 @@ def require_frames(name: str, levels: Sequence[Sequence[ArrayLike]]) -> None:
 def read_frame(
     path: Path, camera: Camera, *, load: Load = read_image, mask: np.ndarray | None = None
 ) -> np.ndarray:
-    """Digital numbers of one image, within the camera's region if it has one.
+    """Return the digital numbers of one image, cropped to the camera's region if it has one.
 
     Example:
         >>> from pathlib import Path
@@ -178,7 +179,7 @@ def read_frame(
 
 
 def _refuse_other_lists(path: Path, camera: Camera, image: np.ndarray) -> None:
-    """Refuse site values that belong to another kind of image."""
+    """Refuse a list of values by site whose length does not match the kind of image."""
     sites = len(camera.sites)
     most = sites if image.ndim == 2 else sites * len(COLOURS)
     for name in BY_SITE:
@@ -192,7 +193,7 @@ def _refuse_other_lists(path: Path, camera: Camera, image: np.ndarray) -> None:
 
 
 def cropped_to_region(image: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
-    """The part of an image inside the camera's region."""
+    """Return the part of an image inside the camera's region."""
     if camera.region is None:
         return image
     top, left, height, width = camera.region
@@ -207,7 +208,7 @@ def cropped_to_region(image: np.ndarray, camera: Camera, path: Path) -> np.ndarr
 def read_stack(
     rig: Rig, files: Sequence[str], *, load: Load = read_image, mask: np.ndarray | None = None
 ) -> np.ndarray:
-    """Frames of equal size."""
+    """Read frames, which must have equal size, as one array."""
     frames = [read_frame(rig.path(name), rig.camera, load=load, mask=mask) for name in files]
     for name, frame in zip(files, frames, strict=True):
         if frame.shape != frames[0].shape:
@@ -219,7 +220,7 @@ def read_stack(
 
 
 def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
-    """Return the planes of one frame by name: its colours, or the sites of its repeated cell.
+    """Return the planes of one frame by name: its colours, or the sites of a mosaic.
 
     Example:
         >>> from fitting.observation import split_channels
@@ -237,7 +238,7 @@ def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
 
 
 def pixels_of_colour(camera: Camera, shape: tuple[int, int], colour: str) -> np.ndarray:
-    """(h, w) true for the pixels of a mosaic that see one of `COLOURS`."""
+    """Return a mask (h, w) that is true for the pixels of a mosaic that see one of `COLOURS`."""
     found = np.zeros(shape, bool)
     for name, plane in split_channels(found, camera).items():
         plane[...] = name.split()[0] == colour
@@ -245,7 +246,9 @@ def pixels_of_colour(camera: Camera, shape: tuple[int, int], colour: str) -> np.
 
 
 def one_site(camera: Camera) -> SiteCamera:
-    """The camera for images that `to_one_site` has normalised."""
+    """Return a camera with one value for all sites, for images that `to_one_site` has
+    normalised.
+    """
     if isinstance(camera.gain, tuple) and camera.encoding is not None:
         raise InputError(
             "camera.gain lists several numbers, but the files are gamma encoded; give linear files."
@@ -274,7 +277,9 @@ def one_site(camera: Camera) -> SiteCamera:
 
 
 def to_one_site(image: np.ndarray, camera: Camera) -> np.ndarray:
-    """An image whose sites all have the mean black level and the mean gain of the sites."""
+    """Return an image scaled so that all sites have the mean black level and the mean gain of the
+    sites.
+    """
     if not isinstance(camera.black_level, tuple) and not isinstance(camera.gain, tuple):
         return image
     black, gain = np.zeros(image.shape), np.ones(image.shape)
@@ -299,7 +304,7 @@ def read_mask(
     shape: tuple[int, int] | None = None,
     load: Load = read_image,
 ) -> np.ndarray:
-    """A mask of pixels, within the camera's region if it has one."""
+    """Read a mask of pixels, cropped to the camera's region if it has one."""
     stored = cropped_to_region(load(path), camera, path)
     if stored.ndim == 3 and stored.shape[2] in (2, 4):  # the last channel is alpha
         if (stored[..., -1] != stored[0, 0, -1]).any():

@@ -1,4 +1,6 @@
-"""Logarithms of Poisson probabilities and of their sums, for any number of counts."""
+"""Compute logarithms of Poisson probabilities and of their sums, accurately for any number of
+counts.
+"""
 
 import math
 
@@ -22,8 +24,9 @@ _REMAINDERS = [
 
 
 def log_poisson(n: Float[Array, "..."], mean: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln P(N = n) of the Poisson distribution, without the cancellation in n ln mean - mean - ln n!
-    (Loader 2000)."""
+    """Return ln P(N = n) of the Poisson distribution, without the cancellation in n ln mean - mean
+    - ln n! (Loader 2000).
+    """
     some = jnp.maximum(n, 1)
     few = jnp.asarray(_REMAINDERS, some.dtype)[jnp.minimum(some, 31).astype(jnp.int32) - 1]
     remainder = jnp.where(some < 32, few, stirling_remainder(some))
@@ -39,8 +42,8 @@ def log_poisson_tails(
     """Return ln P(N < n) and ln P(N >= n) of the Poisson distribution, differentiable with respect
     to the mean.
 
-    They are computed from the incomplete gamma function. For many counts XLA's function is
-    inaccurate. There, and in far tails of few counts, the saddle-point approximation is used
+    The probabilities are computed from the incomplete gamma function, which in XLA is inaccurate
+    for many counts. There, and in far tails of few counts, the saddle-point approximation is used
     (Barndorff-Nielsen's r*), with errors of 1e-6 in float32 and 1e-10 in float64.
     """
     excess = mean - n

@@ -1,4 +1,4 @@
-"""Surface, response and sensor from the same images, in one posterior."""
+"""Fit surface, response and sensor to the same images, in one posterior."""
 
 from jaxvision.core.lazy_names import names_of
 

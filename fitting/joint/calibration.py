@@ -1,4 +1,4 @@
-"""Joint calibration of surface, response and sensor from the same images."""
+"""Calibrate surface, response and sensor jointly from the same images."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -32,7 +32,8 @@ STEPS = ("fit", "halves", "posterior")  # of each channel
 
 @dataclass(frozen=True, repr=False)
 class JointCalibration(ShownInNotebooks):
-    """One posterior for each channel, of surface, response and sensor together.
+    """The result of a joint calibration: for each channel, one posterior of surface, response and
+    sensor.
 
     Attributes:
         observation: the calibrated photographs.
@@ -54,7 +55,7 @@ class JointCalibration(ShownInNotebooks):
 
     @property
     def gamma(self) -> float | None:
-        """Encoding exponent of the first channel; None for linear files."""
+        """Return the encoding exponent of the first channel; None for linear files."""
         gamma = self.fits[0].values.get("gamma")
         return None if gamma is None else float(gamma)
 
@@ -70,10 +71,11 @@ def calibrate(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> JointCalibration:
-    """Reflectance, encoding, gain and noise from images of a known shape under known lights.
+    """Fit reflectance, encoding, gain and noise together to images of a known shape under known
+    lights.
 
-    Images that deviate (dark or saturated throughout, copies, another light than the rig states)
-    are left out and named in the findings.
+    Images that are dark or saturated throughout, are copies, or show another light than the rig
+    states are left out and named in the findings.
 
     Args:
         measurement: images, and flats and darks if there are any.
@@ -127,8 +129,10 @@ def calibrate(
 
 
 def _recognised(observation: Photographs, channel: int, fit: JointFit) -> Photographs:
-    """Return the photographs, with pixels as points if the highlights of a fitted channel show that
-    they are."""
+    """Decide whether a pixel's digital number is its area's mean or the value at its centre, from
+    the highlights of a fitted channel. Return the photographs, in which pixels are points if the
+    highlights show that they are.
+    """
     seen, known = fit.grid.observation, names(fit.space)  # with the lights as fitted
     vector = fit.vector[[known.index(name) for name in names(parameter_space(fit.form))]]
     judged = has_lobe(fit.form.model) and np.isfinite(vector).all()
@@ -141,7 +145,7 @@ def _recognised(observation: Photographs, channel: int, fit: JointFit) -> Photog
 
 
 def is_determined(fit: JointFit) -> bool:
-    """Whether the information of a fit can be inverted."""
+    """Return whether the information matrix of a fit can be inverted."""
     return fit.converged and bool(np.linalg.eigvalsh(fit.information)[0] > 0)
 
 

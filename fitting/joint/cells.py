@@ -1,17 +1,18 @@
-"""Images of an object as cells of pixels with similar normals.
+"""Reduce images of an object to cells of pixels with similar normals.
 
-A cell of n pixels has a count, a mean and a scatter. These determine the likelihood if the pixels
-of a cell have equal signals. Signals within a cell differ a little, so a reference model near the
-best one is subtracted first, as the mean over the area of each pixel. The prediction of a cell is
-corrected by the reference's mean over the pixels minus its value at their mean geometry, and the
-scatter is taken about the reference. At the reference, cells and pixels agree; away from it, they
-differ by the curvature of the model within a cell. Cells are therefore wide where an image is
-smooth, and divided at its highlight and at an end of the scale.
+A cell is described by the number of its pixels, their mean and their scatter. These determine the
+likelihood if the pixels of a cell have equal signals. Signals within a cell differ a little, so a
+reference model near the best one is subtracted first, averaged over the area of each pixel. The
+prediction of a cell is corrected by the reference's mean over the pixels minus its value at their
+mean geometry, and the scatter is taken about the reference. At the reference, cells and pixels have
+the same likelihood. For other models they differ by the curvature of the model within a cell. Cells
+are therefore wide where an image is smooth, and are divided at its highlight and near black or
+saturation.
 
-A cell counts in an image if all of its pixels are lit and away from both ends of the scale. The
-reference decides this, because a selection by measured numbers would depend on their noise.
-Measured numbers far from both ends count as well, because a wrong reference would otherwise hide
-them.
+A cell is used in an image if all of its pixels are lit and away from both ends of the scale. The
+reference decides this, because a selection by measured numbers would depend on their noise. Pixels
+whose measured numbers are far from both ends are used as well, because a wrong reference would
+otherwise exclude them.
 """
 
 from dataclasses import dataclass
@@ -51,7 +52,7 @@ SMALLEST_COSINE = 0.02  # cosine of incidence below which pixels of the outline 
 
 @dataclass(frozen=True)
 class Grid:
-    """Which pixels of a channel share a cell, and how light falls on it."""
+    """The assignment of a channel's pixels to cells, and the geometry of light at each cell."""
 
     observation: Photographs
     channel: int
@@ -65,8 +66,9 @@ class Grid:
 
 
 def cell_width(form: Form, shape: float | None) -> float:
-    """Width in rad of the finest cells, which resolve the lobe of a given `shape` (None for
-    Lambert)."""
+    """Return the width of the finest cells in rad. They resolve the lobe of a given `shape` (None
+    for Lambert).
+    """
     if shape is None or not has_lobe(form.model):
         return WIDEST
     angle = np.linspace(0, 1.2, 1201)
@@ -90,9 +92,9 @@ def make_grid(
 ) -> Grid:
     """Group the pixels of an object by their normals, for the lights that are not held out.
 
-    The finest cells have the given `width` in rad, where the model of the `reference` values
-    varies. `turns` adds the derivatives of cells by light directions. With `shared`, all images
-    have the same cells, which errors shared by pixels require.
+    Where the model with the `reference` values varies, the cells are as fine as `width` in rad.
+    `turns` adds the derivatives of cells with respect to light directions. With `shared`, all
+    images have the same cells, which is needed if a pixel's error is the same in all images.
     """
     lights = np.flatnonzero(~observation.held_out)
     levels, ones = _levels(observation.normals, width), np.ones(len(observation.normals))
@@ -121,8 +123,9 @@ def make_grid(
 
 
 def _levels(normals: np.ndarray, width: float) -> list[np.ndarray]:
-    """(pixels,) cells of each width from the widest down to `width`; each cell contains four of the
-    next."""
+    """Return the cell of each pixel for each width, from the widest down to `width`. Each cell
+    contains four of the next finer ones.
+    """
     x, y, z = normals.T
     plane = np.sqrt(2 / (1 + z))  # Lambert's: equal areas for equal solid angles
     row, column = (np.floor(c * plane / width).astype(np.int64) for c in (x, y))
@@ -135,7 +138,7 @@ def _levels(normals: np.ndarray, width: float) -> list[np.ndarray]:
 
 
 def _uneven(cell: np.ndarray, usable: np.ndarray, shading: np.ndarray) -> np.ndarray:
-    """(pixels,) whether the pixel's cell is only partly used, or crossed by a highlight."""
+    """Return, for each pixel, whether its cell is only partly used or crossed by a highlight."""
     count = np.bincount(cell)
     part = np.bincount(cell, usable)
     low, high = np.full(len(count), np.inf), np.full(len(count), -np.inf)
@@ -145,7 +148,9 @@ def _uneven(cell: np.ndarray, usable: np.ndarray, shading: np.ndarray) -> np.nda
 
 
 def _divided(levels: list[np.ndarray], split: np.ndarray) -> np.ndarray:
-    """(pixels,) for one image, the cells of the first level that need no division."""
+    """Return the cells of the pixels in one image: for each pixel the widest cell that needs no
+    division.
+    """
     level = np.cumprod(split, axis=0).sum(axis=0)
     own = np.choose(level, levels)
     _, cell = np.unique(own * len(levels) + level, return_inverse=True)
@@ -155,9 +160,11 @@ def _divided(levels: list[np.ndarray], split: np.ndarray) -> np.ndarray:
 def reduce_images(
     grid: Grid, reference: Values, *, within: Float[np.ndarray, "images cells"] | None = None
 ) -> Cells:
-    """Return the cells of a grid about a model of natural `reference` values, which must include
-    gain and read noise. If unequal pixels are among them, the cells have products of two images'
-    deviations. `within` is the (images, cells) count of cells that may be used; None allows all."""
+    """Reduce images to the cells of a grid, about a model of natural `reference` values, which must
+    include gain and read noise. If the values include unequal pixel gains, the cells also contain
+    products of the deviations in two images. `within` is the count of pixels (images, cells) of
+    cells that may be used; None allows all.
+    """
     observation, channel, form = grid.observation, grid.channel, grid.form
     count, mean, scatter, offset = (np.zeros(grid.count.shape) for _ in range(4))
     surface = tuple(names(surface_parameters(form)))
@@ -202,7 +209,7 @@ def reduce_images(
 def image_geometry(
     observation: Photographs, channel: int, light: int, *, turns: bool = False
 ) -> Geometry:
-    """The illumination geometry of the pixels under one light, (1, pixels)."""
+    """Return the illumination geometry of the pixels under one light, (1, pixels)."""
     irradiance = observation.intensity[channel, light] * observation.falloff[light]
     seen = observation.normals[None], observation.wi[light][None], irradiance[None]
     return local_geometry(*seen, turns=turns)
@@ -211,9 +218,10 @@ def image_geometry(
 def pixels_at(
     observation: Photographs, channel: int, light: int, values: Values, form: Form
 ) -> tuple[Float[np.ndarray, " pixels"], Bool[np.ndarray, " pixels"]]:
-    """Return (pixels,) expected DN in one image, and the mask of pixels away from both ends of
-    the scale and from the partly lit outline. A pixel qualifies by its expected number, or by a
-    measured number that is twice as far from both ends, which leaves no doubt."""
+    """Return (pixels,) expected DN in one image, and the mask of pixels away from both ends of the
+    scale and from the partly lit outline. A pixel is in the mask by its expected number, or by a
+    measured number that is at least twice as far from both ends.
+    """
     white, (geometry, weights) = observation.white, _points(observation, channel, light)
     found = _pixel_moments(values, form, geometry, jnp.asarray(white), weights)
     expected, x, variance, noise, _ = (np.asarray(a)[0] for a in found)
@@ -230,7 +238,9 @@ def pixels_at(
 
 
 def _points(observation: Photographs, channel: int, light: int) -> tuple[Geometry, np.ndarray]:
-    """(points, 1, pixels) geometry in one image, over which a pixel is the mean with weights."""
+    """Return the geometry (points, 1, pixels) at points within each pixel of one image, and the
+    weights with which the points are averaged.
+    """
     parts = [image_geometry(one, channel, light) for one in observation.points]
     weights = np.ones(1) if observation.within is None else WEIGHTS
     return jax.tree.map(lambda *own: jnp.stack(own), *parts), weights
@@ -238,7 +248,9 @@ def _points(observation: Photographs, channel: int, light: int) -> tuple[Geometr
 
 @eqx.filter_jit
 def _slopes(surface: tuple[str, ...], values: Values, *of: Any) -> Values:
-    """Derivatives of E[DN] of X, as of `_pixel_moments`, by the surface's natural values."""
+    """Return the derivatives of the expected number of X (see `_pixel_moments`) with respect to the
+    surface's natural values.
+    """
 
     def mean_of(own: Values) -> Array:
         return _pixel_moments(values | own, *of)[4]
@@ -250,8 +262,10 @@ def _slopes(surface: tuple[str, ...], values: Values, *of: Any) -> Values:
 def _pixel_moments(
     values: Values, form: Form, geometry: Geometry, white: Array, weights: np.ndarray
 ) -> tuple[Array, ...]:
-    """E[DN] of a signal of at least its noise, X, Var[DN], the deviation of X, and E[DN] of X. X is
-    the mean over the first axis of the geometry."""
+    """Return five arrays. X is the signal averaged over the points of a pixel, the first axis of
+    the geometry. The arrays are the expected number for X raised to at least its noise, X itself,
+    the variance of the number, the standard deviation of X, and the expected number for X.
+    """
     x = jnp.tensordot(weights, signal(values, form, geometry), 1)
     gain = values["system_gain"]
     noise = jnp.sqrt(gain * x + (gain * values["read_noise"]) ** 2)
@@ -260,7 +274,9 @@ def _pixel_moments(
 
 
 def _means(values: np.ndarray, cell: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """Means by cell; for an image without a cell, the first cell's."""
+    """Return the mean of values by cell in one image. A cell without pixels takes the mean of the
+    first cell.
+    """
     columns = values.reshape(len(values), -1).T
     sums = np.stack([np.bincount(cell, column, len(count)) for column in columns], axis=1)
     means = sums / np.maximum(count, 1)[:, None]

@@ -1,4 +1,4 @@
-"""Pictures of a joint calibration."""
+"""Draw the pictures of a joint calibration."""
 
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,9 @@ LARGEST = 4.0  # largest difference on the colour scale, standard deviations
 
 
 def images_figure(calibration: JointCalibration) -> "Figure":
-    """Rows: measured, predicted, difference in standard deviations; columns: lights."""
+    """Draw three rows of images: measured, predicted, and their difference in standard deviations.
+    Columns are lights.
+    """
     observation = calibration.observation
     fit = calibration.fits[len(calibration.fits) // 2]
     channel = observation.channels.index(fit.channel)
@@ -37,8 +39,9 @@ def images_figure(calibration: JointCalibration) -> "Figure":
 
 
 def noise_figure(calibration: JointCalibration) -> "Figure":
-    """Draw the mean squared residual of a pixel (without the fitted errors of its image) and the
-    model's variance as functions of the mean."""
+    """Draw the mean squared residual of a pixel and the model's variance as functions of the mean.
+    Fitted errors of whole images are subtracted from the residual.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.8, 4.2), layout="constrained")
@@ -71,7 +74,7 @@ def noise_figure(calibration: JointCalibration) -> "Figure":
 
 
 def lights_figure(calibration: JointCalibration) -> "Figure":
-    """The fitted strength of each light."""
+    """Draw the fitted strength of each light."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.8, 3.6), layout="constrained")

@@ -1,4 +1,4 @@
-"""The findings on surface, response and sensor with their conditions, and the tables."""
+"""State the findings of a joint calibration, each with its condition, and its tables."""
 
 from dataclasses import replace
 from functools import partial
@@ -47,8 +47,9 @@ def findings(calibration: JointCalibration) -> tuple[str, ...]:
 
 
 def darker_than_darks(observation: Photographs) -> list[Numbers]:
-    """Find pixels that no light reaches and that are darker than the darks, since light only
-    adds."""
+    """Report pixels that no light reaches and that are darker than the dark frames, which is
+    impossible because light only adds.
+    """
     found: list[Numbers] = []
     unlit = observation.cosine < UNLIT
     for i, levels in enumerate(observation.levels or ()):
@@ -66,8 +67,9 @@ def darker_than_darks(observation: Photographs) -> list[Numbers]:
 
 
 def gains_disagree(fit: JointFit, stated: float | None) -> Numbers | None:
-    """Compare the gain of the object's pixels with the gain of flats and darks, or of the rig
-    (DN/e-), for a linear fit."""
+    """Report if the gain from the object's pixels differs from that of flats and darks, or of the
+    rig (DN/e-), in a linear fit.
+    """
     cells, levels = fit.data.cells, fit.data.levels
     freedom = np.asarray(cells.count, float) - 1
     some = freedom > 0
@@ -90,8 +92,9 @@ def gains_disagree(fit: JointFit, stated: float | None) -> Numbers | None:
 
 
 def _slope(mean: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> tuple[float, float]:
-    """Slope of variances over means with its standard error, by iteratively weighted least
-    squares."""
+    """Fit variances as a linear function of means by iteratively weighted least squares, and return
+    the slope with its standard error.
+    """
     if len(mean) < 3 or np.ptp(mean) == 0:
         return np.nan, np.inf
     columns, expected = (
@@ -108,8 +111,9 @@ def _slope(mean: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> tuple
 
 
 def misses_as_noise(calibration: JointCalibration, fit: JointFit) -> bool:
-    """Whether the free gain and read noise absorb the misfit: images disagree, but the scatter
-    within their cells is not larger than that noise."""
+    """Return whether the fitted gain and read noise absorb the model's misfit: images disagree, but
+    the scatter within their cells is not larger than that noise.
+    """
     free = not {*NOISE} <= set(fit.data.known) and fit.data.levels is None
     robust = calibration.robust.get(fit.channel)
     disagree = robust is not None and robust.design_effect > 1
@@ -124,7 +128,7 @@ def _posterior(of: OfChannel):
 
 
 def _misfit(of: OfChannel) -> Numbers | None:
-    """The misfit relative to the signal, in dark and in bright pixels."""
+    """Report the misfit relative to the signal, in dark and in bright pixels."""
     fit = of[1]
     if fit.unexplained is None:
         return None
@@ -138,8 +142,9 @@ def _misfit(of: OfChannel) -> Numbers | None:
 
 
 def hiding_pixels(of: OfChannel) -> tuple[UnequalPixels, bool] | None:
-    """Return the pixel gains from the scatter of pixels, and whether they hide gain and read noise;
-    None if the scatter does not determine them."""
+    """Estimate the unequal gains of pixels from their scatter, and return whether these make gain
+    and read noise unidentifiable; None if the scatter does not determine them.
+    """
     calibration, fit = of
     if "prnu" in fit.values or _posterior(of) is None or misses_as_noise(calibration, fit):
         return None
@@ -159,8 +164,9 @@ def _shadows(of: OfChannel) -> Numbers | None:
 
 
 def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
-    """Unequal pixels that are significant, or that could bias gain and read noise without being
-    significant."""
+    """Report unequal pixels that are significant (`found`), or those that are not and yet could
+    bias gain and read noise.
+    """
     judged = hiding_pixels(of)
     if judged is None or not judged[1] or judged[0].found != found:
         return None
@@ -174,7 +180,7 @@ def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
 
 
 def _gain_of_scatter(of: OfChannel) -> Numbers | None:
-    """A remark that only the scatter of the object's pixels determines the gain."""
+    """Report that only the scatter of the object's pixels determines the gain."""
     calibration, fit = of
     known = "system_gain" in fit.data.known or fit.data.levels is not None
     seen = hiding_pixels(of)
@@ -185,7 +191,7 @@ def _gain_of_scatter(of: OfChannel) -> Numbers | None:
 
 
 def _disagree(of: OfChannel) -> Numbers | None:
-    """Images whose scores exceed those of independent cells."""
+    """Report images that disagree: their scores exceed those of independent cells."""
     calibration, fit = of
     robust = calibration.robust.get(fit.channel)
     if _posterior(of) is None or robust is None or robust.design_effect <= 1:
@@ -196,7 +202,9 @@ def _disagree(of: OfChannel) -> Numbers | None:
 
 
 def _halves(of: OfChannel, *, agree: bool | None) -> Numbers | None:
-    """Halves of the images that disagree by more than their noise; None if they agree."""
+    """Report whether two halves of the images, fitted separately, differ by more than their
+    noise.
+    """
     halves = of[0].halves.get(of[1].channel)
     if _disagree(of) is None or agree != (None if halves is None else halves.agree):
         return None
@@ -219,7 +227,7 @@ def _prior_alone(of: OfChannel) -> Numbers | None:
 
 
 def _odd_light(of: OfChannel) -> Numbers | None:
-    """The image whose light deviates most, if the deviation is notable."""
+    """Report the image whose light deviates most, if the deviation is notable."""
     calibration, fit = of
     found = image_errors(fit)
     if _posterior(of) is None or found is None or "light_scatter" not in fit.values:
@@ -371,7 +379,9 @@ OF_CHANNEL = (
 
 
 def score_table(scores: tuple[Score, ...]) -> Table:
-    """Errors of the predicted images, and the share of pixels within the predicted bands."""
+    """Tabulate the errors of the predicted images, and the share of pixels within the predicted
+    bands.
+    """
     return Table(
         title="Predicted images",
         columns=(
@@ -403,7 +413,7 @@ def _percent(share: float | None) -> float | None:
 
 
 def misfit_table(calibration: JointCalibration) -> Table:
-    """Chi-square of the cells, by channel."""
+    """Tabulate the chi-square of the cells, by channel."""
     return Table(
         title="Fit",
         columns=("channel", "χ² per cell", "cells", "pixels in them", "misfit"),

@@ -1,17 +1,16 @@
-"""The fit of one channel by Newton's method on the marginal posterior, from a start by variable
-projection.
+"""Fit one channel by Newton's method on the marginal posterior, starting from variable projection.
 
-The cells are reduced about a reference model, which is updated to the best model until it no longer
-changes. If the cells scatter more than noise and the stated errors allow, a misfit is added.
+Images are reduced to cells about a reference model. The reference is replaced by the best model
+until it no longer changes. If the cells scatter more than noise and the stated errors explain, a
+misfit is added to the model.
 
-The error of a light's direction enters linearly. A highlight is not linear in its light's
-direction: the mean over lights with errors of a degree is wider and weaker than each highlight, in
-all images. The fit is therefore repeated about the fitted directions (Gauss-Newton) until no light
-moves.
+The error of a light's direction enters linearly, although a highlight is not linear in it: averaged
+over directions that vary by a degree, a highlight is wider and weaker than each single one. The fit
+is therefore repeated about the fitted directions (Gauss-Newton) until no light moves.
 
-A stated error that all pixels of an image share is not averaged over them, so it is compared with
-the combined noise of all, and dropped if it is negligible (`inference.left_out`). Its scale is
-taken at the upper end of its prior, so that the bound is valid for every fitted scale.
+An error that all pixels of an image share does not average out over them. It is therefore compared
+with the combined noise of all pixels, and dropped if it is negligible (`inference.left_out`). The
+comparison uses the upper end of the prior of its scale, so that it is valid for every fitted scale.
 """
 
 from dataclasses import dataclass, replace
@@ -70,7 +69,7 @@ MOST_AT_FIRST = 0.5  # first size of the misfit, at most
 
 @dataclass(frozen=True)
 class JointFit:
-    """A fitted channel."""
+    """The result of fitting one channel."""
 
     channel: str
     data: JointData  # with cells reduced about the best model
@@ -95,7 +94,7 @@ class JointFit:
 
     @property
     def values(self) -> Values:
-        """All numbers by name, in their own units."""
+        """Return all numbers by name, in their own units."""
         return values_at(jnp.asarray(self.vector), self.data)
 
 
@@ -106,11 +105,11 @@ def fit_channel(
     *,
     about: Float[np.ndarray, "2 images"] | None = None,
 ) -> JointFit:
-    """Return the best fit of one channel. It is linear in the errors of light directions about
-    `about`, the (2, images) rotations in rad of this observation's lights from the rig's; None for
-    none.
+    """Return the best fit of one channel. The fit is linear in errors of the light directions.
+    `about` states the rotations (2, images), in rad, by which this observation's lights differ from
+    the rig's; None for none.
 
-    The form becomes Lambert's if no highlight is significant. Too few lit cells raise `InputError`.
+    If no highlight is significant, Lambert's model is fitted. Too few lit cells raise `InputError`.
     """
     grid, data, start = _prepared(observation, channel, form)
     if about is not None:
@@ -144,8 +143,9 @@ def fit_channel(
 
 
 def is_searched_shape(vector: Float[Array, " parameters"], data: JointData) -> bool:
-    """Whether the shape of the lobe is within the searched range; an optimum outside it is
-    rejected."""
+    """Return whether the shape of the lobe is within the searched range; an optimum outside it is
+    rejected.
+    """
     model = data.form.model
     if model == "lambert":
         return True
@@ -156,7 +156,9 @@ def is_searched_shape(vector: Float[Array, " parameters"], data: JointData) -> b
 
 
 def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid, JointData, Array]:
-    """The cells of one channel about a first model, and that model, unconstrained."""
+    """Return the cells of one channel about a first model, and that model's unconstrained
+    values.
+    """
     form, start = first_reflectance(observation, channel, form)
     space, known = parameters(observation, channel, form, start)
     start = start | first_noise(observation, channel, start.get("gamma"))
@@ -193,8 +195,9 @@ def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid,
 def first_reflectance(
     observation: Photographs, channel: int, form: Form
 ) -> tuple[Form, dict[str, float]]:
-    """Return the form that the images support (Lambert's without a highlight), and natural
-    least-squares values of reflectance and gamma."""
+    """Return the reflectance model that the images support (Lambert's if there is no highlight),
+    and least-squares values of reflectance and gamma in natural units.
+    """
     chosen = select(observation, held_out=False, form=form)
     every = -(-len(chosen.light) // MOST_AT_START)
     chosen = Selection(chosen.light[::every], chosen.pixel[::every])
@@ -222,7 +225,9 @@ def first_noise(observation: Photographs, channel: int, gamma: float | None) -> 
 
 
 def _gain_of_neighbours(observation: Photographs, channel: int, gamma: float | None) -> float:
-    """K from the differences of neighbours in a row, whose light is nearly equal."""
+    """Estimate the gain K from the differences of neighbouring pixels in a row, which receive
+    nearly equal light.
+    """
     dn = np.clip(observation.dn[channel], observation.black + 1, None)
     linear = decoded(dn, observation.black, observation.white, gamma)
     beside = (np.diff(observation.columns) == 1) & (np.diff(observation.rows) == 0)
@@ -238,8 +243,9 @@ def _gain_of_neighbours(observation: Photographs, channel: int, gamma: float | N
 
 
 def _rounds(grid: Grid, data: JointData, vector: Array) -> tuple[JointData, NewtonSolution]:
-    """Return the optimum with cells reduced about it: the reference is updated until it no longer
-    changes."""
+    """Return the optimum with cells reduced about it. The reference is replaced by the optimum
+    until it no longer changes.
+    """
     solution = minimise(cost, vector, data)
     for number in range(MOST_ROUNDS):
         reference = solution.vector
@@ -256,7 +262,7 @@ def _rounds(grid: Grid, data: JointData, vector: Array) -> tuple[JointData, Newt
 
 
 def _chi_square(vector: Array, data: JointData) -> tuple[float, int]:
-    """Chi-square of the cells' means, per degree of freedom, and the number of cells."""
+    """Return the chi-square of the cells' means per degree of freedom, and the number of cells."""
     _, left = predicted_parts(vector, data)
     cells = int(jnp.sum(left.weight > 0))
     found = float(eqx.filter_jit(marginal.chi_square)(left))
@@ -266,9 +272,10 @@ def _chi_square(vector: Array, data: JointData) -> tuple[float, int]:
 def without_small_errors(
     data: JointData, vector: Array
 ) -> tuple[JointData, Array, tuple[LeftOut, ...]]:
-    """Return data and unconstrained vector without the errors that are negligible in total, and
-    those errors in standard deviations of the noise of all data. The dropped errors are not
-    traced."""
+    """Return data and unconstrained vector without those stated errors that are negligible in
+    total. Return these errors too, in standard deviations of the noise of all data. Dropped errors
+    are not traced.
+    """
     scatters = [parameter for parameter in data.space if parameter.name in SCATTERS]
     if not scatters:
         return data, vector, ()
@@ -300,10 +307,11 @@ def without_small_errors(
 
 
 def with_misfit(data: JointData, vector: Array) -> tuple[JointData, Array]:
-    """Return the data and start of a model with a misfit, whose size the cells' residuals give.
+    """Return the data and the start of a model with a misfit, whose size is estimated from the
+    cells' residuals.
 
-    The cells must be about the start. About the best model without a misfit, its gain and read
-    noise have already taken up part of the misfit."""
+    The cells must be reduced about the start, because the gain and read noise of the best model
+    without a misfit have already absorbed part of the misfit."""
     data = replace(data, space=(*data.space, MISFIT))
 
     def starting(size: float) -> Array:
@@ -321,8 +329,9 @@ def with_misfit(data: JointData, vector: Array) -> tuple[JointData, Array]:
 
 
 def fit_turned(observation: Photographs, channel: int, form: Form) -> JointFit:
-    """Fit one channel about the light directions that its images show, or about the rig's if these
-    would be off by far more than stated."""
+    """Fit one channel about the light directions that its images show, or about the rig's
+    directions if those differ from them by far more than stated.
+    """
     sizes = observation.uncertain["direction_sd"][~observation.held_out]
     if not sizes.any():
         return fit_channel(observation, channel, form)
@@ -345,8 +354,8 @@ def likeliest_turns(
     fit: JointFit,
 ) -> tuple[Float[np.ndarray, "2 images"], Float[np.ndarray, " images"]] | None:
     """Return the most likely (2, images) rotations, in rad, of the lights from the rig's
-    directions, and the (images,) standard deviations that the rig states. It is None if directions
-    are exact or the fit is not an optimum."""
+    directions, and the (images,) standard deviations that the rig states. The result is None if
+    directions are exact or the fit is not an optimum."""
     found = image_errors(fit)
     if "direction_scatter" not in fit.data.relative or not fit.converged or found is None:
         return None
@@ -357,7 +366,7 @@ def likeliest_turns(
 def image_errors(
     fit: JointFit,
 ) -> tuple[Float[np.ndarray, "images errors"], Float[np.ndarray, "images errors"]] | None:
-    """The fitted errors of each image, in units of their scale.
+    """Return the fitted errors of each image, in units of their scale.
 
     Args:
         fit: of one channel.

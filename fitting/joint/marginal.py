@@ -1,17 +1,19 @@
-"""Gaussian data with shared errors, which are marginalised in closed form.
+"""Compute the density of Gaussian data with shared errors, which are marginalised in closed form.
 
-For a table of images j and cells c of pixels,
+The residual r_jc of cell c in image j is
 
     r_jc = e_jc + sum_k H_jkc u_jk + G_jc g_c,        e ~ N(0, 1 / w),   u, g ~ N(0, 1)
 
-the density of r alone follows from Woodbury's identity. u_jk is an error of a whole image (its
-light, its direction, its stray light), and g_c one of a cell of pixels in all images (their gains).
-With the weights W and D = 1 + sum_j w G^2, and with g eliminated first, the remaining matrix is
+where e is noise, u_jk the k-th error of a whole image (the strength or direction of its light, or
+stray light), and g_c the error of a cell's pixels in all images (their gains). H and G convert
+these errors to digital numbers. The density of r alone follows from Woodbury's identity. With the
+weights W and D = 1 + sum_j w G^2, and with g eliminated first, the remaining matrix is
 
     M = 1 + H'W H - (H'W G) D^-1 (G'W H)
 
-with one row for each image error. It is block diagonal if no g couples the images. The shared
-errors are never parameters, because with a free scale they have no joint maximum.
+with one row for each image error. M is block diagonal if no g couples the images. The shared errors
+are marginalised and never fitted as parameters, because with a free scale the joint density of
+errors and scale has no maximum.
 
 Source:
     Woodbury, "Inverting Modified Matrices", 1950; Searle, Casella & McCulloch, "Variance
@@ -29,7 +31,7 @@ OfImages = Float[Array, "images errors"]
 
 
 class Residuals(eqx.Module):
-    """Residuals of cells in images with the errors that they share."""
+    """Residuals of cells in images, with the errors that they share."""
 
     residual: Table  # r, DN
     weight: Table  # w, DN^-2; 0 for a cell without data
@@ -40,18 +42,20 @@ class Residuals(eqx.Module):
 
 
 def log_density(of: Residuals) -> Float[Array, ""]:
-    """ln p(r) up to a constant."""
+    """Return ln p(r), up to a constant."""
     square, log_volume = _parts(of)
     return -(square + log_volume) / 2
 
 
 def chi_square(of: Residuals) -> Float[Array, ""]:
-    """r' C^-1 r with C the covariance of r; its expectation is the number of cells with data."""
+    """Return r' C^-1 r with C the covariance of r. Its expectation is the number of cells with
+    data.
+    """
     return _parts(of)[0]
 
 
 def _parts(of: Residuals) -> tuple[Array, Array]:
-    """r' C^-1 r and ln det C."""
+    """Return r' C^-1 r and ln det C, with C the covariance of r."""
     square = jnp.sum(of.weight * of.residual**2)
     log_volume = -jnp.sum(jnp.log(jnp.where(of.weight > 0, of.weight, 1)))
     if of.cell_errors is not None:
@@ -67,7 +71,9 @@ def _parts(of: Residuals) -> tuple[Array, Array]:
 
 
 def image_error_means(of: Residuals) -> tuple[OfImages, OfImages]:
-    """Posterior means and standard deviations of u given r, in units of the prior's."""
+    """Return the posterior means and standard deviations of the image errors u given r, in units of
+    their prior standard deviations.
+    """
     assert of.image_errors is not None
     factor, pull = _image_error_system(of, of.image_errors)
     shape = of.image_errors.shape[:2]
@@ -79,14 +85,15 @@ def image_error_means(of: Residuals) -> tuple[OfImages, OfImages]:
 
 
 def _cell_sums(of: Residuals, errors: Table) -> tuple[Array, Array]:
-    """G'W r and D, (cells,) each."""
+    """Return G'W r and D, each (cells,)."""
     pull = jnp.sum(of.weight * errors * of.residual, axis=0)
     return pull, 1 + jnp.sum(of.weight * errors**2, axis=0)
 
 
 def _image_error_system(of: Residuals, image_errors: Array) -> tuple[Array, Array]:
-    """Cholesky factor of M, and the right hand side H'W r minus the part that g explains: (blocks,
-    n, n) and (blocks, n). A block is an image; if g couples the images there is one block."""
+    """Return the Cholesky factors (blocks, n, n) of M, and the right hand sides (blocks, n) H'W r
+    minus the part that g explains. A block is an image; if g couples the images there is one block.
+    """
     images, errors, cells = image_errors.shape
     weighted = of.weight[:, None] * image_errors
     pull = jnp.einsum("jkc,jc->jk", weighted, of.residual)
@@ -115,13 +122,13 @@ def scatter_log_density(
     pixel_errors: Table | None = None,
     products: Float[Array, "cells images images"] | None = None,
 ) -> Float[Array, ""]:
-    """ln p of the scatter of each cell's pixels about their mean, up to a constant.
+    """Return ln p of the scatter of each cell's pixels about their mean, up to a constant.
 
-    `scatter` sums n squared deviations in DN^2 and has n - 1 degrees of freedom. `variance` belongs
-    to one pixel. With an error P_jc g of each pixel, g ~ N(0, 1) being the same in all images
-    (`pixel_errors` P in DN), the scatter of a cell in all images has a Wishart distribution of
-    covariance diag(variance) + P P'. It then needs `products`, sums of products of deviations in
-    two images, DN^2.
+    `scatter` is the sum of n squared deviations in DN^2 and has n - 1 degrees of freedom.
+    `variance` is that of one pixel. A pixel may have an error P_jc g with g ~ N(0, 1) the same in
+    all images (`pixel_errors` P in DN). The scatter of a cell in all images then has a Wishart
+    distribution of covariance diag(variance) + P P', which needs `products`, the sums of products
+    of deviations in two images, DN^2.
     """
     freedom = jnp.maximum(count - 1, 0)
     total = -jnp.sum(freedom * jnp.log(variance) + scatter / variance) / 2

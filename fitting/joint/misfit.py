@@ -1,39 +1,42 @@
-"""How uncertain a fit is: the disagreement of its images, and how well its errors are known.
+"""Estimate how uncertain a joint fit is: how much its images disagree, and how well the scales of
+its errors are known.
 
 The misfit of a model is correlated within an image, so cells are not independent. Images count as
-the independent data, or regions of lights if neighbours have similar errors. Each image has its own
-scores and information; their sandwich (`inference.clustering`) replaces the inverse information of
-surface and encoding. The information from priors, flats and darks is unchanged. Where pixels share
-errors between images, scores are scaled to the information of their sum.
+the independent data, or regions of neighbouring lights if these have similar errors. The sandwich
+covariance (`inference.clustering`) of the images' scores replaces the inverse information of
+surface and encoding. The information from priors, flats and darks is unchanged. If a pixel has the
+same error in several images, their scores are scaled to the information of their sum.
 
-Chi-square does not reveal the misfit: a free gain and read noise absorb it as photon noise, and
+Chi-square does not reveal the misfit. A fitted gain and read noise absorb it as photon noise, and
 cells of single pixels have no scatter to separate the two. The scores of the images do reveal it.
-Their sum is zero at the best fit, and their size is that of the noise if cells have independent
-errors. No test with few images detects errors as large as the noise. The sandwich is therefore
-always used, as in `from_images.fit`, unless the rig states errors of images and the images show no
-larger ones.
+Their sum is zero at the best fit, and they are as large as the noise implies if cells have
+independent errors. With few images no test detects errors as large as the noise. The sandwich
+covariance is therefore always used, as in `from_images.fit`, unless the rig states errors of images
+and the images show no larger ones.
 
-A wrong model may fit one shape under some lights and another under others, which the curvature at
-one optimum does not show. Two halves of independent images differ by twice the standard deviation
-of the whole. If they differ by far more, half of their difference is used as the standard deviation
-(the random-groups estimate for two groups).
+With a wrong model, the best shape of the lobe may differ between lights, which the curvature at one
+optimum does not show. The images are therefore also fitted in two halves. The estimates from two
+independent halves differ by about twice the standard error of the whole. If they differ by far
+more, half of their difference is used as the standard error (the random-groups estimate for two
+groups).
 
 With few lights, the scale s of their errors is poorly known, and so are the intervals that depend
 on it. If ln s has the standard error t, the variance s^2 has 1 / (2 t^2) degrees of freedom, and
-its interval is Student's. If s contributes only the part
+the interval is that of Student's t. If s contributes only the part
 
     a = d ln variance / d ln s^2
 
-of a parameter's variance, Satterthwaite's rule gives 1 / (2 a^2 t^2). For several scales the
-inverses add.
+of a parameter's variance, the number of degrees of freedom is 1 / (2 a^2 t^2) by Satterthwaite's
+rule. For several scales the inverses of these numbers add.
 
-The scatter of pixels may exceed photon and read noise because of unequal pixels or a texture. The
-mean variance s^2 of n pixels about their cell's mean has the variance 2 v^2 / (n - 1) about the
-model's v. Unequal gains of relative size p add p^2 R^2, where R is the response of a pixel to a
-relative change of the light. Their score, after removal of the part that gain and read noise
-explain, is a regression of s^2 - v on R^2 (Rao, Proc. Cambridge Phil. Soc. 44, 1948). Unequal
-pixels below significance may still bias gain and read noise, by p^2 C J. C is the posterior's
-covariance and J = dv^T W R^2 with the weights n / (2 v^2) of variances.
+The scatter of pixels may exceed photon and read noise because of unequal pixel gains or a texture.
+The sample variance s^2 of n pixels of a cell scatters about the model's variance v with the
+variance 2 v^2 / (n - 1). Unequal gains with a relative standard deviation p add p^2 R^2 to v, where
+R is the response of a pixel to a relative change of the light. The estimate of p^2 is a regression
+of s^2 - v on R^2, after projecting out the part that gain and read noise explain (score test: Rao,
+Proc. Cambridge Phil. Soc. 44, 1948). Insignificant unequal gains may still bias gain and read
+noise, by p^2 C J. Here C is the posterior's covariance and J = dv^T W R^2, with dv the derivatives
+of v and W the weights n / (2 v^2) of variances.
 
 Source:
     Satterthwaite, "An Approximate Distribution of Estimates of Variance Components", Biometrics
@@ -93,8 +96,8 @@ def image_sandwich(observation: Photographs, fit: JointFit) -> Robustness | None
     """Return the sandwich covariance of a fit whose images err independently, or None if the rig
     states errors of images and the images show no larger ones.
 
-    Its design effect measures the disagreement of images: the mean square of their scores over that
-    of independent cells, and 1 if that is within chance.
+    Its design effect measures the disagreement of images. It is the mean square of their scores
+    relative to independent cells, and 1 if chance explains that ratio.
     """
     vector = jnp.asarray(fit.vector)
     scores, information = (np.asarray(x, np.float64) for x in _image_scores(vector, fit.data))
@@ -129,8 +132,9 @@ def image_sandwich(observation: Photographs, fit: JointFit) -> Robustness | None
 def _disagreement(
     total: Matrix, scores: np.ndarray, information: np.ndarray
 ) -> tuple[float, float]:
-    """Mean square of the images' scores relative to independent cells, and the limit that chance
-    exceeds once in `CHANCE`."""
+    """Return the mean square of the images' scores relative to independent cells, and the limit
+    that it exceeds by chance with probability `CHANCE`.
+    """
     root = np.linalg.inv(np.linalg.cholesky(total))
     shares = root @ information @ root.T
     expected = float(np.trace(shares.sum(axis=0)))
@@ -142,7 +146,9 @@ def _disagreement(
 def _sandwich(
     scores: np.ndarray, information: np.ndarray, total: Matrix, prior: Matrix, alike: np.ndarray
 ) -> Robustness:
-    """Return the sandwich over regions of images; `alike` is the region of each image."""
+    """Return the sandwich covariance over regions of images. `alike` is the region of each
+    image.
+    """
     images, count = scores.shape
     values, axes = np.linalg.eigh(information)
     halves = axes * np.sqrt(np.maximum(values, 0))[:, None]  # columns are the slopes of an image
@@ -154,7 +160,9 @@ def _sandwich(
 
 
 def _at_least(covariance: Matrix, information: Matrix) -> Matrix:
-    """The covariance, at least the inverse of the information."""
+    """Return the covariance, enlarged along those directions where it is smaller than the inverse
+    of the information.
+    """
     root = np.linalg.cholesky(information)
     ratio, axes = np.linalg.eigh(root.T @ covariance @ root)
     half = np.linalg.solve(root.T, axes * np.sqrt(np.maximum(ratio, 1)))
@@ -163,7 +171,7 @@ def _at_least(covariance: Matrix, information: Matrix) -> Matrix:
 
 @eqx.filter_jit
 def _information_of_images(vector: Array, data: JointData) -> Float[Array, "parameters parameters"]:
-    """The information from the images, without priors and uniform frames."""
+    """Return the information from the images, without priors, flats and darks."""
     alone = replace(data, levels=None)
     return second_derivatives(lambda v, d: -log_likelihood(v, d), vector, alone)[2]
 
@@ -172,9 +180,10 @@ def _information_of_images(vector: Array, data: JointData) -> Float[Array, "para
 def _image_scores(
     vector: Array, data: JointData
 ) -> tuple[Float[Array, "images parameters"], Float[Array, "images parameters parameters"]]:
-    """Gradient of the log likelihood with respect to the parameters of each image, and minus its
-    second derivatives. If images share no errors of pixels or lights, their log likelihoods add up,
-    so the parameters of all images are moved at once."""
+    """Return, for each image, the gradient of its log likelihood with respect to the parameters,
+    and the negative second derivatives. The log likelihoods of images that share no errors add up,
+    so one derivative with respect to all images' separate parameters serves all.
+    """
     count = data.cells.count.shape[0]
     alike = jnp.broadcast_to(vector, (count, vector.size))
     slope = jax.grad(lambda vectors: -log_likelihood_by_image(vectors, data))
@@ -200,7 +209,7 @@ def _image_scores(
 
 @dataclass(frozen=True)
 class Halves:
-    """The same model fitted to the even and to the odd images.
+    """The fits of the same model to the even and to the odd images.
 
     Source:
         Wolter, Introduction to Variance Estimation, 2nd ed. 2007, chapter 2.
@@ -221,9 +230,10 @@ class Halves:
 def fit_halves(
     observation: Photographs, channel: int, fit: JointFit, robust: Robustness
 ) -> Halves | None:
-    """Fit the halves of one channel's images, where the fit of all images has the covariance
-    `robust`. Returns None for fewer than `FEWEST_IMAGES` images, and if a half does not determine
-    the model."""
+    """Fit the even and the odd images of one channel separately. `robust` is the covariance of the
+    fit to all images. Return None for fewer than `FEWEST_IMAGES` images, and if a half does not
+    determine the model.
+    """
     images = np.flatnonzero(~observation.held_out)
     if len(images) < FEWEST_IMAGES:
         return None
@@ -258,8 +268,10 @@ def widened(robust: Robustness, halves: Halves) -> Robustness:
 
 
 def degrees_of_freedom(fit: JointFit, covariance: Matrix) -> Vector | None:
-    """Return (P,) degrees of freedom of the variances in a (P, P) unconstrained covariance,
-    infinite for the scales themselves; None if no scale is fitted."""
+    """Return the degrees of freedom (P,) of the parameters' variances, which are uncertain because
+    the scales of errors are fitted. They are infinite for the scales themselves. Return None if no
+    scale is fitted.
+    """
     labels = names(fit.space)
     scales = [i for i, name in enumerate(labels) if name in SCATTERS]
     if not scales:
@@ -280,8 +292,9 @@ def laplace_miss(fit: JointFit, covariance: Matrix) -> Vector:
     """Return (P,) the difference of the log density from Laplace's Gaussian at two standard
     deviations.
 
-    `gaussian_miss` evaluates the density along a line. The scale of a shared error has another
-    density after marginalising over the other parameters, because their volume grows with it.
+    `gaussian_miss` evaluates the density along a line. For the scale of a shared error, the density
+    after marginalising over the other parameters is used instead, because their posterior volume
+    grows with the scale.
     """
     missed = gaussian_miss(log_posterior, jnp.asarray(fit.vector), covariance, fit.data)
     labels = names(fit.space)
@@ -297,7 +310,7 @@ def laplace_miss(fit: JointFit, covariance: Matrix) -> Vector:
 
 
 def _information(fit: JointFit, vector: Vector, kept: Int[np.ndarray, " kept"]) -> Matrix:
-    """Information of some parameters at any point, with the others fixed."""
+    """Return the information on some parameters at any point, with the others fixed."""
     there = minimise(cost, jnp.asarray(vector), fit.data, max_steps=1)
     return np.asarray(there.information, np.float64)[np.ix_(kept, kept)]
 
@@ -307,7 +320,7 @@ def _information(fit: JointFit, vector: Vector, kept: Int[np.ndarray, " kept"]) 
 
 @dataclass(frozen=True)
 class UnequalPixels:
-    """Pixel gains as estimated from the scatter of pixels."""
+    """Unequal pixel gains, estimated from the scatter of pixels."""
 
     size: float  # relative, rms; 0 if the scatter rises less than photon noise
     deviations: float  # distance of the squared size from 0, in standard errors
@@ -318,17 +331,22 @@ class UnequalPixels:
 
     @property
     def found(self) -> bool:
-        """Whether unequal pixels are significant, so that gain and read noise include them."""
+        """Return whether unequal pixels are significant, so that the fitted gain and read noise
+        include them.
+        """
         return self.deviations > BEYOND_CHANCE
 
     def hide_noise(self, stated: bool) -> bool:
-        """Whether unequal pixels make gain and read noise unidentifiable. `stated`: whether the rig
-        gives their size."""
+        """Return whether unequal pixels make gain and read noise unidentifiable. `stated` says
+        whether the rig gives the size of their inequality.
+        """
         return self.found or (not stated and self.moved > TOLERATED)
 
 
 def unequal_pixels(fit: JointFit) -> UnequalPixels:
-    """Estimate the pixel gains of a fit that has none, by their score."""
+    """Estimate by a score test how unequal the pixel gains are, for a fit that assumes equal
+    ones.
+    """
     cells = fit.data.cells
     count = np.asarray(cells.count, np.float64)
     freedom = count - 1
@@ -356,7 +374,9 @@ def unequal_pixels(fit: JointFit) -> UnequalPixels:
 
 @eqx.filter_jit
 def _pixel_variance(vector: Array, data: JointData) -> tuple[Array, Array, Array]:
-    """Variance of a pixel, R, and the derivatives of the variance, (parameters, images, cells)."""
+    """Return the variance of a pixel, its response R to a relative change of the light, and the
+    derivatives (parameters, images, cells) of the variance.
+    """
 
     def variance(v: Array) -> Array:
         return predicted(values_at(v, data), data, data.cells).variance

@@ -1,15 +1,16 @@
-"""The images that a reflectance, an encoding and a sensor predict together, and their likelihood.
+"""Predict images from a reflectance, an encoding and a sensor together, and compute their
+likelihood.
 
-Numbers that the rig knows exactly are fixed, those with an `_sd` have a prior, and missing ones are
-free. The stated scale of an error of lights or pixels is itself uncertain by a factor of about
+Numbers that the rig states exactly are fixed, those with an `_sd` have a prior, and missing ones
+are free. The stated scale of an error of lights or pixels is itself uncertain by a factor of about
 `TRUST`.
 
-Signal, encoding and noise of a pixel, or of a cell of pixels with similar normals, are those of
-`from_images.signal`. Cells have a count, a mean and a scatter about it. Their likelihood is that of
-their pixels, so the scatter determines the gain K.
+`from_images.signal` defines the signal, encoding and noise of a pixel, or of a cell of pixels with
+similar normals. A cell has a count, a mean and a scatter of its pixels. Its likelihood is that of
+its pixels, so the scatter determines the gain K.
 
-A stated error is shared by a whole image, or by a pixel in all images. The signal is linear in such
-an error, which is marginalised (`marginal`), so only its scale is a parameter:
+A stated error is common to a whole image, or to a pixel in all images. The signal X is linear in
+such an error. The error is marginalised (`marginal`), so only its scale s is a parameter:
 
     light_scatter      X (1 + s u)                      strength of the light, exposure
     direction_scatter  X + (s u_1 - t_1) dX/dt_1 + (s u_2 - t_2) dX/dt_2
@@ -19,14 +20,15 @@ an error, which is marginalised (`marginal`), so only its scale is a parameter:
     prnu               X (1 + s g)                      gain of a pixel
     misfit             rho sqrt(W_0 D P / n) DN, of each cell in each image, of its own
 
-The misfit covers a surface that the model does not describe. It grows like photon noise, so that
-neither shadows nor highlights dominate. A cell has n pixels and the widest cells have P, so that a
+Here u and g are N(0, 1), and E is the irradiance. The misfit allows for a surface that the model
+does not describe. It grows like photon noise, so that neither shadows nor highlights dominate. rho
+is its relative size, n the number of pixels of a cell and P that of the widest cells, so that a
 patch has the same weight whether or not it is divided. W_0 is a tenth of full scale. D is the
-digital number above black of the cells' reference model, because a model with its own D could
-inflate its uncertainty where it fails.
+digital number above black by the cells' reference model. With a D of its own, a model could inflate
+its uncertainty where it fails.
 
-A value that is known exactly is not a parameter, and an error that the rig does not state is not
-traced.
+A value that is known exactly is not a parameter. An error that the rig does not state is not
+computed.
 """
 
 from dataclasses import field, replace
@@ -72,8 +74,9 @@ SCATTERS = {
 
 
 def surface_mask(space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
-    """Which parameters describe surface and encoding. Only these enter the comparison of images,
-    since gain and read noise follow from the scatter of pixels within cells."""
+    """Return which parameters describe surface and encoding. Only these enter the comparison of
+    images, since gain and read noise follow from the scatter of pixels within cells.
+    """
     others = {GAIN.name, READ_NOISE.name, BLACK.name, *SCATTERS, "misfit"}
     return np.array([p.name not in others for p in space])
 
@@ -82,8 +85,8 @@ def scatter_scales(
     observation: Photographs,
 ) -> dict[str, tuple[float, Float[np.ndarray, " lights"]]]:
     """Return, by name, the typical size of each error that the rig states and each light's size
-    relative to it. Strength of a light and exposure of its image have the same effect, so they
-    count as one."""
+    relative to it. The strength of a light and the exposure of its image have the same effect, so
+    they count as one error."""
     known = observation.uncertain
     stated = {
         "light_scatter": np.hypot(known["intensity_sd"], known["exposure_sd"]),
@@ -103,8 +106,9 @@ def scatter_scales(
 def parameters(
     observation: Photographs, channel: int, form: Form, start: dict[str, float]
 ) -> tuple[ParameterSpace, dict[str, float]]:
-    """Return the parameters with their priors, and by name the numbers that the rig knows exactly.
-    `start` holds the values from which the search begins; it has no gamma for linear files."""
+    """Return the parameters with their priors, and by name the numbers that the rig states exactly.
+    `start` holds the values from which the search begins; it has no gamma for linear files.
+    """
     camera, known = observation.camera, {}
     space = [*surface_parameters(form)]
 
@@ -127,9 +131,9 @@ def parameters(
 
 
 def black_level(observation: Photographs, channel: int) -> tuple[float, float | None]:
-    """The black level and its standard deviation, from the rig, from the darks, or from both with
-    weights by precision. Attached shadows that are not black add their light to the standard
-    deviation, since no light of the rig reaches them."""
+    """Return the black level and its standard deviation, from the rig, from the darks, or from
+    both, weighted by their precisions.
+    """
     black, sd = given_black_level(observation, channel)
     glow = light_in_shadows(replace(observation, black=black), channel)
     return black, float(np.hypot(sd or 0.0, glow)) if glow else sd
@@ -151,7 +155,7 @@ def given_black_level(observation: Photographs, channel: int) -> tuple[float, fl
 
 
 class Cells(eqx.Module):
-    """Images of one channel, reduced to cells."""
+    """The images of one channel, reduced to cells."""
 
     geometry: Geometry
     count: Table  # pixels; 0 for an unused cell
@@ -194,13 +198,13 @@ def error_columns(data: JointData) -> dict[str, slice]:
 
 
 def values_at(vector: Float[Array, " parameters"], data: JointData) -> Values:
-    """Natural values by name at an unconstrained vector, including the known ones."""
+    """Return natural values by name at an unconstrained vector, including those that are known."""
     natural = to_natural(data.space, vector)
     return data.known | {name: natural[i] for i, name in enumerate(names(data.space))}
 
 
 class Prediction(eqx.Module):
-    """The prediction of cells by a model."""
+    """A model's prediction for cells."""
 
     mean: Table  # DN
     variance: Table  # DN^2 of one pixel, without shared errors
@@ -212,14 +216,15 @@ class Prediction(eqx.Module):
 
     @property
     def of_pixels(self) -> Table:
-        """Variance of one pixel without errors of its image, DN^2."""
+        """Return the variance of one pixel without errors of its image, DN^2."""
         own = (one for one in (self.gains, self.misfit) if one is not None)
         return self.variance + sum(one**2 for one in own)
 
 
 def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
-    """Predict cells, or single pixels, from natural values. A cell without data is predicted at a
-    signal of W."""
+    """Predict cells, or single pixels, from natural values. A cell without data is predicted at
+    white, so that the result is finite.
+    """
     geometry, form = cells.geometry, data.form
     seen = cells.count > 0
 
@@ -259,8 +264,9 @@ def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
 
 
 def weights(cells: Cells, model: Prediction) -> Table:
-    """Inverse variance of each cell's mean without shared errors, (images, cells) DN^-2; 0 for a
-    cell without data."""
+    """Return the inverse variance of each cell's mean without shared errors, (images, cells) DN^-2;
+    0 for a cell without data.
+    """
     seen = cells.count > 0
     variance = model.variance / jnp.where(seen, cells.count, 1)
     if model.misfit is not None:
@@ -269,8 +275,9 @@ def weights(cells: Cells, model: Prediction) -> Table:
 
 
 def residuals(model: Prediction, data: JointData) -> marginal.Residuals:
-    """The residuals of cells with the errors that they share. Pixel gains shift the mean of n
-    pixels by their size over the square root of n."""
+    """Return the residuals of cells with the errors that they share. Pixel gains shift the mean of
+    n pixels by their standard deviation over the square root of n.
+    """
     cells, of_cells, precision = data.cells, None, None
     if model.gains is not None:
         seen = cells.count > 0
@@ -294,8 +301,9 @@ def predicted_parts(vector: Array, data: JointData) -> tuple[Prediction, margina
 
 
 def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Array:
-    """ln p(images, flats and darks | unconstrained vector) up to a constant, with the shared errors
-    marginalised."""
+    """Return ln p(images, flats and darks | unconstrained vector), up to a constant, with the
+    shared errors marginalised.
+    """
     values = values_at(vector, data)
     total = _log_likelihood(predicted(values, data, data.cells), data)
     return total if data.levels is None else total + _uniform_frames_log_density(values, data)
@@ -304,7 +312,9 @@ def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Arra
 def log_likelihood_by_image(
     vectors: Float[Array, "images parameters"], data: JointData
 ) -> Float[Array, ""]:
-    """Log likelihood of the images alone if each had its own row of (images, P) vectors."""
+    """Return the log likelihood of the images alone, if each had its own parameters, a row of
+    `vectors` (images, P).
+    """
     about = data.cells.geometry.about
     cells = replace(data.cells, geometry=replace(data.cells.geometry, about=None), products=None)
 
@@ -320,7 +330,7 @@ def log_likelihood_by_image(
 
 
 def _log_likelihood(model: Prediction, data: JointData) -> Array:
-    """The log likelihood of the images."""
+    """Return the log likelihood of the images alone."""
     cells = data.cells
     own = cells.scatter, cells.count, model.variance
     shared = {"pixel_errors": model.gains, "products": cells.products}
@@ -329,8 +339,9 @@ def _log_likelihood(model: Prediction, data: JointData) -> Array:
 
 
 def _uniform_frames_log_density(values: Values, data: JointData) -> Array:
-    """ln p of the temporal variances of uniform frames, Gamma distributed about the model's
-    variance at their mean."""
+    """Return ln p of the temporal variances of flats and darks, which follow Gamma distributions
+    about the model's variance at their mean.
+    """
     assert data.levels is not None
     levels = data.levels
     above = levels.mean - values["black_level"]
@@ -341,10 +352,10 @@ def _uniform_frames_log_density(values: Values, data: JointData) -> Array:
 
 
 def log_posterior(vector: Float[Array, " parameters"], data: JointData) -> Array:
-    """Log posterior density of an unconstrained vector, up to a constant."""
+    """Return the log posterior density of an unconstrained vector, up to a constant."""
     return log_likelihood(vector, data) + log_prior(data.space, vector)
 
 
 def cost(vector: Float[Array, " parameters"], data: JointData) -> Array:
-    """Negative log posterior density, which a fit minimises."""
+    """Return the negative log posterior density, which a fit minimises."""
     return -log_posterior(vector, data)

@@ -1,4 +1,4 @@
-"""A joint fit's predictions of single pixels, with the standard deviation of their numbers."""
+"""Predict single pixels by a joint fit, with standard deviations."""
 
 from dataclasses import dataclass, replace
 
@@ -18,7 +18,7 @@ GAUSSIAN_BAND = 1.96  # standard deviations, of 95 %
 
 @dataclass(frozen=True)
 class PixelPrediction:
-    """One image of one channel.
+    """The prediction of one image in one channel.
 
     Attributes:
         mean: (pixels,) expected DN.
@@ -71,7 +71,7 @@ def predict(
 
 @eqx.filter_jit
 def _moments(vector: Array, covariance: Array, data: JointData) -> tuple[Array, Array]:
-    """(pixels,) mean and variance of the digital numbers of one image."""
+    """Return the mean and the variance (pixels,) of the digital numbers of one image."""
 
     def mean_of(vector: Array) -> Array:
         return predicted(values_at(vector, data), data, data.cells).mean[0]
@@ -86,7 +86,7 @@ def _moments(vector: Array, covariance: Array, data: JointData) -> tuple[Array, 
 
 @dataclass(frozen=True)
 class Score:
-    """The accuracy of one channel's predicted images."""
+    """The accuracy of the images that the fit of one channel predicts."""
 
     channel: str
     # RMS of predicted minus measured over the RMS signal, on the fitted lights

@@ -1,5 +1,6 @@
-"""The input of a joint calibration: the photographs of a reflectance calibration, flats and
-darks."""
+"""Read the input of a joint calibration: the photographs of a reflectance calibration, flats and
+darks.
+"""
 
 from ..reflectance.from_images.read import Camera as Camera
 from ..reflectance.from_images.read import SphereGeometry as SphereGeometry

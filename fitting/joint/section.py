@@ -1,4 +1,4 @@
-"""The report of surface, response and sensor in one posterior."""
+"""Write the report section of a joint calibration."""
 
 from functools import partial
 

@@ -1,4 +1,5 @@
-"""Where the lights are, from photographs of a ball: directions or positions, with one covariance.
+"""Estimate where the lights are from photographs of a ball: directions or positions, with one
+covariance.
 
 An error of the ball's outline affects all lights.
 """

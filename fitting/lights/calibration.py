@@ -1,12 +1,14 @@
-"""Directions, or near positions, and intensities of lights from photographs of a ball.
+"""Estimate directions, or near positions, and intensities of lights from photographs of a ball.
 
-A mirror ball shows a light where l = 2 (n.v) n - v. A matte ball is shaded by n.l. For both, n
-comes from the outline of the ball, whose error rotates all directions alike: two careful outlines
-differ by a pixel, which rotates all lights by .5 to .8 degrees. All lights therefore have one joint
-covariance,
+With n the normal, v the direction to the camera and l that to the light, a mirror ball shows the
+light where l = 2 (n.v) n - v. A matte ball has a brightness in proportion to n.l. For both, n
+follows from the outline of the ball, whose error rotates all light directions alike. Two careful
+outlines differ by a pixel, which rotates all lights by 0.5 to 0.8 degrees. All lights therefore
+have one joint covariance,
 
     C = J_o C_o J_o' + diag(own),    J_o = d(places)/d(outline).
 
+where C_o is the covariance of the outline and `own` the variance of each light for a known outline.
 Two mirror balls give two lines of sight, which meet at a near light.
 """
 
@@ -53,7 +55,7 @@ def calibrate(
     radius: float | None = None,
     outline_sd: float = OUTLINE_SD,
 ) -> Lights:
-    """Directions or positions of lights and relative intensities, with one covariance.
+    """Estimate directions or positions of lights and relative intensities, with one covariance.
 
     Args:
         images: one for each light, (h, w) or (h, w, 3) linear DN, all of one fixed view.
@@ -239,8 +241,9 @@ def _with_covariance(
     outline_sds: Float[np.ndarray, "balls 3"],
     findings: tuple[str, ...],
 ) -> Lights:
-    """The lights with the sum of two covariances: the part that all share by the outlines, and the
-    part of each."""
+    """Return the lights with the sum of two covariances: one from the outlines, which all lights
+    share, and one of each light alone.
+    """
     covariance, each = shared.copy(), np.arange(len(names))
     covariance[each, :, each, :] += own
     common, whole = (np.einsum("lili->", c[:, :3, :, :3]) for c in (shared, covariance))
@@ -265,7 +268,7 @@ def _slope(of: Callable[[float], np.ndarray]) -> np.ndarray:
 def _crossing(
     starts: Float[np.ndarray, "balls lights 3"], toward: Float[np.ndarray, "balls lights 3"]
 ) -> Float[np.ndarray, "lights 3"]:
-    """The points closest to two lines of sight."""
+    """Return the point closest to two lines of sight, for each light."""
     across = np.eye(3) - toward[..., :, None] * toward[..., None, :]
     right = np.einsum("blij,blj->li", across, starts)
     return np.linalg.solve(across.sum(axis=0), right[..., None])[..., 0]
@@ -327,7 +330,9 @@ def _locate_by_shading(
 def _about_mean(
     covariance: Float[np.ndarray, "lights 4 lights 4"],
 ) -> Float[np.ndarray, "lights 4 lights 4"]:
-    """Logarithms of intensities less their mean, which is arbitrary."""
+    """Return the covariance after subtracting the mean of the log intensities, which is
+    arbitrary.
+    """
     centred = covariance.copy()
     centred[:, 3] -= centred[:, 3].mean(axis=0)
     centred[..., 3] -= centred[..., 3].mean(axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Lights and their covariance: the record, and the `lights.npz` that a rig names."""
+"""The record of lights with their covariance, and the file `lights.npz` that a rig refers to."""
 
 import os
 from dataclasses import dataclass, fields
@@ -16,7 +16,8 @@ HEADS = ("light", "x", "y", "z", "s.d.", "intensity")
 
 @dataclass(frozen=True)
 class Lights:
-    """Directions or positions of lights, and their intensities. Print it, or show it in a notebook.
+    """Directions or positions of lights, and their intensities. Print the record, or show it in a
+    notebook.
 
     Attributes:
         files: names of their images.
@@ -45,18 +46,19 @@ class Lights:
 
     @property
     def place_sd(self) -> Float[np.ndarray, " lights"]:
-        """Standard deviation (rms over axes): of a direction, rad, along two axes across it; of a
-        position, m, along three."""
+        """Return the standard deviation of each light's place, as rms over axes: for a direction in
+        rad along two axes perpendicular to it, for a position in m along three axes.
+        """
         own = np.einsum("lili->l", self.covariance[:, :3, :, :3])
         return np.sqrt(own / (3 if self.near else 2))
 
     @property
     def intensity_sd(self) -> Float[np.ndarray, " lights"]:
-        """Relative standard errors of the intensities."""
+        """Return the relative standard errors of the intensities."""
         return np.sqrt(np.einsum("ll->l", self.covariance[:, 3, :, 3]))
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Cells of a table with one row for each light."""
+        """Return the cells of a table with one row for each light."""
         sds = [f"{sd:.2g} m" if self.near else f"{np.degrees(sd):.2g}°" for sd in self.place_sd]
         strengths = [
             "-" if np.isnan(one) else f"{one:.4g} ± {one * sd:.1g}"
@@ -69,7 +71,7 @@ class Lights:
         ]
 
     def heading(self) -> str:
-        """One line."""
+        """Return one line that describes the lights."""
         kind = "Positions (m)" if self.near else "Directions"
         return (
             f"{kind} of {len(self.files)} lights; {100 * self.common:.0f} % of their variance is "
@@ -100,7 +102,7 @@ def write_lights(lights: Lights, path: str | os.PathLike[str]) -> None:
 
 
 def read_lights(path: str | os.PathLike[str]) -> Lights:
-    """Read what `write_lights` has written.
+    """Read lights from a file that `write_lights` wrote.
 
     Args:
         path: of the file.

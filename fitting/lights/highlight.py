@@ -1,4 +1,6 @@
-"""The highlight of a light on a mirror ball, and the direction in which the ball sees the light."""
+"""Find the highlight of a light on a mirror ball, and the direction from which the ball reflects
+it.
+"""
 
 from dataclasses import dataclass
 from typing import cast
@@ -23,7 +25,7 @@ UNEVEN = 0.01  # assumed relative variation of the mirror's reflectance
 
 @dataclass(frozen=True)
 class Highlight:
-    """Position and flux of a highlight.
+    """The position and flux of a highlight.
 
     Attributes:
         place: column and row, pixels.
@@ -45,7 +47,7 @@ def highlight_of(
     *,
     name: str,
 ) -> Highlight:
-    """The one highlight of a picture above black, DN."""
+    """Find the only highlight in a picture of a ball, in DN above black."""
     seen = signal[ball]
     level, peak = float(np.median(seen)), float(seen.max())
     if (share := float(np.mean(seen >= clip))) > WIDEST:
@@ -96,6 +98,8 @@ def highlight_of(
 def reflected(
     values: Float[np.ndarray, "*of 3"], pixels: Float[np.ndarray, "*of 2"], lens: Lens
 ) -> tuple[Float[np.ndarray, "*of 3"], Float[np.ndarray, "*of 3"]]:
-    """Unit directions in which a mirror ball shows the world at a pixel, and its normals there."""
+    """Return the unit directions whose light a mirror ball reflects to the camera at some pixels,
+    and the ball's normals there.
+    """
     normal, view = surface(values, pixels, lens)
     return 2 * np.sum(normal * view, axis=-1, keepdims=True) * normal - view, normal

@@ -1,13 +1,15 @@
-"""Directions and irradiances of distant lights from the shading of a matte ball.
+"""Estimate directions and irradiances of distant lights from the shading of a matte ball.
 
-The ball's normals n(o) follow from its outline o. With irradiance E, albedo rho and light direction
-l, the signal is m = g.n with g = E rho l, where n.l > 0. The outline, with the result of its own
-fit as a prior, is common to all lights:
+The ball's normals n(o), the rows of a matrix N, follow from its outline o. With irradiance E,
+albedo rho and light direction l, the signal is m = g.n with g = E rho l, where n.l > 0. All lights
+share the outline, whose prior with covariance C_o is the result of fitting it to the mask. The
+outline's information is
 
     H_oo = C_o^-1 + sum_k (D_k' D_k - B_k' A_k^-1 B_k) / s_k^2,   A = N'N, B_k = N'D_k,
 
-with D_k = d(N g_k)/do. If residuals of neighbouring pixels are correlated, the design effect of
-sectors of the ball reduces the effective number of pixels.
+with D_k = d(N g_k)/do and the residuals' standard deviation s_k under light k. If residuals of
+neighbouring pixels are correlated, the design effect of sectors of the ball reduces the effective
+number of pixels.
 """
 
 from dataclasses import dataclass, replace
@@ -32,7 +34,7 @@ SECTORS, RINGS = 8, 3
 
 @dataclass(frozen=True)
 class Shading:
-    """Estimates for each light, and the shared outline.
+    """The fitted lights of a matte ball, and the outline that they share.
 
     Attributes:
         values: (3,) of the outline.
@@ -63,9 +65,9 @@ def shading_of(
     *,
     names: list[str],
 ) -> Shading:
-    """Fit lights and outline together, by Gauss-Newton; signals are above black, DN.
+    """Fit lights and outline together by Gauss-Newton, to signals in DN above black.
 
-    The reading of the unlit side (a wrong black level, or room light) is subtracted.
+    The level of the ball's unlit side, due to a wrong black level or room light, is subtracted.
     """
     found = _shading(signals, ball, clip, outline, names)
     floor = _floor(signals, ball, found, outline)
@@ -80,7 +82,9 @@ def _floor(
     found: Shading,
     outline: Outline,
 ) -> float:
-    """Return the reading, in DN, where n.l < 0; 0 if it is within its standard error or small."""
+    """Return the level of the unlit side, where n.l < 0, in DN; 0 if it is small or within its
+    standard error.
+    """
     rows, columns = np.nonzero(ball)
     pixels = np.stack([columns, rows], axis=1).astype(float)
     inner = np.hypot(*(pixels - found.values[:2]).T) < SIGHT * found.values[2]
@@ -168,7 +172,9 @@ def _solve_light(
     clip: float,
     name: str,
 ) -> _Light:
-    """Least squares of one light and its part of the outline's normal equations."""
+    """Fit one light by least squares for a given outline, and return its contribution to the normal
+    equations of the outline.
+    """
     usable = np.isfinite(normals[:, 2]) & (reading < clip)
     if (share := float(np.mean(reading >= clip))) > 0.5:
         raise InputError(f"{name}: {format_percent(share)} of the ball are saturated; expose less.")

@@ -1,9 +1,10 @@
-"""The outline of a ball in a picture, and the normal of the ball at a pixel.
+"""Find the outline of a ball in a picture, and the normal of the ball at a pixel.
 
-An orthographic camera sees a circle. A lens sees the cone of rays that touch the ball: with c the
-direction of the ball's centre, a ray q lies on the cone if the tangent of the angle between q and c
-is r / f. The picture of the cone is an ellipse unless the centre is on the axis. Axes are x right,
-y up, z toward the camera.
+In an orthographic view the outline is a circle. Through a lens of focal length f, in pixels, it is
+the image of the cone of rays that touch the ball. With c the direction of the ball's centre and r
+the outline's radius, a ray q lies on the cone if the tangent of the angle between q and c is r / f.
+The picture of the cone is an ellipse unless the centre is on the lens's axis. Axes are x right, y
+up, z toward the camera.
 """
 
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ ROUND = 0.05  # of the radius: rms of a mask's edge about the outline
 
 @dataclass(frozen=True)
 class Lens:
-    """Projection of the camera.
+    """The projection of the camera: orthographic, or through a lens.
 
     Attributes:
         focal_length: pixels; None for an orthographic view.
@@ -41,10 +42,10 @@ class Lens:
 
 @dataclass(frozen=True)
 class Outline:
-    """Column and row of a ball's centre and its radius, pixels.
+    """The column and row of a ball's centre and its radius in a picture, in pixels.
 
-    Through a lens they are the column and row where the ray to the ball's centre meets the picture,
-    and f tan of half the angle that the ball subtends.
+    Through a lens, column and row are those where the ray to the ball's centre meets the picture.
+    The radius is f tan(a / 2), with f the focal length and a the angle that the ball subtends.
     """
 
     values: Float[np.ndarray, "3"]
@@ -54,14 +55,17 @@ class Outline:
 
 
 def _circle_residuals(column: Array, row: Array, radius: Array, inputs: dict[str, Array]) -> Array:
-    """Distances, in pixels, by which edge points lie outside a circle; parameters are changes of a
-    start, in units of its radius."""
+    """Return the distances, in pixels, by which edge points lie outside a circle. The parameters
+    are changes of a start, in units of its radius.
+    """
     x, y, r = inputs["start"] + inputs["start"][2] * jnp.stack([column, row, radius])
     return jnp.hypot(inputs["edge"][:, 0] - x, inputs["edge"][:, 1] - y) - r
 
 
 def _cone_residuals(column: Array, row: Array, radius: Array, inputs: dict[str, Array]) -> Array:
-    """The same outside a cone of rays; columns and rows are relative to the lens' axis."""
+    """Return the distances by which edge points lie outside a cone of rays. Columns and rows are
+    relative to the lens's axis.
+    """
     x, y, r = inputs["start"] + inputs["start"][2] * jnp.stack([column, row, radius])
     focal, edge = inputs["focal"], inputs["edge"]
     rays = jnp.concatenate([edge, jnp.full((len(edge), 1), focal)], axis=1)
@@ -71,8 +75,9 @@ def _cone_residuals(column: Array, row: Array, radius: Array, inputs: dict[str, 
 
 
 def outline_of(mask: Bool[np.ndarray, "h w"], lens: Lens, *, sd: float, name: str) -> Outline:
-    """Return the outline of a mask's ball. `sd`, in pixels, is the error of centre and radius that
-    does not show as scatter of the edge."""
+    """Return the outline of a ball from its mask. `sd`, in pixels, is the error of centre and
+    radius that the scatter of the edge does not show.
+    """
     if not mask.any():
         raise InputError(f"{name}: the mask is empty; it must be non-zero where the ball is.")
     if mask[[0, -1]].any() or mask[:, [0, -1]].any():
@@ -125,7 +130,9 @@ def outline_of(mask: Bool[np.ndarray, "h w"], lens: Lens, *, sd: float, name: st
 def surface(
     values: Float[np.ndarray, "*of 3"], pixels: Float[np.ndarray, "*of 2"], lens: Lens
 ) -> tuple[Float[np.ndarray, "*of 3"], Float[np.ndarray, "*of 3"]]:
-    """Unit normals and unit directions to the camera at columns and rows; NaN beside the ball."""
+    """Return the unit normals of the ball and the unit directions to the camera at some pixels; NaN
+    outside the ball.
+    """
     column, row, radius = np.moveaxis(np.asarray(values, float), -1, 0)
     with np.errstate(invalid="ignore"):
         if lens.focal_length is None:
@@ -140,8 +147,9 @@ def surface(
 
 
 def centre_of(values: Float[np.ndarray, "*of 3"], lens: Lens) -> Float[np.ndarray, "*of 3"]:
-    """Return the ball's centre in units of its radius, from the lens or (orthographic) from the
-    axis."""
+    """Return the position of the ball's centre in units of its radius. It is relative to the lens
+    or, in an orthographic view, to the axis.
+    """
     column, row, radius = np.moveaxis(np.asarray(values, float), -1, 0)
     if lens.focal_length is not None:
         return _distance(radius, lens)[..., None] * _ray(column, row, lens)

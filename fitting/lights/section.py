@@ -1,4 +1,4 @@
-"""The report of a calibration of lights, and the rig that it writes."""
+"""Write the report of a calibration of lights, and the rig with them."""
 
 from functools import partial
 from pathlib import Path
@@ -65,7 +65,7 @@ def section(lights: Lights, *, root: str = ".", camera: str = "bits = 8") -> Sec
 
 
 def lights_figure(lights: Lights) -> "Figure":
-    """Directions on the hemisphere toward the camera, with enlarged ellipses."""
+    """Draw directions on the hemisphere toward the camera, with enlarged error ellipses."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Ellipse
 
@@ -86,7 +86,7 @@ def lights_figure(lights: Lights) -> "Figure":
 
 
 def _write_rig(lights: Lights, root: str, camera: str, path: Path) -> None:
-    """The rig and its `lights.npz`."""
+    """Write the rig and its `lights.npz`."""
     write_lights(lights, path.with_name(FILE))
     known = np.isfinite(lights.intensities)
     entries = [

@@ -1,4 +1,4 @@
-"""Reflectance of surfaces, from images or from files of measured BRDFs."""
+"""Estimate the reflectance of surfaces, from images or from files of measured BRDFs."""
 
 from jaxvision.core.lazy_names import names_of
 

@@ -1,4 +1,4 @@
-"""Files of measured BRDFs, and the reflectance models that fit them."""
+"""Fit reflectance models to files of measured BRDFs."""
 
 from jaxvision.core.lazy_names import names_of
 
