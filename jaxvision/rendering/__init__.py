@@ -1,4 +1,4 @@
-"""Rendering: from scene and view to radiance, W m^-2 sr^-1.
+"""Rendering: compute the radiance of each pixel, W m^-2 sr^-1, from a scene and a view.
 
 pixel_loop   the loop over pixels and their samples, for any integrator
 direct       radiance along a ray by direct light, and a picture of it

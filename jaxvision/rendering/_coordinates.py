@@ -1,5 +1,5 @@
-"""Texture coordinates of shapes, and how fast they grow along the surface. For ONE point; lengths
-in metres, coordinates without a unit."""
+"""Texture coordinates of shapes, and their gradients along the surface. All functions are for one
+point. Lengths are in metres; coordinates have no unit."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,7 +13,8 @@ from ..scene import Quad, Shape, Sphere, TriangleMesh
 
 
 class Coordinates(eqx.Module):
-    """Texture coordinates of a point, and their gradients along the surface, m^-1."""
+    """The texture coordinates of a point on a surface, and their gradients along the surface,
+    m^-1."""
 
     u: Scalar
     v: Scalar
@@ -22,8 +23,8 @@ class Coordinates(eqx.Module):
 
 
 def coordinates(shape: Shape, point: Vec, primitive: Int[Array, ""] | None) -> Coordinates:
-    """Return the texture coordinates of a point, m, of a `Quad`, a `Sphere`, or the triangle
-    `primitive` of a mesh; 0 for other shapes."""
+    """Return the texture coordinates of a point, m, on a `Quad`, a `Sphere`, or the triangle
+    `primitive` of a mesh. Other shapes have the coordinates 0."""
     match shape:
         case Quad():
             corner, one, other = (as_vec(x) for x in (shape.corner, shape.edge_u, shape.edge_v))
@@ -54,8 +55,8 @@ def coordinates(shape: Shape, point: Vec, primitive: Int[Array, ""] | None) -> C
 
 
 def _flat(point: Vec, a: Vec, edge_b: Vec, edge_c: Vec, corners) -> Coordinates:
-    """Return coordinates that are affine in a plane. `corners`: for u and for v, the values at a,
-    a + edge_b and a + edge_c."""
+    """Return texture coordinates that are affine in the plane of a triangle. `corners` contains,
+    for u and for v, the values at a, a + edge_b and a + edge_c."""
     area = cross(edge_b, edge_c)
     inverse = divide(1, dot(area, area), where=dot(area, area) > 0)
     to_b, to_c = inverse * cross(edge_c, area), inverse * cross(area, edge_b)

@@ -1,7 +1,8 @@
 """Multiple importance sampling of one light, by directions drawn from the light and from the
-material; and the radiance that arrives from a direction.
+material.
 
-Directions in the frame of a surface are `Vec`s. A `Place` contains the occluders; None means none.
+Directions in the local frame of a surface are `Vec`s. A `Place` contains the shapes that may block
+light; None stands for no such shapes.
 """
 
 import jax.numpy as jnp
@@ -19,13 +20,14 @@ from .shadows import Place, clear
 
 
 def local_viewer(normal: Direction, wo: Direction, tangent: Vector | None) -> tuple[Frame, Vec]:
-    """Return the frame of a surface point, and the direction to the viewer in this frame."""
+    """Return the local frame of a surface point, and the direction to the viewer in this frame."""
     frame = local_frame(normal, tangent=tangent)
     return frame, as_vec(to_local(frame, wo))
 
 
 def world_direction(frame: Frame, wi: Vec, like: Vector) -> Vector:
-    """Convert a local direction to world coordinates, as an array or a `Vec`, like `like`."""
+    """Convert a local direction to world coordinates, as an array or a `Vec`, whichever `like`
+    is."""
     world = to_world(frame, wi)
     return as_array(world) if isinstance(like, Array) else world
 
@@ -40,8 +42,9 @@ def balanced(
     of_material: Float[Array, "3"],
     place: Place | None,
 ) -> Colour:
-    """Draw one direction from the light and one from the material, and divide the light of each by
-    the sum of both densities. The mean over uniform numbers is the radiance, W m^-2 sr^-1."""
+    """Draw one direction from the light and one from the material, and divide the light from each
+    by the sum of both densities. The expectation of the result is the reflected radiance, W m^-2
+    sr^-1."""
 
     def weighed(wi: Vec) -> Colour:
         world = world_direction(frame, wi, point)
@@ -55,12 +58,13 @@ def balanced(
 
 
 def arriving_from(light: Light, point: Vector, wi: Direction, place: Place | None) -> Colour:
-    """Return the radiance, W m^-2 sr^-1, that arrives at the point from `wi`; 0 if blocked."""
+    """Return the radiance, W m^-2 sr^-1, that arrives at the point from the direction `wi`; 0 if a
+    shape blocks this direction."""
     ahead = seen(light, Ray(point, wi))
     passes = None if place is None else clear(place, wi, ahead.distance)
     return where_clear(passes, ahead.radiance)
 
 
 def where_clear(condition: Bool[Array, ""] | None, value: Array) -> Array:
-    """Return the value where the condition is true, else 0. None counts as true."""
+    """Return `value` where the condition is true, else 0. The condition None stands for true."""
     return value if condition is None else jnp.where(condition, value, 0)

@@ -1,5 +1,5 @@
-"""Find the number of bands that all spectra of a scene share, from the result shape of each type of
-material and light."""
+"""Find the number of bands of a scene, from the shapes that its types of material and light
+return."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -18,8 +18,9 @@ from ..scene import Light, Material
 def band_count(
     materials: Iterable[Material], lights: Iterable[Light], *, spectra: Iterable[jax.Array] = ()
 ) -> int:
-    """Return the common number of bands. A neutral spectrum has one band and fits any number; other
-    differences raise `ValueError`."""
+    """Return the number of bands of the spectra of a scene. A neutral spectrum has one band and is
+    valid for any number of bands. Raise `ValueError` if other spectra differ in their number of
+    bands."""
     reflected = [(type(own).__name__, _reflected(own)) for own in _one_each(materials)]
     emitted = [_emitted(light) for light in _one_each(lights)]
     emitted += [spectrum.shape[-1] for spectrum in spectra]
@@ -34,7 +35,7 @@ def band_count(
 
 
 def _one_each(records: Iterable[Any]) -> Iterable[Any]:
-    """Return one record of each structure."""
+    """Return one record for each different structure (tree and shapes) among `records`."""
     return {str(jax.tree.map(jnp.shape, record)): record for record in records}.values()
 
 

@@ -1,4 +1,4 @@
-"""Render a scene by direct light: the radiance along each ray of a camera.
+"""Render a scene by direct light: compute the radiance along each ray of a camera.
 
 Radiance in W m^-2 sr^-1, lengths in m.
 """
@@ -61,13 +61,13 @@ _LARGEST = 256  # arrays of at most so many numbers are indexed by each pixel
 
 
 def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colour:
-    """Compute the radiance of direct light that arrives along one ray, against its direction.
+    """Compute the radiance that arrives along one ray, against its direction, due to direct light.
 
-    The ray sees the nearest surface or extended light; a ray that meets neither sees the
-    environments, or black. The radiance of a surface is its emission plus the reflected light of
-    the lights. Emissive surfaces do not illuminate other surfaces here; in `transport` they do.
-    All materials of one type share one piece of compiled code, and shadows are traced once for all
-    types.
+    The radiance is that of the nearest surface or extended light on the ray. A ray that hits
+    neither has the radiance of the environments, or 0. The radiance of a surface is its emission
+    plus the light from the lights that it reflects. Emissive surfaces do not illuminate other
+    surfaces here; in `transport` they do. The code is compiled once for each type of material, and
+    shadows are traced once for all types.
 
     Args:
         scene: `Scene.occluders` selects the surfaces that block light, `Scene.rules` the sampling
@@ -89,7 +89,7 @@ def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colo
 
 
 class SortedScene(eqx.Module):
-    """The shapes of a scene prepared for many rays; lengths in m."""
+    """The shapes of a scene, sorted for fast intersection with many rays; lengths in m."""
 
     shapes: Sorted  # of all surfaces
     # the shapes that may block light; None if there are none, or a single shape that cannot
@@ -100,8 +100,8 @@ class SortedScene(eqx.Module):
 
 
 def sorted_scene(scene: Scene, *, wide: bool = False) -> SortedScene:
-    """Sort the shapes of a scene once for all rays, and prepare its maps. With `wide`, maps are
-    averaged over rays as wide as a pixel. Lengths in m."""
+    """Sort the shapes of a scene once for all rays, and prepare its maps; lengths in m. With
+    `wide`, maps are prepared for averages over the footprint of a pixel."""
     shapes = sorted_shapes([surface.shape for surface in scene.surfaces])
     varied, materials = varied_surfaces(scene), None
     if wide and varied is not None:
@@ -116,7 +116,7 @@ def sorted_scene(scene: Scene, *, wide: bool = False) -> SortedScene:
 
 
 class Met(eqx.Module):
-    """The point where a ray meets a surface; lengths in m."""
+    """The point where a ray hits a surface, with what is needed for shading it; lengths in m."""
 
     ray: Ray
     encounter: Encounter
@@ -129,8 +129,8 @@ class Met(eqx.Module):
 def _met(
     scene: Scene, shapes: SortedScene, seen: Ray | PixelRay, known: Encounter | None = None
 ) -> Met:
-    """Find the point where a ray meets a surface. `known`: the ray's encounter, if it was found
-    before."""
+    """Find the point where a ray hits a surface. `known` is the result of the ray's intersection
+    test, if it was computed before."""
     wide = seen if isinstance(seen, PixelRay) else None
     ray = seen.ray if isinstance(seen, PixelRay) else seen
     encounter = known or checkpoint_name(nearest_shape(ray, shapes.shapes), TRACED)
@@ -148,7 +148,8 @@ def _along(
     rules: tuple[Rule, ...],
     known: Encounter | None = None,
 ) -> Colour:
-    """Compute `radiance_along` for one of many rays, with sorted shapes; `known` as for `_met`."""
+    """Compute `radiance_along` for one of many rays, with sorted shapes. `known` is as in
+    `_met`."""
     met = _met(scene, shapes, seen, known)
     light = lighting(
         scene.lights,
@@ -163,7 +164,7 @@ def _along(
 
 def _radiance_along(scene: Scene, shapes: SortedScene, met: Met, light: Lighting) -> Colour:
     """Return the radiance along a ray, W m^-2 sr^-1, given the light on the surface that it
-    meets."""
+    hits."""
     ray, encounter = met.ray, met.encounter
     radiance = _reflected(scene, light, ray, encounter, met.normal, met.patch, shapes.materials)
     emissions = [surface.emission for surface in scene.surfaces]
@@ -187,9 +188,10 @@ def _reflected(
     materials: Sequence[Material] | None = None,
     reflected: Callable[..., Array] = reflected_radiance,
 ) -> Colour | Scalar:
-    """Return the radiance that the encountered surface reflects against the ray, W m^-2 sr^-1.
-    `materials`: of all surfaces, with prepared maps; None for the scene's own. `reflected` is
-    called with a material, its light, the normal and the direction of the viewer."""
+    """Return the radiance that the surface hit by a ray reflects back along the ray, W m^-2 sr^-1.
+    `materials` are the materials of all surfaces with prepared maps, or None for the scene's own.
+    `reflected` computes this radiance from a material, its light, the normal and the direction to
+    the viewer."""
     radiance = jnp.zeros((), ray.origin.x.dtype)
     materials = materials or [surface.material for surface in scene.surfaces]
     for members, group in group_by_structure(materials, largest=_LARGEST):
@@ -201,9 +203,9 @@ def _reflected(
 
 
 def can_shade(surfaces: Sequence[Surface]) -> bool:
-    """Whether any surface can block light, no unit.
+    """Return whether any surface can block light, no unit.
 
-    A single convex shape shades only its own back.
+    A scene of a single convex shape needs no shadow rays, because it shadows only its own back.
     """
     first = surfaces[0]
     return len(surfaces) > 1 or first.two_sided or isinstance(first.shape, TriangleMesh)
@@ -212,8 +214,8 @@ def can_shade(surfaces: Sequence[Surface]) -> bool:
 def _facing(
     scene: Scene, ray: Ray, index: Int[Array, ""], hit: Hit, patch: Patch | None
 ) -> tuple[Vec, Leaving]:
-    """Return the shading normal and the offset of shadow rays, both on the viewer's side if the
-    surface is two-sided."""
+    """Return the shading normal at a hit, and the offset of shadow rays from the surface. For a
+    two-sided surface both are on the viewer's side."""
     smooth, sides = hit.shading_normal or hit.normal, [s.two_sided for s in scene.surfaces]
     normal, tilted = hit.normal, None if patch is None else patch.tilted
     smooth = tilted or smooth
@@ -227,7 +229,8 @@ def _facing(
 
 
 def _emission_of(emissions: list[Colour | None], index: Int[Array, ""]) -> Colour:
-    """Return the emission of the surface with this index, W m^-2 sr^-1; 0 if it has none."""
+    """Return the emission of the surface `index`, W m^-2 sr^-1; 0 for a surface that emits no
+    light."""
     known = next(emission for emission in emissions if emission is not None)
     table = jnp.stack([jnp.zeros_like(known) if e is None else e for e in emissions])
     return jnp.where(index >= 0, table[jnp.maximum(index, 0)], 0)
@@ -236,7 +239,8 @@ def _emission_of(emissions: list[Colour | None], index: Int[Array, ""]) -> Colou
 def direct_along(
     scene: Scene, rule: Rule, *, wide: bool = False, threshold: Scalar | float | None = None
 ) -> Along:
-    """Return `radiance_along` as a function of the rays of `photograph`.
+    """Return `radiance_along` as a function of a block of rays, in the form that `photograph`
+    calls.
 
     Args:
         scene: as in `radiance_along`.
@@ -261,7 +265,8 @@ def direct_along(
 def _direct_by_order(
     scene: Scene, shapes: SortedScene, rule: Rule, threshold: Scalar | float
 ) -> Along:
-    """Return `direct_along` with a threshold, for blocks of `TOGETHER` rays."""
+    """Return `direct_along` with a threshold: in each block of `TOGETHER` rays, the weakest lights
+    are omitted."""
     groups = [
         (members, group)
         for members, group, own in lights_by_rule(scene.lights, rules_of(scene, rule))
@@ -333,18 +338,19 @@ def render(
 
     Emissive surfaces are visible but do not illuminate others here; in `transport` they do. Glass
     is black and casts full shadows. A mirror shows lamps with a size, but no surfaces.
-    `transport.missing_light` lists the light that a scene loses by this. `scene_checks.idle_lamps`
-    names lamps that face away from all surfaces. The command `jaxvision render` prints both.
+    `transport.missing_light` lists the light that a scene loses by these limits.
+    `scene_checks.idle_lamps` names lamps that face away from all surfaces. The command `jaxvision
+    render` prints both lists.
 
     Derivatives with respect to radiance and materials are exact. Derivatives with respect to the
     position of a lamp, a camera or a shape neglect moving edges of shadows and outlines, unless
-    `edges` are given: for a ball on a floor under a lamp of 0.5 m they are 30 % too small. `Edges`
-    says which edges count. The picture itself does not depend on `edges`.
+    `edges` are given. For a ball on a floor under a lamp of 0.5 m, such derivatives are 30 % too
+    small. `Edges` lists the edges that it includes. The picture itself does not depend on `edges`.
 
     Without `samples`, each `Map` is averaged over the footprint of the pixel, by an exact integral
-    over a box in its coordinates. For a reflectance this gives the mean radiance. For other
-    quantities, such as a roughness, it gives the radiance for their mean value. With `samples`,
-    each ray uses the map's value at the point where it meets the surface.
+    over a box in its coordinates. For a reflectance the result is the mean radiance. For other
+    quantities, such as a roughness, the result is the radiance for their mean value. With
+    `samples`, each ray uses the map's value at the point where it meets the surface.
 
     On CPUs with 512-bit vectors, `jax.jit(render, compiler_options={"xla_cpu_prefer_vector_width":
     "512"})` takes about three quarters of the time.
@@ -371,10 +377,10 @@ def render(
     Returns:
         (h, w, bands) W m^-2 sr^-1.
 
-    All integrators warn of a shape so far from the origin that rounding in its dtype deforms it,
-    and those with a quadrature of a sky whose sun it misses, if the numbers are known.
-    Integrators that follow reflected light also warn of a surface that reflects more than it
-    receives.
+    All integrators warn of a shape so far from the origin that rounding deforms it. Integrators
+    that use quadrature also warn of a sky whose sun falls between the nodes. Integrators that
+    follow reflected light also warn of a surface that reflects more than it receives. Values that
+    JAX traces are not checked.
 
     Raises:
         ValueError: for a thin lens without samples, unless its f_number is inf or traced.

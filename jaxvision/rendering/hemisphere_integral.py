@@ -1,9 +1,11 @@
-"""The rendering equation at one surface point, as an integral over directions, with its error.
+"""The rendering equation at one surface point as an integral over directions, with an error
+estimate.
 
     L(wo) = integral over the hemisphere of L_i(wi) S(wi, wo) dwi
 
-with L_i the radiance that arrives and S the material's shading, as in `shading`. Radiance in
-W m^-2 sr^-1, lengths in m. For ONE point: the caller vmaps.
+L_i is the radiance that arrives from a direction, and S the material's shading, as in `shading`.
+Radiance is in W m^-2 sr^-1, lengths are in m. All functions are for one point; use `jax.vmap` for
+many.
 """
 
 from collections.abc import Callable
@@ -26,7 +28,7 @@ from .shadows import Leaving, Place
 
 
 class Estimate(Shown):
-    """An integral and its error.
+    """An integral and an estimate of its error.
 
     Attributes:
         value: (bands,) W m^-2 sr^-1.
@@ -55,8 +57,8 @@ def hemisphere_radiance(
     polar: int = 32,
     azimuths: int = 64,
 ) -> Estimate:
-    """Integrate over the hemisphere by Gauss-Legendre nodes in cos(theta) times the trapezium rule
-    in the azimuth phi.
+    """Compute the radiance of a surface point by quadrature over the hemisphere: Gauss-Legendre
+    nodes in cos(theta) times the trapezium rule in the azimuth phi.
 
     Args:
         material: of the surface.
@@ -115,7 +117,7 @@ def sampled_radiance(
     samples: int,
     tangent: Vector | None = None,
 ) -> Estimate:
-    """Estimate the integral over the hemisphere by random directions from the material's sampler.
+    """Estimate the radiance of a surface point by random directions from the material's sampler.
 
     Args:
         key: random key.
@@ -172,9 +174,9 @@ def lit_radiance(
     """Estimate the radiance from a point under one extended light by multiple importance sampling.
 
     Each sample is a direction drawn from the light and one drawn from the material, combined by the
-    balance heuristic. The error is close to the error of the better strategy, whether the lobe or
-    the light is smaller. For several lights, and inside a `render`, `outgoing_radiance` does the
-    same with the rule `Balanced`.
+    balance heuristic. The error is close to that of the better of the two samplers, whether the
+    lobe or the light is smaller. For several lights, and in `render`, use the sampling rule
+    `Balanced`, which applies the same method.
 
     Args:
         key: random key.

@@ -1,4 +1,5 @@
-"""Conversion of an RGB scene to the bands of a spectral camera, only by an explicit call."""
+"""Conversion of an RGB scene to the bands of a spectral camera. No other function converts
+scenes."""
 
 from dataclasses import fields, replace
 from typing import Any, TypeVar
@@ -24,14 +25,14 @@ Record = TypeVar("Record", bound=eqx.Module)
 def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str = "D65") -> Scene:
     """Convert an RGB scene to the bands of a spectral camera, by the method of Mallett and Yuksel.
 
-    Reflectances become the spectra of `spectra.rgb_to_reflectance`, which have the given linear
-    sRGB colour under D65. Light becomes the lamp's spectrum times the lifted colour. It is scaled
-    so that white light keeps its power, the sum over its bands. Neutral values with one band stay
-    as they are. Values that are equal in all three bands, such as an index of refraction, become
-    neutral.
+    A reflectance becomes the spectrum of `spectra.rgb_to_reflectance`, which has the given linear
+    sRGB colour under D65. The spectrum of a light becomes the spectrum of `lamp` times that of the
+    light's colour. The new spectrum is scaled so that white light keeps its power, the sum over its
+    bands. Neutral values with one band are not changed. Other quantities that are equal in all
+    three bands, such as an index of refraction, become neutral.
 
-    Many spectra have the same colour, and this method takes a smooth one. Measured spectra are
-    better.
+    Many spectra have the same colour, and this method chooses a smooth one. Measured spectra are
+    more accurate.
 
     Args:
         scene: of three bands, red, green and blue of linear sRGB; its numbers must not be traced.
@@ -71,7 +72,8 @@ def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str =
         return reflectance(place, rgb) * white.astype(rgb.dtype)
 
     def material(place: str, record: Record) -> Record:
-        """Return a material, or one of its parts, with its spectra lifted."""
+        """Return a material, or one of its parts, with its RGB spectra converted to the new
+        bands."""
         changed: dict[str, Any] = {}
         for field in fields(record):
             name, value = field.name, getattr(record, field.name)
@@ -110,7 +112,7 @@ def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str =
 
 
 def _neutral(place: str, value: Array) -> Array:
-    """Return the value that all three bands share, (..., 1)."""
+    """Return the value that all three bands have in common, (..., 1)."""
     if not is_known(value) or bool((value != value[..., :1]).any()):
         raise InputError(
             f"{place} differs from band to band, and RGB does not tell its spectrum; give it at "

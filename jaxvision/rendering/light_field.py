@@ -1,4 +1,4 @@
-"""A scene recorded as a light field."""
+"""Record the light that leaves a scene through a window as a light field."""
 
 import jax
 import jax.numpy as jnp

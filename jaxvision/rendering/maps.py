@@ -1,12 +1,14 @@
-"""Materials that vary over a surface, at one point or averaged over the footprint of a pixel.
+"""Evaluate materials that vary over a surface, at one point or averaged over the footprint of a
+pixel.
 
-Between the centres of texels a map is bilinear. The footprint is a box in texture coordinates, with
-sides along u and v. It has the variances along u and v of the parallelogram onto which the pixel's
-rays project, and equals this parallelogram if its sides lie along u and v. The integral over the
-box is exact. Along an axis, the box covers parts of two texels at each end, and whole texels
-between. The sums of whole texels are differences of a summed-area table (Crow, SIGGRAPH 1984). Each
-entry is stored as two numbers, so that differences of large sums lose no digits. For ONE point; the
-caller vmaps. Lengths in metres.
+Between the centres of texels a map is bilinear. The rays of a pixel project onto a parallelogram of
+the surface. The parallelogram is approximated by a box in texture coordinates, with sides along u
+and v and the same variances along u and v. The approximation is exact if the sides of the
+parallelogram are along u and v. The integral over the box is exact. Along each axis, the box covers
+parts of two texels at each end, and whole texels between. The sums of whole texels are differences
+of a summed-area table (Crow, SIGGRAPH 1984). Each entry of the table is stored as two numbers, so
+that differences of large sums lose no digits. All functions are for one point; use `jax.vmap` for
+many. Lengths are in metres.
 """
 
 from typing import Any
@@ -32,9 +34,10 @@ _WIDEST = 2.0**20  # texels; a wider box is cut to it
 
 
 class Summed(Varying):
-    """A map with its summed-area table. `values`, `uv`, `wrap`: as in the map. `mean`: (...) of its
-    values, subtracted before summing. `high`, `low`: (rows + 1, columns + 1, ...); their sum is the
-    table, whose entry (i, j) sums the texels above row i and left of column j."""
+    """A map with its summed-area table. `values`, `uv` and `wrap` are those of the map. `mean`,
+    (...), is the mean of the values, which is subtracted before summing. The table is the sum of
+    `high` and `low`, (rows + 1, columns + 1, ...). Its entry (i, j) is the sum of the texels above
+    row i and left of column j."""
 
     values: Array
     uv: Array | None
@@ -45,8 +48,8 @@ class Summed(Varying):
 
 
 class Varied(eqx.Module):
-    """The surfaces of a scene that have maps: their shapes, their normal maps or None, and their
-    indices."""
+    """The shapes, the normal maps (or None) and the indices of those surfaces of a scene that have
+    maps."""
 
     shapes: tuple[Shape, ...]
     normals: tuple[Any, ...]
@@ -54,9 +57,10 @@ class Varied(eqx.Module):
 
 
 class Patch(eqx.Module):
-    """The piece of a surface that a ray meets. `point`: m. `own`: texture coordinates of the shape.
-    `tilted`: unit shading normal from a map, or None. `steps`: m along the surface from one pixel
-    to the next row and column; None for a point without extent."""
+    """The piece of a surface that the ray of a pixel hits. `point` is its position, m, and `own`
+    are the shape's texture coordinates there. `tilted` is the unit shading normal from a normal
+    map, or None. `steps` are the vectors along the surface to the next row and column of pixels, m,
+    or None for a point without extent."""
 
     point: Vec
     own: Coordinates
@@ -71,7 +75,7 @@ class Patch(eqx.Module):
 def material_at(
     material: Material, uv: Float[Array, "2"], *, width: Float[Array, "2"] | None = None
 ) -> Material:
-    """Evaluate a material at one point of its surface, with plain numbers in place of maps.
+    """Evaluate a material at one point of its surface, which replaces maps by numbers.
 
     Args:
         material: any material, with or without maps.
@@ -105,13 +109,14 @@ def material_at(
 
 
 def at_patch(record: Any, patch: Patch) -> Any:
-    """Replace the maps of a record by their values at a patch. If the patch has steps, each map
-    must be `Summed`."""
+    """Replace the maps of a record by their values at a patch. If `patch.steps` is not None, each
+    map must be a `Summed`."""
     return replace_maps(record, lambda own: _value(own, patch))
 
 
 def _value(own: Any, patch: Patch) -> Array:
-    """Return the value of one map at a patch, in the map's unit."""
+    """Return the value of a map at a patch, averaged over it if it has an extent, in the map's
+    unit."""
     here = _coordinates(own.uv, patch)
     rows, columns = own.values.shape[:2]
     if patch.steps is None or not isinstance(own, Summed):
@@ -131,8 +136,9 @@ def _value(own: Any, patch: Patch) -> Array:
 
 
 def _coordinates(uv: Array | None, patch: Patch) -> Coordinates:
-    """Return the coordinates of a map: those of the shape if `uv` is None, else the affine image
-    under `uv` of the shape's coordinates, or of the point in the world for a `uv` of (2, 4)."""
+    """Return the texture coordinates of a map at a patch. They are the coordinates of the shape if
+    `uv` is None. Otherwise the matrix `uv` maps the shape's coordinates to them, or the point in
+    the world if `uv` is (2, 4)."""
     own = patch.own
     if uv is None:
         return own
@@ -148,8 +154,8 @@ def _coordinates(uv: Array | None, patch: Patch) -> Coordinates:
 def _between(
     place: Scalar, count: int, wrap: str
 ) -> tuple[tuple[Int[Array, ""], Int[Array, ""]], Scalar]:
-    """Return the two texels around a position, and the weight of the second. The position is in
-    units of the map's width from its border."""
+    """Return the two texels next to a position along one axis, and the interpolation weight of the
+    second. The position is the distance from the map's border, in units of the map's width."""
     x = (place - jnp.floor(place) if wrap == "repeat" else place) * count - 0.5
     x = jnp.clip(x, -0.5, count - 0.5)  # beyond the map, "clamp" continues the border
     first = jnp.floor(x)
@@ -163,8 +169,8 @@ def _pieces(
     place: Scalar, width: Scalar, count: int, wrap: str
 ) -> tuple[Int[Array, "6"], Float[Array, "5"]]:
     """Return the six texel borders that divide a box along one axis into five pieces, and the
-    weight of each piece's texels in the mean over the box. `place`, `width`: in units of the map's
-    width."""
+    weight of the texels of each piece in the mean over the box. The middle `place` and the `width`
+    of the box are in units of the map's width."""
     if wrap == "repeat":
         place, half = place - jnp.floor(place), jnp.clip(width * count, _NARROWEST, _WIDEST) / 2
         start, length = place * count - 0.5 - half, 2 * half
@@ -178,8 +184,8 @@ def _pieces(
     last = jnp.floor(end)
 
     def share(i: Scalar | float) -> Scalar:
-        """Return the integral over the box of the hat function of texel i, counted from the
-        first."""
+        """Return the integral over the box of the linear hat function of texel i, an index relative
+        to the first texel."""
         a, b = jnp.clip(begin, i - 1, i), jnp.clip(end, i - 1, i)
         c, d = jnp.clip(begin, i, i + 1), jnp.clip(end, i, i + 1)
         return (b - a) * ((a + b) / 2 - i + 1) + (d - c) * (i + 1 - (c + d) / 2)
@@ -191,8 +197,8 @@ def _pieces(
 
 
 def _sums(table: Array, rows: Int[Array, "6"], columns: Int[Array, "6"]) -> Array:
-    """Return the sums of the texels in the pieces of a box, (5, 5, ...), from a summed-area
-    table."""
+    """Return the sum of the texels in each of the 5 x 5 pieces of a box, (5, 5, ...), from a
+    summed-area table."""
     height, width = (size - 1 for size in table.shape[:2])
     i, j = jnp.append(rows % height, height), jnp.append(columns % width, width)
     part = table.at[i[:, None], j].get(mode="promise_in_bounds")
@@ -237,7 +243,8 @@ def _sum_of_pairs(a: tuple[Array, Array], b: tuple[Array, Array]) -> tuple[Array
 
 
 def varied_surfaces(scene: Scene) -> Varied | None:
-    """Return the surfaces of a scene that have maps, lengths in m; None if there are none."""
+    """Return the surfaces of a scene that have maps, with lengths in m, or None if no surface has a
+    map."""
     found = [i for i, own in enumerate(scene.surfaces) if any(True for _ in maps_of(own))]
     if not found:
         return None
@@ -253,8 +260,8 @@ def patch_of(
     *,
     seen: PixelRay | None = None,
 ) -> Patch:
-    """Return the patch of a hit on one of the surfaces with maps; `seen` gives it the size of a
-    pixel."""
+    """Return the patch at a hit on one of the surfaces with maps. If `seen` is given, the patch has
+    the size of the pixel's footprint."""
     steps = None
     if seen is not None:
         steps = _step(seen.ray, seen.by_row, hit), _step(seen.ray, seen.by_column, hit)
@@ -288,7 +295,8 @@ def patch_of(
 
 
 def _step(ray: Ray, change: Ray, hit: Hit) -> Vec:
-    """Return the step along the surface, m, from one pixel to the next."""
+    """Return the vector along a surface, m, from the hit of a pixel's ray to that of the next
+    pixel."""
     distance = jnp.where(hit.distance < jnp.inf, hit.distance, 0)
     aside = change.origin + distance * change.direction
     slope = dot(hit.normal, ray.direction)
@@ -296,13 +304,14 @@ def _step(ray: Ray, change: Ray, hit: Hit) -> Vec:
 
 
 def shading_normal(tilted: Vec, flat: Vec, viewer: Vec) -> Vec:
-    """Return a map's normal `tilted`, bent toward the shape's normal `flat` so that the viewer's
-    mirror direction lies above the surface. Both normals are unit and on the viewer's side. Without
-    bending, a matt surface would be black where the viewer is below the tilted surface.
+    """Return the normal `tilted` of a normal map, bent toward the shape's normal `flat` so that the
+    mirror direction of the viewer is above the surface. Both normals are unit vectors on the
+    viewer's side. Without this bending, a matt surface would be black where the viewer is below the
+    plane perpendicular to `tilted`.
 
-    In the plane of both normals, the viewer's angle to `flat` is b, and that of the shading normal
-    is a >= 0. The mirror direction has the angle 2 a - b, which is at most pi / 2 for a <= pi / 4 +
-    b / 2.
+    In the plane of both normals, let b be the viewer's angle to `flat`, and a >= 0 the angle of the
+    shading normal to `flat`. The mirror direction has the angle 2 a - b, which is at most pi / 2
+    for a <= pi / 4 + b / 2.
     """
     height = dot(tilted, flat)
     aside = tilted - height * flat

@@ -1,10 +1,10 @@
-"""The loop over the pixels of a view, which all integrators share.
+"""The loop over the pixels of a view, which all integrators use.
 
 photograph(along, view, samples)
 
-`along` computes the radiance along rays, and only this differs between integrators. The value
-of a pixel depends on the key, the pixel and the numbers of its samples. It does not depend on
-the division into blocks, or on which other pixels are requested.
+`along` computes the radiance along rays; integrators differ only in this function. The value of a
+pixel depends on the random key, the pixel and the indices of its samples. It does not depend on the
+division of the picture into blocks, or on which other pixels are computed.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,7 +39,8 @@ Along = Callable[[Any, Stream], Any]
 
 
 class PixelRay(eqx.Module):
-    """The ray of a pixel, and its derivatives with respect to row and column, per pixel."""
+    """The ray of a pixel, and the derivatives of the ray with respect to row and column, per
+    pixel."""
 
     ray: Ray
     by_row: Ray
@@ -49,10 +50,11 @@ class PixelRay(eqx.Module):
 class PixelSamples(Shown):
     """Rays spread over the square of each pixel, and over the lens of a thin-lens view.
 
-    The samples of a pixel are points of a Kronecker sequence, shifted at random for each pixel.
-    They are unbiased, and stratified better than independent samples. For eight spheres with
-    shadows, the error through a pinhole is .61, .58 and .37 times the error of independent samples,
-    with 4, 16 and 64 samples. Behind a lens out of focus it is .91, .65 and .71 times.
+    The samples of a pixel are points of a Kronecker sequence, shifted at random for each pixel. The
+    mean over these samples is unbiased, and they are stratified better than independent samples. In
+    a scene of eight spheres with shadows, seen through a pinhole, the error with 4, 16 and 64
+    samples is .61, .58 and .37 times the error of independent samples. Seen through a lens out of
+    focus, the error is .91, .65 and .71 times that of independent samples.
 
     Attributes:
         key: random key.
@@ -78,7 +80,7 @@ class PixelSamples(Shown):
 
 
 class Traced(Shown):
-    """A mean over samples.
+    """The mean of samples of radiance, and its standard error.
 
     Attributes:
         radiance: (..., bands) W m^-2 sr^-1, the mean of the samples.
@@ -103,13 +105,14 @@ class Traced(Shown):
     @property
     def relative_error(self) -> Scalar:
         """The RMS of the standard error divided by the RMS of the radiance, over all finite values,
-        as the command `jaxvision render` prints it. Four times as many samples halve it."""
+        as the command `jaxvision render` prints it. Four times as many samples halve this ratio."""
         known = jnp.isfinite(self.radiance) & jnp.isfinite(self.error)
         light, error = (jnp.where(known, x, 0) for x in (self.radiance, self.error))
         return safe_sqrt(divide(jnp.sum(error**2), jnp.sum(light**2)))
 
     def _repr_html_(self) -> str:
-        """Return the table for a notebook, with a picture if the radiance is an image."""
+        """Return HTML for a notebook: a table of the fields, and a picture if the radiance is an
+        image."""
         table = super()._repr_html_()
         if not is_known(self.radiance) or not np.size(self.radiance) or self.radiance.ndim < 3:
             return table
@@ -117,8 +120,8 @@ class Traced(Shown):
 
 
 def _encoded(radiance: Spectrum) -> np.ndarray:
-    """Return a picture (h, w, 1 or 3) of the first image in a batch, with white at the 99th
-    percentile. If there are not three bands, it shows their mean."""
+    """Return an encoded picture (h, w, 1 or 3) of the first image in a batch, with white at the
+    99th percentile. If the number of bands is not three, the picture shows the mean over bands."""
     seen = np.asarray(radiance, float).reshape(-1, *radiance.shape[-3:])[0]
     if seen.shape[2] != 3:
         seen = seen.mean(axis=2, keepdims=True)
@@ -138,7 +141,7 @@ def photograph(
     several: bool = True,
     wide: bool = False,
 ) -> Traced:
-    """Compute the radiance of a view's pixels.
+    """Compute the radiance of the pixels of a view, with one ray or many samples for each pixel.
 
     Args:
         along: function from a block of rays to radiance.
@@ -222,7 +225,7 @@ def each(along: Callable[[Any, Stream], Any]) -> Along:
 
 
 def numbers_of(stream: Stream) -> tuple[Array, ...]:
-    """Return the numbers that identify a sample.
+    """Return the indices that identify a sample: its pixel, and its index in this pixel.
 
     Args:
         stream: the sample.
@@ -238,7 +241,7 @@ def numbers_of(stream: Stream) -> tuple[Array, ...]:
 def sample_ray(view: View, row: Scalar, column: Scalar, stream: Stream) -> Ray:
     """Return the ray of one sample of a pixel.
 
-    It uses two random numbers, and two more for the position on a lens.
+    Two random numbers give the position in the pixel, and two more the position on a lens.
 
     Args:
         view: any view.
@@ -260,14 +263,14 @@ def in_blocks(
     lanes: int = LANES,
     keep: Sequence[str] | None = None,
 ) -> Any:
-    """Apply `function` to arrays in blocks along their leading axis, of up to `size` entries (None:
-    a good number for the device), a multiple of `lanes`.
+    """Apply `function` to arrays in blocks along their leading axis. A block has up to `size`
+    entries, a multiple of `lanes`; None chooses a number that suits the device.
 
-    All blocks are full, padded with entries that are discarded. Otherwise plain code would compute
-    the last entries of a block, and the last bit of a result would depend on the division into
-    blocks. With several blocks, a gradient stores the values with one of the names `keep` and
-    recomputes the others. With None it stores the values that the function's own checkpoints
-    select.
+    All blocks have the same size; the last one is padded with entries that are discarded. Otherwise
+    the last entries of a block would be computed without vector instructions, and the last bit of a
+    result would depend on the division into blocks. With several blocks, a gradient stores the
+    values whose names are in `keep` and recomputes all others. If `keep` is None, the gradient
+    stores the values that the checkpoints inside `function` select.
     """
     count = len(arrays[0])
     size = min(at_a_time(BLOCK) if size is None else size, -(-count // lanes) * lanes)
@@ -291,12 +294,12 @@ def in_blocks(
 def mean_of_samples(
     sample: Callable[[Word], Any], count: int, *, first: int | Word = 0, room: int = 1
 ) -> tuple[Any, Any]:
-    """Return the mean of samples and its standard error, in their unit. The samples are computed
-    one after the other, or up to `room` at once.
+    """Return the mean of samples and its standard error, in the unit of the samples. The samples
+    are computed one after the other, or up to `room` at once.
 
     Source: Chan, Golub and LeVeque, The American Statistician 37(3) (1983), for groups of equal
-    size; for single samples Welford, Technometrics 4(3) (1962). Neither subtracts large sums of
-    squares from each other.
+    size; for single samples Welford, Technometrics 4(3) (1962). Both methods avoid the difference
+    of large sums of squares.
     """
     sample = jax.jit(sample, inline=True)  # traced once for its shapes and the loop
     each = max(n for n in range(1, min(room, count) + 1) if count % n == 0)
@@ -339,8 +342,8 @@ def mean_of_samples(
 
 
 def check_lens(view: View) -> None:
-    """Raise `ValueError` for a thin lens with a finite, known f-number. One ray per pixel would
-    show it as a pinhole, with everything in focus."""
+    """Raise `ValueError` for a thin lens whose f-number is finite and not traced. With one ray per
+    pixel such a lens would act as a pinhole, with everything in focus."""
     if isinstance(view, ThinLens) and is_known(view.f_number) and np.isfinite(view.f_number):
         raise ValueError(
             "a ThinLens defocuses by rays spread over its aperture: give samples, or use a Pinhole "

@@ -1,6 +1,7 @@
-"""Checks of a scene before rendering, each with a finding in one sentence.
+"""Checks of a scene before rendering. Each finding is one sentence.
 
-They are eager NumPy, for concrete scenes. Traced scenes render to finite values without them.
+The checks use NumPy and need concrete numbers. Scenes that JAX traces are not checked; they render
+to finite values.
 """
 
 from collections.abc import Sequence
@@ -31,15 +32,15 @@ _ROUNDING = 1e-6  # relative rounding error of a length in float32
 def scene_problems(
     scene: Scene, view: View, surfaces: Sequence[str], lights: Sequence[str]
 ) -> list[str]:
-    """Return one finding for each problem of a scene; none for a valid scene. A finding begins with
-    the name of the surface or light.
+    """Return one finding for each problem of a scene, which begins with the name of the surface or
+    light.
 
     Findings cover the problems of each shape (`geometry.problems`, except positions far from the
     origin); closed meshes turned inside out; emitters without area and lights without direction; a
     scene without any light; a light, an emitter or the camera inside an opaque closed surface; and
-    a point light on a surface other than a mesh, which it would not light. Objects may lie inside
-    glass or a two-sided surface: the inside is visible there, and a ray that starts in glass counts
-    as inside it.
+    a point light on a surface other than a mesh, which it would not light. Objects inside glass or
+    a two-sided surface are allowed, because the inside is visible there. A ray that starts in glass
+    is treated as inside it.
     """
     found = [
         f"{name}: {problem}"
@@ -88,12 +89,12 @@ def scene_problems(
 
 
 def idle_lamps(scene: Scene, *, lights: Sequence[str] | None = None) -> list[str]:
-    """Return one finding for each lamp that lights no surface, regardless of occlusion. A finding
+    """Return one finding for each lamp that illuminates no surface even without shadows. A finding
     begins with the lamp's name or its index in the scene.
 
-    A lamp is idle if it is black, if all surfaces lie behind a flat lamp, or if all of them show it
-    their back. Ambient light is idle if no material has an ambient reflectance. Skies, light fields
-    and user-defined lamps are not checked.
+    A lamp is idle if its radiance is 0, if it is flat and all surfaces are behind it, or if all
+    surfaces show their backs to it. Ambient light is idle if no material has an ambient
+    reflectance. Skies, light fields and user-defined lamps are not checked.
 
     Example:
         >>> floor = jv.Surface(jv.Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), jv.Lambert([0.25]))
@@ -129,7 +130,7 @@ def idle_lamps(scene: Scene, *, lights: Sequence[str] | None = None) -> list[str
 
 
 def reflects_ambient(scene: Scene) -> bool:
-    """Whether a scene has ambient light, and a material that reflects it."""
+    """Return whether a scene has ambient light and a material that reflects it."""
     reflected = (getattr(surface.material, "ambient", None) for surface in scene.surfaces)
     return (
         scene.ambient is not None
@@ -139,7 +140,7 @@ def reflects_ambient(scene: Scene) -> bool:
 
 
 def _front(light: Light) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return a point of a flat lamp and its emission direction; None for other lamps."""
+    """Return a point and the normal of a flat lamp; None for other lamps."""
     match light:
         case SmallLight():
             return _array(light.position), _array(light.normal)
@@ -150,7 +151,8 @@ def _front(light: Light) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _reaches(shape: Shape, point: np.ndarray, normal: np.ndarray) -> bool:
-    """Whether any part of a shape lies in front of a plane."""
+    """Return whether any part of a shape lies in front of the plane through `point` with
+    `normal`."""
     if isinstance(shape, Plane):
         across = np.linalg.norm(np.cross(_array(shape.normal), normal))
         size = np.linalg.norm(shape.normal) * np.linalg.norm(normal)
@@ -163,7 +165,7 @@ def _reaches(shape: Shape, point: np.ndarray, normal: np.ndarray) -> bool:
 
 
 def _plane_of(shape: object) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return a point, m, and the normal, of any length, of a flat shape; None for other shapes."""
+    """Return a point, m, and a normal of any length of a flat shape; None for other shapes."""
     match shape:
         case Plane():
             return _array(shape.point), _array(shape.normal)
@@ -176,8 +178,8 @@ def _plane_of(shape: object) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _faces(surface: Surface, places: Sequence[np.ndarray], far: bool) -> bool:
-    """Whether any part of a surface faces one of a lamp's `places`: positions in m, or directions
-    if `far`."""
+    """Return whether any part of a surface faces one of a lamp's `places`, which are positions in
+    m, or directions if `far` is true."""
     if (flat := _plane_of(surface.shape)) is None:
         return True
     start, normal = flat
@@ -187,8 +189,8 @@ def _faces(surface: Surface, places: Sequence[np.ndarray], far: bool) -> bool:
 
 
 def lost_numbers(exact: object, kept: object) -> list[str]:
-    """Return one finding for each field of `exact` whose numbers become infinite, or all zero, in
-    the dtype of `kept`."""
+    """Return one finding for each field of `exact` that overflows to infinity, or underflows to all
+    zeros, in the dtype of `kept`."""
     found = []
     fields = jax.tree_util.tree_leaves_with_path(exact)
     for (place, before), after in zip(fields, map(np.asarray, jax.tree.leaves(kept)), strict=True):
@@ -209,8 +211,8 @@ def lost_numbers(exact: object, kept: object) -> list[str]:
 def is_inside(shape: Shape, point: np.ndarray) -> bool:
     """Return whether a point, (3,) m, is inside a closed shape.
 
-    A mesh counts as closed around the point if its triangles together cover more than half of all
-    directions.
+    A point is inside a mesh if the mesh's triangles cover more than half of all directions from the
+    point.
 
     Source:
         van Oosterom and Strackee, "The Solid Angle of a Plane Triangle", IEEE Transactions on
@@ -237,8 +239,8 @@ def is_inside(shape: Shape, point: np.ndarray) -> bool:
 
 
 def _is_inside_out(shape: Shape) -> bool:
-    """Whether a mesh is closed (each edge belongs to two triangles) and encloses a negative
-    volume."""
+    """Return whether a mesh is closed (each edge belongs to two triangles) and its signed volume is
+    negative."""
     if not isinstance(shape, TriangleMesh):
         return False
     corners = _corners(shape)
@@ -254,7 +256,8 @@ def _is_inside_out(shape: Shape) -> bool:
 
 
 def _places(light: Light) -> list[np.ndarray]:
-    """Return points of a light: its position, or its corners; none for other lights."""
+    """Return the position of a light, or its corners, as a list of points; an empty list for other
+    lights."""
     match light:
         case PointLight() | SmallLight():
             return [_array(light.position)]
@@ -265,7 +268,7 @@ def _places(light: Light) -> list[np.ndarray]:
 
 
 def _corners_around(shape: Shape) -> list[np.ndarray]:
-    """Return points on the boundary of a shape, or its corners, in m; none for a plane."""
+    """Return points on the boundary of a shape, or its corners, in m; an empty list for a plane."""
     match shape:
         case Sphere() | Disc():
             axes = np.eye(3)
@@ -286,7 +289,8 @@ def _corners_around(shape: Shape) -> list[np.ndarray]:
 
 
 def _lies_on(shape: Shape, point: np.ndarray) -> bool:
-    """Whether a point, (3,) m, is on a shape other than a mesh, up to rounding in float32."""
+    """Return whether a point, (3,) m, is on the surface of a shape, up to rounding in float32;
+    False for a mesh."""
     match shape:
         case Sphere():
             centre, radius = _array(shape.centre), float(shape.radius)
@@ -321,7 +325,7 @@ def _shines(surface: Surface) -> bool:
 
 
 def _corners(mesh: TriangleMesh) -> np.ndarray:
-    """(faces, 3, 3) m."""
+    """Return the corners of each triangle of a mesh, (faces, 3, 3) m."""
     return _array(mesh.vertices)[np.asarray(mesh.faces)]
 
 

@@ -1,12 +1,12 @@
-"""The rendering equation at one surface point, as a sum over sources.
+"""The rendering equation at one surface point for direct light, as a sum over light sources.
 
     L(wo) = k_a L_a + sum_i E_i S(wi_i, wo)
 
 E_i is the irradiance from source i of a surface that faces it, S the material's shading, k_a its
 ambient reflectance and L_a the ambient radiance. For a BRDF f_r, S is f_r max(cos(theta_i), 0).
 Phong and the Gaussian lobe follow the textbook, without a cosine on the specular term (Szeliski,
-Computer Vision, section 2.2.2). Radiance in W m^-2 sr^-1, lengths in m. Direct light only. For ONE
-point: the caller vmaps.
+Computer Vision, section 2.2.2). Radiance is in W m^-2 sr^-1, lengths are in m. All functions are
+for one point; use `jax.vmap` for many.
 """
 
 from collections.abc import Callable, Sequence
@@ -48,8 +48,8 @@ CURE = "Give rule = Balanced(key, samples), or take the sun out of the map and a
 
 
 class Lighting(eqx.Module):
-    """The light on one point of a surface, computed once for all materials that the surface may
-    have."""
+    """The light that arrives at one point of a surface, computed once for all materials that the
+    surface may have."""
 
     lights: tuple[Light, ...]  # the sources
     rules: tuple[Rule, ...]  # one for each light, see `lights.rules`
@@ -79,8 +79,9 @@ def outgoing_radiance(
 ) -> Colour:
     """Compute the radiance of a surface point toward a viewer, as the sum over all lights.
 
-    A light at one place casts hard shadows. For an extended light, each sample of its rule has a
-    shadow ray. Visibility has no gradient. A mirror shows the extended light that it reflects.
+    A light without size casts hard shadows. For an extended light, one shadow ray is traced for
+    each sample. Visibility has no gradient. A mirror shows the extended light in its mirror
+    direction.
 
     Args:
         material: of the surface, of any registered BRDF family.
@@ -130,9 +131,9 @@ def lighting(
     rule: Rule | Sequence[Rule] = DEFAULT_RULE,
     occluders: Shapes | None = None,
 ) -> Lighting:
-    """Collect the light on one point of a surface, m, including shadows, except for shadow rays
-    whose direction depends on the material. The result is the input of `reflected_radiance` for any
-    number of materials."""
+    """Compute the light on one point of a surface, m, with its shadows. Only shadow rays whose
+    direction depends on the material are left to `reflected_radiance`, which takes the result for
+    any number of materials."""
     rules = rule_of_each(lights, rule)
     place = visible = None
     if occluders is not None and (ready := sorted_shapes(occluders)).size is not None:
@@ -149,8 +150,8 @@ def reflected_radiance(
     *,
     tangent: Vector | None = None,
 ) -> Colour:
-    """Compute the sum L(wo) at the top of this file, (bands,) in W m^-2 sr^-1; 0 if `wo` lies below
-    the surface."""
+    """Compute the radiance that a surface point reflects toward `wo`, (bands,) in W m^-2 sr^-1; 0
+    if `wo` lies below the surface."""
     return jnp.stack(fuse(reflected_bands(material, light, normal, wo, tangent=tangent)))
 
 
@@ -169,10 +170,10 @@ def reflected_bands(
     *,
     tangent: Vector | None = None,
 ) -> Bands:
-    """Return `reflected_radiance` as one number per band, W m^-2 sr^-1.
+    """Return `reflected_radiance` as a tuple with one scalar per band, W m^-2 sr^-1.
 
-    The samples of one light are summed by a loop, and so are more than eight lights without size.
-    Up to eight lights without size are summed in one pass over the rays.
+    A loop sums the samples of an extended light, and also lights without size if there are more
+    than eight. Up to eight lights without size are summed in one pass over the rays.
     """
     frame, viewer = local_viewer(normal, wo, tangent)
     point, dtype = light.point, common_dtype(material, light, normal, wo)
@@ -240,15 +241,17 @@ def reflected_bands(
 
 
 def _seen_along(light: Lighting, direction: Vec) -> Colour:
-    """Return the radiance of the extended light that a mirror shows, W m^-2 sr^-1."""
+    """Return the radiance of the extended lights that a ray in a unit direction sees, W m^-2
+    sr^-1."""
     ahead = nearest_seen(light.lights, Ray(light.point, direction))
     passes = None if light.place is None else clear(light.place, direction, ahead.distance)
     return where_clear(passes, ahead.radiance)
 
 
 def _scalarised(material: Material) -> Callable[[], Material]:
-    """Assemble the material from scalars at each use. The cotangents of scalars are summed over the
-    lights directly, whereas those of arrays would be stacked first."""
+    """Return a function that assembles the material from scalars at each use. In the gradient, the
+    cotangents of scalars are summed over the lights directly, whereas the cotangents of arrays
+    would be stored for all lights and then summed."""
     leaves, tree = jax.tree.flatten(material)
     few = [i for i, leaf in enumerate(leaves) if leaf.ndim <= 1 and leaf.size <= FEW]
     numbers = [split_bands(leaves[i].reshape(-1), leaves[i].size) for i in few]

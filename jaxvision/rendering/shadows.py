@@ -1,6 +1,8 @@
-"""Visibility of lights from a point of a surface: hard shadows for each sample of a light.
+"""The visibility of lights from a point of a surface, with one shadow ray for each sample of a
+light.
 
-Lengths in m; no gradient. For ONE point: the caller vmaps.
+Lengths are in m. Visibility has no gradient. All functions are for one point; use `jax.vmap` for
+many.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,7 +44,7 @@ Visible = tuple[Bool[Array, " _"] | None, ...]
 
 
 class Leaving(Shown):
-    """The start of shadow rays at a surface.
+    """The offset of the start of shadow rays from a surface.
 
     Attributes:
         normal: (3,) unit length, of the surface itself, not interpolated.
@@ -60,7 +62,7 @@ class Leaving(Shown):
 
 
 class Place(Shown):
-    """A point of a surface and the shapes that may block its light.
+    """A point of a surface, and the shapes that may block light to it.
 
     Attributes:
         point: (3,) m.
@@ -74,7 +76,8 @@ class Place(Shown):
 
 
 def clear(place: Place, direction: Direction, distance: Scalar) -> Bool[Array, ""]:
-    """Whether light from `distance`, () m, in a unit direction reaches the point."""
+    """Return whether light reaches the point from the distance `distance`, () m, in a unit
+    direction."""
     normal, size = place.leaving.normal, place.leaving.size
     return ~occluded(place.point, normal, direction, distance, place.occluders, size=size)
 
@@ -88,7 +91,7 @@ def visibility(
     *,
     rule: Rule | Sequence[Rule] = DEFAULT_RULE,
 ) -> Visible:
-    """Find which samples of each light reach a point. The result has no gradient.
+    """Find which samples of each light are visible from a point. The result has no gradient.
 
     Args:
         lights: any number of sources.
@@ -131,8 +134,9 @@ def visible_in_order(
     reached: Callable[[Light], Bool[Array, "rays samples"]],
     threshold: Scalar,
 ) -> tuple[Bool[Array, "lights rays samples"], Bool[Array, " lights"]]:
-    """Trace the shadow rays of stacked lights in order of the largest radiance that each light can
-    add to any ray of a group, until the remaining lights together add at most a threshold.
+    """Trace the shadow rays of stacked lights for a group of camera rays, brightest light first.
+    The order is that of the largest radiance that a light can add to any ray. Stop when the
+    remaining lights together add at most a threshold.
 
     Source: Ward, "Adaptive Shadow Testing for Ray Tracing", Proc. 2nd Eurographics Workshop on
     Rendering (1991), where each ray has its own order.
@@ -173,7 +177,7 @@ def visible_in_order(
 
 
 def samples_that_reach(place: Place, rule: Rule, light: Light) -> Bool[Array, " _"]:
-    """Return whether each sample of a light reaches the point, (samples,), no unit."""
+    """Return whether each sample of a light is visible from the point, (samples,), no unit."""
 
     def of_node(node: tuple[Array, Array]) -> Bool[Array, ""]:
         arriving = incident_sample(light, rule, place.point, *node)
@@ -184,7 +188,8 @@ def samples_that_reach(place: Place, rule: Rule, light: Light) -> Bool[Array, " 
 
 
 def _light_comes_through(place: Place, light: Light) -> Bool[Array, ""]:
-    """Whether a light without size reaches the point, computed in one loop over all rays."""
+    """Return whether a light without size is visible from the point, computed in one loop over all
+    rays."""
     arriving, leaving = incident(light, place.point), place.leaving
     return ~blocked(
         place.point,
