@@ -1,10 +1,10 @@
-"""The records of a scene and a camera: light, surfaces, views, sensors, development.
+"""The records that describe a scene and a camera: lights, surfaces, views, sensors, development.
 
-Records hold numbers and have no behaviour. Every record is a frozen pytree. Non-static leaves are
-arrays that keep the caller's floating dtype; an effect that is absent is `None` and is never
-traced. Only shapes, types and choices of algorithm are static, so a sweep over exposure, gain or
-bit depth compiles once. SI units throughout; world axes are right-handed. The shapes in the
-docstrings are those of one record: a batch is a record whose leaves are stacked along a leading
+Records contain numbers and have no behaviour. Every record is an immutable pytree. Leaves that are
+not static are arrays, which keep the caller's floating dtype. An effect that is absent is `None`
+and is never traced. Only shapes, types and choices of algorithm are static, so a sweep over
+exposure, gain or bit depth compiles once. All units are SI; world axes are right-handed. Docstrings
+state the shapes of a single record. A batch is a record whose leaves are stacked along a leading
 axis, for `vmap`. A wrong shape raises `ValueError`.
 """
 

@@ -1,4 +1,4 @@
-"""A camera: view, sensor and development."""
+"""The record of a camera, which consists of a view, a sensor and a development."""
 
 from ..core._shown import Shown
 from ..core._types import check_fields
@@ -8,8 +8,8 @@ from .views import View
 
 
 class Camera(Shown):
-    """A view, a sensor and a development: the direction of each pixel, the measurement of light,
-    and the conversion to a picture.
+    """A camera: the view gives the direction of each pixel, the sensor measures light, and the
+    development converts raw data to a picture.
 
     Attributes:
         view: the projection.

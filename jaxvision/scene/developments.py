@@ -1,4 +1,4 @@
-"""The steps that turn raw data into a picture."""
+"""The records of the steps that convert raw data to a picture."""
 
 import equinox as eqx
 import numpy as np
@@ -30,7 +30,7 @@ ROUNDINGS = ("straight_through", "cubic")
 
 
 class Demosaicing(Shown):
-    """Interpolation of the bands that a pixel of a mosaic sensor does not measure.
+    """Demosaicing: interpolation of the bands that a pixel of a mosaic sensor does not measure.
 
     Attributes:
         pattern: rows of band indices, the tile of the colour filter array, or the phase of a Bayer
@@ -52,7 +52,7 @@ class Demosaicing(Shown):
 
 
 class WhiteBalance(Shown):
-    """White balance by known gains.
+    """White balance by gains that the user gives.
 
     Attributes:
         gains: (bands,) no unit, > 0.
@@ -177,7 +177,7 @@ print_by_name(globals(), "Denoising")
 
 
 class Reinhard(Shown):
-    """Tone mapping by x / (1 + x).
+    """Reinhard's tone mapping, x / (1 + x).
 
     Attributes:
         white: () relative, > 0: the smallest x that maps to 1; None maps only infinity to 1.
@@ -233,7 +233,7 @@ print_by_name(globals(), "ToneMap")
 
 
 class Gamma(Shown):
-    """Encoding by x ** (1 / gamma).
+    """Encoding of linear values x by the power law x ** (1 / gamma).
 
     Attributes:
         gamma: () > 0, no unit.
@@ -291,7 +291,7 @@ class UnsharpMask(Shown):
 
 
 class JPEG(Shown):
-    """The loss of JPEG compression.
+    """The errors that JPEG compression causes, without the file itself.
 
     Attributes:
         quality: () 1 to 100 on libjpeg's scale, no unit.
@@ -316,7 +316,8 @@ class JPEG(Shown):
 
 
 class Development(Shown):
-    """The steps from raw data to a picture, in the order of the fields; `None` leaves a step out.
+    """The steps from raw data to a picture, applied in the order of the fields. A step that is
+    `None` is omitted.
 
     Attributes:
         black_level: () DN, subtracted first.

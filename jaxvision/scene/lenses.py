@@ -1,4 +1,4 @@
-"""Apertures, vignetting, diffraction and distortion of a lens."""
+"""The records of a lens's aperture, vignetting, diffraction and distortion."""
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -149,8 +149,8 @@ class Diffraction(Shown):
 
 
 class Wavefront(Shown):
-    """Aberrations of a lens together with the diffraction at its aperture, the same over the whole
-    picture. With all coefficients 0 it equals `Diffraction`; large coefficients give the spot of
+    """Aberrations of a lens and the diffraction at its aperture, the same over the whole picture.
+    If all coefficients are 0, the result equals `Diffraction`. Large coefficients give the spot of
     geometrical optics.
 
     Attributes:
@@ -188,13 +188,13 @@ class Wavefront(Shown):
 
 
 class Distortion(Shown):
-    """Polynomial distortion. A ray that an ideal lens images at (x, y) is imaged at
+    """Polynomial distortion of a lens. A ray that an ideal lens images at (x, y) is imaged at
 
         r^2 = x^2 + y^2,   s = 1 + k_1 r^2 + k_2 r^4 + ...
         (x s + 2 p_1 x y + p_2 (r^2 + 2 x^2),   y s + p_1 (r^2 + 2 y^2) + 2 p_2 x y)
 
-    A sensor whose middle is off the optical axis shifts this image, and pixels that are not square
-    stretch it; `optics.opencv_view` makes such views from a camera matrix.
+    The image is shifted if the middle of the sensor is not on the optical axis, and stretched if
+    pixels are not square. `optics.opencv_view` makes such views from a camera matrix.
 
     Attributes:
         radial: (terms,) k_1, k_2, ..., no unit; k_1 < 0 is a barrel, k_1 > 0 a pincushion.

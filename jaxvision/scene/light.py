@@ -1,4 +1,4 @@
-"""The base of all lights, and the ambient term."""
+"""The base class of all lights, and the record of ambient light."""
 
 from typing import ClassVar
 
@@ -9,7 +9,7 @@ from ..core._types import AMOUNT, Colour, as_float, check_fields
 
 
 class Light(Shown):
-    """Base class of all lights. Each file in `lights/` has the record and the equations of one
+    """Base class of all lights. Each file in `lights/` contains the record and the equations of one
     light.
 
     Attributes:
@@ -26,7 +26,7 @@ class Light(Shown):
 
 
 class AmbientLight(Shown):
-    """Uniform light from all directions, the L_a of Phong shading.
+    """Uniform light from all directions, the ambient term L_a of Phong shading.
 
     Attributes:
         radiance: (bands,) W m^-2 sr^-1.

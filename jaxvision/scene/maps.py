@@ -1,4 +1,4 @@
-"""Numbers of a material that vary over a surface, as an array of texels."""
+"""A record for material parameters that vary over a surface, given as an array of texels."""
 
 from typing import Literal
 
@@ -18,12 +18,14 @@ from ..core._types import (
 
 
 class Map(Shown, Varying):
-    """Numbers that vary over a surface and replace one number or spectrum of a material.
+    """A texture: numbers that vary over a surface, in place of one number or spectrum of a
+    material.
 
-    Between the centres of texels the numbers are bilinear. Texture coordinates (u, v) run from 0 to
-    1 over the map: u along its columns, v along its rows, (0, 0) at the corner of the first texel.
-    A `Quad` has them along its edges, and a `TriangleMesh` at its vertices. On a `Sphere`, u = phi
-    / 2 pi is the longitude about the world's z axis, and v = theta / pi the angle to this axis.
+    Between the centres of texels the numbers are interpolated bilinearly. Texture coordinates (u,
+    v) increase from 0 to 1 over the map: u along each row, v along each column. (0, 0) is at the
+    corner of the first texel. A `Quad` has texture coordinates along its edges, and a
+    `TriangleMesh` at its vertices. On a `Sphere`, u = phi / 2 pi is the longitude about the world's
+    z axis, and v = theta / pi the angle to this axis.
 
     Attributes:
         values: (rows, columns, ...) in the unit of the field that they replace: (rows, columns,

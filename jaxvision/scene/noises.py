@@ -1,7 +1,8 @@
-"""Sources of a sensor's noise: dark current and its laws of temperature, counting, and read-out.
+"""The records of a sensor's noise: dark current and its dependence on temperature, shot noise, and
+read-out noise.
 
-Ranges are checked when a record is made, for numbers that are known then: `ValueError` names the
-field, the value and the allowed range. Values traced by `jit` are not checked.
+The range of each number is checked when a record is made. `ValueError` names the field, the value
+and the allowed range. Values that JAX traces are not checked.
 """
 
 import equinox as eqx
@@ -25,7 +26,8 @@ _OF_TEMPERATURE = {
 
 
 class DoublingDarkCurrent(Shown):
-    """Dark current that doubles at equal steps of temperature: I = rate 2^((T - T_ref) / doubling).
+    """Dark current that doubles at equal steps of the temperature T: I = rate 2^((T - T_ref) /
+    doubling).
 
     Attributes:
         rate: () e- s^-1 per pixel at the reference temperature, >= 0.
@@ -52,7 +54,8 @@ class DoublingDarkCurrent(Shown):
 
 
 class ArrheniusDarkCurrent(Shown):
-    """Dark current of thermal generation: I = rate exp(-(E / k) (1 / T - 1 / T_ref)).
+    """Dark current from thermal generation at the temperature T: I = rate exp(-(E / k) (1 / T - 1 /
+    T_ref)), where E is the activation energy and k the Boltzmann constant.
 
     Attributes:
         rate: () e- s^-1 per pixel at the reference temperature, >= 0.
@@ -81,7 +84,7 @@ DarkCurrent = DoublingDarkCurrent | ArrheniusDarkCurrent
 
 
 class HotPixels(Shown):
-    """Pixels with excess dark current, which is distributed exponentially.
+    """Pixels with additional dark current, whose rate is exponentially distributed.
 
     Attributes:
         fraction: () of the pixels, in [0, 1], no unit.
@@ -102,9 +105,9 @@ class HotPixels(Shown):
 
 
 class PoissonShotNoise(Shown):
-    """Electrons are counted exactly: a Poisson draw replaces the mean.
+    """Shot noise with an exact Poisson distribution of the electron count.
 
-    It is valid for means up to 2^31 electrons. Larger means raise an error, or give NaN under
+    The mean must be at most 2^31 electrons. Larger means raise an error, or give NaN under
     `jax.jit`.
 
     Example:
@@ -115,12 +118,12 @@ class PoissonShotNoise(Shown):
 
 
 class FastPoissonShotNoise(Shown):
-    """Electrons are counted by inverting the Poisson distribution.
+    """Shot noise by inversion of an approximate Poisson distribution.
 
-    The draws are whole numbers, ten times faster than `PoissonShotNoise`, with gradients along the
-    draw. The total variation distance from the Poisson distribution is at most 1.4e-4 at every mean
-    up to 2^31 electrons. Larger means raise an error, or give NaN under `jax.jit`. `sensor.count`
-    gives the details.
+    Samples are whole numbers. They are drawn ten times faster than by `PoissonShotNoise`, and have
+    gradients by reparameterisation. The total variation distance from the Poisson distribution is
+    at most 1.4e-4 at every mean up to 2^31 electrons. Larger means raise an error, or give NaN
+    under `jax.jit`. `sensor.count` gives the details.
 
     Example:
         >>> sensor = jv.Sensor(shot_noise=jv.FastPoissonShotNoise())
@@ -131,9 +134,10 @@ class FastPoissonShotNoise(Shown):
 
 
 class GaussianShotNoise(Shown):
-    """A Gaussian draw whose variance equals the mean.
+    """Shot noise with a Gaussian distribution whose variance equals the mean.
 
-    It is accurate from about 20 electrons on; below, draws can be negative.
+    The approximation is accurate above about 20 electrons. At smaller means, samples can be
+    negative.
 
     Example:
         >>> sensor = jv.Sensor(shot_noise=jv.GaussianShotNoise())
@@ -191,10 +195,10 @@ class HeavyTailedReadNoise(Shown):
 
 
 class TelegraphNoise(Shown):
-    """Pixels with a trap that is occupied half of the time.
+    """Random telegraph noise: pixels with a trap that is occupied half of the time.
 
-    Under correlated double sampling the error of such a pixel is -amplitude, 0 or +amplitude in 1,
-    2 and 1 of 4 frames.
+    Under correlated double sampling the error of such a pixel is -amplitude with probability 1/4, 0
+    with probability 1/2, and +amplitude with probability 1/4.
 
     Attributes:
         fraction: () of the pixels, in [0, 1], no unit.
@@ -214,7 +218,7 @@ class TelegraphNoise(Shown):
 
 
 class Banding(Shown):
-    """A sinusoidal offset over the rows, with a random phase in each frame.
+    """Banding: an offset that is a sinusoid of the row, with a random phase in each frame.
 
     Attributes:
         amplitude: () e-, >= 0.

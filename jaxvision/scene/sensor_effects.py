@@ -1,7 +1,7 @@
-"""Effects on the charge of pixels, before the read-out.
+"""The records of effects that change the charge of pixels before read-out.
 
-Ranges are checked when a record is made, for numbers that are known then: `ValueError` names the
-field, the value and the allowed range. Values traced by `jit` are not checked.
+The range of each number is checked when a record is made. `ValueError` names the field, the value
+and the allowed range. Values that JAX traces are not checked.
 """
 
 import equinox as eqx
@@ -23,7 +23,7 @@ _SUM_OFF = 1e-4  # largest deviation of a kernel's sum from 1
 
 
 class SensorEffect(Shown):
-    """Base of effects on charge; `jaxvision.sensor.register` registers external ones.
+    """Base class of effects on charge. `jaxvision.sensor.register` registers user-defined effects.
 
     Example:
         >>> class Leak(jv.SensorEffect):
@@ -34,11 +34,11 @@ class SensorEffect(Shown):
 
 
 class Mixing(SensorEffect):
-    """Linear mixing of the counted charges of neighbours.
+    """Linear mixing of the signals of neighbouring pixels after electrons are counted.
 
-    Capacitance between pixels, or a slowly settling amplifier, reads a share of a pixel's signal in
-    its neighbours. Unlike `Sensor.crosstalk` it acts on counted electrons: the variance of a pixel
-    is multiplied by sum kernel^2, and neighbours are correlated.
+    Because of capacitance between pixels, or a slowly settling amplifier, a share of a pixel's
+    signal is read in its neighbours. Unlike `Sensor.crosstalk`, mixing acts on counted electrons.
+    It therefore multiplies the variance of a pixel by sum(kernel^2), and correlates neighbours.
 
     Attributes:
         kernel: (rows, columns) no unit, both odd: the shares in which the electrons of the middle
@@ -67,10 +67,10 @@ class Mixing(SensorEffect):
 
 
 class Nonlinearity(SensorEffect):
-    """Base of the curves that describe a nonlinear signal of a pixel.
+    """Base class of curves that describe the nonlinearity of a pixel's signal.
 
-    A curve maps electrons to electrons. The result is the charge that gives the same signal in a
-    linear sensor with the same gain at 0. The curve acts before the read-out adds noise.
+    A curve maps the charge of a pixel, in electrons, to the charge that gives the same signal in a
+    linear sensor with the same gain at 0. The curve is applied before read-out noise is added.
 
     Example:
         >>> isinstance(jv.Compression(0.05, electrons=1e4), jv.Nonlinearity)
@@ -79,9 +79,10 @@ class Nonlinearity(SensorEffect):
 
 
 class Compression(Nonlinearity):
-    """The signal e (1 - first u - second u^2), with u = e / electrons, for a charge e.
+    """A polynomial nonlinearity: a charge e gives the signal e (1 - first u - second u^2), where u
+    = e / electrons.
 
-    Below 0 and above `electrons` it continues as a straight line.
+    Below 0 and above `electrons` the curve continues as a straight line.
 
     Attributes:
         first: () relative loss of signal at `electrons`, no unit.
@@ -113,7 +114,8 @@ class Compression(Nonlinearity):
 
 
 class ResponseTable(Nonlinearity):
-    """A signal measured at some charges, with straight lines between them and beyond.
+    """A nonlinearity given by the signal at some charges, with straight lines between and beyond
+    these points.
 
     Attributes:
         electrons: (entries,) e-, ascending, at least two.
@@ -133,10 +135,11 @@ class ResponseTable(Nonlinearity):
 
 
 class ResponseSpline(Nonlinearity):
-    """A signal measured at some charges, with a smooth monotone curve between them.
+    """A nonlinearity given by the signal at some charges, with a smooth monotone curve between
+    these points.
 
-    The curve is the cubic Hermite spline that scipy calls PCHIP. Beyond the ends it continues as a
-    straight line.
+    The curve is the cubic Hermite spline that SciPy calls PCHIP. Beyond the ends the curve
+    continues as a straight line.
 
     Attributes:
         electrons: (entries,) e-, ascending, at least two.

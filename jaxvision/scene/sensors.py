@@ -1,7 +1,7 @@
-"""The sensor, which turns light on each pixel into a number.
+"""The records of an image sensor, which converts the light on each pixel to a number.
 
-Ranges are checked when a record is made, for numbers that are known then: `ValueError` names the
-field, the value and the allowed range. Traced values pass unchecked and have a defined result.
+The range of each number is checked when a record is made. `ValueError` names the field, the value
+and the allowed range. Values that JAX traces are not checked, and give a defined result.
 """
 
 from typing import Any
@@ -47,7 +47,8 @@ LARGEST_PIXEL = 0.1  # m^2; larger numbers are probably in um^2
 
 
 class PhotonConversion(Shown):
-    """Conversion of irradiance to photons: mu_p = lambda E A t / (h c), EMVA 1288.
+    """Conversion of irradiance E to the mean number of photons, mu_p = lambda E A t / (h c) (EMVA
+    1288), where lambda is the wavelength, A the pixel area and t the exposure time.
 
     Attributes:
         wavelength: () or (bands,) m, > 0, at most 1 cm.
@@ -77,7 +78,7 @@ class PhotonConversion(Shown):
 
 
 class PixelAperture(Shown):
-    """The square in the middle of each pixel that collects light.
+    """The light-sensitive area of a pixel, a square in its middle.
 
     Attributes:
         fill_factor: () share of the pixel's area, in (0, 1], no unit.
@@ -102,7 +103,8 @@ class PixelAperture(Shown):
 
 
 class ColourFilter(Shown):
-    """A filter over each pixel, whose measurement is then one number: a weighted sum of the bands.
+    """A colour filter over each pixel, with which the pixel measures one number: a weighted sum of
+    the bands.
 
     Attributes:
         transmission: (colours, bands) >= 0, relative; electrons per photon if the quantum
@@ -134,12 +136,12 @@ class BrighterFatter(Shown):
     """The brighter-fatter effect: collected charge repels later charge into neighbouring pixels, so
     bright spots grow with light.
 
-    The charge Q moves the borders of pixels while it is collected. The current (I_p + I_q) (phi_p -
-    phi_q) / 2 flows across the border between the pixels p and q, with the arriving charge I, the
-    kernel K and the convolution phi = K * Q. No electron is lost. In uniform light this is the
-    model of Antilogus et al. (JINST 9 C03048, 2014) and Astier et al. (A&A 629 A36, 2019). The area
-    changes a per electron are the discrete Laplacian of K (`jaxvision.sensor.area_changes`). K is
-    the kernel of Coulton et al. (AJ 155 258, 2018).
+    The collected charge Q moves the borders of pixels. The current (I_p + I_q) (phi_p - phi_q) / 2
+    therefore flows across the border between the pixels p and q. Here I is the rate at which charge
+    arrives, K the kernel, and phi = K * Q a convolution. No electron is lost. In uniform light this
+    model is that of Antilogus et al. (JINST 9 C03048, 2014) and Astier et al. (A&A 629 A36, 2019).
+    The area changes a per electron are the discrete Laplacian of K
+    (`jaxvision.sensor.area_changes`). K is the kernel of Coulton et al. (AJ 155 258, 2018).
 
     Attributes:
         kernel: (rows, columns) per electron, K at offsets of 0, 1, ... rows and columns, even in
@@ -167,7 +169,8 @@ class BrighterFatter(Shown):
 
 
 class ChargeTransfer(Shown):
-    """Charge that a CCD leaves behind at each transfer towards its read-out.
+    """Charge transfer inefficiency of a CCD: each transfer toward the read-out leaves some charge
+    behind.
 
     The read-out is next to the first row and column.
 
@@ -197,7 +200,7 @@ class ChargeTransfer(Shown):
 
 
 class RollingShutter(Shown):
-    """Each row begins and ends its exposure later than the row above.
+    """A rolling shutter, with which each row begins and ends its exposure later than the row above.
 
     Attributes:
         line_time: () s from row to row, >= 0.
@@ -216,7 +219,7 @@ class RollingShutter(Shown):
 
 
 class ShutterOffset(Shown):
-    """An exposure of the light that is longer than the nominal exposure time.
+    """The difference between the actual exposure to light and the nominal exposure time.
 
     Attributes:
         time: () s, added to the exposure time of light, but not of dark current; may be negative.
@@ -234,8 +237,8 @@ class ShutterOffset(Shown):
 
 
 class Taps(Shown):
-    """Different amplifiers or sites of a mosaic: the tap of each pixel, and the parameters of each
-    tap.
+    """Several read-out amplifiers, or sites of a mosaic: the tap of each pixel, and the parameters
+    of each tap.
 
     Attributes:
         pattern: rows of tap indices 0, 1, ..., repeated from the first pixel on, or the phase of a
@@ -308,10 +311,11 @@ def _number_or_record(x: Any) -> Any:
 
 
 class Sensor(Shown):
-    """An image sensor after EMVA 1288, CCD or CMOS. Every effect is optional; `None` leaves it out.
+    """An image sensor, CCD or CMOS, modelled after EMVA 1288. Every effect is optional; an effect
+    that is `None` is omitted.
 
-    The fields are in the order of the light's path: from light to electrons, in the pixel (from
-    `shot_noise`), and out of it (from `charge_transfer`).
+    The fields are in the order in which the effects act: on light before it is counted, on charge
+    in the pixel (from `shot_noise` on), and during read-out (from `charge_transfer` on).
 
     Attributes:
         photon_conversion: None for input in photons per pixel and second, or per pixel and exposure

@@ -1,4 +1,4 @@
-"""Shapes of surfaces, in metres. Each states the direction of its normals: its front."""
+"""The records of shapes, in metres. Each defines its front, the side to which its normals point."""
 
 from typing import Any
 
@@ -146,7 +146,8 @@ def _as_indices(x: Any) -> Array:
 
 
 class TriangleMesh(Shown):
-    """Triangles. The front of each is the side from which its vertices are counterclockwise.
+    """A mesh of triangles. The front of a triangle is the side from which its vertices are
+    counterclockwise.
 
     A triangle without area is never hit, and a traced vertex index out of range is clipped.
     `geometry.problems` reports both, and faces that vertex normals make black.

@@ -1,4 +1,5 @@
-"""Surfaces made of a shape and a material, and the scene they form with lights."""
+"""The records of materials, of surfaces, which have a shape and a material, and of a scene, which
+has surfaces and lights."""
 
 from collections.abc import Iterable
 from typing import Any, ClassVar
@@ -14,8 +15,8 @@ from .shapes import Quad, Shape, Sphere, TriangleMesh
 
 
 class Material(Shown):
-    """Base class of all materials. Each file in `brdf/` has the record and the equations of one
-    family of BRDFs.
+    """Base class of all materials. Each file in `brdf/` contains the records and the equations of
+    one family of BRDFs.
 
     Attributes:
         spectra: names of the fields that are spectra, one number for each band. A class sets it; a
@@ -34,7 +35,7 @@ class Material(Shown):
 
 
 class Surface(Shown):
-    """A shape, its material and its emission.
+    """A surface of a scene: its shape, its material and its emission.
 
     Attributes:
         shape: geometry of the surface.
@@ -93,10 +94,10 @@ def _as_optional_tuple(values: Iterable[Any] | None) -> tuple[Any, ...] | None:
 
 
 class Scene(Shown):
-    """Surfaces and the lights on them.
+    """A scene, which consists of surfaces and lights.
 
-    All spectra share one number of bands. This is checked here for the k_d of materials, emissions,
-    lights and mirrors; a mirror may have one band for all.
+    All spectra of a scene must have the same number of bands. This is checked here for the k_d of
+    materials, emissions, lights and mirrors. The reflectance of a mirror may have a single band.
 
     Attributes:
         surfaces: at least one; a single record is accepted too.

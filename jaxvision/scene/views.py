@@ -1,4 +1,4 @@
-"""Projections of a camera: the direction of each pixel."""
+"""The records of a camera's projection, which gives the ray of each pixel."""
 
 import equinox as eqx
 import numpy as np
@@ -58,7 +58,7 @@ class Orthographic(Shown):
 
 
 class Pinhole(Shown):
-    """Central projection through a small hole: everything is in focus.
+    """Central projection through a pinhole, with everything in focus.
 
     Attributes:
         position: (3,) m, the hole.
