@@ -1,12 +1,13 @@
-"""Fits of lobes to measured reflectance, with held-out errors and the uncertainty of one model's
+"""Fit lobes to measured reflectance; report held-out errors and the uncertainty of one model's
 parameters.
 
-Every incidence is left out once and predicted by the fit without it. These predictions give the
-held-out errors. The same fits give the covariance of the parameters by the jackknife over
+Every angle of incidence is left out once and predicted by the fit without it. These predictions
+give the held-out errors. The same fits give the covariance of the parameters by the jackknife over
 incidences (Tukey 1958; Busing, Meijer & van der Leeden, "Delete-m Jackknife for Unequal m", 1999).
-The jackknife includes errors that all samples of an incidence share, and the error of a wrong
-model. For few incidences the covariance is widened to the variance of Student's t; for three
-incidences it is widened to match the 95 % interval of Student's t.
+The jackknife allows for errors that all samples of an incidence share, and for the error of a wrong
+model. For few incidences the covariance is widened to the variance of Student's t. With three
+incidences that variance is infinite, and the covariance is widened to match the 95 % interval of
+Student's t.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +40,7 @@ EDGE = 1e-3  # distance of a log shape from an end of its range within which it 
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Spectra of both amplitudes, with jackknife standard errors."""
+    """The spectra of the diffuse and specular amplitudes, with jackknife standard errors."""
 
     diffuse: OfBands  # k_d
     specular: OfBands  # k_s
@@ -49,7 +50,7 @@ class Amplitudes:
 
 @dataclass(frozen=True, repr=False)
 class BRDFCalibration(ShownInNotebooks):
-    """Every model fitted to one material, one of them reported in full.
+    """The fits of every model to one material, with one model reported in full.
 
     Attributes:
         measured: the calibrated samples.
@@ -159,7 +160,9 @@ def _natural(fit: LobeFit, space: ParameterSpace) -> Float[np.ndarray, " paramet
 def _jackknife(
     replicates: Float[np.ndarray, "incidences parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Covariance from estimates with one incidence left out, widened for their number."""
+    """Return the covariance from estimates with one incidence left out each, widened for the small
+    number of incidences.
+    """
     count = len(replicates)
     deviations = replicates - replicates.mean(axis=0)
     freedom = count - 1
@@ -171,9 +174,10 @@ def _jackknife(
 def _log_covariance(
     fit: ModelFit, space: ParameterSpace
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """The covariance of the logarithms. Amplitudes that may vanish without an incidence enter by
-    their relative deviations. If there are at most as many incidences as parameters, correlations
-    are unknown and set to 0."""
+    """Return the covariance of the logarithms of the parameters. Amplitudes may vanish if an
+    incidence is left out, so they enter by their relative deviations. If there are at most as many
+    incidences as parameters, correlations are unknown and set to 0.
+    """
     whole = _natural(fit.whole, space)
     left_out = np.stack([_natural(one, space) for one in fit.without])
     scale = np.where(whole > 0, whole, 1)
@@ -187,7 +191,7 @@ def _log_covariance(
 
 
 def amplitudes(fit: ModelFit) -> Amplitudes:
-    """Spectra of both amplitudes."""
+    """Return the spectra of both amplitudes with their standard errors."""
     diffuse, specular = (
         np.sqrt(np.diagonal(_jackknife(np.stack([getattr(one, name) for one in fit.without]))))
         for name in ("diffuse", "specular")
@@ -196,9 +200,10 @@ def amplitudes(fit: ModelFit) -> Amplitudes:
 
 
 def albedo(fit: ModelFit, index: float) -> OfBands:
-    """Return the albedo of a fitted surface at normal incidence, where every lobe is centred on the
-    normal: 2 pi times the integral of f_r cos(theta) sin(theta), (bands,). It is at most 1 for a
-    surface that emits no light."""
+    """Return the albedo of a fitted surface at normal incidence, (bands,). At that incidence every
+    lobe is centred on the normal, and the albedo is 2 pi times the integral of f_r cos(theta)
+    sin(theta). It is at most 1 for a surface that emits no light.
+    """
     u = (np.arange(FINE) + 0.5) / FINE
     theta = np.pi / 2 * u**3  # denser near the normal, for narrow lobes
     weight = 2 * np.pi * np.cos(theta) * np.sin(theta) * 3 * np.pi / 2 * u**2 / FINE
@@ -213,7 +218,7 @@ def albedo(fit: ModelFit, index: float) -> OfBands:
 def _open_parameters(
     model: Model, space: ParameterSpace, mean: np.ndarray, covariance: np.ndarray
 ) -> dict[str, str]:
-    """Parameters that the samples do not determine, with the reasons."""
+    """Return the parameters that the samples do not determine, with the reasons."""
     reasons: dict[str, str] = {}
     for i, parameter in enumerate(space):
         if parameter.name in ("diffuse", "specular"):
@@ -239,7 +244,9 @@ def _open_parameters(
 def _posterior(
     problem: Problem, mean: np.ndarray, covariance: np.ndarray, sampling: Emcee | None, seed: int
 ) -> Posterior:
-    """The posterior with the jackknife's covariance; for a chain the density is stretched to it."""
+    """Return the posterior with the jackknife's covariance. For a chain, the density is stretched
+    to that covariance.
+    """
     space, mode = problem.space, jnp.asarray(np.log(mean))
     if sampling is not None:
         curvature = np.linalg.inv(laplace(log_density, space, mode, problem).covariance)

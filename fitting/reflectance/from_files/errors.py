@@ -1,4 +1,4 @@
-"""Errors of predictions of measured reflectance in both metrics, and comparisons of models."""
+"""Compute the errors of predicted reflectance in both metrics, and compare models by them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ OfIncidences = Float[np.ndarray, " incidences"]
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one prediction."""
+    """The errors of one model's prediction."""
 
     rms: float  # of f_r cos(theta_i), sr^-1
     relative: float  # `rms` over the RMS of the measured values
@@ -37,8 +37,9 @@ class Errors:
 
 
 def errors(measured: MeasuredBRDF, predicted: OfSamples) -> Errors:
-    """Return both error metrics of a prediction of f_r in sr^-1. Rounding errors count as a
-    billionth of the signal, so that they do not decide between models."""
+    """Return both error metrics of a prediction of f_r in sr^-1. An error is counted as at least a
+    billionth of the signal, so that rounding does not decide between models.
+    """
     signal = reflected(measured, measured.values)
     missed = reflected(measured, predicted) - signal
     roots, root_signal = (
@@ -75,7 +76,7 @@ def metric(errors: Errors, objective: Objective) -> float:
 
 
 def in_words(errors: Errors, objective: Objective) -> str:
-    """An error in words: per cent of the signal, or sr^(-1/3) for cube roots."""
+    """Return an error in words: in per cent of the signal, or in sr^(-1/3) for cube roots."""
     value = metric(errors, objective)
     return f"{100 * value:.3g} %" if objective == "cosine" else f"{value:.3g} sr⁻¹ᐟ³"
 
@@ -90,8 +91,9 @@ class Ratio:
 
     @property
     def significant(self) -> bool:
-        """Whether the ratio differs significantly from 1: its logarithm exceeds Student's 95 %
-        limit in units of its standard error from the jackknife over incidences."""
+        """Return whether the ratio differs significantly from 1. It does if its logarithm exceeds
+        Student's 95 % limit times its standard error, which is the jackknife's over incidences.
+        """
         count, log = len(self.without), abs(np.log(self.value))
         if count < FEWEST_INCIDENCES or log < SAME:
             return False
@@ -100,28 +102,32 @@ class Ratio:
 
     @property
     def more_often(self) -> int:
-        """Number of incidences at which the model with the larger total error also has the larger
-        error."""
+        """Return the number of incidences at which the model with the larger total error also has
+        the larger error.
+        """
         logs = np.log(self.alone) * np.sign(np.log(self.value))
         return int(np.sum(logs > SAME))
 
     @property
     def chance(self) -> float:
-        """Two-sided p-value of a sign test: the chance that, of two equally good models, one has
-        the larger error at this many incidence angles."""
+        """Return the two-sided p-value of a sign test. It is the chance that, of two equally good
+        models, one has the larger error at this many incidence angles.
+        """
         return min(2 * float(bdtrc(self.more_often - 1, len(self.alone), 0.5)), 1.0)
 
     @property
     def ordered(self) -> bool:
-        """Whether the same model has the larger error at so many incidences that chance is
+        """Return whether the same model has the larger error at so many incidences that chance is
         unlikely. A single outlier may make the size of the difference uncertain, so that
-        `significant` is False, while its sign is certain."""
+        `significant` is False, while its sign is certain.
+        """
         return self.chance <= LIKELY and abs(np.log(self.value)) >= np.log(NOTABLE)
 
 
 def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
-    """The ratio of two models' errors on the same samples; 1 for incidences at which one of them
-    has only rounding errors."""
+    """Return the ratio of two models' errors on the same samples; 1 for incidences at which one of
+    them has only rounding errors.
+    """
     value = metric(one, objective) / metric(other, objective)
     column = 0 if objective == "cosine" else 1
     ours, theirs = one.parts[:, column], other.parts[:, column]
@@ -135,20 +141,23 @@ def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
 
 
 def exceeds_signal(errors: Errors, objective: Objective) -> bool:
-    """Whether the error of a prediction exceeds the error of predicting zero; never for cube roots,
-    whose errors are not relative to their signal."""
+    """Return whether a prediction's error exceeds that of predicting zero. It is never true for
+    cube roots, whose errors are not relative to their signal.
+    """
     return objective == "cosine" and errors.relative > 1
 
 
 def describes(errors: Errors, objective: Objective) -> bool:
-    """Return whether the error of a prediction is at most half of the signal; always True for cube
-    roots."""
+    """Return whether the error of a prediction is at most half of the signal; it is always true for
+    cube roots.
+    """
     return objective != "cosine" or errors.relative <= DESCRIBES
 
 
 def winner_of(half: Errors, mirror: Errors, objective: Objective) -> Side:
-    """The axis of the lobe with the significantly smaller error, half vector or mirror direction;
-    None if neither model describes the data."""
+    """Return the lobe axis with the significantly smaller error, half vector or mirror direction.
+    The result is "neither" if the difference is insignificant or neither model describes the data.
+    """
     useless = exceeds_signal(half, objective) and exceeds_signal(mirror, objective)
     if useless or not ratio(half, mirror, objective).significant:
         return "neither"
@@ -156,7 +165,7 @@ def winner_of(half: Errors, mirror: Errors, objective: Objective) -> Side:
 
 
 def weight_by_incidence(measured: MeasuredBRDF, objective: Objective) -> OfIncidences:
-    """Share of each incidence in the sum of squares of the data."""
+    """Return the share of each incidence in the sum of squares of the data."""
     signal = reflected(measured, measured.values)
     if objective == "cube-root":
         signal = np.cbrt(np.maximum(signal, 0))
@@ -174,13 +183,14 @@ def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> OfSamples:
 
 
 def best(scores: Mapping[Model, Errors], objective: Objective) -> Model:
-    """Return the model of smallest error in the metric of an objective; the first one if several
-    are equal."""
+    """Return the model with the smallest error in the metric of an objective; the first one if
+    several are equal.
+    """
     return min(scores, key=lambda model: metric(scores[model], objective))
 
 
 def best_about_axis(scores: Mapping[Model, Errors], axis: Axis, objective: Objective) -> Model:
-    """The best model with a lobe about one axis.
+    """Return the best model among those with a lobe about one axis.
 
     Args:
         scores: errors by model.

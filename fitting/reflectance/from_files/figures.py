@@ -1,4 +1,4 @@
-"""Pictures of lobes fitted to measured reflectance."""
+"""Draw pictures of lobes fitted to measured reflectance."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -30,7 +30,9 @@ LIMIT = 200.0  # per cent: larger errors share a colour
 
 
 def slices_figure(calibration: BRDFCalibration) -> "Figure":
-    """Panels of some incidences: reflected light against the viewer's angle from the normal."""
+    """Draw, for some incidences, the reflected light as a function of the viewer's angle from the
+    normal.
+    """
     from matplotlib.figure import Figure
 
     measured = calibration.measured
@@ -85,7 +87,7 @@ def _draw_slice(axis: "Axes", calibration: BRDFCalibration, incidence: int) -> N
 
 
 def in_plane_angles(measured: MeasuredBRDF) -> tuple[np.ndarray, np.ndarray]:
-    """Angles of the viewer in the plane of incidence, and out of it.
+    """Return the viewer's angles in the plane of incidence and out of it.
 
     Args:
         measured: n samples.
@@ -102,7 +104,7 @@ def in_plane_angles(measured: MeasuredBRDF) -> tuple[np.ndarray, np.ndarray]:
 def predicted(
     fit: LobeFit, theta_i: float, theta_o: Float[np.ndarray, " n"], index: float
 ) -> Float[np.ndarray, " n"]:
-    """f_r, mean of the bands, toward viewers in the plane of incidence.
+    """Return f_r, averaged over bands, toward viewers in the plane of incidence.
 
     Args:
         fit: of one model.
@@ -122,7 +124,9 @@ def predicted(
 
 
 def errors_figure(calibration: BRDFCalibration) -> "Figure":
-    """Bars of both metrics, models in order of the objective's."""
+    """Draw bars of both error metrics. Models are in the order of the metric that the fits
+    minimise.
+    """
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
@@ -164,7 +168,7 @@ def errors_figure(calibration: BRDFCalibration) -> "Figure":
 
 
 def incidences_figure(calibration: BRDFCalibration) -> "Figure":
-    """Models down, incidences across."""
+    """Draw a table of held-out errors: one row for each model, one column for each incidence."""
     order: list[Model] = sorted(
         MODELS, key=lambda m: metric(calibration.held_out[m], calibration.objective)
     )
@@ -176,7 +180,9 @@ def incidences_figure(calibration: BRDFCalibration) -> "Figure":
 
 
 def materials_figure(calibrations: Sequence[BRDFCalibration]) -> "Figure":
-    """Models down, materials across, the best of each framed."""
+    """Draw a table of held-out errors: one row for each model, one column for each material. The
+    best model of each material is framed.
+    """
     from matplotlib.patches import Rectangle
 
     objective = calibrations[0].objective
@@ -204,7 +210,7 @@ def _heat_table(
     *,
     style: str = ".0f",
 ) -> "Figure":
-    """A table of numbers with cells shaded by the logarithm of their number."""
+    """Draw a table of numbers whose cells are shaded by the logarithm of their number."""
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 
@@ -237,7 +243,7 @@ def _heat_table(
 
 
 def amplitudes_figure(calibration: BRDFCalibration) -> "Figure":
-    """Spectra of both amplitudes, or points if there are few bands."""
+    """Draw the spectra of both amplitudes, or points if there are few bands."""
     from matplotlib.figure import Figure
 
     measured, found, model = calibration.measured, calibration.amplitudes, calibration.model

@@ -1,5 +1,6 @@
-"""The findings on fits to measured reflectance with their conditions: the best model, its lead and
-significance, for one material and for several."""
+"""State the findings on fits to measured reflectance, each with its condition: which model is best,
+by how much, and whether significantly, for one material and for several.
+"""
 
 from collections.abc import Iterable, Sequence
 
@@ -51,17 +52,19 @@ FRESNEL: tuple[Model, ...] = ("torrance-sparrow", "torrance-sparrow-metal", "lam
 
 
 def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
-    """All sentences about one material."""
+    """Return all findings about one material."""
     return said(FINDINGS, calibration)
 
 
 def which_axis_wins(calibrations: Sequence[BRDFCalibration]) -> tuple[str, ...]:
-    """Whether the half vector wins over several materials, as in the literature, and why."""
+    """Return sentences on whether, over several materials, lobes about the half vector fit better,
+    as in the literature, and why.
+    """
     return said(OVER_MATERIALS, calibrations)
 
 
 def readable(name: str) -> str:
-    """A file's name as words."""
+    """Return a file's name as words."""
     return name.replace("_", " ")
 
 
@@ -69,7 +72,7 @@ def readable(name: str) -> str:
 
 
 def no_description(calibration: BRDFCalibration) -> str:
-    """The sentence that the reported model does not describe the file; empty if it does."""
+    """Return the sentence that the reported model does not describe the file; empty if it does."""
     held_out, objective = calibration.held_out, calibration.objective
     own = held_out[calibration.model]
     if describes(own, objective):
@@ -88,7 +91,7 @@ def no_description(calibration: BRDFCalibration) -> str:
 
 
 def _impossible(calibration: BRDFCalibration) -> Numbers | None:
-    """A finding if the reported surface reflects more energy than it receives."""
+    """Report that the fitted surface reflects more energy than it receives."""
     found = albedo(calibration.fits[calibration.model], calibration.index)
     most = int(np.argmax(found))
     if found[most] <= 1 + ROUNDING:
@@ -99,7 +102,7 @@ def _impossible(calibration: BRDFCalibration) -> Numbers | None:
 
 
 def _toward_light(calibration: BRDFCalibration) -> Numbers | None:
-    """A finding about data with a peak toward the light, which no model here has."""
+    """Report data with a peak toward the light, which none of the models can describe."""
     measured = calibration.measured
     wi, wo = (np.asarray(as_array(v)) for v in (measured.wi, measured.wo))
     values, toward, judged = measured.values.mean(axis=1), 0, 0
@@ -142,8 +145,9 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
     angles = np.degrees(calibration.measured.incidences)
 
     def compared(models: Sequence[Model], *, counted: bool = False) -> str:
-        """The ratio of each model's error to the best one's, its range with an incidence left out,
-        and the number of incidences."""
+        """Return, for each model, the ratio of its error to the best one's, the range of this ratio
+        if one incidence is left out, and the number of incidences.
+        """
         sentences = []
         for m in models:
             one = found[m]
@@ -181,7 +185,7 @@ def _described(model: Model) -> str:
 
 
 def _weight(calibration: BRDFCalibration) -> Numbers | None:
-    """A finding if a single incidence dominates the fit."""
+    """Report that a single incidence dominates the fit."""
     shares = weight_by_incidence(calibration.measured, calibration.objective)
     most = int(np.argmax(shares))
     if shares[most] <= MOST_WEIGHT:
@@ -191,7 +195,7 @@ def _weight(calibration: BRDFCalibration) -> Numbers | None:
 
 
 def _pairs(calibration: BRDFCalibration) -> Numbers:
-    """The effect of the axis alone: pairs of lobes that differ in nothing else."""
+    """Report the effect of the lobe's axis alone, by pairs of lobes that differ in nothing else."""
     objective, held_out = calibration.objective, calibration.held_out
     sentences = []
     for mirror, half in PAIRS:
@@ -216,14 +220,15 @@ def _generalisation(calibration: BRDFCalibration) -> Numbers | None:
 
 
 def _listing(parts: Iterable[str]) -> Numbers | None:
-    """The numbers of a finding that lists some parts; None without parts."""
+    """Return the numbers of a finding that lists some parts; None if there are none."""
     listing = ", ".join(parts)
     return {"listing": listing} if listing else None
 
 
 def _ends(calibration: BRDFCalibration) -> tuple[list[Model], list[Model]]:
-    """Return the other models with a shape at an end of its range: rough bodies without roughness,
-    and all others."""
+    """Return the other models whose shape is at an end of its range: first the rough diffuse models
+    of vanishing roughness, then all others.
+    """
     smooth: list[Model] = []
     stuck: list[Model] = []
     for model, fit in calibration.fits.items():
@@ -238,7 +243,9 @@ def _ends(calibration: BRDFCalibration) -> tuple[list[Model], list[Model]]:
 
 
 def _failures(calibration: BRDFCalibration) -> Iterable[Numbers]:
-    """Searches that did not converge, or ended above Lambert's model, which all others contain."""
+    """Report searches that did not converge, or that fit worse than Lambert's model, which is a
+    special case of all others.
+    """
     measured = calibration.measured
     signal = compared_quantity(measured, calibration.objective, measured.values)
     nothing = NOTHING**2 * float(np.sum(measured.weights[:, None] * signal**2))
@@ -257,8 +264,9 @@ def _failures(calibration: BRDFCalibration) -> Iterable[Numbers]:
 
 
 def _of_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
-    """The best lobe about the half vector, the best about the mirror direction, and the better of
-    the two."""
+    """Return the best lobe about the half vector, the best about the mirror direction, and the axis
+    that is significantly better.
+    """
     held_out, objective = calibration.held_out, calibration.objective
     half = best_about_axis(held_out, "half", objective)
     mirror = best_about_axis(held_out, "mirror", objective)
@@ -266,8 +274,9 @@ def _of_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
 
 
 def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> Numbers:
-    """The best lobe of each axis regardless of other differences, and the incidences at which it
-    wins."""
+    """Report the best lobe about each axis, regardless of other differences, and the materials on
+    which it is better.
+    """
     wins: dict[Side, list[str]] = {"half": [], "mirror": [], "neither": []}
     confounded = []
     for calibration in calibrations:
@@ -295,8 +304,10 @@ def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> Numbers:
 
 
 def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> Numbers:
-    """The axis that wins comparisons of lobes that differ only in it, and the conclusion if these
-    are significant and the best lobes do not disagree."""
+    """Report which axis is better among lobes that differ only in it, and the conclusion. A
+    conclusion requires that these differences are significant and that the best lobes do not
+    contradict them.
+    """
     results = [
         winner_of(c.held_out[half], c.held_out[mirror], c.objective)
         for c in calibrations
@@ -322,7 +333,9 @@ def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> Numbers:
 
 
 def _fresnel(calibrations: Sequence[BRDFCalibration]) -> Numbers | None:
-    """If clear facets win, the part of GGX's lead that is lost without Fresnel reflectance."""
+    """Report, if clear facets are best, which part of the lead of GGX is lost without Fresnel
+    reflectance.
+    """
     objective = calibrations[0].objective
     sentences = []
     for calibration in calibrations:
@@ -346,13 +359,13 @@ Pair = tuple[Errors, Errors, Ratio, Objective]  # of half-vector and mirror lobe
 
 
 def _useless(pair: Pair) -> tuple[bool, bool]:
-    """Which of two models have errors larger than the signal."""
+    """Return which of two models have errors larger than the signal."""
     half, mirror, _, objective = pair
     return exceeds_signal(half, objective), exceeds_signal(mirror, objective)
 
 
 def _order(pair: Pair) -> Numbers | None:
-    """The ordering of two models if the size of their difference is uncertain."""
+    """Report which of two models is better if only the size of their difference is uncertain."""
     found = pair[2]
     if not found.ordered:
         return None

@@ -1,4 +1,5 @@
-"""Fit measured reflectance by k_d + k_s lobe, with amplitudes for each band and one shape for all.
+"""Fit measured reflectance by a diffuse term and a lobe, with amplitudes k_d and k_s for each band
+and one shape for all bands.
 
 The irradiance falls with the cosine of incidence, so errors are measured in the reflected light, x
 = f_r cos(theta_i). There are two objectives, each with its own metric:
@@ -8,14 +9,14 @@ The irradiance falls with the cosine of incidence, so errors are measured in the
 
 The highlight dominates the cosine objective. The cube root weights bright and dark values about as
 the eye does (Fores, Ferwerda & Gu, "Toward a Perceptually Based Metric for BRDF Modeling", 2012).
-d, a thousandth of the RMS of x, keeps its slope finite at 0.
+The constant d, a thousandth of the RMS of x, keeps the slope of c finite at 0.
 
-The cosine objective is linear in the amplitudes and is minimised globally by variable projection.
-For the cube root this is repeated with a linearisation about the last prediction (Gauss-Newton).
-The shape is limited to a window about its last value, which shrinks if a step does not lower the
-true objective. The search begins at the optimum of the cosine objective, and at the optimum of
-Lambert's model, which every model contains. (If an incidence is left out, it begins at the optimum
-for all incidences.) The lowest result is used.
+For the cosine objective, x is linear in the amplitudes, and variable projection finds the global
+minimum. For the cube root this is repeated with a linearisation about the last prediction
+(Gauss-Newton). The shape is limited to a window about its last value, which shrinks if a step does
+not lower the true objective. Searches begin at the optimum of the cosine objective and at that of
+Lambert's model, which every model contains. If an incidence is left out, one also begins at the
+optimum for all incidences. The lowest result is used.
 """
 
 from dataclasses import dataclass, replace
@@ -49,7 +50,7 @@ OfSamples = Float[np.ndarray, "n bands"]
 
 @dataclass(frozen=True)
 class LobeFit:
-    """A model's best parameters on one choice of samples."""
+    """A model's best parameters for one choice of samples."""
 
     model: Model  # its name
     diffuse: OfBands  # k_d, sr^-1
@@ -73,7 +74,9 @@ class ModelFit:
 def brdf(
     model: Model, diffuse: Any, specular: Any, shape: Any, wi: Vec, wo: Vec, index: float
 ) -> Float[Array, "n bands"]:
-    """f_r in sr^-1 of (bands,) amplitudes toward (n,) directions; n is 1 for Lambert."""
+    """Return f_r in sr^-1 of amplitudes (bands,) for n directions, (n, bands); n is 1 for
+    Lambert.
+    """
     diffuse, specular = (jnp.asarray(k)[None] for k in (diffuse, specular))
     if model == "lambert":
         return diffuse
@@ -84,8 +87,10 @@ def brdf(
 def problem_of(
     measured: MeasuredBRDF, fit: ModelFit, space: ParameterSpace, index: float
 ) -> Problem:
-    """One model of a material as a problem in its mean amplitudes and its shape. The spectra of the
-    amplitudes are fixed, and all samples have equal errors in the objective's metric."""
+    """State the fit of one model to a material as a problem in its mean amplitudes and its shape.
+    The spectra of the amplitudes are fixed, and all samples have equal errors in the objective's
+    metric.
+    """
     whole = fit.whole
     mean = {"diffuse": whole.diffuse.mean(), "specular": whole.specular.mean() or 1.0}
     wanted = compared_quantity(measured, fit.objective, measured.values)
@@ -116,11 +121,14 @@ def problem_of(
 
 @lru_cache
 def _predict_of(model: Model) -> Any:
-    """One function for each model, because it is part of the compile key."""
+    """Return the prediction function of one model. There is one function for each model, because it
+    is part of the compile key.
+    """
 
     def predict(values: Values, inputs: dict[str, Any]) -> Array:
-        """The prediction in the objective's metric, with the logarithms of the parameters stretched
-        about the mode."""
+        """Predict in the objective's metric, with the logarithms of the parameters stretched about
+        the mode.
+        """
         names = list(values)
         vector = jnp.log(jnp.stack([values[name] for name in names]))
         stretched = inputs["mode"] + inputs["stretch"] @ (vector - inputs["mode"])
@@ -136,25 +144,25 @@ def _predict_of(model: Model) -> Any:
 
 
 def reflected(measured: MeasuredBRDF, values: np.ndarray) -> OfSamples:
-    """f_r cos(theta_i) in sr^-1 of (n, bands) f_r."""
+    """Return f_r cos(theta_i) in sr^-1 from f_r (n, bands)."""
     return measured.cosine[:, None] * values
 
 
 def darkness(measured: MeasuredBRDF) -> float:
-    """d of the cube-root objective, sr^-1."""
+    """Return the constant d of the cube-root objective in sr^-1."""
     x = reflected(measured, measured.values)
     return DARK * float(np.sqrt(np.average((x**2).mean(axis=1), weights=measured.weights)))
 
 
 def compressed(measured: MeasuredBRDF, values: np.ndarray) -> OfSamples:
-    """c(f_r cos(theta_i)) in sr^-1/3 of (n, bands) f_r; negative values count as 0."""
+    """Return c(f_r cos(theta_i)) in sr^-1/3 from f_r (n, bands); negative values count as 0."""
     return np.cbrt(np.maximum(reflected(measured, values), 0) + darkness(measured))
 
 
 def compared_quantity(
     measured: MeasuredBRDF, objective: Objective, values: np.ndarray
 ) -> OfSamples:
-    """The quantity that an objective compares."""
+    """Return the quantity that an objective compares: the reflected light or its cube root."""
     return (reflected if objective == "cosine" else compressed)(measured, values)
 
 
@@ -170,7 +178,7 @@ def _columns(model: Model, wi: Vec, wo: Vec, index: float, log_shapes: Array) ->
 
 @dataclass(frozen=True)
 class _Search:
-    """The data that every search of one model shares."""
+    """The data that all searches for one model share."""
 
     measured: MeasuredBRDF
     model: Model
@@ -179,7 +187,7 @@ class _Search:
 
     @cached_property
     def range(self) -> tuple[float, float]:
-        """The range of the logarithm of the shape."""
+        """Return the range of the logarithm of the shape."""
         return (0.0, 0.0) if self.model == "lambert" else log_range(self.model)
 
     @cached_property
@@ -187,13 +195,13 @@ class _Search:
         return compared_quantity(self.measured, self.objective, self.measured.values)
 
     def columns(self, log_shapes: Any) -> Array:
-        """(knots, n) f_r of unit amplitude."""
+        """Return f_r (knots, n) of a lobe of unit amplitude."""
         measured = self.measured
         return _columns(self.model, measured.wi, measured.wo, self.index, jnp.asarray(log_shapes))
 
     @cached_property
     def coarse(self) -> Array:
-        """The columns of the first grid."""
+        """Return the columns of the first grid."""
         return self.columns(first_knots(*self.range))
 
     def at(
@@ -216,7 +224,9 @@ class _Search:
         weights: np.ndarray,
         window: tuple[float, float] = (-np.inf, np.inf),
     ) -> tuple[np.ndarray, np.ndarray, float | None]:
-        """Amplitudes and shape of weighted least squares, the log shape within a window."""
+        """Return the amplitudes and the shape of weighted least squares, with the log shape inside
+        a window.
+        """
         y, w = jnp.asarray(values), jnp.asarray(weights)
         ones = jnp.ones((1, len(values)), y.dtype)
         if self.model == "lambert":
@@ -233,8 +243,9 @@ class _Search:
         return diffuse, specular, float(np.exp(found.nonlinear))
 
     def minimum(self, kept: np.ndarray, matt: LobeFit | None, near: LobeFit | None) -> LobeFit:
-        """The best fit. For cube roots the search also starts at Lambert's model and at `near`, if
-        given."""
+        """Return the best fit. For cube roots the search also starts at Lambert's model and at
+        `near`, if given.
+        """
         measured = self.measured
         weights = (kept * measured.weights * measured.cosine**2)[:, None]
         weights = np.broadcast_to(weights, measured.values.shape)
@@ -249,8 +260,9 @@ class _Search:
         return min(ends, key=lambda end: end.cost)
 
     def descent(self, kept: np.ndarray, start: LobeFit) -> LobeFit:
-        """Gauss-Newton on the cube roots. A step that increases the cost is shortened, in the
-        amplitudes and in the window of the shape."""
+        """Run Gauss-Newton on the cube roots. A step that increases the cost is shortened in the
+        amplitudes and in the window of the shape.
+        """
         measured, cosine = self.measured, self.measured.cosine[:, None]
         weights, dark = (kept * measured.weights)[:, None], darkness(measured)
         best = self.at(kept, start.diffuse, start.specular, start.shape)
@@ -291,7 +303,7 @@ def fit_model(
     index: float,
     matt: ModelFit | None = None,
 ) -> ModelFit:
-    """Fit one model to all samples and, for testing, with each incidence left out."""
+    """Fit one model to all samples and, for testing, to the samples without each incidence."""
     if model == "lambert" or objective == "cosine":
         matt = None
     elif matt is None:

@@ -1,12 +1,13 @@
-"""Measured reflectance as samples for a fit: pairs of directions, values, and incidence indices.
+"""Read measured reflectance as samples for a fit: pairs of directions, values, and indices of the
+incidence.
 
 Cornell files have scattered samples, which are used as they are with equal weights. The tables of
-MERL and RGL are sampled on a grid that follows the highlight. The light is at 10, 20 ... 80 degrees
-from the normal. Half vectors are at 28 elevations theta_h = (pi / 2) x^2 with x evenly spaced, and
-at every 15 degrees of azimuth. Viewers are up to 80 degrees from the normal, with weights by solid
-angle, d omega_o = 4 (wi.h) d omega_h. A grid that is even in the viewer's angles would miss narrow
-lobes, and its errors would depend on its position relative to them. If a table depends on the
-light's azimuth, four azimuths are used.
+MERL and RGL are sampled on a grid that follows the highlight. The light is at 10, 20, ... 80
+degrees from the normal. Half vectors are at 28 elevations theta_h = (pi / 2) x^2 with x evenly
+spaced, and at every 15 degrees of azimuth. Viewers are up to 80 degrees from the normal, with
+weights by solid angle, d omega_o = 4 (wi.h) d omega_h. A grid that is even in the viewer's angles
+would miss narrow lobes, and its errors would depend on its position relative to them. If a table
+depends on the light's azimuth, four azimuths are used.
 """
 
 import os
@@ -51,7 +52,7 @@ LARGEST, SMALLEST = 1e6, 1e-9
 
 @dataclass(frozen=True)
 class MeasuredBRDF:
-    """Samples of one material.
+    """Samples of the reflectance of one material.
 
     Attributes:
         name: of the file.
@@ -87,7 +88,7 @@ class MeasuredBRDF:
 
 
 def read_measured_brdf(path: str | os.PathLike[str]) -> MeasuredBRDF:
-    """Samples of a Cornell, RGL or MERL file.
+    """Read samples from a Cornell, RGL or MERL file.
 
     Args:
         path: of the file.
@@ -123,7 +124,9 @@ def read_measured_brdf(path: str | os.PathLike[str]) -> MeasuredBRDF:
 def _on_grid(
     material: Material, *, anisotropic: bool
 ) -> tuple[BRDFSamples, Float[np.ndarray, " n"]]:
-    """Samples of a table on the grid above, with their solid angles up to a factor."""
+    """Sample a table on the grid that the module describes. Return the samples with their solid
+    angles up to a factor.
+    """
     x = (np.arange(HALF_ELEVATIONS) + 0.5) / HALF_ELEVATIONS
     turn = 2 * np.pi / HALF_AZIMUTHS * np.arange(HALF_AZIMUTHS)
     azimuths = turn if anisotropic else turn[: HALF_AZIMUTHS // 2 + 1]
@@ -261,7 +264,7 @@ def _nanometres(samples: BRDFSamples) -> Float[np.ndarray, " bands"] | None:
 
 
 def _cut_bands(values: Float[np.ndarray, "n bands"], bands: tuple[str, ...]) -> tuple[str, ...]:
-    """A remark on bands that are exactly 0 where another band is not."""
+    """Return a remark on bands that are exactly 0 where another band is not."""
     share = np.mean((values == 0) & (values > 0).any(axis=1, keepdims=True), axis=0)
     cut, worst = int(np.sum(share > CUT)), int(np.argmax(share))
     if not cut:
@@ -277,8 +280,10 @@ def _cut_bands(values: Float[np.ndarray, "n bands"], bands: tuple[str, ...]) -> 
 def _reciprocity_remark(
     theta_i: np.ndarray, theta_o: np.ndarray, azimuth: np.ndarray, values: np.ndarray
 ) -> tuple[str, ...]:
-    """A remark if samples with exchanged light and viewer, which Helmholtz reciprocity makes equal,
-    have the ratio of the viewers' or the lights' cosines."""
+    """Return a remark if values seem to be f_r times a cosine. By Helmholtz reciprocity, samples
+    with light and viewer exchanged are equal. The remark is made if their ratio is instead that of
+    the viewers' or the lights' cosines.
+    """
     bright = values.mean(axis=1)
     light, viewer = np.meshgrid(theta_i, theta_o, indexing="ij")
     alike = (np.abs(light - viewer) < SAME_INCIDENCE) & (
@@ -304,8 +309,9 @@ def _reciprocity_remark(
 def _clipped(
     values: Float[np.ndarray, "n bands"], samples: BRDFSamples, seen: Bool[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Clipped samples: many share the largest value of a band over a part of the lobe, more than
-    one direction or rounding step explains."""
+    """Return a mask of clipped samples. A band counts as clipped if more samples share its largest
+    value, over a part of the lobe, than one direction or a rounding step explains.
+    """
     wi, wo = sample_directions(samples)
     half = np.stack([np.asarray(a + b) for a, b in zip(wi, wo, strict=True)], axis=-1)
     tilt = np.arctan2(np.hypot(half[:, 0], half[:, 1]), half[:, 2])
@@ -326,8 +332,7 @@ def _check_signal(
     incidence: Int[np.ndarray, " n"],
     incidences: Float[np.ndarray, " incidences"],
 ) -> None:
-    """Raise `InputError` for negative values beyond noise, and for an incidence without reflected
-    light."""
+    """Refuse negative values beyond noise, and an incidence without reflected light."""
     lowest = values.min()
     if -lowest > values.max():
         raise InputError(
@@ -347,7 +352,9 @@ def _check_signal(
 def _incidences(
     theta_i: Float[np.ndarray, " n"],
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " incidences"]]:
-    """Elevations of the light, with those within a degree combined."""
+    """Return the index of each sample's incidence, and the elevations of the light. Elevations
+    within a degree are combined.
+    """
     order = np.argsort(theta_i, kind="stable")
     steps = np.diff(theta_i[order], prepend=theta_i[order[0]]) > SAME_INCIDENCE
     incidence = np.empty(len(theta_i), int)

@@ -1,5 +1,6 @@
-"""The report of fits to measured reflectance: a section for each material, and a comparison if
-there are several."""
+"""Write the report of fits to measured reflectance: a section for each material, and a comparison
+if there are several.
+"""
 
 from collections.abc import Sequence
 from functools import partial
@@ -19,7 +20,7 @@ from .findings import findings, no_description, readable, which_axis_wins
 
 
 def section(calibration: BRDFCalibration) -> Section:
-    """The section of one material: estimates, findings, tables and figures."""
+    """Return the report section of one material: estimates, findings, tables and figures."""
     measured = calibration.measured
     posterior = calibration.posterior
     found = Section(
@@ -46,8 +47,8 @@ def section(calibration: BRDFCalibration) -> Section:
 
 
 def materials_section(calibrations: Sequence[BRDFCalibration]) -> Section:
-    """The comparison of several materials: held-out errors of every model, and the winning kind of
-    lobe.
+    """Return the report section that compares several materials: held-out errors of every model,
+    and which type of lobe is best.
 
     Args:
         calibrations: one per material.
@@ -75,7 +76,9 @@ def materials_section(calibrations: Sequence[BRDFCalibration]) -> Section:
 
 
 def materials_table(calibrations: Sequence[BRDFCalibration], which: Objective) -> Table:
-    """One metric of the held-out predictions: models down, materials across."""
+    """Tabulate one error metric of the held-out predictions: one row for each model, one column for
+    each material.
+    """
     factor, digits, unit = (
         (100, 1, "% of the signal's RMS") if which == "cosine" else (1, 4, "sr⁻¹ᐟ³")
     )
@@ -98,7 +101,7 @@ def materials_table(calibrations: Sequence[BRDFCalibration], which: Objective) -
 
 
 def error_table(calibration: BRDFCalibration) -> Table:
-    """Both metrics of every model, on fitted and on held-out samples."""
+    """Tabulate both error metrics of every model, on fitted and on held-out samples."""
     order = sorted(
         MODELS, key=lambda model: metric(calibration.held_out[model], calibration.objective)
     )
@@ -139,7 +142,7 @@ def error_table(calibration: BRDFCalibration) -> Table:
 
 
 def amplitude_table(calibration: BRDFCalibration) -> Table:
-    """k_d and k_s of every band with standard errors; the shape is common to all bands."""
+    """Tabulate k_d and k_s of every band with standard errors. The shape is common to all bands."""
     found = calibration.amplitudes
     unit = format_unit(REFLECTANCES[calibration.model].unit)
     heads = ["k_d [sr⁻¹]"]

@@ -1,4 +1,4 @@
-"""Fits of reflectance models to the photographs of a rig, and their unidentifiable parameters."""
+"""Fit reflectance models to the photographs of a rig, and find their unidentifiable parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ USUAL: tuple[Model, ...] = (
 
 @dataclass(frozen=True, repr=False)
 class ReflectanceCalibration(ShownInNotebooks):
-    """Fits of several models to the photographs of a rig, one of them reported in full.
+    """The fits of several models to the photographs of a rig, with one model reported in full.
 
     Attributes:
         observation: the calibrated photographs.
@@ -74,7 +74,7 @@ class ReflectanceCalibration(ShownInNotebooks):
 
     @property
     def gamma(self) -> float | None:
-        """Fitted encoding exponent of the first channel; None if it was not free."""
+        """Return the fitted encoding exponent of the first channel; None if it was not fitted."""
         fit = self.reported[0]
         return float(fit.natural[-1]) if fit.form.free_gamma else None
 
@@ -94,10 +94,10 @@ def calibrate(
     minimum_cosine: float = 0.0,
     progress: Progress | None = None,
 ) -> ReflectanceCalibration:
-    """Fit a model and its rivals to the lights that are not held out.
+    """Fit a model, and others to compare it with, to the images whose lights are not held out.
 
-    Images that deviate (dark or saturated throughout, copies, another light than the rig states)
-    are left out and named in the findings.
+    Images that are dark or saturated throughout, are copies, or show another light than the rig
+    states are left out and named in the findings.
 
     Args:
         observation: of a known shape under known lights.
@@ -200,9 +200,9 @@ def calibrate(
 def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]:
     """Return, by name, why the data do not determine a parameter of the requested form.
 
-    A lobe counts as significant if BIC prefers the fit to Lambert's (`without_lobe`). The best of
-    many lobes always fits slightly better, regardless of its own curvature (Davies, Biometrika 64,
-    1977).
+    A lobe counts as significant if BIC prefers the fit to Lambert's (`without_lobe`). A test by the
+    lobe's standard error would be invalid, because the best of many lobes always fits slightly
+    better than none (Davies, Biometrika 64, 1977).
     """
     wanted = [parameter.name for parameter in parameter_space(fit.requested)]
     present = [parameter.name for parameter in fit.space]
@@ -243,14 +243,17 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
 
 
 def mean_residual(calibration: ReflectanceCalibration) -> Float[np.ndarray, " pixels"]:
-    """Return (pixels,) (measured - predicted) / predicted, summed over the lights and channels in
-    which a pixel is lit and unsaturated; NaN if there is none."""
+    """Return, for each pixel, the relative residual (measured - predicted) / predicted. Both are
+    summed over the lights and channels in which the pixel is lit and unsaturated; NaN if there is
+    none.
+    """
     return _relative(calibration, axis=0)
 
 
 def residual_of_images(calibration: ReflectanceCalibration) -> Float[np.ndarray, " lights"]:
-    """Return (lights,) the mean relative residual, summed over the pixels and channels of an
-    image."""
+    """Return, for each light, the mean relative residual over the pixels and channels of its
+    image.
+    """
     return _relative(calibration, axis=1)
 
 

@@ -1,12 +1,13 @@
-"""The model that describes the surface best, by its prediction of held-out lights and by AIC and
-BIC.
+"""Find the model that describes the surface best, by its prediction of held-out lights and by AIC
+and BIC.
 
-The relative error on held-out lights decides. Two models see the same lights, so their difference
-is tested light by light. Its standard error is the jackknife's over lights, and models count as
-equal if the difference is within its Student's 95 % interval in every channel. A difference within
-the precision of the solvers counts as zero. AIC and BIC assess the fit itself. Pixels of one image
-share their errors, so the log likelihood and the sample size are divided by the design effect of
-the best model:
+The model with the smallest relative error on held-out lights is best. Because all models predict
+the same lights, errors are compared light by light. The standard error of a difference is the
+jackknife's over lights. Models count as equal if, in every channel, the 95 % interval of the
+difference by Student's t contains zero. A difference within the precision of the solvers counts as
+zero. AIC and BIC assess the fit itself. Pixels of one image share their errors, so the log
+likelihood log L and the number of samples N are divided by the design effect d of the best model.
+With P parameters,
 
     AIC = -2 log L / d + 2 P,      BIC = -2 log L / d + P log(N / d).
 """
@@ -33,7 +34,7 @@ DECISIVE = 10.0  # difference of BIC, summed over channels, that counts as very 
 
 @dataclass(frozen=True)
 class ModelScore:
-    """The scores of one model in one channel."""
+    """How well one model fits and predicts one channel."""
 
     model: Model
     channel: str
@@ -57,12 +58,12 @@ class Difference:
 
     @property
     def half_width(self) -> float:
-        """Half the width of the 95 % interval."""
+        """Return half the width of the 95 % interval."""
         return self.error * float(stdtrit(self.freedom, LEVEL)) if self.freedom else float("inf")
 
     @property
     def none(self) -> bool:
-        """Whether both predictions are equal."""
+        """Return whether both predictions are equal."""
         return self.value == 0 and self.error == 0
 
 
@@ -87,8 +88,9 @@ def difference(one: ModelScore, other: ModelScore) -> Difference:
 def squares_by_light(
     observation: Photographs, fit: ChannelFit, selection: Selection
 ) -> Float[np.ndarray, "lights 2"] | None:
-    """Return (lights, 2) sums over a light's unsaturated samples of squared (predicted - measured)
-    and of squared signals above black; None without samples."""
+    """Return two sums over each light's unsaturated samples, (lights, 2): of squared (predicted -
+    measured), and of squared signals above black. Return None if there are no samples.
+    """
     if not len(selection.light):
         return None
     seen = View(lights_as_fitted(observation, fit), fit.view.channel, selection)
@@ -97,7 +99,9 @@ def squares_by_light(
 
 
 def relative_rms(by_light: Float[np.ndarray, "lights 2"] | None) -> float | None:
-    """RMS error over RMS signal of `squares_by_light`, or None."""
+    """Return the RMS error over the RMS signal from the sums of `squares_by_light`; None without
+    samples.
+    """
     if by_light is None or not len(by_light):
         return None
     error, signal = by_light.sum(axis=0)
@@ -130,7 +134,7 @@ def compare(
 
 
 def comparison_table(scores: Sequence[ModelScore], held_out: int) -> Table:
-    """The scores as a table."""
+    """Tabulate the scores."""
     return Table(
         title="Models compared",
         columns=(
@@ -170,7 +174,7 @@ def _scores_by_model(scores: Sequence[ModelScore]) -> dict[Model, list[ModelScor
 
 
 def _bic(by_model: Mapping[Model, Sequence[ModelScore]]) -> dict[Model, float]:
-    """BIC summed over channels."""
+    """Return the BIC of each model, summed over channels."""
     return {m: float(sum(score.bic for score in own)) for m, own in by_model.items()}
 
 
@@ -179,9 +183,10 @@ def _differences(own: Sequence[ModelScore], other: Sequence[ModelScore]) -> list
 
 
 def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
-    """Return the models whose prediction of held-out lights differs from the best one's within
-    chance in every channel. The best comes first; if predictions are equal, the model that was
-    fitted first. Without held-out lights, return the model of smallest BIC."""
+    """Return the models whose prediction of held-out lights equals the best one's within chance in
+    every channel. The best model comes first; if predictions are equal, the one that was fitted
+    first. Without held-out lights, return the model with the smallest BIC.
+    """
     by_model = _scores_by_model(scores)
     if any(score.predicted_error is None for score in scores):
         costs = _bic(by_model)
@@ -204,8 +209,10 @@ def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
 
 
 def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str] | None:
-    """Return the model that predicts held-out lights better or, if these do not decide, the model
-    whose BIC is decisively smaller, and the difference in words; None if there is no such model."""
+    """Return a model that is better than the given one, with the difference in words; None if there
+    is none. It predicts held-out lights better or, if these do not decide, has a decisively smaller
+    BIC.
+    """
     by_model, equal = _scores_by_model(scores), equally_good(scores)
     tested = all(gap.freedom for gap in _differences(by_model[model], by_model[equal[0]]))
     if tested and model not in equal:
@@ -279,8 +286,9 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
 
 
 def only_if_described(section: Section, label: str, errors: Mapping[str, float]) -> Section:
-    """Return a section without the numbers of those channels that the model predicts with a
-    relative error above the limit. `label` names the model."""
+    """Return a section without the numbers of those channels in which the relative error of the
+    model's prediction exceeds the limit. `label` names the model.
+    """
     missed = {channel: error for channel, error in errors.items() if error > SHOWS}
     if not missed:
         return section
@@ -303,7 +311,9 @@ def _lights(count: int, kind: str = "") -> str:
 
 
 def _more(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
-    """Differences in percentage points with their standard errors, by channel."""
+    """Return, in words, the differences by channel in percentage points with their standard
+    errors.
+    """
     gaps = _differences(own, best)
     if all(gap.none for gap in gaps):
         return "the same"

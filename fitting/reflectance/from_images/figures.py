@@ -1,4 +1,4 @@
-"""Pictures of a reflectance calibration."""
+"""Draw the pictures of a reflectance calibration."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -26,7 +26,7 @@ MOST_POINTS = 200_000
 
 
 def images_figure(calibration: ReflectanceCalibration) -> "Figure":
-    """Rows: measured, predicted, difference; columns: lights."""
+    """Draw three rows of images: measured, predicted, and their difference. Columns are lights."""
     observation = calibration.observation
     as_fitted = [(lights_as_fitted(observation, fit), fit) for fit in calibration.reported]
 
@@ -49,9 +49,10 @@ def draw_lights(
     *,
     largest: float | None = None,
 ) -> "Figure":
-    """Draw the measured and the predicted image, (channels, pixels) relative to white, and their
-    (pixels,) difference under some of the lights. `largest` ends the scale of differences; None for
-    their 99th percentile."""
+    """Draw the measured image, the predicted image and their difference under some of the lights.
+    `images_of` returns them: two images (channels, pixels) relative to white and the difference
+    (pixels,). `largest` is the end of the scale of differences; None for their 99th percentile.
+    """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import TwoSlopeNorm
     from matplotlib.figure import Figure
@@ -82,7 +83,7 @@ def draw_lights(
 
 
 def lobes_figure(calibration: ReflectanceCalibration) -> "Figure":
-    """Diffuse and specular term, each after subtracting the other."""
+    """Draw the diffuse and the specular term, each after subtracting the other."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10, 4.2), layout="constrained")
@@ -106,7 +107,7 @@ def lobes_figure(calibration: ReflectanceCalibration) -> "Figure":
 
 
 def comparison_figure(calibration: ReflectanceCalibration) -> "Figure":
-    """Relative RMS per model and channel, on a logarithmic axis."""
+    """Draw the relative RMS error of each model and channel on a logarithmic axis."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter
 
@@ -148,7 +149,7 @@ def comparison_figure(calibration: ReflectanceCalibration) -> "Figure":
 
 
 def residual_map_figure(calibration: ReflectanceCalibration) -> "Figure":
-    """Mean relative residual of every pixel."""
+    """Draw the mean relative residual of every pixel."""
     from matplotlib.colors import TwoSlopeNorm
     from matplotlib.figure import Figure
 
@@ -170,8 +171,9 @@ def residual_map_figure(calibration: ReflectanceCalibration) -> "Figure":
 
 
 def shown_lights(observation: Photographs) -> list[int]:
-    """Return, for fitted and for held-out lights, one light near the view, for which the whole
-    highlight is visible, and an oblique light."""
+    """Return two of the fitted and two of the held-out lights: one near the view, under which the
+    whole highlight is visible, and an oblique one.
+    """
     lit = (observation.cosine > 0).mean(axis=1)
     chosen = []
     for kept in (False, True):
@@ -215,8 +217,9 @@ def _draw_terms(
 def _per_unit_light(
     calibration: ReflectanceCalibration, fit: ChannelFit
 ) -> tuple[Float[np.ndarray, " samples"], ...]:
-    """Decoded signal per irradiance, n.l, mirror angle and unit lobe of the fitted, unsaturated
-    samples (regularly subsampled if there are many)."""
+    """Return the decoded signal per irradiance, n.l, mirror angle and unit lobe of the fitted,
+    unsaturated samples. If there are many samples, every n-th is taken.
+    """
     observation = calibration.observation
     step = max(1, len(calibration.fitted.light) // MOST_POINTS)
     selection = Selection(calibration.fitted.light[::step], calibration.fitted.pixel[::step])
@@ -239,7 +242,9 @@ def _per_unit_light(
 
 
 def _lobe_reach(angle: np.ndarray, unit: np.ndarray) -> float:
-    """Angle in rad slightly beyond the end of the highlight, or 1 without a highlight."""
+    """Return the mirror angle in rad slightly beyond the end of the highlight, or 1 without a
+    highlight.
+    """
     inside = unit > OFF_HIGHLIGHT
     return float(min(1.3 * angle[inside].max(), np.pi)) if inside.any() else 1.0
 
@@ -254,7 +259,9 @@ def _draw_medians(
     *,
     label: str | None = None,
 ) -> None:
-    """Medians in bins: markers with bars over the middle 68 %, or a line if there is no marker."""
+    """Draw medians in bins: markers with bars over the middle 68 %, or a line if there is no
+    marker.
+    """
     place = np.digitize(x, edges) - 1
     rows = [
         (np.median(x[chosen]), *np.quantile(y[chosen], [0.16, 0.5, 0.84]))
@@ -273,7 +280,7 @@ def _draw_medians(
 
 
 def _plane(observation: Photographs, values: np.ndarray) -> np.ndarray:
-    """The values in the box about the object, NaN beside it."""
+    """Return the values as an image of the object's bounding box, NaN outside the object."""
     row, column = (x - x.min() for x in (observation.rows, observation.columns))
     plane = np.full((row.max() + 1, column.max() + 1, *values.shape[1:]), np.nan)
     plane[row, column] = values

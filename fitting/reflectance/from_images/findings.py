@@ -1,6 +1,6 @@
-"""The findings on photographs of a surface, with their conditions.
+"""State the findings on photographs of a surface, each with its condition.
 
-The joint calibration shares the entries on the images and the search, and adds those on the
+The joint calibration uses the same findings on the images and the search, and adds its own on the
 sensor."""
 
 from collections.abc import Iterable, Sequence
@@ -50,7 +50,9 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
 def said_of_channels(
     table: Iterable[Finding], calibration: Any, fits: Sequence[Any]
 ) -> tuple[str, ...]:
-    """The findings of a table on each fit; its conditions take the calibration and the fit."""
+    """Return the findings of a table about each fit. The conditions of the table take the
+    calibration and the fit.
+    """
     return tuple(
         sentence if len(fits) == 1 else f"{fit.channel}: {sentence}"
         for fit in fits
@@ -59,7 +61,7 @@ def said_of_channels(
 
 
 def quoted(sentences: Iterable[str]) -> list[Numbers]:
-    """The numbers of a finding that quotes whole sentences of other modules."""
+    """Return the entries of a finding that quotes whole sentences of other modules."""
     return [{"sentence": sentence} for sentence in sentences]
 
 
@@ -74,7 +76,9 @@ def _clipped(of: OfChannel) -> Numbers | None:
 
 
 def _misfit(of: OfChannel, *, hopeless: bool) -> Numbers | None:
-    """Residuals above the sensor's noise, and whether they exceed the signal."""
+    """Report residuals above the sensor's noise. With `hopeless`, report only those that exceed the
+    signal, otherwise only smaller ones.
+    """
     chi_square, relative = of[1].sensor_chi_square, of[1].spread.relative
     if chi_square is None or relative is None or (relative >= HOPELESS) != hopeless:
         return None
@@ -93,12 +97,14 @@ def _lights(fit: ChannelFit) -> int:
 
 
 def _regions(fit: ChannelFit) -> int:
-    """The number of regions of lights with similar errors, if fewer than the lights."""
+    """Return the number of regions of lights with similar errors, which is at most the number of
+    lights.
+    """
     return len(np.unique(fit.regions[fit.selection.light]))
 
 
 def _too_few_lights(of: OfChannel) -> bool:
-    """Whether the lights are too few to measure their disagreement."""
+    """Return whether the lights are too few to measure how much they disagree."""
     return of[1].robustness is not None and bool(np.isnan(of[1].robustness.by_light))
 
 
@@ -143,7 +149,9 @@ def _region_numbers(of: OfChannel) -> Numbers | None:
 def _turned(
     calibration: ReflectanceCalibration, *, followed: bool, wider: bool = False
 ) -> Numbers | None:
-    """The rotations of lights in standard deviations, in the channels concerned."""
+    """Report the size of the estimated rotations of light directions, in standard deviations, in
+    the channels concerned.
+    """
     sizes = {
         fit.channel: f"{fit.turned.size:.2g}"
         for fit in calibration.reported
@@ -155,8 +163,7 @@ def _turned(
 
 
 def _unseen_winner(calibration: ReflectanceCalibration) -> Numbers | None:
-    """A remark that the best prediction by a glossy model is no evidence of a highlight if BIC
-    rejects it."""
+    """Report that a glossy model predicts best although BIC finds no evidence of a highlight."""
     best = equally_good(calibration.scores)[0]
     pairs = zip(calibration.fits[best], calibration.fits["lambert"], strict=True)
     unseen = [fit.channel for fit, matt in pairs if open_parameters(fit, matt)]
@@ -167,7 +174,7 @@ def _unseen_winner(calibration: ReflectanceCalibration) -> Numbers | None:
 
 
 def _better_model(calibration: ReflectanceCalibration) -> Numbers | None:
-    """A finding if the reported model is not the one that the comparison prefers."""
+    """Report that the comparison prefers another model than the reported one."""
     found = surpassed_by(calibration.scores, calibration.model)
     if found is None or _unseen_winner(calibration) is not None:
         return None
@@ -189,8 +196,9 @@ def _sampling(calibration: ReflectanceCalibration) -> list[Numbers]:
 
 
 def _coloured(calibration: ReflectanceCalibration, *, by_all: bool) -> Numbers | None:
-    """A finding on unequal k_s under calibrated intensities, because a clear surface reflects the
-    colour of the light. All lobes that predict equally well must agree."""
+    """Report unequal k_s under calibrated intensities, which is unexpected because a clear surface
+    reflects the colour of the light. All lobes that predict equally well must agree.
+    """
     reported, fits = _colour(calibration.reported), calibration.reported
     if reported is None or any(f.channel not in calibration.posteriors for f in fits):
         return None
@@ -220,7 +228,7 @@ def _coloured(calibration: ReflectanceCalibration, *, by_all: bool) -> Numbers |
 
 
 def _colour(fits: Sequence[ChannelFit]) -> tuple[np.ndarray, np.ndarray] | None:
-    """ln k_s of three channels and their standard errors; None if a channel has none."""
+    """Return ln k_s of three channels and their standard errors; None if a channel has none."""
     known = [
         (fit.vector[1], np.sqrt(fit.robustness.covariance[1, 1]))
         for fit in fits
@@ -235,12 +243,14 @@ def _colour(fits: Sequence[ChannelFit]) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _contrast(logs: np.ndarray, errors: np.ndarray, low: int, high: int) -> float:
-    """The difference of ln k_s between two channels, in standard errors."""
+    """Return the difference of ln k_s between two channels, in standard errors."""
     return float((logs[high] - logs[low]) / np.hypot(errors[low], errors[high]))
 
 
 def _parts(calibration: ReflectanceCalibration) -> list[Numbers]:
-    """The outline, and the side of the object with the largest misfit, if notable."""
+    """Report the misfit at the outline, and that on the side of the object where it is largest, if
+    notable.
+    """
     residual, normals = mean_residual(calibration), calibration.observation.normals
     seen = np.isfinite(residual)
     parts = {"outline": normals[:, 2] < OUTLINE}
@@ -270,8 +280,9 @@ def _parts(calibration: ReflectanceCalibration) -> list[Numbers]:
 
 
 def _texture(calibration: ReflectanceCalibration) -> Numbers | None:
-    """A finding if the misfit belongs to the pixels themselves: the average over lights reduces any
-    other misfit."""
+    """Report a misfit that belongs to the pixels themselves. The average over lights reduces any
+    other misfit.
+    """
     misfits = [fit.spread.relative for fit in calibration.reported if fit.spread.relative]
     own = float(np.nanstd(mean_residual(calibration)))
     if len(misfits) < len(calibration.reported) or own < TEXTURED * np.mean(misfits):
@@ -280,7 +291,7 @@ def _texture(calibration: ReflectanceCalibration) -> Numbers | None:
 
 
 def _brightness(calibration: ReflectanceCalibration) -> Numbers | None:
-    """A finding if the misfit is one factor for each image."""
+    """Report a misfit that is one factor for each image."""
     misfits = [fit.spread.relative for fit in calibration.reported if fit.spread.relative]
     factors = residual_of_images(calibration)
     factors = factors[np.isfinite(factors)]
@@ -297,7 +308,7 @@ def _brightness(calibration: ReflectanceCalibration) -> Numbers | None:
 
 
 def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
-    """The assumptions of a fit on files, lights and camera, and how to change them."""
+    """Return the assumptions of a fit on files, lights and camera, and how to change them."""
     observation = calibration.observation
     granted = []
     if observation.gamma is None and not calibration.reported[0].form.free_gamma:
@@ -310,7 +321,7 @@ def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
 
 
 def _shadows(calibration: ReflectanceCalibration) -> Numbers | None:
-    """Light in attached shadows, which no source of the rig reaches."""
+    """Report light in attached shadows, which no source of the rig reaches."""
     observation = calibration.observation
     light, pixel = np.nonzero(observation.cosine < SHADOWED)
     glow = []
@@ -502,7 +513,7 @@ OF_ALL = (
 
 
 def misfit_table(calibration: ReflectanceCalibration) -> Table:
-    """Chi-square with and without the misfit, and the design effects, by channel."""
+    """Tabulate, by channel, chi-square with and without the misfit, and the design effects."""
 
     def row(fit: ChannelFit) -> tuple:
         robust = fit.robustness

@@ -1,15 +1,16 @@
-"""One channel, one model: the best parameters (`optimum`), the data to assess them, and their
+"""Fit one model to one channel: the best parameters (`optimum`), the data to assess them, and their
 posterior.
 
 Pixels of one image share errors, so the product of their densities is a composite likelihood. Its
-mode is right, but its curvature is not. Chains therefore stretch its argument about the mode until
-its curvature is the inverse of the covariance over images (Ribatet, Cooley & Davison, "Bayesian
-Inference from Composite Likelihoods", Statistica Sinica 22, 2012). Priors of a surface are flat in
-the logarithms.
+mode is right, but its curvature is not. For chains, the argument of the likelihood is therefore
+stretched about the mode so that the curvature is the inverse of the covariance over images
+(Ribatet, Cooley & Davison, "Bayesian Inference from Composite Likelihoods", Statistica Sinica 22,
+2012). The priors of surface parameters are flat in the logarithms.
 
-A step of the chain evaluates cells instead of pixels. At the mode both predict the same mean of
-each cell, but derivatives vary inside a cell, so the gradients differ. The gradient of the cells at
-the mode is therefore subtracted, so that their density has the mode of all pixels.
+A step of the chain evaluates cells of pixels instead of single pixels. At the mode both predict the
+same mean of each cell, but derivatives vary inside a cell, so the gradients differ. The gradient of
+the cells' density at the mode is therefore subtracted, so that it has the same mode as the density
+of all pixels.
 """
 
 from collections.abc import Callable
@@ -69,7 +70,9 @@ from .signal import Form, Matrix, OfSamples, Vector, parameter_space
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """A fitted channel. The form lacks the terms whose best amplitude is zero."""
+    """The fit of one model to one channel. Its form lacks the terms whose best amplitude is
+    zero.
+    """
 
     view: View
     requested: Form  # the requested form
@@ -105,7 +108,7 @@ class ChannelFit:
 
     @property
     def natural(self) -> Vector:
-        """Parameters in their own units."""
+        """Return the parameters in their own units."""
         return natural_numbers(self.space, self.vector)
 
     @cached_property
@@ -114,16 +117,18 @@ class ChannelFit:
 
     @cached_property
     def regions(self) -> Int[np.ndarray, " lights"]:
-        """Return the region of each light: lights with similar errors share one, others have their
-        own."""
+        """Return the region to which each light belongs. Neighbouring lights with correlated errors
+        are in one region, any other light is its own region.
+        """
         places = self.view.observation.wi.mean(axis=1)
         return regions(self._scores_and_slopes[0], self.selection.light, places)
 
     @cached_property
     def robustness(self) -> Robustness | None:
         """Return a covariance that does not assume independent samples; None if the data do not
-        determine all parameters. It is computed on demand, because most compared models do not need
-        it."""
+        determine all parameters. The covariance is computed on demand, because most compared models
+        do not need it.
+        """
         every = np.arange(len(self.space))
         return robust_covariance(self, every) if self.identifiability.determined else None
 
@@ -132,12 +137,13 @@ class ChannelFit:
         return 1.0 if self.robustness is None else self.robustness.design_effect
 
     def log_evidence(self, design_effect: float) -> float:
-        """Logarithm of the likelihood marginalised over the light directions, with e their most
-        likely rotations and P their prior covariance,
+        """Return the log likelihood marginalised over the light directions. With e their most
+        likely rotations, P the prior covariance of these and S the scaled derivatives of the
+        samples, it is
 
             ln L(e) - e^T P^-1 e / 2 - ln det(1 + P S^T S) / 2,
 
-        where ln L and S^T S are divided by a design effect.
+        where ln L and S^T S are divided by the design effect.
         """
         evidence = self.log_likelihood / design_effect
         if self.turns_and_information is None:
@@ -213,8 +219,9 @@ def robust_covariance(fit: ChannelFit, known: Int[np.ndarray, " known"]) -> Robu
 def squared_errors(
     predicted: OfSamples, samples: Samples, selection: Selection
 ) -> Float[np.ndarray, "lights 2"]:
-    """Return (lights, 2) sums over a light's unsaturated samples of squared (predicted - measured)
-    and of squared signals above black."""
+    """Return two sums over each light's unsaturated samples, (lights, 2): of squared (predicted -
+    measured), and of squared signals above black.
+    """
     measured = np.asarray(samples.dn)
     trusted = measured < samples.clip
     light = selection.light[trusted]
@@ -224,7 +231,7 @@ def squared_errors(
 
 
 def lights_as_fitted(observation: Photographs, fit: ChannelFit) -> Photographs:
-    """Return the observation with the light directions of a fit."""
+    """Return the photographs with the light directions that a fit estimated."""
     if fit.turned is None or not fit.turned.followed:
         return observation
     return turned(observation, fit.turned.turns * observation.uncertain["direction_sd"][:, None])
@@ -243,7 +250,7 @@ def predicted_image(
 
 
 class Adjusted(eqx.Module):
-    """A log density with another curvature at its mode."""
+    """A log density that is stretched about its mode to another curvature."""
 
     density: Callable[[Array, Any], Array] = eqx.field(static=True)  # function of (vector, data)
     data: Any  # of the density
@@ -254,15 +261,16 @@ class Adjusted(eqx.Module):
 
 
 def adjusted_log_density(vector: Float[Array, " parameters"], data: Adjusted) -> Array:
-    """Log density with its argument stretched about the mode, up to a constant."""
+    """Return the log density with its argument stretched about the mode, up to a constant."""
     away = data.stretch @ (vector - data.mode)
     own = data.density(data.mode + away, data.data)
     return own if data.slope is None else own - data.slope @ away
 
 
 def composite(fit: ChannelFit, grouping: Grouping) -> Adjusted:
-    """Return the adjusted likelihood of cells and saturated samples, where the covariance of a fit
-    is known."""
+    """Return the adjusted likelihood of cells and saturated samples, for a fit whose covariance is
+    known.
+    """
     assert fit.robustness is not None
     cells = average(fit.samples, grouping, exact_at=predict(fit.vector, fit.samples))
     data = cells, saturated_only(fit.samples)
@@ -284,8 +292,10 @@ def channel_posterior(
 
 
 def robust(covariance: Robustness) -> dict[str, Any]:
-    """The input of `adjusted_posterior` from a covariance over images. An interval of Student's t
-    is wider than its standard deviation, and a non-Gaussian density is stretched to it."""
+    """Return the arguments of `adjusted_posterior` that follow from a covariance over images. An
+    interval of Student's t is wider than its standard deviation, and a non-Gaussian density is
+    stretched to it.
+    """
     return {
         "covariance": covariance.covariance,
         "wider": covariance.gaussian_covariance,
@@ -304,8 +314,9 @@ def adjusted_posterior(
     seed: int,
     **judged: Any,
 ) -> Posterior:
-    """Return draws by emcee if `sampling` is given, else Laplace's approximation, where it is
-    accurate."""
+    """Return draws by emcee if `sampling` is given. Otherwise return Laplace's approximation, or
+    draws where it is inaccurate.
+    """
     if sampling is None:
         of = adjusted_log_density, space, data.mode, covariance, data
         return laplace_where_it_holds(*of, seed=seed, wider=wider, **judged)
