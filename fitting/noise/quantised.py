@@ -10,24 +10,25 @@ window of M codes that contains the whole signal:
 
     P(c) = 1/M sum_k phi(2 pi k / M) sinc(k / M) exp(-2 pi i k c / M).
 
-If the codes are summed first, a moment is a weighted sum of phi over the frequencies. The weights
-depend on the clipping but not on the parameters:
+If the sum over codes is done first, moment p about r is a weighted sum of phi over the frequencies.
+The weights w_p depend on the clipping but not on the parameters:
 
     E[(z - r)^p] = sum_k phi(2 pi k / M) w_p(k),
     w_p(k) = 1/M sinc(k / M) sum_c (max(c, 0) - r)^p exp(-2 pi i k c / M).
 
-No sum over electrons is needed, so the light may be bright or dim.
+No sum over electrons is needed, so the cost does not grow with the light.
 
 The offsets of pixels lie at different positions between two codes. If the offsets are Normal with
-standard deviation s, the moments of one pixel are averaged over d ~ N(0, s^2) at offset + d. A
-trapezoidal sum over J nodes is exact for such smooth functions. The variance of a pixel is averaged
-given its offset. The variation of its mean with the offset is the DSNU behind the rounding. The n
-pixels of a die are a sample of that distribution. Given the mean and the spread of their own
-offsets, averages still scatter by the parts of a pixel's mean, variance and squared deviation that
-are neither linear nor quadratic in d.
+standard deviation s, the moments of one pixel are averaged over d ~ N(0, s^2) at offset + d. The
+average is a trapezoidal sum over J nodes, which converges exponentially for such smooth functions.
+The temporal variance of each pixel, given its offset, is averaged in this way. The variance of a
+pixel's mean over the offsets is the DSNU after rounding. The n pixels of a sensor are a sample of
+the distribution of offsets. The fit adapts to the mean and the spread of this sample. Averages over
+it still scatter, by the parts of a pixel's mean, variance and squared deviation that are neither
+linear nor quadratic in d.
 
-The usual moments, with a variance of 1/12 for rounding, fail for small read noise and for clipped
-black. `window` decides whether this is significant.
+The usual moments, with a variance of 1/12 for rounding, are wrong for small read noise and for
+clipped black; `window` decides whether this is significant.
 """
 
 from collections.abc import Sequence
@@ -53,7 +54,7 @@ LARGEST = 2**27  # largest transform, in numbers: 2 GB
 
 
 class Window(eqx.Module):
-    """Weights of some levels for their exact moments."""
+    """The weights w_p(k) for the exact moments of some levels."""
 
     # an integer code near each mean; phases and moments are relative to it
     centre: Float[Array, " levels"]
@@ -70,7 +71,8 @@ class Window(eqx.Module):
 
 
 class Moments(NamedTuple):
-    """Cumulants of one pixel's number, averaged over the pixels, in powers of codes or DN."""
+    """The first four cumulants of a pixel's number, averaged over the pixels, in powers of codes or
+    of DN."""
 
     mean: Array
     variance: Array  # of a pixel over the frames
@@ -94,7 +96,7 @@ def window_for(
     known_spread: Float[np.ndarray, " levels"] | None = None,
     widest: float = WIDEST,
 ) -> Window:
-    """Weights for levels of given means."""
+    """Compute the weights for levels whose means are known approximately."""
     again = np.pad(np.arange(len(levels)), (0, -len(levels) % PADDED), mode="edge")
     levels, mean = np.asarray(levels)[again], mean[again]
     known_spread = np.zeros(len(levels)) if known_spread is None else known_spread[again]
@@ -129,8 +131,8 @@ def window_for(
 
 
 def _nodes(spread: float, finest: float) -> Float[Array, " nodes"]:
-    """Nodes for a given spread of offsets, finer than any harmonic of the rounding that the
-    smallest read noise passes."""
+    """Return nodes d / s for the average over offsets. They resolve every harmonic of the rounding
+    that the smallest read noise does not smooth out."""
     harmonics = DECAY / (2 * np.pi * finest)
     half = REACHED * (spread * 2 * harmonics + 1.2)
     half = int(2 ** (np.ceil(FINER * np.log2(half)) / FINER))  # few sizes, as for the frequencies
@@ -146,7 +148,8 @@ def quantised_moments(
     *,
     spread: Float[Array, ""] | None = None,
 ) -> Moments:
-    """First four cumulants of the digital number at ONE level (vmap it over the window)."""
+    """Return the first four cumulants of the digital number at ONE level; use `vmap` over the
+    levels of the window."""
     frequencies = window.cosine.shape[-1]
     u = 2 * jnp.pi * jnp.arange(frequencies, dtype=gain.dtype) / window.size
     # cos - 1 is computed as -2 sin^2 of half the angle, which has no cancellation at small u.
@@ -182,7 +185,7 @@ def quantised_moments(
 
 
 def _cumulants(raw: Array) -> tuple[Array, Array, Array, Array]:
-    """Cumulants from the first four moments, one in each row."""
+    """Convert the first four moments, one in each row, to cumulants."""
     first, second, third, fourth = raw
     variance = second - first**2
     skew = third - 3 * first * second + 2 * first**3

@@ -1,4 +1,5 @@
-"""Names, symbols and units: lines of the EMVA 1288 data sheet, and parameters of the likelihood."""
+"""Names, symbols and units of the figures on the EMVA 1288 data sheet, and the parameters of the
+likelihood."""
 
 from typing import NamedTuple
 
@@ -6,7 +7,7 @@ from ..inference.parameters import Parameter
 
 
 class Quantity(NamedTuple):
-    """A line of the sheet."""
+    """A figure of the EMVA 1288 data sheet."""
 
     name: str  # a word
     symbol: str  # the standard's
@@ -64,7 +65,7 @@ HEADINGS = {  # of the sheet, in the order of the standard's summary
 
 
 def _number(name: str, symbol: str, unit: str, *, positive: bool = False) -> Parameter:
-    """Return one parameter of the likelihood; a positive one is fitted by its logarithm."""
+    """Make a scalar parameter of the likelihood; a positive one is fitted by its logarithm."""
     transform = "log" if positive else "identity"
     return Parameter(name, symbol=symbol, unit=unit, transform=transform, shape=())
 

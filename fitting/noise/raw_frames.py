@@ -1,4 +1,4 @@
-"""Detection of compression, denoising and tone curves in frames, which make a gain meaningless.
+"""Detection of compression, resizing, denoising and tone curves, after which a gain is meaningless.
 
 JPEG       noise that neighbours share, except across the borders of blocks of 8 x 8 pixels;
            at high quality, block cosine transforms at multiples of the quantiser steps
@@ -36,7 +36,8 @@ GROWS = 0.7  # share of the noise above black that must be proportional to the s
 def block_products(
     deviation: Float[np.ndarray, "h w"], live: LivePixels
 ) -> Float[np.ndarray, "2 8"]:
-    """Mean product of a pixel and the next below (to the right), by row (column) modulo 8."""
+    """Return the mean product of a pixel and the one below it, by row modulo 8, and of a pixel and
+    the one to its right, by column modulo 8."""
     found = np.full((2, BLOCK), np.nan)
     if min(deviation.shape) >= 2 * BLOCK:
         lines = zip(found, line_products(deviation), live.pairs_by_line, strict=True)
@@ -50,12 +51,13 @@ def block_products(
 def combs(
     frame: Float[np.ndarray, "h w"], *, corner: tuple[int, int] = (0, 0)
 ) -> Float[np.ndarray, "steps 8 8"]:
-    """The distance of JPEG block coefficients from a uniform distribution between multiples of a
-    step, in standard errors.
+    """Test, for each of 16 steps q and each of 8 x 8 coefficients c of the block cosine transform,
+    whether the coefficients cluster at multiples of q. Return the mean of cos(2 pi c / q) in
+    standard errors.
 
-    JPEG rounds the cosine transform of each block of 8 x 8 pixels to multiples of a step of its
-    table. Rounding of the pixels reduces the mean of cos(2 pi c / q) to exp(-pi^2 / (6 q^2)). For
-    raw numbers whose noise exceeds a step the mean is 0.
+    JPEG rounds each coefficient of a block of 8 x 8 pixels to a multiple of a step from its table.
+    The mean is then 1, or exp(-pi^2 / (6 q^2)) after the pixels are rounded again. For raw frames
+    whose noise exceeds a step the mean is 0.
     """
     found = np.full((len(STEPS), BLOCK, BLOCK), np.nan)
     own = frame[-corner[0] % BLOCK :, -corner[1] % BLOCK :]
@@ -84,7 +86,8 @@ def combs(
 
 
 def local_variance(average: Float[np.ndarray, "h w"], live: LivePixels) -> float:
-    """Variance of pixels from differences of neighbours, which uneven light does not increase."""
+    """Return the variance of an average frame from differences between neighbouring pixels, which
+    uneven light does not increase."""
     found = []
     for axis in (0, 1):
         if average.shape[axis] > 1:
@@ -100,7 +103,7 @@ def local_variance(average: Float[np.ndarray, "h w"], live: LivePixels) -> float
 def processing_in_words(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> list[str]:
-    """The evidence that frames are not raw."""
+    """Return sentences on the evidence that frames are not raw; an empty list if there is none."""
     lossy = measurement.lossy
     if not lossy:
         return [*compressed_in_words(measurement, usable), *_denoised(measurement, usable)]
@@ -114,8 +117,8 @@ def processing_in_words(
 def compressed_in_words(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> list[str]:
-    """The evidence of compression or resizing: coefficients of blocks are quantised, or correlated
-    noise ends at the borders of blocks."""
+    """Return a sentence on compression or resizing if the coefficients of blocks are quantised, or
+    if correlated noise ends at the borders of blocks; else an empty list."""
     return _rounded_blocks(measurement, usable) or _parted_blocks(measurement, usable)
 
 
@@ -166,7 +169,7 @@ def _parted_blocks(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]
 
 
 def _repeats(shares: Float[np.ndarray, "2 residues"], period: int) -> bool:
-    """Whether neighbours share less noise with a period of so many rows and columns."""
+    """Return whether the noise that neighbours share drops once every `period` rows and columns."""
     for own in shares:
         low = np.arange(BLOCK) % period == int(np.argmin(own)) % period
         if own[~low].mean() - own[low].max() < PARTED * (own[~low].mean() - own.min()):
@@ -225,10 +228,11 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
 
 
 def tone_curve(measurement: PhotonTransfer) -> float | None:
-    """Return the exponent of the signal as a power of the light, if a tone curve was applied to the
-    frames; None if the signal is linear or if the noise grows with it.
+    """Return the exponent of a tone curve, by which the signal is a power of the light. None if the
+    signal is linear, or if its variance grows in proportion to it.
 
-    A wrongly stated light bends the signal too, but leaves the variance in proportion to it.
+    Wrongly stated light bends the signal too, but then the variance stays proportional to the
+    signal.
     """
     bright, dark = measurement.bright, measurement.dark
     light, variance = np.asarray(bright.light), np.asarray(bright.variance)

@@ -1,4 +1,4 @@
-"""Reading photon transfer: frames of a rig reduced one at a time, or a table of sums."""
+"""Reading of a photon transfer measurement from the frames of a rig, or from a table of sums."""
 
 import os
 from collections import Counter
@@ -49,7 +49,8 @@ BRIGHTEST = 2  # levels used to find dead pixels
 def read_photon_transfer(
     path: str | os.PathLike[str] | Rig, *, bits: int | None = None, channel: str = ""
 ) -> PhotonTransfer:
-    """A photon transfer measurement from a rig's `[[flat]]` and `[[dark]]` frames, or from a table.
+    """Read a photon transfer measurement from a rig's `[[flat]]` and `[[dark]]` frames, or from a
+    table.
 
     Args:
         path: a rig, its folder or file, or a table of sums with the suffix `.csv`.
@@ -79,7 +80,8 @@ def read_photon_transfer(
 
 @dataclass(frozen=True)
 class Reduced:
-    """A rig's photon transfer, and the means to read its frames again.
+    """A rig's photon transfer measurement, with the names of its frames and a function that reads
+    them again.
 
     Attributes:
         measurement: before its checks.
@@ -95,7 +97,7 @@ class Reduced:
 
 
 def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> PhotonTransfer:
-    """Reduce all frames of a rig, one frame in memory at a time."""
+    """Compute the statistics of all frames of a rig, with one frame in memory at a time."""
     return reduced_rig(rig, channel=channel, load=load).measurement
 
 
@@ -200,7 +202,7 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # threads wait longer than they compute
 def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Levels:
-    """Reduce only the darks of a rig."""
+    """Compute the statistics of the darks of a rig alone."""
     rig, odd, _ = _without_odd_heads(rig)
     channel = channel or _first_site(rig.camera)
     entries = _pooled(rig.dark)
@@ -213,7 +215,7 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
 
 @dataclass(frozen=True)
 class _Source:
-    """Where the frames of a measurement come from.
+    """The source of a measurement's frames: its rig, its channel and its valid pixels.
 
     Attributes:
         rig: the rig that lists the files.
@@ -230,16 +232,16 @@ class _Source:
     live_of: dict[tuple[int, ...], LivePixels] = field(default_factory=dict)
 
     def plane(self, name: str) -> np.ndarray:
-        """(h, w) DN of a frame."""
+        """Return the (h, w) DN of a frame."""
         return _plane(self.rig, name, self.channel, self.load)
 
     def count(self, codes: Codes, frame: np.ndarray) -> None:
-        """Add the numbers of a frame to the counts, without dead pixels."""
+        """Count the codes of a frame, without dead pixels."""
         live = self.pixels(frame.shape)
         codes.add(np.where(live.mask, frame, np.nan) if live.count < frame.size else frame)
 
     def pixels(self, shape: tuple[int, ...]) -> LivePixels:
-        """The valid pixels of a frame of this size."""
+        """Return the valid pixels of a frame of this shape."""
         known = self.live_of.get(shape)
         if known is None:
             mask = self.live
@@ -252,7 +254,7 @@ class _Source:
 def _dead(
     rig: Rig, flats: Sequence[Flat], darks: Sequence[Dark], channel: str, load: Load
 ) -> DeadPixels | None:
-    """The dead pixels, from the brightest flats and the longest darks."""
+    """Find dead pixels in the brightest flats and the longest darks."""
 
     def planes(entries: Sequence[Flat] | Sequence[Dark]) -> list[np.ndarray]:
         found = []
@@ -275,20 +277,20 @@ def _dead_in_words(rig: Rig, dead: DeadPixels, channel: str) -> str:
 
 
 def _full_scale(stated: float, converter: Converter) -> float:
-    """The largest code of the ADC, DN, from the rig or from the frames."""
+    """Return the largest code of the ADC, DN, from the rig or, if frames clip lower, from these."""
     top = stated if converter.clips_at is None else min(stated, converter.clips_at)
     step, origin = converter.step, converter.origin
     return origin + step * float(np.floor((top - origin) / step + 1e-6)) if step else top
 
 
 def _first_site(camera: Camera) -> str:
-    """The first green of a mosaic, else the first tap, or `grey`."""
+    """Return the first green site of a mosaic, else the first tap, else `grey`."""
     greens = [site for site in camera.sites if site.startswith("green 1")]
     return (greens or camera.sites)[0]
 
 
 def _pooled(darks: Sequence[Dark]) -> list[Dark]:
-    """Entries of the same exposure combined, ascending."""
+    """Combine the darks of equal exposure, in the order of exposure."""
     files: dict[float, tuple[str, ...]] = {}
     for dark in darks:
         files[dark.exposure] = files.get(dark.exposure, ()) + dark.files
@@ -296,7 +298,8 @@ def _pooled(darks: Sequence[Dark]) -> list[Dark]:
 
 
 def _light(rig: Rig, flat: Flat) -> float | None:
-    """Photons per pixel of a flat, from its irradiance if only that is known."""
+    """Return the photons per pixel of a flat, from its irradiance if only that is stated; None if
+    neither is."""
     if flat.photons is not None or flat.irradiance is None:
         return flat.photons
     camera = rig.camera
@@ -311,8 +314,8 @@ def _light(rig: Rig, flat: Flat) -> float | None:
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[OddFrames]], list[str]]:
-    """Return a rig without the frames whose metadata contradict it, the dropped flats and darks,
-    and remarks."""
+    """Return the rig without the frames whose metadata contradict it, the flats and darks that were
+    dropped, and remarks."""
     entries = {"flat": rig.flat, "dark": rig.dark}
     stated = [
         Stated(name, rig.path(name), entry.exposure, group)
@@ -345,8 +348,8 @@ def _reduced(
     light: Float[np.ndarray, " levels"] | None = None,
     dark: Levels | None = None,
 ) -> tuple[Levels, list[tuple[FrameSample, ...]], Codes]:
-    """Levels of matching frames, a summary of each frame, and the counts of their codes; `odd` has
-    the frames dropped before."""
+    """Compute the statistics of each level, without frames that deviate. Also return a summary of
+    each used frame, and counts of the codes. `odd` has the frames dropped before."""
     rig, gone, codes = source.rig, list(odd), Codes()
     count = sum(len(entry.files) for entry in entries)
     times = np.array([entry.exposure for entry in entries])
@@ -399,12 +402,13 @@ def _reduced(
 
 
 def _array(values: Any) -> Array:
-    """Numbers for a record. JAX compiles a program for each list that it joins."""
+    """Convert numbers to a JAX array through NumPy, because JAX would compile a program for each
+    list."""
     return jnp.asarray(np.asarray(values))
 
 
 def _hits_in_words(levels: Sequence[ReducedLevel], unlit: bool) -> list[str]:
-    """A finding if pixels of single frames were left out."""
+    """Return a finding if outlying pixels of single frames were replaced; else an empty list."""
     what = "dark" if unlit else "flat"
     count = sum(level.hits for level in levels)
     if not count:
@@ -420,7 +424,7 @@ def _hits_in_words(levels: Sequence[ReducedLevel], unlit: bool) -> list[str]:
 
 
 def _leave_out_sizes(rig: Rig, found: list[ReducedLevel | None], gone: list[OddFrames]) -> None:
-    """Drop levels of another size than the majority."""
+    """Drop levels whose frames differ in size from those of the majority of levels."""
     sizes = Counter(level.live.mask.shape for level in found if level is not None)
     if len(sizes) < 2:
         return
@@ -437,8 +441,9 @@ def _leave_out_sizes(rig: Rig, found: list[ReducedLevel | None], gone: list[OddF
 def _level(
     source: _Source, codes: Codes, files: Sequence[str], unlit: Unlit | None, odd: list[OddFrames]
 ) -> ReducedLevel | None:
-    """The statistics of a level, from the frames of the most frequent size; None if fewer than two
-    frames remain. Unusable frames are added to `odd`, the numbers of all frames to the codes."""
+    """Compute the statistics of a level, from the frames of its most frequent size; None if fewer
+    than two frames remain. Unusable frames are added to `odd`, and the codes of all readable frames
+    to the counts."""
     rig, of_size = source.rig, {}
     for name in files:
         try:
@@ -479,7 +484,7 @@ def _level(
 
 
 class _Unreadable(InputError):
-    """A file that is not an image."""
+    """A frame's file is not an image."""
 
 
 def _plane(rig: Rig, name: str, channel: str, load: Load) -> np.ndarray:

@@ -1,10 +1,12 @@
-"""Lines through levels, their sampling errors, tests of the scatter about them, and intervals.
+"""Least-squares lines over levels, sampling errors, chi-square tests, and intervals of variances.
 
-Intervals of a variance that is a sum of parts, some known from few degrees of freedom.
+An interval is needed for a variance that is the sum of parts, some known from few degrees of
+freedom.
 
-Part i, of pixels, rows or columns, has variance V_i with nu_i degrees of freedom; w columns have w
-- 1. Its estimate has a chi-square distribution. For small nu_i neither its logarithm nor its square
-root is symmetric. With V = sum V_i and an error sigma from temporal noise, the quantile at p is
+Part i (of pixels, rows or columns) has variance V_i, whose estimate has nu_i degrees of freedom;
+for w columns these are w - 1. The estimate of a part has a chi-square distribution. For small nu_i,
+intervals that are symmetric in its logarithm or its square root are wrong. With V = sum V_i and an
+error sigma from temporal noise, the quantile at p is
 
     V +- sqrt(sum (nu_i / q_i - 1)^2 V_i^2 + z^2 sigma^2),    plus for p > 1/2
 
@@ -29,7 +31,7 @@ from .shared import SharedNoise
 
 
 def through_origin(x: Array, y: Array, within: Array) -> Float[Array, ""]:
-    """Least-squares slope of y = b x."""
+    """Return the least-squares slope b of y = b x."""
     return jnp.sum(jnp.where(within, x * y, 0)) / jnp.sum(jnp.where(within, x * x, 0))
 
 
@@ -51,8 +53,8 @@ def surprise(chi2: Array, degrees: Array) -> Array:
 
 @jax.jit
 def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
-    """Chi-square of points about their own weighted line, or about their mean if they share one
-    abscissa."""
+    """Return chi-square of points about their weighted least-squares line (about their mean if all
+    have the same x), and its degrees of freedom."""
     weights = 1 / variances
     one_place = jnp.all(x == x[0])
     mean = jnp.sum(weights * y) / jnp.sum(weights)
@@ -65,13 +67,13 @@ def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
 
 
 def chi_square(missed: Array, variances: Array, used: Array) -> Array:
-    """Sum of squared residuals over their variances."""
+    """Return the sum of squared residuals over their variances."""
     safe = jnp.where(used & (variances > 0), variances, 1)
     return jnp.sum(jnp.where(used, missed**2 / safe, 0))
 
 
 class SamplingErrors(eqx.Module):
-    """Sampling (co)variances of a level's mean and temporal variance."""
+    """The sampling variances and covariance of each level's mean and temporal variance."""
 
     mean: Float[Array, " levels"]  # variance of the mean, DN^2
     variance: Float[Array, " levels"]  # variance of the variance, DN^4
@@ -81,7 +83,8 @@ class SamplingErrors(eqx.Module):
 def sampling_errors(
     levels: Levels, shot_variance: Array, gain: Array, *, shared: SharedNoise | None = None
 ) -> SamplingErrors:
-    """Sampling (co)variances of mean and variance over n pixels and L frames."""
+    """Return the sampling variances and covariance of mean and temporal variance over n pixels and
+    L frames."""
     shot = jnp.maximum(shot_variance, 0)
     n, frames = levels.pixels, levels.frames
     mean = levels.variance / (n * frames)
@@ -98,32 +101,34 @@ MISFIT = 1e-3  # p-value below which a model is rejected
 
 
 def p_value(chi_square: float, degrees: float) -> float:
-    """The probability that chance gives a chi-square at least as large."""
+    """Return the probability that chance gives a chi-square at least as large."""
     return float(chdtrc(max(degrees, 1), chi_square))
 
 
 def inflation(chi_square: float, degrees: float) -> float:
-    """Factor on a covariance for a misfit."""
+    """Return the factor on a covariance for a misfit: chi-square per degree of freedom if it is
+    significant, else 1."""
     beyond = degrees > 0 and p_value(chi_square, degrees) < MISFIT
     return chi_square / degrees if beyond else 1.0
 
 
 class Part(NamedTuple):
-    """A part of a variance, as an estimate from a sample."""
+    """A part of a variance, estimated from a sample."""
 
     variance: float  # of the population
     degrees: float  # of freedom of its estimate
 
 
 def sampling_variance(parts: Sequence[Part]) -> float:
-    """Variance of the sum of parts, sum 2 V_i^2 / nu_i."""
+    """Return the sampling variance of the sum of parts, sum 2 V_i^2 / nu_i."""
     return sum(2 * part.variance**2 / part.degrees for part in parts)
 
 
 def deviation_quantiles(
     variance: float, noise: float, parts: Sequence[Part], *, relative: float = 0.0
 ) -> Float[np.ndarray, "5"]:
-    """Ends of the intervals of a standard deviation.
+    """Return the ends of the 95 % and 68 % intervals of a standard deviation and its median, in
+    ascending order.
 
     Example:
         >>> from fitting.noise.regressions import Part, deviation_quantiles

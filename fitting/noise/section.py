@@ -1,4 +1,4 @@
-"""The report of a noise calibration: the sheet line by line, findings and figures."""
+"""The report of a noise calibration: the figures of the sheet, findings and pictures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -43,7 +43,7 @@ KIND, TITLE = "noise", "Camera noise by photon transfer"
 
 
 def section(calibration: NoiseCalibration) -> Section:
-    """The section of a calibrated camera."""
+    """Return the report section of a calibrated camera."""
     likelihood = calibration.likelihood
     found, pictures = [*findings(calibration)], [*noise_pictures(calibration)]
     tables, records, of_fit = [], {}, {}
@@ -94,7 +94,7 @@ def section(calibration: NoiseCalibration) -> Section:
 def sections_of_sites(
     calibrations: Mapping[str, NoiseCalibration], camera: Camera
 ) -> list[Section]:
-    """One section for each site of a mosaic or tap of an amplifier."""
+    """Return a report section for each mosaic site or amplifier tap."""
     found = []
     for site, calibration in calibrations.items():
         own = section_of_part(section(calibration), site)
@@ -123,7 +123,7 @@ def sections_of_sites(
 
 
 def _operating_point(calibration: NoiseCalibration) -> str:
-    """The operating point that the standard requires with every sheet."""
+    """Describe the operating point, which the standard requires with every sheet."""
     measurement = calibration.measurement
     bright, dark = measurement.bright, measurement.dark
     shortest, longest = (f"{1e3 * float(end(bright.exposure)):.3g}" for end in (np.min, np.max))
@@ -139,7 +139,7 @@ def _operating_point(calibration: NoiseCalibration) -> str:
 
 
 def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
-    """The sheet line by line with both methods, then the likelihood's own parameters."""
+    """Return the figures of the sheet by both methods, then the likelihood's own parameters."""
     by_likelihood = {estimate.name: estimate for estimate in calibration.sheet}
     floored = is_floored(calibration.measurement, calibration.within)
     values, errors = calibration.standard.values, calibration.standard.errors
@@ -172,7 +172,8 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
 
 
 def _without_doubted(calibration: NoiseCalibration, listed: Sequence[Estimate]) -> list[Estimate]:
-    """Return the figures; those that the frames do not determine are replaced by the reason."""
+    """Return the figures, with the reason in place of those that contradictory or processed frames
+    do not determine."""
     doubts = calibration.measurement.doubts
     why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
     if processing(calibration):
@@ -187,7 +188,7 @@ def _without_doubted(calibration: NoiseCalibration, listed: Sequence[Estimate]) 
 
 
 def floor_in_words(measurement: PhotonTransfer, quantity: Quantity, value: float) -> str:
-    """The limit on a figure if the dark noise is at the standard's floor."""
+    """Describe the limit on a figure if the dark noise is below the standard's minimum."""
     side = "below" if FROM_DARK_NOISE[quantity.name] else "above"
     floor = np.sqrt(least_dark_variance(measurement))
     return (
@@ -209,7 +210,7 @@ def _why_missing(calibration: NoiseCalibration, name: str) -> str:
 
 
 def why_missing(measurement: PhotonTransfer, name: str) -> str:
-    """Why frames do not give a figure of the standard."""
+    """Return the reason why the frames do not give a figure of the standard."""
     if name in NEED_PHOTONS and not measurement.photons_known:
         return "the light was not measured; give photons or irradiance for every flat"
     if name in NEED_SATURATION:
@@ -257,7 +258,8 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
 
 
 def _why_hidden(pattern: PatternVariance, spread: Spread) -> str:
-    """Why a pattern is not significant, with a placeholder for its limit."""
+    """Return the reason why a fixed pattern is not significant, with a placeholder for its upper
+    limit."""
     if spread.hidden_by_noise:
         return "hidden under temporal noise, {}; take more frames"
     if pattern.p_value is not None and pattern.p_value < MISFIT:

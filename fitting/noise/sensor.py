@@ -1,4 +1,4 @@
-"""A calibrated camera as a sensor for predictions: the best fit, and draws."""
+"""Conversion of a calibration to a sensor for predictions: its best fit and posterior draws."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -40,10 +40,11 @@ def ends_at_full_scale(calibration: NoiseCalibration) -> bool:
 
 
 def full_well(calibration: NoiseCalibration) -> tuple[float, float] | None:
-    """The full well times the gain at zero signal, from the levels whose wells are full.
+    """Return the full well times the gain at zero signal, DN, and its standard error, from levels
+    at which wells fill; None if there are none.
 
-    A level of mu electrons has the mean E[min(N, W)] with N Gaussian of variance mu, which is
-    solved for W.
+    At mu expected electrons and a full well W, the mean is E[min(N, W)], with N Gaussian of mean
+    and variance mu. This is solved for W.
     """
     if calibration.within.saturation is None or ends_at_full_scale(calibration):
         return None
@@ -75,7 +76,7 @@ def full_well(calibration: NoiseCalibration) -> tuple[float, float] | None:
 
 
 def _well_of(held: float, mean: float) -> float:
-    """W of E[min(N, W)] = held, with N Gaussian of this mean and variance."""
+    """Solve E[min(N, W)] = held for W, with N Gaussian of this mean and variance."""
     sigma = np.sqrt(mean)
 
     def missed(well: float) -> float:
@@ -93,26 +94,29 @@ LINES = ("row_noise", "column_noise")  # noise that the likelihood's read noise 
 def fitted_sensor(
     calibration: NoiseCalibration, *, left_out: Bool[np.ndarray, " levels"] | None = None
 ) -> tuple[Sensor, Sensor]:
-    """The sensor of a calibration, with every effect that was found.
+    """Return the sensor of a calibration, with every significant effect, and its posterior draws.
 
-    Gain and efficiency are those at zero signal. Noise that rows, columns or frames share is
-    separate from the read noise. Unequal rows and columns are separate from DSNU, and unequal
-    columns from PRNU. The kernels of the brighter-fatter effect and of mixing have the best fit's
-    shape in every draw. The exposure is the median of the flats' exposures, so light is a rate in
-    photons per pixel and second. If the numbers of the frames are multiples of a step, as
-    left-aligned ones are, the sensor gives the converter's own codes.
+    Gain and efficiency are those at zero signal. Noise that rows, columns or frames share is not
+    part of the sensor's read noise. Likewise, unequal rows and columns are not part of DSNU, nor
+    unequal columns of PRNU. In every draw, the kernels of the brighter-fatter effect and of mixing
+    have the shape of the best fit. The sensor's exposure time is the median of the flats'
+    exposures, and its light is in photons per pixel and second. If all numbers in the frames are
+    multiples of a step, as left-aligned numbers are, the sensor's output is the number divided by
+    that step.
     """
     return best_and_draws(sensors_of(drawn_numbers(calibration, left_out=left_out)))
 
 
 def best_and_draws(every: Sensor) -> tuple[Sensor, Sensor]:
-    """The first of several sensors along the leading axis of every field, and the others."""
+    """Split sensors along the leading axis of every field into the first (the best fit) and all
+    others (the draws)."""
     best = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[0]), every)
     return best, jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[1:]), every)
 
 
 class Numbers(eqx.Module):
-    """The parameters of a calibrated camera: the best estimate, then draws."""
+    """The parameters of a calibrated camera, one row for the best estimate and then one for each
+    draw."""
 
     about: "About"  # the part that all draws share
     natural: Float[np.ndarray, "draws parameters"]  # values of the likelihood's parameters
@@ -125,7 +129,7 @@ class Numbers(eqx.Module):
         return self.about.top
 
     def of(self, name: str) -> Float[np.ndarray, " draws"]:
-        """The values of one parameter."""
+        """Return the values of one parameter."""
         return self.natural[:, self.about.labels.index(name)]
 
     def having(self, draws: dict[str, Float[np.ndarray, " draws"]]) -> "Numbers":
@@ -136,7 +140,7 @@ class Numbers(eqx.Module):
         return replace(self, natural=natural)
 
     def at(self, rows: Int[np.ndarray, " draws"]) -> "Numbers":
-        """The numbers of some draws."""
+        """Return the parameters of some draws."""
         beside = {name: one[rows] for name, one in self.beside.items()}
         return replace(self, natural=self.natural[rows], beside=beside)
 
@@ -147,8 +151,8 @@ def drawn_numbers(
     left_out: Bool[np.ndarray, " levels"] | None = None,
     asked: frozenset[str] = frozenset(),
 ) -> Numbers:
-    """The parameters of `fitted_sensor`; `asked` names effects to include even if they are not
-    significant."""
+    """Return the parameters from which `fitted_sensor` is made. `asked` names effects to include
+    even if they are not significant."""
     posterior, usable = calibration.posterior, calibration.usable
     rows = np.linspace(0, len(posterior.samples) - 1, min(DRAWS, len(posterior.samples)))
     if left_out is None:
@@ -176,8 +180,9 @@ def drawn_numbers(
 
 
 def bits_of(full_scale: float, converter: Converter) -> float:
-    """The bits of a converter whose largest number is known. A step that was scaled in the file is
-    known to a few digits, and the range may end early."""
+    """Return the number of bits of a converter whose largest number is known. It is rounded up,
+    because a step that was scaled in the file is known to few digits, and the range may end before
+    the last code."""
     return float(
         np.ceil(np.log2((full_scale - converter.origin) / (converter.step or 1.0) + 1) - WHOLE)
     )
@@ -185,7 +190,7 @@ def bits_of(full_scale: float, converter: Converter) -> float:
 
 @compiled_briefly
 def sensors_of(numbers: Numbers) -> Sensor:
-    """Sensors with a leading axis at every field: the best estimate, then draws."""
+    """Make sensors with a leading axis at every field, for the best estimate and then each draw."""
     return eqx.filter_vmap(lambda natural, beside: _sensor(numbers.about, natural, beside))(
         numbers.natural, numbers.beside
     )
@@ -193,7 +198,7 @@ def sensors_of(numbers: Numbers) -> Sensor:
 
 @double_precision
 def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
-    """Write the sensor of a calibration, with its draws in a second file."""
+    """Write the sensor of a calibration, and its posterior draws to a second file."""
     best, draws = fitted_sensor(calibration)
     about = "Fitted by photon transfer; light is photons per pixel and second."
     write_sensor(
@@ -202,7 +207,8 @@ def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
 
 
 def codes_in_words(converter: Converter) -> str:
-    """Return a sentence on the step of the numbers in the files; empty if these are the codes."""
+    """Return a sentence on the factor between the numbers in the files and the converter's codes;
+    empty if the factor is 1."""
     if converter.step in (0.0, 1.0):
         return ""
     return f" Its codes are the file's numbers divided by {converter.step:.5g}."
@@ -211,7 +217,7 @@ def codes_in_words(converter: Converter) -> str:
 def mode_without(
     calibration: NoiseCalibration, left_out: Bool[np.ndarray, " levels"]
 ) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, "parameters parameters"]]:
-    """The fit of the same model without some levels."""
+    """Fit the same model without some levels; return its optimum and covariance."""
     chosen = calibration.chosen
     optimum = fitted_without(chosen, left_out)
     return optimum.vector, chosen.inflation * np.linalg.inv(optimum.information)
@@ -220,13 +226,14 @@ def mode_without(
 def _beside_the_likelihood(
     calibration: NoiseCalibration, count: int, asked: frozenset[str]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
-    """Parameters of a sensor outside the likelihood, by field name: the best estimate, then draws.
-    They are in DN^2, so that each draw's own gain applies; PRNU^2 is relative, and the full well in
-    DN."""
+    """Return the sensor's parameters that are not in the likelihood, by field name: the best
+    estimate, then draws. They are variances in DN^2, so that each draw's own gain converts them.
+    PRNU^2 is relative, and the full well is in DN."""
     rng, found = np.random.default_rng(calibration.posterior.seed), {}
 
     def add(name: str, variance: float, degrees: float, noise: float = 0.0) -> None:
-        """Add a variance with its degrees of freedom and the noise of its estimate."""
+        """Add a variance and its draws, from its degrees of freedom and the noise of its
+        estimate."""
         drawn = variance * degrees / rng.chisquare(degrees, count)
         drawn = np.maximum(drawn + noise * rng.standard_normal(count), 0.0)
         found[name] = np.concatenate([[max(variance, 0.0)], drawn])
@@ -271,8 +278,8 @@ def _beside_the_likelihood(
 
 
 class About(eqx.Module):
-    """Properties that all draws of a sensor share: parameter names, converter, known light, median
-    exposure, X, and the shapes of the kernels."""
+    """Properties that all draws of a sensor share: parameter names, converter, whether photons are
+    known, median exposure, the brightest signal X, and the shapes of the kernels."""
 
     labels: tuple[str, ...] = eqx.field(static=True)
     converter: Converter = eqx.field(static=True)
@@ -286,7 +293,8 @@ class About(eqx.Module):
 
 
 def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str, Array]) -> Sensor:
-    """The sensor for one draw of the likelihood's parameters and of the other parameters."""
+    """Make the sensor for one draw of the likelihood's parameters `natural` and of the other
+    parameters `known`."""
     values = dict(zip(about.labels, natural, strict=True))
     converter, scale = about.converter, about.full_scale
     gain, read = values["system_gain"], (values["read_noise"] * values["system_gain"]) ** 2
@@ -330,7 +338,8 @@ def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str,
 
 
 def _compression(values: dict[str, Array], top: Array | np.ndarray) -> Compression | None:
-    """The compression of the chosen model, in electrons."""
+    """Return the response curve of the chosen model as a field of a sensor; None if it is
+    linear."""
     if "compression" not in values:
         return None
     electrons = top / values["system_gain"]

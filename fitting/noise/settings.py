@@ -1,4 +1,4 @@
-"""Gain and temperature at which a camera took the frames of a rig.
+"""Settings of a camera: the gains and temperatures at which the frames of a rig were taken.
 
 In the standard (EMVA 1288, release 4.0, section 2), gain, temperature and black level are the
 camera's operating point, and a sheet applies to one operating point.
@@ -14,7 +14,7 @@ from ..rig import Dark, Flat, Level, Rig, kelvin
 
 @dataclass(frozen=True, order=True)
 class Setting:
-    """Gain and temperature of an operating point.
+    """The gain and temperature at which frames were taken.
 
     Attributes:
         gain: as set on the camera; None where it is not stated.
@@ -41,7 +41,7 @@ class Setting:
 
     @property
     def gain_factor(self) -> float:
-        """The factor to which the gain in DN/e- should be proportional."""
+        """The stated gain as a linear factor, to which the gain in DN/e- should be proportional."""
         gain = 1.0 if self.gain is None else self.gain
         return gain if self.gain_unit == "ISO" or self.gain is None else 10 ** (gain / 20)
 
@@ -61,7 +61,7 @@ class Setting:
 
 
 def by_setting(rig: Rig) -> dict[Setting, Rig]:
-    """The flats and darks of a rig, one rig for each gain and temperature."""
+    """Split a rig into one rig for each gain and temperature."""
     flats, darks = _levels_by_setting(rig, rig.flat), _levels_by_setting(rig, rig.dark)
     settings = {*flats, *darks}
     for name, word in (("gain", "iso (or gain_db)"), ("temperature", "temperature")):
@@ -94,7 +94,7 @@ def _levels_by_setting(rig: Rig, entries: tuple[Level, ...]) -> dict[Setting, li
 
 
 def require_one_setting(rig: Rig, remedy: str) -> None:
-    """Refuses flats and darks of several gains or temperatures."""
+    """Raise InputError if a rig has flats or darks of several gains or temperatures."""
     settings = list(by_setting(rig))
     if len(settings) > 1:
         labels = "; ".join(setting.label for setting in settings)

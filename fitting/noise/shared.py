@@ -1,14 +1,15 @@
 """Noise that the pixels of a row, of a column or of a whole frame share.
 
-Amplifiers and references that serve a row add noise to all of its pixels. For frames of h rows and
-w columns, the temporal variance of row means exceeds that of the frame's mean by
+An amplifier or voltage reference of a row adds the same noise to all pixels of the row. For frames
+of h rows and w columns, the temporal variance of row means exceeds that of the frame's mean by
 
     V_row = sigma_row^2 + (sigma^2 - sigma_row^2) / w
 
-times (h - 1) / h, and likewise for columns, with sigma^2 the temporal variance of pixels. Such
-noise is part of sigma^2 and hence of the read noise, but it is not independent between pixels. The
-error of a variance over pixels is therefore at least that from sigma_row^4 / h. Fixed differences
-(unequal columns) appear in the average frame in the same way.
+times (h - 1) / h, with sigma^2 the temporal variance of a pixel and sigma_row^2 the part that its
+row shares. The same holds for columns. Shared noise is part of sigma^2, and so of the read noise,
+but is not independent between pixels. Therefore the sampling variance of sigma^2 is at least that
+from sigma_row^4 / h. Fixed differences between rows or columns appear in the average frame in the
+same way.
 """
 
 from dataclasses import dataclass
@@ -29,9 +30,9 @@ MOST_DEGREES, TINY = 1e9, 1e-300  # degrees that count as infinite; ratio that c
 
 
 class SharedNoise(eqx.Module):
-    """The contribution of noise shared by rows, columns or whole frames to the errors of a level of
-    L frames. It adds `of_mean` / L to the variance of its mean, and `of_variance` / (L - 1) to that
-    of its temporal variance, which frame noise does not affect.
+    """The sampling errors that shared noise of rows, columns or whole frames adds at a level of L
+    frames. `of_mean` / L is added to the sampling variance of the level's mean, and `of_variance` /
+    (L - 1) to that of its temporal variance. Noise of whole frames does not affect the latter.
     """
 
     of_mean: Float[Array, ""]  # variance of a level's mean by shared noise, DN^2
@@ -40,7 +41,7 @@ class SharedNoise(eqx.Module):
 
 @dataclass(frozen=True)
 class Found:
-    """A variance and its standard error, DN^2."""
+    """An estimated variance with its standard error and significance."""
 
     variance: float  # DN^2
     error: float  # its standard error
@@ -60,13 +61,15 @@ NOTHING = Found(0.0, 0.0, 0.0)
 
 
 def _deviate(ratio: float, degrees: float, beneath: float = MOST_DEGREES) -> float:
-    """The normal deviate with the same probability as a ratio of two variances with these degrees
-    of freedom. With few degrees, no number of standard errors bounds the tail of a chi-square."""
+    """Return the normal deviate with the same tail probability as the F-ratio of two variances with
+    these degrees of freedom. A number of standard errors would be misleading, because a chi-square
+    with few degrees of freedom has a long tail."""
     return -float(ndtri(np.clip(fdtrc(degrees, beneath, max(ratio, 0.0)), RAREST, 1 - EPSILON)))
 
 
 def temporal_lines(levels: Levels, axis: int) -> Found:
-    """The temporal noise of rows (axis 0) or columns (axis 1), from all levels together."""
+    """Estimate the temporal noise that rows (axis 0) or columns (axis 1) share, from all levels
+    together."""
     if levels.shared is None:
         return NOTHING
     lines, across = np.asarray(levels.shared.shape)[[axis, 1 - axis]]
@@ -79,7 +82,8 @@ def temporal_lines(levels: Levels, axis: int) -> Found:
 def extra_lines(
     bright: Levels, dark: Levels, usable: Int[np.ndarray, " usable"], axis: int
 ) -> Found:
-    """Temporal noise of rows (axis 0) or columns (axis 1) that usable flats have beyond darks."""
+    """Estimate the temporal noise that rows (axis 0) or columns (axis 1) share in the usable flats
+    beyond that in the darks."""
     unlit = temporal_lines(dark, axis)
     if bright.shared is None or not unlit.error:
         return NOTHING
@@ -102,7 +106,8 @@ def extra_lines(
 
 
 def believed_lines(levels: Levels) -> list[tuple[float, float]]:
-    """The variance that rows or columns share, DN^2, if it is significant, and their number."""
+    """Return (shared temporal variance in DN^2, number of lines) for rows and for columns, where it
+    is significant."""
     if levels.shared is None:
         return []
     found = [temporal_lines(levels, axis) for axis in (0, 1)]
@@ -111,7 +116,8 @@ def believed_lines(levels: Levels) -> list[tuple[float, float]]:
 
 
 def shared_noise(levels: Levels) -> SharedNoise | None:
-    """The significant noise that rows, columns or frames share."""
+    """Return the sampling errors that significant noise of rows, columns or frames adds; None if
+    there is no such noise."""
     lines, wander = believed_lines(levels), drift(levels)
     if not lines and not wander.believed:
         return None
@@ -124,7 +130,8 @@ def shared_noise(levels: Levels) -> SharedNoise | None:
 
 
 def fixed_lines(levels: Levels, axis: int) -> Found:
-    """The fixed inequality of rows (axis 0) or columns (axis 1), from all levels together."""
+    """Estimate the fixed variance between rows (axis 0) or columns (axis 1), from all levels
+    together."""
     if levels.shared is None or levels.spatial_variance is None:
         return NOTHING
     spatial, variance, frames = (
@@ -144,12 +151,12 @@ def one_pattern(
     frames: np.ndarray,
     lines: float,
 ) -> Found:
-    """The variance of lines that is common to all levels.
+    """Estimate the fixed variance between rows (or columns) that is the same at all levels.
 
-    The contribution a of the pixels' own pattern to a line is the same at all levels, so more
-    levels do not determine it better. The temporal noise b of a line of L frames is new at each
-    level, and is subtracted as measured from those frames. With weights w of the levels, the error
-    is
+    The fixed pattern of single pixels contributes the variance a to a line's mean. Because it is
+    the same at all levels, more levels do not average it out. Temporal noise contributes the
+    variance b of a mean over L frames, which is independent at each level and is subtracted as
+    measured. With weights w of the levels, the standard error is
 
         sqrt(2 / (lines - 1) (a^2 + 2 a sum w^2 b + sum w^2 b^2 L / (L - 1)))
     """
@@ -171,7 +178,8 @@ def one_pattern(
 
 
 def drift(levels: Levels) -> Found:
-    """The drift of whole frames, from all levels together."""
+    """Estimate the variance of the frames' means beyond pixel, row and column noise, from all
+    levels together."""
     if levels.shared is None:
         return NOTHING
     degrees, shape = np.asarray(levels.frames) - 1, np.asarray(levels.shared.shape)[:, None]
@@ -185,9 +193,10 @@ def drift(levels: Levels) -> Found:
 def _pooled(
     values: np.ndarray, expected: np.ndarray, degrees: np.ndarray, beneath: np.ndarray
 ) -> Found:
-    """The mean excess over independent pixels. The weight of each level is its degrees of freedom
-    over the expected value, as in the ratio that tests it, so a significant excess is positive.
-    Levels whose frames are identical have no weight.
+    """Return the weighted mean of the excess variances `values` over those expected from
+    independent pixels. The weight of a level is its degrees of freedom over its expected value, as
+    in the F-test, so that a significant excess is positive. Levels whose frames are identical have
+    no weight.
     """
     known = expected > 0
     if not known.any():

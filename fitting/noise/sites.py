@@ -1,13 +1,15 @@
-"""One sensor of several taps or sites of a mosaic, from a calibration of each.
+"""One sensor for a camera of several amplifier taps or mosaic sites, from a separate calibration of
+each.
 
-Gain, black level, efficiency, read noise and PRNU are properties of each tap, o_i. Properties of
-the die are one vector s: dark current, offset of the light, response curve, brighter-fatter effect
-and mixing. With the estimates s_i of the taps and their covariances S_i,
+Tap i has its own gain, black level, efficiency, read noise and PRNU, the vector o_i. The vector s
+contains the properties that all taps share: dark current, light offset, response curve,
+brighter-fatter effect and mixing. From the separate estimates s_i with covariances S_i,
 
     s = (sum S_i^-1)^-1 sum S_i^-1 s_i          o_i' = o_i + C_i S_i^-1 (s - s_i)
 
-where C_i is the covariance of o_i with s_i. This is the posterior of all taps under the condition
-of a common s. It is linear, so each draw of the taps gives a draw of it.
+where C_i is the covariance of o_i with s_i. This is the Gaussian posterior of all taps, conditional
+on a common s. Because it is linear, it converts draws of the separate posteriors to draws of the
+joint one.
 """
 
 import re
@@ -54,7 +56,7 @@ OWN_NAMES = ("system_gain", "black_level", "responsivity", "signal_rate", "read_
 
 @dataclass(frozen=True)
 class SensorOfSites:
-    """The sensor of a camera of several taps.
+    """The sensor of a camera of several taps, with its draws and findings.
 
     Attributes:
         best: the best fit.
@@ -69,7 +71,7 @@ class SensorOfSites:
 
 @double_precision
 def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera) -> SensorOfSites:
-    """The one sensor of a camera whose sites were calibrated separately.
+    """Combine the separate calibrations of a camera's sites to one sensor.
 
     Args:
         calibrations: by the name of the site or tap.
@@ -120,8 +122,8 @@ def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera
 def joined_sensors(
     sensors: Sequence[tuple[Sensor, Sensor]], camera: Camera
 ) -> tuple[Sensor, Sensor]:
-    """Return one sensor with its draws, from the sensors of all sites; common parameters become
-    means over sites."""
+    """Combine the sensors of all sites, with their draws, to one sensor; shared parameters become
+    means over the sites."""
     each = []
     for i, (best, draws) in enumerate(sensors):
         count = min(leaf.shape[0] for _, own in sensors for leaf in jax.tree.leaves(own))
@@ -147,15 +149,15 @@ def joined_sensors(
 def write_sensor_of_sites(
     calibrations: Mapping[str, NoiseCalibration], camera: Camera, path: Path
 ) -> None:
-    """Write the one sensor of the sites, with its draws in a second file."""
+    """Write one sensor for all sites, and its posterior draws to a second file."""
     found = sensor_of_sites(calibrations, camera)
     about = f"Fitted by photon transfer; taps are {', '.join(camera.sites)}; light is photons per "
     write_sensor(found.best, path, draws=found.draws, about=about + "pixel and second.")
 
 
 def camera_of_taps(taps: Taps) -> Camera | None:
-    """Return the pattern and taps by which a rig states the taps of a sensor (its `sites` are the
-    taps' names in reading order); None if no rig can state them."""
+    """Return the `Camera` whose `pattern` and `taps` state a sensor's taps in a rig; its `sites`
+    are the names of the taps in reading order. None if no rig can state them."""
     tile = np.asarray(taps.pattern)
     known: dict[str, Any] = {} if taps.names else {"taps": tile.shape}
     if taps.names is not None:
@@ -180,16 +182,16 @@ def camera_of_taps(taps: Taps) -> Camera | None:
 
 
 def stated_in_words(camera: Camera) -> str:
-    """The pattern and taps of a camera as a rig states them."""
+    """Write the pattern and taps of a camera as in a rig file."""
     keys = [f'camera.pattern = "{camera.pattern}"'] if camera.pattern else []
     keys += [f"camera.taps = {taps_in_words(camera.taps)}"] if camera.taps else []
     return " and ".join(keys)
 
 
 def tap_of(taps: Taps, site: str, pattern: str | None) -> int | None:
-    """Return the tap that reads a site of frames: the tap of the same name or, in a mosaic of
-    another phase, of the same colour. Green pixels differ by the colour of their row. None if names
-    do not determine the tap."""
+    """Return the index of the tap that reads a mosaic site of some frames. It has the name of the
+    site or, in a mosaic of another phase, the same colour. The two green sites differ in the colour
+    of their row. Return None if the names do not determine the tap."""
     camera = camera_of_taps(taps)
     if camera is None or (camera.pattern is None) != (pattern is None):
         return None
@@ -203,7 +205,8 @@ def tap_of(taps: Taps, site: str, pattern: str | None) -> int | None:
 
 
 def of_tap(sensor: Sensor, tap: int) -> Sensor:
-    """The sensor of one tap. Without a quantum efficiency its light is in electrons of this tap."""
+    """Return the sensor of one tap. If the sensor has no quantum efficiency, its light is in
+    electrons of this tap."""
     taps = sensor.taps
     if taps is None:
         return sensor
@@ -223,14 +226,15 @@ def of_tap(sensor: Sensor, tap: int) -> Sensor:
 
 
 def _shuffled(numbers: Numbers, seed: int, count: int) -> Numbers:
-    """Return draws in another order, so that draws of two taps from one seed are independent."""
+    """Return the draws in random order, so that draws of two taps that used the same seed are
+    independent."""
     order = np.concatenate([[0], 1 + np.random.default_rng(seed).permutation(count - 1)])
     return numbers.at(order)
 
 
 def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]]:
-    """Return the parameters of all taps under the condition of common die properties, and findings
-    on properties that differ."""
+    """Condition the parameters of all taps on common values of the shared properties; also return
+    findings on properties that differ."""
     labels = set.intersection(*(set(one.about.labels) for one in each))
     shared = [
         name for name in COMMON if name in labels and all(one.of(name)[1:].std() for one in each)
@@ -272,7 +276,8 @@ def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]
 
 
 def _inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """The inverse of a covariance in any units; parameters without variance are left out."""
+    """Invert a covariance of parameters with different units; parameters of zero variance get
+    zeros."""
     scale = np.sqrt(np.diagonal(matrix))
     scale = np.outer(scale, scale)
     scale[scale == 0] = np.inf
@@ -280,7 +285,8 @@ def _inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 
 
 def _scaled(numbers: Numbers, name: str) -> Float[np.ndarray, " draws"]:
-    """A parameter in the common unit: per electron if it grows with the charge."""
+    """Return a parameter in a unit that is common to all taps: per electron if its effect grows
+    with the charge."""
     per_charge = (numbers.of("system_gain") / numbers.top) ** COMMON.get(name, ("", 0))[1]
     return numbers.of(name) * per_charge
 
@@ -288,7 +294,7 @@ def _scaled(numbers: Numbers, name: str) -> Float[np.ndarray, " draws"]:
 def _unequal(
     shared: Sequence[str], values: Sequence[np.ndarray], spreads: Sequence[np.ndarray]
 ) -> tuple[str, ...]:
-    """Findings on parameters that differ significantly between taps."""
+    """Return findings on shared parameters that differ significantly between taps."""
     differing = {}
     for i, name in enumerate(shared):
         of, variance = (np.array([x[i] for x in values]), np.array([s[i, i] for s in spreads]))
@@ -306,8 +312,8 @@ def _unequal(
 
 
 def _with_one_beside(each: Sequence[Numbers]) -> list[Numbers]:
-    """Line noise, DSNU and full well become the mean over all taps in electrons, and are removed
-    from each tap's read noise."""
+    """Replace noise of rows, columns and frames, DSNU and full well of each tap by their means over
+    all taps, in electrons."""
     gains = [one.of("system_gain") for one in each]
     for name in {name for one in each for name in one.beside} - {"prnu"}:
         power = {"full_well": 1, "column_prnu": 0}.get(name, 2)
@@ -329,8 +335,8 @@ def _joined(
     widest: int,
     camera: Camera,
 ) -> Sensor:
-    """One sensor with taps for each draw; `rates` of light replace efficiencies if photons are
-    unknown."""
+    """Make one sensor with taps for each draw. If photons are unknown, `rates` of signal per light
+    take the place of efficiencies."""
 
     def one(each: tuple[Sensor, ...], rate: Array | None) -> Sensor:
         own = {}

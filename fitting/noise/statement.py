@@ -1,14 +1,15 @@
-"""Photon transfer of one setting as a `Problem`: its parameters, its data, and the effects that a
-camera needs.
+"""Photon transfer at one setting as a `Problem`, and the choice of the effects that a camera's
+model needs.
 
-The first model is a linear camera with pixel noise and the detected noise of rows, columns or
-frames of the darks. Further effects are tried if it misses the measurement (p < 0.1 %), or if
-nearest neighbours covary, which means and variances need not show. Effects that are visible in the
-darks alone (a drifting black level, or excess scatter of the variances) are added. The candidates
-are random errors of the light, a compression of one or two terms, an offset of the light, and a
-drift of the black level from level to level. A candidate is kept if its squared Wald ratio exceeds
-the logarithm of the number of observations (Schwarz' criterion, BIC) and if such a ratio occurs by
-chance in fewer than one of a hundred cameras (`inference.candidates`).
+The first model is a linear camera with pixel noise, and with noise of rows, columns or frames if
+the darks show it. Further effects are tried if this model fails (p < 0.1 %), or if nearest
+neighbours covary, which does not affect the chi-square of means and variances. Effects that the
+darks alone show (a drifting black level, or excess scatter of the variances) are always included
+then. The candidates are random errors of the light, a compression of one or two terms, a light
+offset, the brighter-fatter effect, linear mixing, and a black level that drifts from level to
+level. A candidate is kept if its squared Wald ratio exceeds the logarithm of the number of
+observations (Schwarz' criterion, BIC) and if such a ratio occurs by chance in fewer than one of a
+hundred cameras (`inference.candidates`).
 """
 
 from collections.abc import Sequence
@@ -85,7 +86,8 @@ def noise_data(
     offsets: OffsetData | None = None,
     counted: CountedLevels | None = None,
 ) -> tuple[NoiseData, Rows]:
-    """Inputs and data of a problem: bright levels, then all darks."""
+    """Return the inputs and the data of a problem, with rows for the usable bright levels and then
+    for all darks."""
     bright, dark = measurement.bright, measurement.dark
     index = jnp.asarray(usable)
 
@@ -125,7 +127,7 @@ def noise_data(
 def stated(
     space: ParameterSpace, inputs: NoiseData, rows: Rows, *, candidates: Sequence[Candidate] = ()
 ) -> Problem:
-    """The problem of a camera with these parameters, and of candidates for more."""
+    """Make the problem of a camera with these parameters, and with candidates for further ones."""
     free = {one.name: one for one in space} | {one.name: one for one in candidates}
     return Problem(free, predict, LevelStatistics(), rows, inputs=inputs)
 
@@ -133,7 +135,7 @@ def stated(
 def restated(
     problem: Problem, space: ParameterSpace, *, candidates: Sequence[Candidate] = ()
 ) -> Problem:
-    """The problem of the same data with other parameters."""
+    """Make a problem of the same data with other parameters."""
     assert problem.present is not None  # darks have no T
     rows = jnp.where(problem.present, problem.data, jnp.nan)
     return stated(space, problem.inputs, rows, candidates=candidates)
@@ -142,7 +144,7 @@ def restated(
 def base_space(
     measurement: PhotonTransfer, within: Ranges, *, offsets: OffsetData | None = None
 ) -> ParameterSpace:
-    """The parameters of a linear camera."""
+    """Return the parameters of a linear camera."""
     responsivity = RESPONSIVITY if measurement.photons_known else SIGNAL_RATE
     space = (SYSTEM_GAIN, responsivity, OFFSET, READ_NOISE)
     if offsets is not None:
@@ -151,13 +153,13 @@ def base_space(
 
 
 def named(space: ParameterSpace, vector: Float[Array, " p"]) -> dict[str, Array]:
-    """Parameters in natural units, by name."""
+    """Convert an unconstrained vector to parameters in natural units, by name."""
     return dict(zip(names(space), to_natural(space, vector), strict=True))
 
 
 @dataclass(frozen=True)
 class LikelihoodFit:
-    """One fitted model."""
+    """The fit of one model."""
 
     problem: Problem  # of its parameters, and of candidates that may be absent
     without: tuple[str, ...]  # names of the absent candidates
@@ -171,7 +173,8 @@ class LikelihoodFit:
 
     @property
     def data(self) -> NoiseData:
-        """Light, exposure and number of frames of the fitted levels."""
+        """The inputs of the problem: light, exposure and number of frames of the fitted levels,
+        among others."""
         return self.problem.inputs
 
     @property
@@ -184,7 +187,7 @@ class LikelihoodFit:
 
     @property
     def inflation(self) -> float:
-        """Factor on the covariance."""
+        """Factor on the covariance for a significant misfit."""
         return inflation(self.chi_square, self.degrees)
 
     @property
@@ -198,12 +201,14 @@ class LikelihoodFit:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of the unconstrained vector, not inflated."""
+        """(P, P) covariance of the parameters on the unconstrained scale, not inflated by a
+        misfit."""
         return np.linalg.inv(self.optimum.information)
 
     @property
     def errors(self) -> dict[str, float]:
-        """Standard errors on the unconstrained scale, inflated."""
+        """Standard errors on the unconstrained scale by name, inflated if the misfit is
+        significant."""
         variances = self.inflation * np.diagonal(self.covariance)
         return dict(zip(names(self.space), np.sqrt(variances).tolist(), strict=True))
 
@@ -215,7 +220,8 @@ def observations(problem: Problem) -> int:
 
 
 def start_vector(problem: Problem, standard: Sheet) -> Float[Array, " p"]:
-    """Return the start of a fit: the standard's figures, no compression, slight scatter."""
+    """Return the starting point of a fit: the standard's figures, no compression, and slight
+    scatter."""
     data, (mean, variance, _, spatial) = problem.inputs, problem.data.T
     dark, gain = data.lit == 0, standard["system_gain"]
     responsivity = data.top_signal / jnp.max(data.light)
@@ -246,9 +252,10 @@ def start_vector(problem: Problem, standard: Sheet) -> Float[Array, " p"]:
 
 @eqx.filter_jit
 def _best_start(problem: Problem, start: Array) -> Array:
-    """The most likely of several starting read noises and black levels. Clipped or hardly dithered
-    darks have several optima: a large noise about the middle of a code, and a small one near its
-    edge."""
+    """Return the most likely of several starting points, which differ in read noise and black
+    level. For darks that are clipped, or narrower than a code, the likelihood has several optima: a
+    large read noise with the black level in the middle of a code, and a small one with the black
+    level near its edge."""
     labels, data = names(problem.space), problem.inputs
     largest = 2 * jnp.sqrt(jnp.max(jnp.where(data.lit == 0, problem.data[:, 1], 0)))
     shares = jnp.linspace(0, 1, START_NOISES, dtype=start.dtype)
@@ -275,7 +282,8 @@ def fitted(
     without: Sequence[str] = (),
     near: LikelihoodFit | None = None,
 ) -> LikelihoodFit:
-    """Fit one model, without some candidates and from the end of another one, and test it."""
+    """Fit one model, without the candidates `without`, and compute its chi-square. The search
+    starts at the optimum of the fit `near` if given."""
     start = np.array(start_vector(problem, standard))
     if near is not None:
         start[np.isin(names(problem.space), names(near.space))] = near.optimum.vector
@@ -300,8 +308,8 @@ def _chi_square(vector: Array, problem: Problem) -> Array:
 
 
 def fitted_without(fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"]) -> Optimum:
-    """Fit the same model without some levels, by the same compiled program. The first level must be
-    kept."""
+    """Fit the same model without some levels, with the program that is already compiled. The first
+    level cannot be left out."""
     gone, problem = jnp.asarray(left_out)[:, None], fit.problem
     assert problem.present is not None
     problem = eqx.tree_at(
@@ -318,8 +326,8 @@ def fitted_without(fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"]) ->
 
 
 def posterior_problem(fit: LikelihoodFit) -> Problem:
-    """The problem of a fit's own parameters, with errors that include its misfit, and with priors
-    of its scatters."""
+    """Return the problem of the fitted parameters alone, with errors enlarged by a significant
+    misfit and with priors for random scatter."""
     problem = restated(fit.problem, fit.space) if fit.without else fit.problem
     scattered = any(name in SCATTERS for name in names(fit.space))
     return eqx.tree_at(
@@ -334,8 +342,8 @@ def likelihood_sheet(
     saturation: Float[Array, ""] | None,
     args: tuple[ParameterSpace, NoiseData, Bool[Array, " levels"]],
 ) -> Sheet:
-    """The standard's figures from the likelihood's parameters, with gain and responsivity at zero
-    signal.
+    """Compute the standard's figures from the likelihood's parameters, with gain and responsivity
+    at zero signal.
     """
     space, data, linearity = args
     values = named(space, vector)
@@ -360,14 +368,15 @@ def likelihood_sheet(
 
 
 def gain_drop(values: dict[str, Array], data: NoiseData) -> Array:
-    """1 - h'(X): the relative decrease of the gain from zero signal to the brightest level."""
+    """Return 1 - h'(X), the relative decrease of the gain from zero signal to the brightest level
+    X."""
     top = data.top_signal
     return 1 - jax.grad(lambda x: compressed(values, x, top))(top)
 
 
 def dark_scatter(measurement: PhotonTransfer) -> ParameterSpace:
-    """The random effects in the darks about their own lines over exposure, beyond noise of pixels,
-    rows, columns and frames.
+    """Return the random effects that the darks need: means or variances that scatter about their
+    line over exposure by more than noise of pixels, rows, columns and frames explains.
     """
     dark = measurement.dark
     errors = sampling_errors(
@@ -390,7 +399,7 @@ def dark_scatter(measurement: PhotonTransfer) -> ParameterSpace:
 def candidates_for(
     measurement: PhotonTransfer, inputs: NoiseData, always: ParameterSpace, *, sharing: bool
 ) -> tuple[Candidate, ...]:
-    """Return the effects that a camera may need in addition to its basic parameters."""
+    """Return the candidates: effects that a camera may need in addition to its basic parameters."""
     offset = LIGHT_OFFSET if measurement.photons_known else SHUTTER_OFFSET
     by_chance = SPURIOUS_BESIDE if sharing else SPURIOUS_SHARING
     found = [
@@ -414,7 +423,7 @@ def choose_model(
     trend: Drifting | None = None,
     sharing: bool = False,
 ) -> tuple[LikelihoodFit, LikelihoodFit]:
-    """The fit of a linear camera, and that of the model that describes the camera.
+    """Return the fit of a linear camera, and the fit of the model that describes this camera.
 
     `sharing`: whether nearest neighbours covary significantly."""
     linear = fitted(problem, standard)
@@ -437,9 +446,10 @@ def choose_model(
 
 
 def _reduced(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFit:
-    """The fit without the candidates that fail the criterion, with the weakest dropped first. If
-    nearest neighbours covary significantly, the stronger form of sharing is kept, however uncertain
-    its size: without it, the gain would be wrong by more than its error."""
+    """Drop candidates that fail the criterion, the weakest first, and fit again each time. If
+    nearest neighbours covary significantly (`sharing`), the stronger of mixing and brighter-fatter
+    effect is kept, however uncertain its size. Without either, the gain would be wrong by more than
+    its error."""
     while True:
         there = [one for one in fit.problem.candidates if one.name not in fit.without]
         forms = [one for one in there if one.parameter in SHARING]
@@ -455,11 +465,12 @@ def _reduced(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFi
 
 
 def _price(fit: LikelihoodFit, candidate: Candidate, sharing: bool) -> float:
-    """The squared Wald ratio that a candidate needs. Mixing or repulsion of neighbours changes the
-    gain by as many standard errors as its own ratio. It needs the ratio of one in a thousand
-    cameras, or one in twenty beside the other form if nearest neighbours covary significantly. The
-    scatter of m lights about a curve of q terms is underestimated by (m - q) / m and uncertain, so
-    a term of the curve must then pass Fisher's F test."""
+    """Return the squared Wald ratio that a candidate must exceed. Mixing or repulsion of neighbours
+    shifts the gain by as many standard errors as its own Wald ratio, so its threshold is high.
+    Chance exceeds that threshold in one of a thousand cameras, or in one of twenty if nearest
+    neighbours covary significantly. If the light of m levels scatters about a curve of q terms, the
+    scatter is underestimated by (m - q) / m and uncertain, so a term of the curve must pass
+    Fisher's F test."""
     count, scatter = float(observations(fit.problem)), None
     if sharing and candidate.parameter in SHARING:
         count = 1.0
@@ -469,8 +480,8 @@ def _price(fit: LikelihoodFit, candidate: Candidate, sharing: bool) -> float:
 
 
 def _may_be_drift(fit: LikelihoodFit, trend: Drifting | None) -> bool:
-    """Whether drift of the light between flats, at the rate seen within levels, could explain the
-    curvature."""
+    """Return whether a drift of the light over the flats, at the rate measured within levels, could
+    explain the curvature of the response."""
     if trend is None or not any(p in fit.space for p in CURVE):
         return False
     # Means deviate by half as much as the slope does, and darks in between double the time.

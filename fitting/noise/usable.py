@@ -1,4 +1,4 @@
-"""Checks that refuse a measurement without a photon transfer, in one sentence each."""
+"""Checks that refuse a measurement in which no photon transfer can be seen."""
 
 from pathlib import Path
 
@@ -19,7 +19,8 @@ MOST_OFF_BLACK = 0.1  # of the least signal: the change of the gain by a smaller
 
 
 def check(file: Path, measurement: PhotonTransfer) -> None:
-    """Refuse a measurement without photon transfer; `file` is its source in the message."""
+    """Raise InputError if a measurement shows no photon transfer. `file` names its source in the
+    message."""
     try:
         _check(file, jax.tree.map(np.asarray, measurement))
     except InputError as error:
@@ -101,8 +102,8 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
 
 
 def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndarray) -> None:
-    """Refuse darks whose black level differs from that of the flats: both the variance and the
-    light of the flats then imply no signal."""
+    """Raise InputError if the darks have another black level than the flats: variance and light of
+    the flats then extrapolate to another mean without signal."""
     bright, dark = measurement.bright, measurement.dark
     levels = usable[np.asarray(bright.light)[usable] > 0]
     if len(levels) < FEWEST_FOR_BLACK:
@@ -131,7 +132,8 @@ def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndar
 def _extrapolated_zero(
     x: np.ndarray, y: np.ndarray, errors: np.ndarray
 ) -> tuple[float, float, float]:
-    """Value and slope of a parabola at zero, with the error of the value from the scatter of y."""
+    """Fit a parabola; return its value and slope at zero, and the standard error of the value from
+    the scatter of y."""
     design = np.stack([np.ones_like(x), x, x**2], axis=1) / errors[:, None]
     scale = np.sqrt(np.sum(design**2, axis=0))
     found, rest, *_ = np.linalg.lstsq(design / scale, y / errors)

@@ -1,17 +1,18 @@
-"""The levels that need the exact moments of rounding and clipped black.
+"""The choice of levels that need the exact moments of rounding and clipped black.
 
-The usual moments assume a variance of 1/12 for rounding and no clipping of black. For a normal
+The usual moments count rounding as a variance of 1/12 and assume no clipping of black. For a normal
 signal of standard deviation s rounded to whole numbers, the errors of mean and variance are at most
 
     sum_k exp(-2 pi^2 k^2 s^2) / (pi k),    4 sum_k (s^2 + 1 / (2 pi k)^2) exp(-2 pi^2 k^2 s^2)
 
 (Widrow and Kollar, "Quantization Noise", 2008, chapter 4) for any position of the mean between two
-codes. If values below mean - m are clipped, with z = m / s and the normal density phi and tail
-probability Q, the errors are
+codes. If values below mean - m are clipped, the errors are as follows, with z = m / s, phi the
+normal density and Q its tail probability:
 
     a = s (phi(z) - z Q(z)),    b + 2 m a + a^2,    b = s^2 ((1 + z^2) Q(z) - z phi(z)).
 
-Both are systematic shifts, common to all frames (`inference.left_out`).
+Both errors are systematic, the same in all frames, and count as an effect that the likelihood may
+neglect (`negligible`).
 """
 
 import jax.numpy as jnp
@@ -42,7 +43,8 @@ def usual_moments_error(
     frames: Float[np.ndarray, " levels"],
     pixels: float,
 ) -> LeftOut:
-    """The maximum error of the usual moments for a rounded, clipped signal."""
+    """Return the largest possible errors of the usual mean and variance for a rounded, clipped
+    signal."""
     own = np.maximum(variance - ROUNDING, 0)
     decay = np.exp(-2 * np.pi**2 * HARMONICS**2 * own[:, None])
     of_mean = (decay / (np.pi * HARMONICS)).sum(1)
@@ -62,7 +64,8 @@ def usual_moments_error(
 def _in_codes(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[NoiseData, np.ndarray, np.ndarray]:
-    """The levels of a fit, with their means and variances in codes."""
+    """Return the inputs of a fit to these levels and all darks, with their means and variances in
+    codes."""
     (data, rows), converter = noise_data(measurement, usable), measurement.converter
     mean, variance = np.asarray(rows)[:, :2].T
     return data, (mean - converter.origin) / converter.step, variance / converter.step**2
@@ -71,7 +74,8 @@ def _in_codes(
 def needed_window(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Window | None, tuple[LeftOut, ...]]:
-    """The exact moments if clipped black or small read noise requires them."""
+    """Return the weights of the exact moments if clipped black or small read noise requires them,
+    else None."""
     left_out = LeftOut(NAME, None, 0.0)
     if measurement.converter.step:
         data, mean, variance = _in_codes(measurement, usable)
@@ -82,7 +86,8 @@ def needed_window(
 
 
 def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window:
-    """The exact moments for the darks and for the levels that clipping or rounding may affect."""
+    """Compute the weights of the exact moments for the darks and for all levels that clipping or
+    rounding may affect."""
     data, mean, variance = _in_codes(measurement, usable)
     lit, converter = np.asarray(data.lit), measurement.converter
     deviation, dark = np.sqrt(variance), lit == 0
@@ -113,7 +118,8 @@ def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -
 def offset_data(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> OffsetData | None:
-    """The differences between the pixels of the darks."""
+    """Return the spatial variances of the darks as data of the fit; None if they are unknown or
+    insignificant."""
     dark = measurement.dark
     if dark.spatial_variance is None or measurement.bright.spatial_variance is None:
         return None
@@ -133,8 +139,9 @@ def offset_data(
 def _known_spread(
     measurement: PhotonTransfer, usable: np.ndarray, mean: np.ndarray, lit: np.ndarray
 ) -> np.ndarray:
-    """Other shifts of pixels relative to the code grid, DN^2: their own gains, in proportion to the
-    signal, and a black level that drifts between frames."""
+    """Return the variance, DN^2, by which pixels shift relative to the grid of codes for other
+    reasons than their offsets: unequal gains, in proportion to the signal, and a black level that
+    drifts between frames."""
     response = fitted_pattern(measurement, usable).response
     signal = measurement.converter.step * np.maximum(mean - mean[lit == 0].min(), 0)
     found = lit * signal**2 * (response.variance if response.significant else 0.0)

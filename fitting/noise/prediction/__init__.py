@@ -1,1 +1,1 @@
-"""The prediction of frames by a camera file, compared with the frames."""
+"""Test of a camera file: the prediction of frames by the camera, compared with the frames."""

@@ -1,16 +1,17 @@
-"""Frames compared with the prediction of a camera.
+"""Comparison of frames with their prediction by a camera.
 
-The prediction uses the camera alone, by the moments of `jaxvision`. The compared frames are not
-fitted, except that their means determine the rate of the light if photons are unknown. Let r be the
-residuals of one quantity over the levels, N their covariance from the noise of the frames, and P
-that from the draws of the camera:
+`jaxvision` computes the predicted means and variances from the camera alone. Nothing is fitted to
+the compared frames, except that their means determine the rate of the light if photons are unknown.
+Let r be the residuals of one quantity over the levels, N their covariance by the noise of the
+frames, and P their covariance by the uncertainty of the camera (its posterior draws):
 
     chi-square = r (N + P)^-1 r      levels that the camera was not fitted to
     chi-square = r N^-1 r            levels that it was fitted to, with n - tr min(P N^-1, 1)
                                      degrees of freedom
 
-A fit explains the sum of the covariances of all neighbours, in which the nearest ones have little
-weight. The nearest ones are compared as if they had been held out.
+A calibration fits the sum of the covariances with all neighbours, in which the nearest ones have
+little weight. Covariances of nearest neighbours are therefore compared as if they had not been
+fitted.
 """
 
 from dataclasses import dataclass, replace
@@ -50,7 +51,7 @@ PARTS = {"means": (0,), "variances": (1,), NEIGHBOURS: (2, 3)}
 
 @dataclass(frozen=True)
 class Agreement:
-    """The agreement of one quantity with its prediction.
+    """The agreement of one quantity (means, variances or covariances) with its prediction.
 
     Attributes:
         chi_square: of its residuals.
@@ -66,7 +67,7 @@ class Agreement:
 
     @property
     def p_value(self) -> float:
-        """The two-sided probability that chance gives a chi-square as far from its mean."""
+        """The two-sided p-value of the chi-square, which may be too large or too small."""
         ends = (tail(self.degrees, self.chi_square) for tail in (chdtr, chdtrc))
         return min(2 * float(min(ends)), 1.0)
 
@@ -79,7 +80,7 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Observed and predicted quantities of some levels.
+    """Observed and predicted means, variances and covariances of some levels.
 
     Attributes:
         lit: light and exposure of the levels.
@@ -110,13 +111,13 @@ class Comparison:
 
     @property
     def errors(self) -> Float[np.ndarray, "quantities levels"]:
-        """Standard deviations of the residuals."""
+        """Standard deviations of observed minus predicted quantities, DN and DN^2."""
         own = np.diagonal(self.camera).reshape(self.noise.shape)
         return np.sqrt(self.noise + own)
 
     @property
     def residuals(self) -> Float[np.ndarray, "quantities levels"]:
-        """Observed minus predicted, in standard errors."""
+        """Observed minus predicted quantities, in standard errors."""
         return (self.measured - self.found.values) / self.errors
 
     @property
@@ -137,7 +138,7 @@ def compare(
     light_error: float = 0.0,
     variance_error: float = 0.0,
 ) -> Comparison:
-    """Compare a measurement with its prediction by a camera. Without `noise_known` only means are
+    """Compare a measurement with its prediction by a camera. If not `noise_known`, only means are
     compared, with errors from the variances of the frames."""
     errors = {"light_error": light_error, "variance_error": variance_error}
     lit, levels = levels_of(measurement, usable, **errors)
@@ -190,7 +191,8 @@ def compare(
 
 
 def _end_codes(sensor: Sensor, values: np.ndarray, measurement: PhotonTransfer) -> np.ndarray:
-    """Which levels are all in the first or last code of the sensor, without any noise."""
+    """Return a mask of the levels at which the camera predicts the first or the last code for every
+    pixel, without noise."""
     if sensor.bits is None:
         return np.zeros(values.shape[1], bool)
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
@@ -217,8 +219,9 @@ def _expected(
 ) -> tuple[
     Expected, Float[np.ndarray, "draws quantities levels"], Float[np.ndarray, "values values"]
 ]:
-    """Return the predictions of the best estimate and of the draws, converted from the sensor's
-    codes to the numbers of the file. Without draws there is one row."""
+    """Return the predictions of the best estimate and of each draw, converted from codes to the
+    numbers in the file, and the covariance that the sampling of pixel offsets adds. If there are no
+    draws, the best estimate is the only one."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
     of_every = np.asarray(expected(every, lit, neighbours=neighbours))
     values = of_every[0].copy()
@@ -244,7 +247,7 @@ def _expected(
 
 
 def _file_numbers(values: np.ndarray, step: float, origin: float) -> np.ndarray:
-    """Codes, or squares of codes, converted to numbers of the file."""
+    """Convert means in codes and variances in squared codes to the numbers in the file."""
     scaled = values * step**2
     scaled[..., 0, :] = origin + step * values[..., 0, :]
     return scaled
@@ -258,7 +261,8 @@ def _scaled(
     seen: np.ndarray,
     shown: np.ndarray,
 ) -> Lit:
-    """Light in the unit of the sensor, if only the means give its scale."""
+    """Fit the scale of the light to the means of the frames; return the levels with scaled
+    light."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
     signal = (seen[0] - origin) / step - (0.0 if sensor.offset is None else float(sensor.offset))
     gain, efficiency = (

@@ -1,12 +1,12 @@
-"""Detection of the effect that a camera file lacks, among effects with known signatures in means,
-variances and covariances.
+"""Identification of the effect that a camera file lacks, among candidates with known signatures in
+means, variances and covariances.
 
-Each candidate adds its signature, times a fitted size, to the prediction of the camera. Levels may
-also scatter in light, black level or variance. Scatter can explain any misfit, so its sizes
-(variance components by restricted likelihood) are fitted together with each candidate. A candidate
-is judged by its further decrease of the misfit. The candidate that explains most is chosen, then
-the next, until the remaining misfit is insignificant or no candidate passes the threshold. Scatter
-is named if it passes the threshold.
+Each candidate adds its signature, times a fitted size, to the prediction of the camera. Random
+scatter of the levels in light, black level or variance is also considered. Because scatter can
+explain any misfit, its sizes (variance components by restricted likelihood) are fitted together
+with each candidate. The merit of a candidate is its additional decrease of -2 log likelihood. The
+best candidate is added, then the next, until the remaining misfit is insignificant or no candidate
+passes the threshold. Scatter that passes the threshold is reported last.
 """
 
 from collections.abc import Callable
@@ -40,7 +40,7 @@ class Size(NamedTuple):
         return format_with_error(abs(scale * self.value), abs(scale) * self.error)
 
     def root(self, scale: float = 1.0) -> str:
-        """The size for the square root of a variance."""
+        """Format the square root of a size that is a variance."""
         deviation = np.sqrt(abs(self.value))
         return format_with_error(scale * deviation, scale * self.error / (2 * deviation))
 
@@ -66,7 +66,7 @@ class Candidate(NamedTuple):
 
 
 def _shared(neighbours: str) -> Callable[[Size, Expected], str]:
-    """The signature of pixel mixing that the fitted gain did not include."""
+    """Make the sentence on mixing of neighbouring pixels that the fitted gain did not include."""
     return lambda a, e: (
         f"{neighbours} {a.in_words(100)} % of the signal's variance (mixing of pixels, by "
         "capacitance between them or by interpolation), by which the camera's gain is then too "
@@ -224,7 +224,7 @@ TOGETHER = (("compression", "light"), ("compression", "gain"), ("compression", "
 
 @dataclass(frozen=True)
 class Missing:
-    """An effect that a camera lacks.
+    """An effect that the camera file lacks and that the frames show.
 
     Attributes:
         key: of the candidate.
@@ -240,7 +240,8 @@ class Missing:
 
 
 def missing_effects(comparison: Comparison) -> tuple[Missing, ...]:
-    """The missing effects that explain the misfit of a camera."""
+    """Find the missing effects that explain the misfit of a camera; an empty tuple if there is no
+    misfit."""
     agreement = comparison.agreement
     if all(one.ratio <= 1 for one in agreement.values() if one.is_missed):
         return ()
@@ -273,7 +274,7 @@ def missing_effects(comparison: Comparison) -> tuple[Missing, ...]:
 
 
 class _Fit:
-    """Residuals of all quantities, and the effects that explain part of them."""
+    """A generalised least-squares fit of the chosen effects to the residuals of all quantities."""
 
     def __init__(self, comparison: Comparison) -> None:
         self._comparison, self._found, self._taken = comparison, comparison.found, []
@@ -300,11 +301,11 @@ class _Fit:
 
     @property
     def is_missed(self) -> bool:
-        """Whether the chosen effects leave a significant misfit."""
+        """Whether a significant misfit remains with the chosen effects."""
         return any(one.is_missed and one.ratio > 1 for one in self.agreement().values())
 
     def gain_of(self, *some: Candidate) -> float:
-        """The decrease of -2 log likelihood by several effects together."""
+        """Return the decrease of -2 log likelihood if these effects are added together."""
         shapes = np.array([self._shape(one) for one in some]).T
         sizes = np.sqrt(np.sum(shapes**2, axis=0))
         if not sizes.all():
@@ -345,22 +346,22 @@ class _Fit:
         return replace(found, values=values, rows=rows, columns=columns)
 
     def gain_of_scatter(self, place: int) -> float:
-        """The decrease of -2 log likelihood by a scatter, given the chosen effects."""
+        """Return the decrease of -2 log likelihood by a scatter, given the chosen effects."""
         logs = np.where(np.arange(len(SCATTERS)) == place, -np.inf, self._logs)
         return self._unrestricted(self._columns, logs) - self._unrestricted(
             self._columns, self._logs
         )
 
     def take_scatter(self, place: int, gain: float) -> Missing:
-        """Add a scatter."""
+        """Report a scatter as an effect, and include it in the agreement."""
         self._named[place] = True
         value = float(np.sqrt(np.exp(self._logs[place]) / self._scales[place]))
         levels = np.count_nonzero(self._squares[place])
         return self._missing(SCATTERS[place], Size(value, value / np.sqrt(2 * levels)), gain)
 
     def agreement(self) -> dict[str, Agreement]:
-        """The agreement of each quantity with the prediction, including the chosen effects and
-        scatters."""
+        """Return the agreement of each quantity with the prediction, after the chosen effects and
+        scatters are included."""
         levels, found = self._comparison.noise.shape[1], {}
         own = self._covariance(np.where(self._named, self._logs, -np.inf))
         left = self._missed - self._columns @ self._sizes(self._columns, own)[0]
@@ -377,7 +378,8 @@ class _Fit:
         return Missing(one.key, clause, float(np.sqrt(gain)), self.agreement())
 
     def _shape(self, one: Candidate) -> np.ndarray:
-        """The signature divided by the standard deviations of the frames' noise."""
+        """Return the signature of a candidate divided by the standard deviations of the frames'
+        noise."""
         rows = one.shape(self._comparison.found, self._comparison.lit)[
             : len(self._comparison.noise)
         ]
@@ -389,7 +391,8 @@ class _Fit:
         return self._known + np.diag(np.exp(logs) @ self._squares)
 
     def _searched(self, columns: np.ndarray) -> np.ndarray:
-        """The most likely scatters given some effects, as logarithms of their squares."""
+        """Maximise the restricted likelihood over the scatters, given some effects; return the
+        logarithms of their variances."""
 
         def cost(logs: np.ndarray) -> tuple[float, np.ndarray]:
             covariance = self._covariance(logs)
@@ -416,7 +419,8 @@ class _Fit:
         )
 
     def _sizes(self, columns: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Sizes of effects by generalised least squares, and their covariance."""
+        """Fit the sizes of effects by generalised least squares; return them and their
+        covariance."""
         unit = np.sqrt(np.sum(columns**2, axis=0))
         scaled = columns / unit
         of = np.linalg.solve(covariance, scaled)

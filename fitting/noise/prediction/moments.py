@@ -1,5 +1,5 @@
-"""A sensor's predicted mean, variance and neighbour covariances for even light and darkness, by the
-moments of `jaxvision` alone, and the sampling noise of a few frames about them."""
+"""A sensor's predicted mean, variance and neighbour covariances in even light and in the dark, by
+`jaxvision` alone, and the sampling errors of a few frames about them."""
 
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -25,7 +25,7 @@ MOST = 1024  # most offsets; for a wider spread they are farther apart
 
 
 class Lit(eqx.Module):
-    """Levels with and without light.
+    """The light and exposure of levels with and without light.
 
     Attributes:
         light: (levels,) photons per pixel and exposure; electrons for a sensor without quantum
@@ -41,7 +41,7 @@ class Lit(eqx.Module):
 
 @dataclass(frozen=True)
 class Expected:
-    """The prediction of one sensor.
+    """The mean, variance and neighbour covariances that one sensor predicts at each level.
 
     Attributes:
         values: (quantities, levels) the `QUANTITIES`, DN and DN^2.
@@ -68,18 +68,18 @@ class Expected:
 
     @property
     def share(self) -> Float[np.ndarray, " levels"]:
-        """The signal relative to that of the brightest level."""
+        """The signal divided by that of the brightest level."""
         return self.signal / max(float(self.signal.max()), 1e-300)
 
     @property
     def shot(self) -> Float[np.ndarray, " levels"]:
-        """Variance by shot noise, DN^2."""
+        """Variance of shot noise, DN^2."""
         return self.step**2 * self.electrons
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Statistics of the frames of levels, from `Levels`.
+    """Statistics of the frames at each level, taken from `Levels`.
 
     Attributes:
         mean: (levels,) DN.
@@ -106,7 +106,7 @@ class Frames:
 
     @property
     def measured(self) -> Float[np.ndarray, "quantities levels"]:
-        """The `QUANTITIES` that are known."""
+        """The observed `QUANTITIES`, as far as they are known, DN and DN^2."""
         around = () if self.neighbours is None else tuple(self.neighbours)
         return np.array([self.mean, self.variance, *around])
 
@@ -115,7 +115,7 @@ OfLevels = TypeVar("OfLevels", Lit, Expected, Frames)
 
 
 def at_levels(found: OfLevels, shown: Bool[np.ndarray, " levels"]) -> OfLevels:
-    """The same for some of the levels, which are the last axis of every array."""
+    """Return the record for some of the levels, which are the last axis of every array."""
     arrays = {k: x for k, x in vars(found).items() if isinstance(x, np.ndarray | Array)}
     return replace(found, **{name: array[..., shown] for name, array in arrays.items()})
 
@@ -164,7 +164,8 @@ def levels_of(
 def expected(
     sensors: Sensor, lit: Lit, *, neighbours: bool
 ) -> Float[Array, "draws quantities levels"]:
-    """The predicted quantities in the sensors' codes, away from the ends of the scale."""
+    """Predict the quantities in codes, for each of several sensors, without clipping at the ends of
+    the scale."""
 
     def of(sensor: Sensor) -> Array:
         one = jax.vmap(lambda at: _quantities(sensor, at, neighbours=neighbours), out_axes=1)
@@ -185,7 +186,8 @@ def _quantities(sensor: Sensor, at: Lit, *, neighbours: bool) -> Array:
 
 
 def _at(sensor: Sensor, at: Lit) -> tuple[Sensor, Array]:
-    """The sensor at the exposure of ONE level, without frame noise, and its light as a rate."""
+    """Return the sensor with the exposure time of ONE level and without frame noise, and the
+    level's light per second."""
     time = jnp.maximum(at.exposure, SHORTEST)
     offset = sensor.light_offset
     if offset is not None and not isinstance(offset, ShutterOffset):
@@ -196,7 +198,8 @@ def _at(sensor: Sensor, at: Lit) -> tuple[Sensor, Array]:
 
 @compiled_briefly
 def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
-    """Electrons of each level, codes per additional electron, and codes at e times the light."""
+    """Return the electrons of each level, the codes per additional electron, and the derivative of
+    the code by the logarithm of the light."""
 
     def one(at: Lit) -> tuple[Array, Array, Array]:
         def both(more: Array) -> tuple[Array, Array]:
@@ -212,7 +215,8 @@ def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
 
 
 def near_an_end(sensor: Sensor, values: np.ndarray, electrons: np.ndarray) -> np.ndarray:
-    """The levels that the ends of the scale, the full well or coarse rounding change."""
+    """Return a mask of the levels that the ends of the scale, the full well or coarse rounding
+    affect."""
     mean, deviation = values[0], np.sqrt(np.maximum(values[1], 0))
     near = np.zeros(mean.shape, bool)
     if sensor.bits is not None:
@@ -227,10 +231,10 @@ def near_an_end(sensor: Sensor, values: np.ndarray, electrons: np.ndarray) -> np
 def clipped(
     sensor: Sensor, lit: Lit
 ) -> tuple[Float[np.ndarray, "2 levels"], Float[np.ndarray, "values values"]]:
-    """Mean and variance near the ends of the scale, averaged over the offsets of the pixels; and
-    the covariance, for one pixel, of their parts that are neither linear nor quadratic in its
-    offset. Divided by the number of pixels, it is the covariance of averages over a die between
-    dies with the same mean and spread of the offsets."""
+    """Return mean and variance near the ends of the scale, averaged over the pixels' offsets, and
+    the covariance between these of one pixel, without the parts that are linear or quadratic in its
+    offset. That covariance over the number of pixels is the sampling covariance of averages over
+    all pixels, between sensors with equal mean and spread of the offsets."""
     every = (sensor.dsnu, sensor.row_dsnu, sensor.column_dsnu)
     spread = float(np.sqrt(sum(float(x) ** 2 for x in every if x is not None)))
     spread *= 1.0 if sensor.gain is None else float(sensor.gain)
@@ -262,7 +266,7 @@ def _clipped(sensor: Sensor, lit: Lit, offsets: Array | np.ndarray) -> Array:
 
 
 def noise(levels: Frames, found: Expected) -> Float[np.ndarray, "quantities levels"]:
-    """Sampling variance of the observed quantities about their expectation.
+    """Return the sampling variances of the observed quantities about their expectation.
 
     Args:
         levels: with their numbers of frames and pixels, and errors from level to level.

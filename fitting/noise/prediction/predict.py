@@ -1,4 +1,5 @@
-"""The prediction of later frames by a camera, and of its own frames by a calibration."""
+"""Tests of a camera by prediction: of new frames by a camera file, and of its own frames by a
+calibration."""
 
 import os
 from dataclasses import dataclass, replace
@@ -39,7 +40,7 @@ Camera = NoiseCalibration | Sensor | str | os.PathLike[str]
 
 @dataclass(frozen=True, repr=False)
 class Prediction(ShownInNotebooks):
-    """Frames compared with the prediction of a camera.
+    """The result of a comparison of frames with their prediction by a camera.
 
     Attributes:
         camera: its name in sentences.
@@ -77,7 +78,7 @@ def predict(
     draws: Sensor | None = None,
     light_error: float = 0.0,
 ) -> Prediction:
-    """Compare frames with the prediction of a camera alone.
+    """Compare frames with their prediction by a camera, without a fit to these frames.
 
     Args:
         camera: a calibration, a sensor, a file of either a sensor (`sensor.toml` of a noise
@@ -166,7 +167,8 @@ def predict(
 
 
 def _remarks(name: str, camera: Sensor, noises: list[str], found: Comparison) -> list[str]:
-    """Sentences on numbers that the camera lacks, and on levels that were therefore left out."""
+    """Return sentences on numbers that the camera does not state, and on levels that were left
+    out."""
     sentences = [
         f"{name} states no {field}: {taken} was taken."
         for field, taken in (("gain", "1 DN/e⁻"), ("offset", "a black level of 0 DN"))
@@ -188,7 +190,7 @@ def _remarks(name: str, camera: Sensor, noises: list[str], found: Comparison) ->
 
 
 def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> None:
-    """Refuse frames whose range of numbers differs from the camera's."""
+    """Raise InputError if frames and camera differ in their number of bits."""
     if camera.bits is None or measurement.full_scale is None:
         return
     bits, seen = float(camera.bits), bits_of(measurement.full_scale, measurement.converter)
@@ -201,9 +203,9 @@ def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> Non
 
 @double_precision
 def predict_own_frames(calibration: NoiseCalibration) -> Prediction:
-    """The prediction of a calibration's own frames by its written and re-read camera, for all
-    levels. With enough levels, it also covers levels that a second fit of the same model did not
-    use.
+    """Compare a calibration's own frames with their prediction by its sensor, which is written to a
+    file and read back. If there are enough levels, a second fit of the same model also predicts
+    levels that it did not use.
     """
     whole = compared(calibration, written(calibration), None)
     kept_out = levels_kept_out(calibration)
@@ -218,8 +220,8 @@ def predict_own_frames(calibration: NoiseCalibration) -> Prediction:
 
 
 def scatters(calibration: NoiseCalibration) -> dict[str, Any]:
-    """Scatter that no camera file contains: relative scatter of the light and of variances between
-    levels."""
+    """Return the fitted scatter between levels that no camera file contains: the relative scatter
+    of the light and of the variances."""
     values = calibration.chosen.values
     return {
         "light_error": float(values.get("light_scatter", 0.0)),
@@ -228,7 +230,8 @@ def scatters(calibration: NoiseCalibration) -> dict[str, Any]:
 
 
 def levels_kept_out(calibration: NoiseCalibration) -> Bool[np.ndarray, " levels"] | None:
-    """Every second level of light, with the darks that belong to no other level."""
+    """Return a mask of the levels to hold out: every second bright level, and the darks that only
+    these use. None if there are too few levels."""
     measurement, chosen = calibration.measurement, calibration.chosen
     bright, darks = len(calibration.usable), measurement.dark.mean.size
     curve = {"compression", "compression_2", "light_offset"} & {*names(chosen.space)}
@@ -250,8 +253,8 @@ def compared(
     camera: tuple[Sensor, Sensor | None],
     kept_out: Bool[np.ndarray, " levels"] | None,
 ) -> Comparison:
-    """A calibration's own frames compared with a sensor and its draws, which were fitted to all
-    levels or without some."""
+    """Compare a calibration's own frames with a sensor that was fitted to all levels, or
+    (`kept_out`) without some; these are then compared."""
     own = {"shown": kept_out, "fitted": kept_out is None, **scatters(calibration)}
     return compare(*camera, calibration.measurement, calibration.usable, **own)
 
@@ -259,12 +262,12 @@ def compared(
 def written(
     calibration: NoiseCalibration, *, kept_out: Bool[np.ndarray, " levels"] | None = None
 ) -> tuple[Sensor, Sensor | None]:
-    """The sensor of a calibration, written to a file and read back."""
+    """Make the sensor of a calibration and its draws, write them to a file, and read them back."""
     return reread(*fitted_sensor(calibration, left_out=kept_out))
 
 
 def reread(best: Sensor, draws: Sensor) -> tuple[Sensor, Sensor | None]:
-    """A sensor and its draws after writing and reading."""
+    """Write a sensor and its draws to a file and read them back."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "sensor.toml"
         write_sensor(best, file, draws=draws)
@@ -272,7 +275,7 @@ def reread(best: Sensor, draws: Sensor) -> tuple[Sensor, Sensor | None]:
 
 
 def read_with_draws(file: Path) -> tuple[Sensor, Sensor | None]:
-    """A sensor and the draws in the file next to it, if any."""
+    """Read a sensor, and its draws from the file next to it if there is one."""
     if not file.suffix and not file.exists():
         return read_camera(str(file)).sensor, None
     whole = "view" in read_toml(file, "camera")
@@ -286,7 +289,7 @@ def read_with_draws(file: Path) -> tuple[Sensor, Sensor | None]:
 def _of_one_tap(
     name: str, sensor: Sensor, draws: Sensor | None, measurement: PhotonTransfer
 ) -> tuple[Sensor, Sensor | None]:
-    """The sensor of the tap to which frames belong, with draws."""
+    """Return the sensor, and its draws, of the amplifier tap that read the frames."""
     assert sensor.taps is not None
     site, pattern, stated = measurement.site, measurement.pattern, camera_of_taps(sensor.taps)
     count = max(max(row) for row in sensor.taps.pattern) + 1
@@ -309,7 +312,7 @@ def _of_one_tap(
 
 
 def _channel_sensor(name: str, sensor: Sensor) -> Sensor:
-    """The sensor with light in photons per pixel."""
+    """Return a one-channel sensor whose light is in photons per pixel."""
     several = sensor.colour_filter is not None and sensor.colour_filter.transmission.size > 1
     several |= sensor.quantum_efficiency is not None and sensor.quantum_efficiency.size > 1
     if several or sensor.infrared_cut is not None:

@@ -23,7 +23,7 @@ BAND = 2  # standard errors
 
 
 def section(prediction: Prediction) -> Section:
-    """A prediction as a section of a report."""
+    """Return the report section on a prediction."""
     name = prediction.camera.rstrip(",")
     return Section(
         kind=KIND,
@@ -37,7 +37,7 @@ def section(prediction: Prediction) -> Section:
 
 
 def findings(prediction: Prediction) -> tuple[str, ...]:
-    """The findings of a prediction."""
+    """Return sentences on how well the camera predicts the frames."""
     judged = prediction.judged
     lit = int(np.sum(np.asarray(judged.lit.lit)))
     dark = judged.lit.lit.size - lit
@@ -86,7 +86,8 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
 
 
 def explanations(prediction: Prediction) -> list[str]:
-    """The disagreements with their most likely cause; empty if there are none."""
+    """Return sentences on the quantities that disagree and on the most likely cause; empty if none
+    disagrees."""
     agreement = prediction.judged.agreement
     sentences = []
     far = {name: agreement[name] for name in prediction.judged.missed}
@@ -115,8 +116,8 @@ def explanations(prediction: Prediction) -> list[str]:
 
 
 def _scatter_alone(prediction: Prediction) -> bool:
-    """Whether scatter of light, black level or variances between levels explains the whole misfit,
-    so that the camera lacks no effect."""
+    """Return whether scatter of light, black level or variances between levels explains the whole
+    misfit, so that the camera lacks no effect."""
     scatters = {one.key for one in SCATTERS}
     if not prediction.missing or any(one.key not in scatters for one in prediction.missing):
         return False
@@ -133,7 +134,7 @@ def _chances(agreement: dict[str, Agreement]) -> str:
 
 
 def table(prediction: Prediction) -> Table:
-    """The chi-squares of a prediction."""
+    """Return the table of chi-squares, a row for each quantity."""
     rows = [
         (name, label, one.degrees, one.ratio, one.p_value)
         for comparison, label in zip(prediction.comparisons, prediction.labels, strict=True)
@@ -149,7 +150,7 @@ def table(prediction: Prediction) -> Table:
 
 
 def levels_table(prediction: Prediction) -> Table:
-    """Mean and variance of each level beside their prediction."""
+    """Return the table of observed and predicted mean and variance at each level."""
     judged = prediction.judged
     lit, values, missed = judged.lit, judged.found.values, judged.residuals
     several = range(2 if len(judged.agreement) > 1 else 1)
@@ -178,7 +179,7 @@ def levels_table(prediction: Prediction) -> Table:
 
 
 def picture(prediction: Prediction) -> Picture:
-    """The residuals of a prediction."""
+    """Return the figure of residuals, drawn when it is requested."""
     return Picture(
         "prediction",
         "Residuals of the prediction",
@@ -189,7 +190,7 @@ def picture(prediction: Prediction) -> Picture:
 
 
 def residual_figure(prediction: Prediction) -> "Figure":
-    """Residuals over signal, a panel for each quantity."""
+    """Draw the residuals over the signal, with a panel for each quantity."""
     from matplotlib.figure import Figure
 
     judged = prediction.judged

@@ -1,2 +1,2 @@
-"""The sheet of EMVA Standard 1288, release 4.0 (2021): the parts *Linear* and *General*, with
-intervals."""
+"""The data sheet of EMVA Standard 1288, release 4.0 (2021): both modules, *Linear* and *General*,
+with intervals."""

@@ -1,13 +1,15 @@
-"""Histograms of the pixels' deviations (clause 8.8), and the number of pixels beyond those of a
-Gaussian.
+"""Histograms of the deviations of pixels from the mean of an average frame (clause 8.8), and counts
+of outliers.
 
-The classes are whole multiples of 1 / L DN, the grid of an average over L frames:
+The width of a class is a multiple of 1 / L DN, the step between the values of an average over L
+frames:
 
     I = floor(L (y_max - y_min) / 256) + 1,    Q = floor(L (y_max - y_min) / I) + 1      (73)
     q = floor(L (y - y_min) / I)                                                        (74)
     y[q] = y_min + (I - 1) / (2 L) + q I / L                                            (75)
 
-The accumulated histogram gives the share of pixels with at least that deviation (77).
+The accumulated histogram gives, for each deviation, the share of pixels that deviate at least that
+much (77).
 """
 
 from typing import NamedTuple
@@ -21,7 +23,7 @@ ROUNDING = 1e-9  # tolerance, in classes, for an average that is a multiple of 1
 
 
 class Histogram(NamedTuple):
-    """Histogram of the deviations from the mean.
+    """The histogram and the accumulated histogram of the pixels' deviations from their mean.
 
     Attributes:
         centres: (classes,) of the classes, less the mean, in the unit of the image.
@@ -39,7 +41,7 @@ class Histogram(NamedTuple):
 
 
 class Outliers(NamedTuple):
-    """Pixels beyond a number of standard deviations.
+    """The number of pixels beyond a number of standard deviations.
 
     Attributes:
         beyond: threshold, in standard deviations.
@@ -55,7 +57,7 @@ class Outliers(NamedTuple):
 
 
 def histogram(image: Float[np.ndarray, "h w"], steps: float) -> Histogram:
-    """The standard's histograms of an average frame.
+    """Compute the standard's two histograms of an average frame.
 
     Args:
         image: with or without the high-pass filter.
@@ -85,7 +87,7 @@ def histogram(image: Float[np.ndarray, "h w"], steps: float) -> Histogram:
 
 
 def outliers(image: Float[np.ndarray, "h w"]) -> tuple[Outliers, ...]:
-    """The numbers of pixels beyond 3, 4 and 5 standard deviations."""
+    """Count the pixels beyond 3, 4 and 5 robust standard deviations from the median."""
     away = np.abs(image - np.median(image)).ravel()
     sd = float(np.quantile(away, 0.6827))
     found = []

@@ -1,4 +1,4 @@
-"""Pictures of release 4: variances over the signal, signal to noise, histograms, spectrograms and
+"""Figures of release 4: spatial variances, signal-to-noise ratio, histograms, spectrograms and
 profiles."""
 
 from functools import partial
@@ -25,7 +25,7 @@ NAMES = {"total": "all pixels", "row": "rows", "col": "columns", "pixel": "pixel
 
 
 def signal_to_noise(sheet: Release4) -> Picture:
-    """The figure of *General*, drawn on request."""
+    """Return the figure of *General* (signal-to-noise ratio), drawn when it is requested."""
     return Picture(
         "signal_to_noise",
         "Signal to noise ratio without a model",
@@ -37,7 +37,8 @@ def signal_to_noise(sheet: Release4) -> Picture:
 
 
 def pictures_of_images(sheet: Release4) -> tuple[Picture, ...]:
-    """The figures of *Linear*, drawn on request; none without images."""
+    """Return the figures of *Linear*, drawn when they are requested; none for a table without
+    images."""
     averages = sheet.stacks.averages
     if averages is None:
         return ()
@@ -84,7 +85,7 @@ def pictures_of_images(sheet: Release4) -> tuple[Picture, ...]:
 
 
 def spatial_variances_figure(sheet: Release4) -> "Figure":
-    """Deviations over the signal, log-log."""
+    """Draw standard deviations of rows, columns and pixels over the signal, on logarithmic axes."""
     from matplotlib.figure import Figure
 
     stacks = sheet.stacks
@@ -155,8 +156,9 @@ def signal_to_noise_figure(sheet: Release4) -> "Figure":
 
 
 def defect_images(averages: Averages) -> tuple[tuple[str, str, np.ndarray, float], ...]:
-    """(name, unit, deviations, steps of the average per unit) of the dark in DN, and of the bright
-    level minus its dark in per cent of the signal; high-passed if they are large enough."""
+    """Return (name, unit, deviations of the pixels, steps of the average per unit) for DSNU, from
+    the dark in DN, and for PRNU, from the bright level minus its dark in per cent of the signal.
+    Images that are large enough are high-passed."""
     lit, unlit = averages.lit, averages.unlit
     response = lit.image - unlit.image
     signal = float(response.mean())
@@ -172,7 +174,7 @@ def defect_images(averages: Averages) -> tuple[tuple[str, str, np.ndarray, float
 
 
 def histograms_figure(averages: Averages, *, accumulated: bool) -> "Figure":
-    """Counts of deviations, or the share of the pixels beyond each, for DSNU and PRNU."""
+    """Draw the histograms of deviations for DSNU and PRNU, or the accumulated ones."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=SIZE, layout="constrained")
@@ -195,7 +197,8 @@ def histograms_figure(averages: Averages, *, accumulated: bool) -> "Figure":
 
 
 def spectrograms_figure(averages: Averages) -> "Figure":
-    """Amplitudes over frequency: rows of axes for DSNU and PRNU, columns for directions."""
+    """Draw amplitudes over spatial frequency, with DSNU above PRNU, and the horizontal direction
+    left of the vertical."""
     from matplotlib.figure import Figure
 
     lit, unlit = averages.lit, averages.unlit
@@ -220,7 +223,8 @@ def spectrograms_figure(averages: Averages) -> "Figure":
 
 
 def profiles_figure(averages: Averages) -> "Figure":
-    """Profiles of clause 8.7, (pixels,) DN: horizontal ones on the left, vertical on the right."""
+    """Draw the profiles of clause 8.7 in DN, horizontal ones on the left and vertical ones on the
+    right."""
     from matplotlib.figure import Figure
 
     lit, unlit = averages.lit, averages.unlit

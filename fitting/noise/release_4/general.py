@@ -1,4 +1,4 @@
-"""Release 4 *General*: a camera without a linear model, from its measured response alone.
+"""Release 4 *General*: figures of a camera that need no linear model, only its measured response.
 
 With mu_y - mu_y.dark the response, R its slope at the light mu_p, and sigma_y the temporal noise,
 
@@ -8,11 +8,11 @@ With mu_y - mu_y.dark the response, R its slope at the light mu_p, and sigma_y t
     efficiency    eta >= SNR_p^2 / mu_p, since no SNR_p exceeds the square root of the electrons
     threshold     the light of SNR_p = 1;   dynamic range   saturation / threshold
 
-A nonlinear response (gamma, several slopes, companding) changes SNR_y but not SNR_p. The slope is
-that of the parabola through the five levels nearest in light, including zero light. Below the
+A nonlinear response (gamma, several slopes, companding) affects SNR_y but not SNR_p. The slope R is
+that of a parabola fitted to the five levels nearest in light, including zero light. Below the
 faintest level of SNR_y >= 1, response and variance are lines from the dark to that level.
 
-Intervals come from draws of means and variances according to their sampling errors.
+Intervals come from random draws of means and variances with their sampling errors.
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ DRAWS = 2000
 
 @dataclass(frozen=True)
 class General:
-    """Signal to noise of a measured response.
+    """The signal-to-noise ratios of a measured response at each level, and the figures that follow.
 
     Attributes:
         light: (levels,) below saturation, photons per pixel, or s where photons are unknown.
@@ -60,7 +60,8 @@ class General:
 
 
 def slopes(light: Float[np.ndarray, " levels"]) -> Float[np.ndarray, "levels levels"]:
-    """The weights of the signals in the slope at each level."""
+    """Return the (levels, levels) matrix that gives the slope of the response at each level from
+    the signals of all levels."""
     points = np.concatenate([[0.0], light])
     found = np.zeros((len(light), len(points)))
     for i, at in enumerate(light):
@@ -75,7 +76,7 @@ def slopes(light: Float[np.ndarray, " levels"]) -> Float[np.ndarray, "levels lev
 def general(
     stacks: Stacks, within: Ranges, shared: SharedNoise | None, rng: np.random.Generator
 ) -> General:
-    """Signal to noise of the measured response."""
+    """Compute the signal-to-noise ratios of the measured response, and the figures that follow."""
     measurement = stacks.measurement
     bright, dark = measurement.bright, measurement.dark
     lights, variances = np.asarray(bright.light), np.asarray(bright.variance)
@@ -138,7 +139,8 @@ def general(
 def _drawn(
     levels: Levels, shared: SharedNoise | None, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(draws, levels) means and variances; the first are the measured ones."""
+    """Draw (draws, levels) means and variances with their sampling errors; the first row is the
+    measured one."""
     nothing = jnp.zeros_like(levels.mean)
     errors = sampling_errors(levels, nothing, jnp.asarray(0.0), shared=shared)
     found = []

@@ -5,8 +5,9 @@ differences:
     saturation  .1 to .2 % of the numbers at the end of the scale             (clause 6.6)
     linearity   LE = mean of |deviation|, 5 % to 95 % of saturation           (62, 63)
 
-Release 3.1 took the threshold without the 1/4 under the root, saturation from the largest variance,
-and the extremes of the deviations. Gain, responsivity, dark noise and dark current are the same.
+Release 3.1 has no 1/4 under the root of the threshold, takes saturation at the largest variance,
+and states the extreme deviations from linearity. Gain, responsivity, dark noise and dark current
+are the same in both releases.
 """
 
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ from ..quantities import NEED_PHOTONS
 
 
 def figures(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> Sheet:
-    """Return the figures of release 4 Linear, without those that the measurement cannot give.
+    """Return the figures of release 4 Linear; those that the measurement cannot give are missing.
 
     Source:
         EMVA Standard 1288, release 4.0 Linear (2021).

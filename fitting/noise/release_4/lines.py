@@ -1,8 +1,10 @@
-"""Spectrograms of an average frame, clause 8.6.
+"""Spectrograms of an average frame (clause 8.6).
 
-The horizontal spectrogram is the power of the rows' discrete Fourier transforms divided by sqrt(N),
-averaged over the rows. For independent pixels it is s^2 + sigma^2 / L at every frequency: the mean
-of M chi-square variables with two degrees of freedom.
+Each of the M rows, of N pixels, is transformed by a discrete Fourier transform divided by sqrt(N).
+The horizontal spectrogram is the squared magnitude, averaged over the rows. For independent pixels
+of spatial variance s^2 and temporal variance sigma^2 in L frames, its expectation is s^2 + sigma^2
+/ L at every frequency. It is then distributed as a mean of M chi-square variables with two degrees
+of freedom.
 """
 
 from typing import NamedTuple
@@ -15,7 +17,7 @@ BAND = (0.975, 0.025)
 
 
 class Spectrogram(NamedTuple):
-    """Power over frequency along one direction.
+    """The power spectrum of an image along one direction.
 
     Attributes:
         cycles: (frequencies,) per pixel, 0 to 1/2.
@@ -31,7 +33,7 @@ class Spectrogram(NamedTuple):
 
 
 def spectrogram(image: Float[np.ndarray, "h w"], axis: int) -> Spectrogram:
-    """Power along an axis of an image, mean over the other."""
+    """Compute the power spectrum along `axis` of an image, averaged over the other axis."""
     length = image.shape[axis]
     transform = np.fft.rfft(image - image.mean(), axis=axis) / np.sqrt(length)
     power = np.mean(np.abs(transform) ** 2, axis=1 - axis)

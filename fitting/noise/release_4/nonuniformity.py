@@ -1,4 +1,4 @@
-"""The contributions of rows, columns and pixels to the spatial variance of an average frame, with
+"""The parts of rows, columns and pixels in the spatial variance of an average frame, with
 intervals.
 
 For an average over L frames of M rows and N columns, with sigma^2 the temporal variance of a pixel,
@@ -9,14 +9,14 @@ For an average over L frames of M rows and N columns, with sigma^2 the temporal 
     s^2_y = row + col + pixel,  s^2_cav = col + pixel / M,  s^2_rav = row + pixel / N     (42)
 
 The high-pass of clause 8.1 subtracts from each pixel a mean over 7 x 7, then 11 x 11 pixels, then a
-binomial 3 x 3 mean. Borders where a window is incomplete are not used.
+binomial 3 x 3 mean. The borders of the frame, where a window is incomplete, are not used.
 
-Intervals refer to the population of pixels, rows and columns of which the frames are a sample. Mean
-squares of the dark and the bright average have a Wishart distribution in each stratum. Their
-covariances are drawn from the inverse Wishart distribution, and each figure is computed from every
-draw. One draw serves both averages, because the dark pattern is also in the bright average.
-Filtered lines and pixels are correlated, and the pixels' tails may be heavier than Gaussian, so the
-number of degrees of freedom is reduced.
+The intervals are for the population of pixels, rows and columns, of which this sensor is a sample.
+For rows, for columns and for pixels, the 2 x 2 mean squares of the dark and the bright average have
+a Wishart distribution. Covariances are drawn from the inverse Wishart distribution, and every
+figure is computed from each draw. Dark and bright average are drawn together, because the dark
+pattern is part of both. The number of degrees of freedom is reduced, because filtered lines and
+pixels are correlated and pixels may have heavier tails than a Gaussian.
 """
 
 from functools import cache
@@ -34,7 +34,7 @@ DRAWS = 4000
 
 
 class Split(NamedTuple):
-    """Spatial variances, DN^2: of all pixels, and the contributions of rows, columns and pixels."""
+    """The spatial variance of all pixels and its parts of rows, columns and pixels, DN^2."""
 
     total: float
     row: float
@@ -43,7 +43,7 @@ class Split(NamedTuple):
 
 
 class Loss(NamedTuple):
-    """The share of variances that the filter passes.
+    """The shares of variance and of degrees of freedom that remain after the high-pass filter.
 
     Attributes:
         lines: share of the variance of independent rows or columns that the filter passes.
@@ -60,7 +60,8 @@ class Loss(NamedTuple):
 
 @cache
 def loss_of_filter() -> Loss:
-    """The share of independent rows, columns and pixels that the high-pass passes."""
+    """Compute the shares of variance and of degrees of freedom of independent rows, columns and
+    pixels that remain after the high-pass filter."""
     smooth = BINOMIAL
     for width in BOXES:
         smooth = np.convolve(smooth, np.ones(width) / width)
@@ -75,12 +76,14 @@ def loss_of_filter() -> Loss:
 
 
 def can_filter(shape: tuple[int, ...]) -> bool:
-    """Whether a frame of this size has rows and columns left inside the filter's borders."""
+    """Return whether a frame of this shape has at least 8 rows and columns inside the filter's
+    borders."""
     return min(shape) >= 2 * BORDER + FEWEST_LINES
 
 
 def high_pass(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "rows columns"]:
-    """An image after the high-pass of clause 8.1, without its borders; mean about 0."""
+    """Apply the high-pass filter of clause 8.1 and cut off the borders; the mean of the result is
+    about 0."""
     smooth = np.asarray(image, float)
     for width in BOXES:
         smooth = uniform_filter(smooth, width)
@@ -90,7 +93,8 @@ def high_pass(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "rows column
 
 
 def split(image: Float[np.ndarray, "h w"], rest: float) -> Split:
-    """The standard's spatial variances of an average frame."""
+    """Compute the standard's spatial variances of an average frame, in which temporal noise of
+    variance `rest` remains."""
     (rows, columns), away = image.shape, image - image.mean()
     total = float(np.mean(away**2)) - rest
     col = float(np.mean(away.mean(axis=0) ** 2)) - rest / rows
@@ -107,7 +111,8 @@ def drawn(
     loss: Loss,
     rng: np.random.Generator,
 ) -> dict[str, Float[np.ndarray, "draws 2 2"]]:
-    """Draws of the covariances between dark and bright pattern, given the averages."""
+    """Draw 2 x 2 covariances of the dark and the bright pattern, for each part, given the average
+    frames."""
     away = np.stack([dark - dark.mean(), bright - bright.mean()])
     of_rows, of_columns = away.mean(axis=2), away.mean(axis=1)
     own = away - of_rows[:, :, None] - of_columns[:, None, :]
@@ -134,7 +139,8 @@ def drawn(
 def _inverse_wishart(
     square: Float[np.ndarray, "2 2"], degrees: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "draws 2 2"]:
-    """Draws of a covariance whose mean square over so many degrees of freedom is `square`."""
+    """Draw covariances from the inverse Wishart distribution of a mean square with `degrees`
+    degrees of freedom."""
     values, vectors = np.linalg.eigh(square)
     root = vectors * np.sqrt(np.maximum(values, 0))
     wishart = np.zeros((DRAWS, 2, 2))

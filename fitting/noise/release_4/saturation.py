@@ -1,15 +1,16 @@
 """The saturation point of release 4 (clause 6.6): the light at which .1 to .2 % of the numbers are
 at the end of the scale.
 
-If one level has no numbers at the end and the next has some, the light at .15 % is interpolated in
-the normal deviate of the share, which is about linear in the light. If the levels are too far apart
-for that, the numbers are taken as Gaussian: mean and standard deviation are extrapolated from the
-two levels below to the light at which .15 % would lie beyond the end. The standard error covers any
-share between .1 and .2 %. It also includes the error of the counts, or a tenth of the distance from
-the mean to the end, because tails need not be Gaussian.
+The light at .15 % lies between two levels. If both have some numbers at the end of the scale and
+some below it, the normal deviate of the share is interpolated, which is about linear in the light.
+If the levels are too far apart for that, the numbers are taken as Gaussian. Their mean and standard
+deviation are extrapolated from the two levels below to the light at which .15 % lie beyond the end.
+The standard error allows for any share between .1 and .2 %. The error also includes that of the
+counts or, for an extrapolation, a tenth of the distance from the mean to the end, because tails
+need not be Gaussian.
 
-If no level reaches the share (the full well comes first, or a table has no pixels), the saturation
-point of release 3.1, the largest variance, takes its place.
+If no level reaches this share (because the full well comes first, or a table has no pixels), the
+saturation point is at the largest variance, as in release 3.1.
 """
 
 from dataclasses import dataclass, replace
@@ -31,7 +32,7 @@ WIDTH_OF_ERROR = float(np.sqrt(24))  # `Ranges.saturation_width` is the base of 
 
 @dataclass(frozen=True)
 class Numbers:
-    """The numbers of each bright level.
+    """The share of clipped numbers at each bright level, and their standard deviation.
 
     Attributes:
         at_top: (levels,) share of the values at the end of the scale; 0 where that end is unknown.
@@ -43,7 +44,8 @@ class Numbers:
 
 
 def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges, bool]:
-    """The ranges of release 4."""
+    """Return the levels that release 4 uses in each figure, and whether saturation follows from
+    clipped numbers."""
     within = emva1288.ranges(measurement)
     if numbers is None or measurement.full_scale is None:
         return within, False
@@ -77,7 +79,8 @@ def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges
 
 
 def _interpolated(lights: np.ndarray, share: np.ndarray, count: np.ndarray) -> tuple[float, float]:
-    """Light and its error, from two levels with numbers at the end and below it."""
+    """Interpolate the saturation light, with its standard error, between two levels that both have
+    numbers at the end and below it."""
     deviates = ndtri(share)
     slope = (lights[1] - lights[0]) / (deviates[1] - deviates[0])
     low, light, high = lights[0] + slope * (ndtri(SHARES) - deviates[0])
@@ -90,7 +93,8 @@ def _interpolated(lights: np.ndarray, share: np.ndarray, count: np.ndarray) -> t
 def _gaussian_saturation(
     lights: np.ndarray, mean: np.ndarray, spread: np.ndarray, end: float, above: int
 ) -> tuple[float, float]:
-    """Light and its error, from mean and standard deviation of the two levels below."""
+    """Extrapolate the saturation light, with its standard error, from mean and standard deviation
+    of the two levels below."""
     one, two = above - 2, above - 1
     apart = lights[two] - lights[one]
     rate, growth = (mean[two] - mean[one]) / apart, (spread[two] - spread[one]) / apart

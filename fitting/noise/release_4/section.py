@@ -1,4 +1,4 @@
-"""The report of release 4."""
+"""The report of the EMVA 1288 sheet, release 4.0."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -45,7 +45,7 @@ LEAK = 0.1  # share of a part from which retained row and column noise is report
 
 
 def section(sheet: Release4) -> Section:
-    """*Linear* and *General* as one section, for a notebook."""
+    """Return *Linear* and *General* as one section, for a notebook."""
     linear, general = sections(sheet)
     return replace(
         linear,
@@ -58,7 +58,7 @@ def section(sheet: Release4) -> Section:
 
 
 def sections(sheet: Release4) -> list[Section]:
-    """The sheet of release 4 as sections of a report."""
+    """Return the sheet of release 4 as two sections of a report, *Linear* and *General*."""
     stacks = sheet.stacks
     settings = {"release": "4.0", "seed of the draws": sheet.seed}
     of_images, frames = (), {}
@@ -98,7 +98,8 @@ def sections(sheet: Release4) -> list[Section]:
 
 
 def _without_doubted(sheet: Release4, listed: list[Estimate]) -> tuple[Estimate, ...]:
-    """Return the figures; those that the frames do not determine are replaced by the reason."""
+    """Return the figures, with the reason in place of those that contradictory frames do not
+    determine."""
     doubts = sheet.stacks.measurement.doubts
     why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
     found = []
@@ -168,8 +169,8 @@ def _deviation(
     spread: Float[np.ndarray, " draws"] | float,
     method: str,
 ) -> Estimate:
-    """A standard deviation, with the draws of its variance. If the draws do not exclude 0, it is a
-    limit."""
+    """Return the estimate of a standard deviation, from the draws of its variance. If the draws do
+    not exclude 0, it is an upper limit."""
     drawn = scale * spread * np.sqrt(np.maximum(draws, 0))
     ends = np.quantile(drawn, QUANTILES)
     if ends[0] <= 0 or variance <= 0:
@@ -226,7 +227,7 @@ def _findings(sheet: Release4) -> tuple[str, ...]:
 
 
 def _noise_of_linearity(sheet: Release4) -> str:
-    """The contribution of noise alone to the mean absolute deviation."""
+    """Return a sentence on the linearity error that noise alone would give."""
     measurement = sheet.stacks.measurement
     bright, dark = measurement.bright, measurement.dark
     gain = jnp.asarray(0.0)
@@ -260,8 +261,8 @@ def _uneven(found: Mapping[str, Nonuniformity]) -> list[str]:
 
 
 def _leaks(sheet: Release4, averages: Averages) -> list[str]:
-    """Return findings on temporal noise of rows and columns, and on drift, that an average retains
-    or that the standard subtracts twice."""
+    """Return findings on temporal noise of rows and columns that remains in the average frame, and
+    on drift that the standard subtracts as noise of the pixels."""
     measurement, unlit, sentences = sheet.stacks.measurement, averages.unlit, []
     shared, own = measurement.dark.shared, int(measurement.dark_of[averages.level])
     split: Split = sheet.nonuniformity[PLAIN].dark

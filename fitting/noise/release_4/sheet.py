@@ -1,4 +1,4 @@
-"""The whole of release 4 for one camera: *Linear*, nonuniformities, *General*."""
+"""The complete sheet of release 4 for one camera: *Linear*, nonuniformities and *General*."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ FILTERED, PLAIN = "high-pass (8.1)", "no filter"
 
 @dataclass(frozen=True)
 class Nonuniformity:
-    """DSNU and PRNU of one pair of average frames.
+    """DSNU and PRNU from the average frames of a dark and a bright level.
 
     Attributes:
         dark: the standard's spatial variances of the dark, DN^2.
@@ -44,7 +44,7 @@ class Nonuniformity:
 
 @dataclass(frozen=True, repr=False)
 class Release4(ShownInNotebooks):
-    """The sheet of release 4.0.
+    """The data sheet of EMVA 1288, release 4.0, of a camera.
 
     Attributes:
         stacks: the data of the sheet.
@@ -77,7 +77,7 @@ _evaluated = compiled_briefly(evaluate)
 
 @double_precision
 def release_4_sheet(stacks: Stacks, *, seed: int = 0) -> Release4:
-    """The sheet of EMVA 1288, release 4.0, of a camera.
+    """Compute the data sheet of EMVA 1288, release 4.0, of a camera.
 
     Args:
         stacks: from `read_stacks` or `stacks_from_frames`.

@@ -1,12 +1,14 @@
-"""Average frames of the levels of a photon transfer, with all pixels, and their spatial variances.
+"""Average frames of all pixels, dead ones included, at the levels of a photon transfer, and their
+spatial variances.
 
-The standard's own statistics: with y the frames of a level and d_f the mean of frame f,
+These are the standard's statistics. With y the frames of a level and d_f the mean of frame f,
 
     mu_y    = mean of y                                                     (16)
     sigma^2 = mean over the pixels of the variance over the frames - variance of d_f    (18)
     sigma^2_stack = mean over the pixels of the variance over the frames    (65)
 
-(18) is the standard's formula for two frames. For more frames it is the average over their pairs.
+For two frames (18) is the standard's formula. For more frames it is the average of that formula
+over all pairs.
 """
 
 import os
@@ -34,7 +36,7 @@ from .saturation import Numbers, ranges
 
 @dataclass(frozen=True)
 class Stack:
-    """The frames of a level, averaged.
+    """The average of a level's frames, with their temporal variance and drift.
 
     Attributes:
         image: (h, w) average, DN.
@@ -52,13 +54,13 @@ class Stack:
 
     @property
     def rest(self) -> float:
-        """Part of the standard's sigma^2_stack that remains in the average, DN^2."""
+        """Temporal variance that remains in the average, sigma^2_stack / L, DN^2."""
         return (self.noise + self.drift) / self.frames
 
 
 @dataclass(frozen=True)
 class Averages:
-    """The average frames of two levels.
+    """The average frames of a bright level and of its dark.
 
     Attributes:
         level: index of the bright level, about half of saturation.
@@ -73,7 +75,7 @@ class Averages:
 
 @dataclass(frozen=True)
 class Stacks:
-    """A photon transfer with its images, or a table of sums without images.
+    """A photon transfer measurement with its average images, or a table of sums without images.
 
     Attributes:
         measurement: means and temporal variances of all pixels, as the standard has them.
@@ -96,8 +98,8 @@ class Stacks:
 def read_stacks(
     path: str | os.PathLike[str], *, bits: int | None = None, channel: str = ""
 ) -> Stacks:
-    """Average frames and spatial variances of a rig's `[[flat]]` and `[[dark]]` frames, for
-    `release_4_sheet`.
+    """Compute average frames and spatial variances of a rig's `[[flat]]` and `[[dark]]` frames, as
+    the input of `release_4_sheet`.
 
     Args:
         path: a rig folder or file, or a table of sums with the suffix `.csv`, which has no images.
@@ -121,7 +123,7 @@ def read_stacks(
 
 
 def reduce_stacks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Stacks:
-    """Reduce all frames of a rig, one frame in memory at a time."""
+    """Compute the average frames and statistics of a rig, with one frame in memory at a time."""
     reduced = reduced_rig(rig, channel=channel, load=load)
     check(rig.folder, reduced.measurement)
     top = reduced.measurement.full_scale
@@ -158,7 +160,8 @@ def reduce_stacks(rig: Rig, *, channel: str = "", load: Load = read_image) -> St
 
 
 def _averaged(plane: Callable[[str], np.ndarray], names: Sequence[str], top: float | None) -> Stack:
-    """Sums over the frames minus the first, so that their difference keeps its precision."""
+    """Average the frames `names`. The sums use deviations from the first frame, to keep
+    precision."""
     first = np.asarray(plane(names[0]), float)
     total, squares = np.zeros_like(first), 0.0
     means, at_top = [], 0.0
