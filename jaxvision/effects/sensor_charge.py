@@ -1,7 +1,8 @@
-"""Bounds for dropping effects on counted charge: counting, wells, and charge transfer.
+"""Bound the change if a sensor effect on the counted charge is dropped: shot noise, full wells, and
+charge transfer.
 
-Each function takes the sensor without the effects dropped before, and returns a bound in DN, the
-distance of `pixel`.
+Each function takes the sensor without the effects that were dropped before. It returns a bound in
+DN, on the distance defined in `pixel`.
 """
 
 import math
@@ -29,7 +30,8 @@ INVERSION = math.sqrt(1.4e-4)
 
 
 def shot_noise(pixel: Pixel) -> Bound:
-    """sqrt(V + m) - sqrt(V) at the brightest m, with V all other noise of the darkest pixel."""
+    """Bound the effect of shot noise: sqrt(V + m) - sqrt(V) at the largest mean m, with V the
+    variance of all other noise in the darkest pixel."""
     rest = pixel.quiet - pixel.counted_dark
     counted = pixel.light + pixel.dark + pixel.hot
     if not math.isfinite(counted):
@@ -39,24 +41,26 @@ def shot_noise(pixel: Pixel) -> Bound:
 
 
 def exact_counting(pixel: Pixel) -> Bound:
-    """Poisson draws by inversion instead of rejection, with the measured accuracy stated in
-    `sensor.count`, as an estimate."""
+    """Estimate the error of Poisson draws by inversion instead of rejection, from the measured
+    accuracy stated in `sensor.count`."""
     return Bound(pixel.read(INVERSION), "measured up to 2^31 e-", rank="estimate")
 
 
 def whole_electrons(pixel: Pixel) -> Bound:
-    """A Gaussian with the same moments instead of whole numbers of electrons. Mean and rms do not
-    change. The distributions differ by at most 0.42 e-, tabulated over means."""
+    """Estimate the error of Gaussian counts with the moments of Poisson's, instead of whole numbers
+    of electrons. The mean and the rms do not change. The two distributions differ by at most 0.42
+    e-, according to a table over means."""
     return Bound(pixel.read(WHOLE), "tabulated over means", rank="estimate")
 
 
 def brighter_fatter(pixel: Pixel) -> Bound:
-    """The charge that repulsion moves over the borders of the brightest pixel, and the change of
-    its noise.
+    """Bound the effect of repulsion between charges: the charge that it moves over the borders of
+    the brightest pixel, and the change of its noise.
 
-    With c = 2 m (D_rows + D_columns) the charge follows at most q' = 1 + c q. The mean changes by m
-    ((e^c - 1) / c - 1). Covariances grow by c from either side, so the variance changes by m (e^c
-    (e^(2 c) - 1) / (2 c) - 1), and that of a pattern by e^(2 c) - 1.
+    With c = 2 m (D_rows + D_columns) the charge follows at most q' = 1 + c q. The mean therefore
+    changes by m ((e^c - 1) / c - 1). Covariances grow by c from either side. So the variance
+    changes by m (e^c (e^(2 c) - 1) / (2 c) - 1), and that of a fixed pattern by the factor e^(2 c)
+    - 1.
     """
     c, light = pixel.repulsion, pixel.light / pixel.pushing
     if c == 0:
@@ -74,14 +78,16 @@ def brighter_fatter(pixel: Pixel) -> Bound:
 
 
 def full_well(pixel: Pixel) -> Bound:
-    """The root mean square excess of the brightest charge above the well (`overflow`)."""
+    """Bound the effect of the full well by the root mean square excess of the brightest charge
+    above it (`overflow`)."""
     well = float(pixel.sensor.low["full_well"])
     why = f"at most {pixel.bright:.4g} e- expected in a well of {well:.4g}"
     return Bound(pixel.behind_charge * pixel.spilt.rms, why, rank=pixel.rank_of_counts)
 
 
 def blooming(pixel: Pixel) -> Bound:
-    """The charge that spills into a pixel from all others of its column (`Pixel.received`)."""
+    """Bound the effect of blooming by the charge that overflows into a pixel from all others of its
+    column (`Pixel.received`)."""
     if pixel.received == 0:
         return Bound(0.0, "no charge spills")
     why = f"{pixel.spilt.mean:.3g} e- above the well expected, at most"
@@ -89,10 +95,11 @@ def blooming(pixel: Pixel) -> Bound:
 
 
 def charge_transfer(pixel: Pixel) -> Bound:
-    """The larger of the loss of a bright pixel and the gain of a dark one.
+    """Bound the effect of charge transfer by the larger of two changes: the loss of a bright pixel
+    and the gain of a dark one.
 
-    The pattern of sensitivities changes by at most p times the length that charge moves, and the
-    counted variance changes by at most the mean.
+    The sensitivity pattern, of relative rms p, changes by at most p times the charge that moves.
+    The variance of the counts changes by at most the change of the mean.
     """
     transfer = pixel.sensor.high["charge_transfer"]
     lost, gained = transfer_shares(transfer, pixel.shape)
@@ -106,7 +113,7 @@ def charge_transfer(pixel: Pixel) -> Bound:
 
 
 def charge_effects(name: str, pixel: Pixel) -> Bound:
-    """The change of a pixel by an effect on charge (`Pixel.moved_by`)."""
+    """Bound the change of a pixel by mixing or by the nonlinearity (`Pixel.moved_by`)."""
     ends = Ends(*(end[name] for end in pixel.sensor))
     moved = pixel.moved_by(ends)
     why = type(ends.low).__name__
@@ -118,8 +125,8 @@ def charge_effects(name: str, pixel: Pixel) -> Bound:
 
 
 def transfer_shares(transfer: ChargeTransfer, shape: tuple[int, int]) -> tuple[float, float]:
-    """The largest share of a packet that is not read in its own place, and the largest sum of
-    shares of other packets read there."""
+    """Return the largest share of a charge packet that is not read in its own pixel, and the
+    largest sum of the shares of other packets that are read in a pixel."""
     serial = transfer.serial_inefficiency
     rows = shares_along(float(transfer.inefficiency), shape[0], transfer.trail)
     columns = shares_along(0.0 if serial is None else float(serial), shape[1], transfer.trail)
@@ -128,11 +135,12 @@ def transfer_shares(transfer: ChargeTransfer, shape: tuple[int, int]) -> tuple[f
 
 
 def shares_along(inefficiency: float, size: int, trail: int) -> tuple[np.ndarray, np.ndarray]:
-    """For each place, the share of its own packet that is read there, and the sum of all shares.
+    """Return, for each place along a line of pixels, the share of its own packet that is read
+    there, and the sum of the shares of all packets.
 
-    The packet of place i is transferred i + 1 times and left behind k times with the binomial
-    probability C(i + k, k) (1 - e)^(i + 1) e^k. Charge that is left behind `trail` times or more is
-    read `trail` places behind.
+    The packet of place i is transferred i + 1 times with inefficiency e. It is read k places behind
+    with the probability C(i + k, k) (1 - e)^(i + 1) e^k. Charge that falls `trail` or more places
+    behind is read `trail` places behind.
     """
     row = np.arange(size)
     share = (1 - inefficiency) ** (row + 1)

@@ -1,7 +1,8 @@
-"""Bounds for dropping effects between light and electrons, one function for each.
+"""Bound the change if a sensor effect between light and electrons is dropped; each effect has one
+function.
 
-Each function takes the sensor without the effects dropped before, and returns a bound in DN, the
-distance of `pixel`.
+Each function takes the sensor without the effects that were dropped before. It returns a bound in
+DN, on the distance defined in `pixel`.
 """
 
 import math
@@ -17,43 +18,44 @@ from .stages import Ends, by_field
 
 
 def photon_conversion(pixel: Pixel) -> Bound:
-    """Not an effect: without it, light would have another unit."""
+    """Return no bound: without the conversion, light would have another unit."""
     return Bound(INF, "converts W m^-2 to photons: nothing can be left out")
 
 
 def colour_filter(pixel: Pixel) -> Bound:
-    """Not an effect with a bound: it selects the band of each pixel."""
+    """Return no bound: the colour filter selects the band of each pixel."""
     return Bound(INF, "defines which bands a pixel measures")
 
 
 def exposure_time(pixel: Pixel) -> Bound:
-    """Not an effect: it scales light and dark current equally."""
+    """Return no bound: the exposure time scales light and dark current equally."""
     return Bound(INF, "scales all charge: nothing can be left out")
 
 
 def light_offset(pixel: Pixel) -> Bound:
-    """Light that is added to the given light, or subtracted from it."""
+    """Bound the effect of an offset of the light by the light that it adds or subtracts."""
     beside = pixel.beside * pixel.smearing * pixel.pushing
     return Bound(pixel.moved(beside, patterned=True), f"{pixel.beside:.3g} e- besides the light")
 
 
 def infrared_cut(pixel: Pixel) -> Bound:
-    """The light that the filter removes: (1 - transmission) of each band."""
+    """Bound the effect of the infrared filter by the light that it removes, (1 - transmission) of
+    each band."""
     least = np.asarray(pixel.sensor.low["infrared_cut"], float)
     return _attenuator(pixel, "infrared_cut", least, "what the filter absorbs")
 
 
 def quantum_efficiency(pixel: Pixel) -> Bound:
-    """The photons that free no electron: (1 - efficiency) of each band and tap. An efficiency may
-    exceed 1."""
+    """Bound the effect of the quantum efficiency by the photons that free no electron, (1 -
+    efficiency) of each band and tap. An efficiency may exceed 1."""
     ends = (np.asarray(end["quantum_efficiency"], float) for end in pixel.sensor)
     least = 1 - np.maximum(*(np.abs(1 - efficiency) for efficiency in ends))
     return _attenuator(pixel, "quantum_efficiency", least, "photons that free no electron")
 
 
 def pixel_aperture(pixel: Pixel) -> Bound:
-    """The light outside the active area; inf if the aperture is sampled more than once, because no
-    bound on a value covers an edge."""
+    """Bound the effect of the pixel aperture by the light outside the active area. It is inf if the
+    aperture is sampled more than once, because no bound on values covers an edge in the picture."""
     low = pixel.sensor.low["pixel_aperture"]
     if low.oversampling > 1:
         return Bound(INF, f"light is sampled {low.oversampling} times along each side")
@@ -61,15 +63,16 @@ def pixel_aperture(pixel: Pixel) -> Bound:
 
 
 def crosstalk(pixel: Pixel) -> Bound:
-    """4 c m: the gain of a dark pixel among bright ones, and the loss of a bright one among dark
-    ones."""
+    """Bound the effect of crosstalk of the share c with each neighbour by 4 c m: a dark pixel gains
+    this among bright ones of mean m, and a bright one loses it among dark ones."""
     share = 4 * pixel.high("crosstalk")
     why = f"{share:.3g} of the brightest charge drifts"
     return Bound(pixel.moved(share * pixel.light, patterned=True), why)
 
 
 def smear(pixel: Pixel) -> Bound:
-    """s (rows - 1) m: the light that a dark pixel collects in an otherwise bright column."""
+    """Bound the effect of smear by s (rows - 1) m: the light that a dark pixel collects in a column
+    of otherwise bright pixels."""
     share = pixel.high("smear") * (pixel.shape[0] - 1)
     gathered = share * pixel.light / pixel.smearing
     why = f"{share:.3g} of the brightest charge, gathered along its column"
@@ -77,10 +80,12 @@ def smear(pixel: Pixel) -> Bound:
 
 
 def prnu(pixel: Pixel) -> Bound:
-    """sqrt(V + m + p^2 m^2) - sqrt(V + m) at the brightest m, where it is largest.
+    """Bound the effect of a PRNU p by sqrt(V + m + p^2 m^2) - sqrt(V + m), which is largest at the
+    largest mean m.
 
-    With counted light its own noise m hides a part of the pattern. If a full well is reached, V
-    belongs to the later stages and is left out. Clipping sensitivities at 0 also changes the mean.
+    If light is counted, its own noise, of variance m, hides a part of the pattern. V is the
+    variance of the later stages; it is omitted if a full well may be reached. Sensitivities are
+    clipped at 0, which also changes the mean.
     """
     rms, light = pixel.high("prnu"), pixel.light
     if not math.isfinite(light):
@@ -94,15 +99,16 @@ def prnu(pixel: Pixel) -> Bound:
 
 
 def dead_pixels(pixel: Pixel) -> Bound:
-    """All the light of a dead pixel; other pixels change only within its `reach`."""
+    """Bound the effect of dead pixels by all their light. A dead pixel changes other pixels only
+    within its `reach`."""
     rare = pixel.high("dead_pixels") * math.prod(pixel.shape) * pixel.reach
     why = f"{rare:.3g} pixels are dead; the bound is for these"
     return Bound(pixel.moved(pixel.light, patterned=True), why, rare=rare)
 
 
 def dark_current(pixel: Pixel) -> Bound:
-    """The electrons of the dark current and their noise are dropped: in the dark the rms changes by
-    sqrt(V) - sqrt(V - d).
+    """Bound the effect of the dark current d and its noise. In the dark the rms changes by sqrt(V)
+    - sqrt(V - d).
     """
     dark = pixel.dark
     rest = pixel.quiet - pixel.counted_dark
@@ -112,8 +118,8 @@ def dark_current(pixel: Pixel) -> Bound:
 
 
 def hot_pixels(pixel: Pixel) -> Bound:
-    """An exponential excess of mean H changes a hot pixel's mean by H and its variance by H^2, and
-    by H more if it is counted."""
+    """Bound the effect of hot pixels with an exponential excess of mean H. It changes the mean by H
+    and the variance by H^2, and by H more if electrons are counted."""
     fraction = float(pixel.sensor.high["hot_pixels"].fraction)
     rare = fraction * math.prod(pixel.shape) * pixel.reach
     hot = pixel.hot
@@ -124,7 +130,8 @@ def hot_pixels(pixel: Pixel) -> Bound:
 
 
 def _attenuator(pixel: Pixel, name: str, factor: float | np.ndarray, why: str) -> Bound:
-    """The light that a factor of at most 1 on each band removes. Other pixels become brighter."""
+    """Bound the effect of a factor of at most 1 on each band by the light that it removes. Other
+    pixels become brighter. Other pixels become brighter."""
     ends = (dict(end, **{name: None}) for end in pixel.sensor)
     without = replace(pixel, sensor=Ends(*ends))
     # no bound is known if the light is inf, even if the factor is 1

@@ -1,8 +1,9 @@
-"""Bounds for dropping effects of the read-out: pattern, noise, amplifiers and the ADC.
+"""Bound the change if an effect of the read-out is dropped: fixed patterns, noise, amplifiers and
+the ADC.
 
-Each function takes the sensor without the effects dropped before, and returns a bound in DN, the
-distance of `pixel`. Noise of variance v in every pixel has the largest effect in the darkest one,
-whose other noise is V:
+Each function takes the sensor without the effects that were dropped before. It returns a bound in
+DN, on the distance defined in `pixel`. Noise of variance v in every pixel has its largest effect in
+the darkest pixel, whose other noise has variance V:
 
     K sqrt(1 + q^2) (sqrt(V + v) - sqrt(V)).
 """
@@ -26,7 +27,8 @@ _BEYOND = 2.3e-19  # P(|g| > 9)
 
 
 def conversion_prnu(pixel: Pixel) -> Bound:
-    """sqrt(V + m + c^2 (m + m^2)) - sqrt(V + m) at the brightest m, where it is largest."""
+    """Bound the effect of a conversion PRNU c by sqrt(V + m + c^2 (m + m^2)) - sqrt(V + m), which
+    is largest at the largest mean m."""
     rms, charge = pixel.high("conversion_prnu"), pixel.read_bright
     if not math.isfinite(charge):
         return Bound(INF, "the light is not bounded")
@@ -38,7 +40,8 @@ def conversion_prnu(pixel: Pixel) -> Bound:
 
 
 def column_prnu(pixel: Pixel) -> Bound:
-    """sqrt(v + q^2 (v + m^2)) - sqrt(v) at the brightest m, with v its whole noise."""
+    """Bound the effect of a column PRNU q by sqrt(v + q^2 (v + m^2)) - sqrt(v) at the largest mean
+    m, with v the variance of all noise of that pixel."""
     rms, charge = pixel.high("column_prnu"), pixel.read_bright
     if not math.isfinite(charge):
         return Bound(INF, "the light is not bounded")
@@ -53,7 +56,8 @@ def column_prnu(pixel: Pixel) -> Bound:
 
 
 def every_pixel(name: str, pixel: Pixel) -> Bound:
-    """Zero-mean noise or pattern of all pixels, independent of all other noise."""
+    """Bound the effect of a noise or pattern that has zero mean in all pixels and is independent of
+    all other noise."""
     variance = pixel.variances.high[name]
     conversion = pixel.low("conversion_prnu")
     rest = (1 + conversion**2) * pixel.counted_dark + pixel.added(name)
@@ -62,7 +66,8 @@ def every_pixel(name: str, pixel: Pixel) -> Bound:
 
 
 def telegraph_noise(pixel: Pixel) -> Bound:
-    """A trapped pixel has an error of +-a in half of its frames: a variance of a^2 / 2."""
+    """Bound the effect of telegraph noise. A pixel with a trap has an error of +-a in half of its
+    frames, a variance of a^2 / 2."""
     rare = float(pixel.sensor.high["telegraph_noise"].fraction) * math.prod(pixel.shape)
     trapped = _trap(pixel)
     rest = (1 + pixel.low("conversion_prnu") ** 2) * pixel.counted_dark + pixel.added()
@@ -72,19 +77,19 @@ def telegraph_noise(pixel: Pixel) -> Bound:
 
 
 def gain(pixel: Pixel) -> Bound:
-    """Not an effect: it defines the DN."""
+    """Return no bound: the gain defines the DN."""
     return Bound(INF, "says what a DN is: nothing can be left out")
 
 
 def offset(pixel: Pixel) -> Bound:
-    """The mean changes by the offset."""
+    """Bound the effect of the offset, which changes the mean by its own value."""
     ends = (pixel.sensor.low["offset"], pixel.sensor.high["offset"])
     return Bound(max(abs(float(x)) for x in ends), "moves all numbers alike")
 
 
 def taps(pixel: Pixel) -> Bound:
-    """Offsets change the mean of a tap. Factors change its gain, read noise, pattern and light,
-    each by its difference from 1."""
+    """Bound the effect of read-out taps. Offsets change the mean of a tap. Factors change its gain,
+    read noise, fixed pattern and light, each by the difference of the factor from 1."""
     named = ("offset", "gain", "read_noise", "prnu", "quantum_efficiency")
     offset, gain, read, pattern, light = (pixel.tap_change(name) for name in named)
     plain = pixel.sensor.high["untapped"]
@@ -105,7 +110,8 @@ def taps(pixel: Pixel) -> Bound:
 
 
 def bits(pixel: Pixel) -> Bound:
-    """Rounding changes a number by at most 1/2 DN, and clipping by the part outside the range.
+    """Bound the effect of the ADC: rounding changes a number by at most 1/2 DN, and clipping
+    changes it by the part outside the range.
 
     With Gaussian noise of variance V in DN^2, at least 1/4, rounding changes the mean by at most
     exp(-2 pi^2 V) / pi, and adds a variance of at most 1/12 + (4 V + 1/pi^2) exp(-2 pi^2 V) (Widrow
@@ -123,13 +129,13 @@ def bits(pixel: Pixel) -> Bound:
 
 
 def _trap(pixel: Pixel) -> float:
-    """Variance of a trapped pixel's telegraph noise."""
+    """Return the variance of the telegraph noise of a pixel with a trap, in electrons^2."""
     trap = pixel.sensor.high["telegraph_noise"]
     return 0.0 if trap is None else float(trap.amplitude) ** 2 / 2
 
 
 def _gaussian(pixel: Pixel) -> float:
-    """Variance of the Gaussian noise of every pixel, e-^2."""
+    """Return the smallest variance of the Gaussian noise of every pixel, in electrons^2."""
     variances = dict(pixel.variances.low)
     variances.pop("banding", None)
     read = pixel.sensor.low["read_noise"]
@@ -139,8 +145,9 @@ def _gaussian(pixel: Pixel) -> float:
 
 
 def _widest(pixel: Pixel) -> float:
-    """Variance of a Gaussian whose moment-generating function bounds that of all noise after the
-    conversion: the wider part of a mixture, and a^2 for noise within +-a."""
+    """Return the variance of a Gaussian whose moment-generating function bounds that of all noise
+    after the conversion, in electrons^2. It is the wider part of a mixture, and a^2 for noise
+    within +-a."""
     variances = dict(pixel.variances.high)
     read = pixel.sensor.high["read_noise"]
     if isinstance(read, HeavyTailedReadNoise):
@@ -150,10 +157,11 @@ def _widest(pixel: Pixel) -> float:
 
 
 def _clipped(pixel: Pixel) -> float:
-    """Root mean square of the excess below 0 or above the largest number, DN.
+    """Bound the root mean square of the part of a reading below 0 or above the largest number, in
+    DN.
 
-    Gains of columns and pixels are random. Within 9 standard deviations they are replaced by their
-    largest values, and the rest is bounded by its second moment.
+    The gains of columns and pixels are random. Within 9 standard deviations they are replaced by
+    their largest values; beyond, the excess is bounded by its second moment.
     """
     conversion, column = pixel.high("conversion_prnu"), pixel.high("column_prnu")
     if max(conversion, column) * _WIDE >= 1 or not math.isfinite(pixel.bright):
@@ -174,7 +182,7 @@ def _clipped(pixel: Pixel) -> float:
 
 
 def _offsets(pixel: Pixel) -> list[float]:
-    """The smallest and the largest offset of a pixel, DN."""
+    """Return the smallest and the largest offset of any pixel, in DN."""
     found = []
     for end, extreme in zip(pixel.sensor, (np.min, np.max), strict=True):
         tap_map = getattr(end["taps"], "offset", None)
@@ -184,18 +192,19 @@ def _offsets(pixel: Pixel) -> list[float]:
 
 
 def _negative(pixel: Pixel) -> float:
-    """Root mean square of a charge below 0, electrons: light that an offset removes where there is
-    none, and negative entries of a mixing kernel."""
+    """Return the root mean square of charges below 0, in electrons. They come from an offset that
+    removes light where there is none, and from negative entries of a mixing kernel."""
     mixing = [end["mixing"] for end in pixel.sensor]
     below = [float(-np.minimum(np.asarray(m.kernel), 0).sum()) for m in mixing if m is not None]
     return pixel.grown * (pixel.missing + max(below, default=0.0) * pixel.rms)
 
 
 def _above(pixel: Pixel, level: float, noise: float) -> float:
-    """Root mean square of charge and Gaussian noise above a level, electrons.
+    """Bound the root mean square of the sum of charge N and Gaussian noise G above a level w, in
+    electrons.
 
-    (N + G - w)+ is at most (N - s w)+ + (G - (1 - s) w)+ for any share s; the best of several is
-    used. A remaining well clips N.
+    The excess (N + G - w)+ is at most (N - s w)+ + (G - (1 - s) w)+ for any share s; the best of
+    several shares is used. A full well below s w makes the first term 0.
     """
     if level <= 0:
         return INF
@@ -210,13 +219,14 @@ def _above(pixel: Pixel, level: float, noise: float) -> float:
 
 
 def _below(pixel: Pixel, offset: float) -> float:
-    """Root mean square of the excess below 0 DN for Gaussian counts, with variance M equal to their
-    mean M. With v the variance of the read-out and o the offset in electrons,
+    """Bound the root mean square of readings below 0 DN for Gaussian counts N, whose variance
+    equals their mean M. With v the variance of the read-out noise G, and o the offset, in
+    electrons,
 
         E (-(N + G) - o)+^2  <=  u / 2 exp(-(M + o)^2 / (2 u)),   u = v + a M,
 
-    with a the largest gain of a pixel. The bound is largest over M >= 0 at u = a^2 + sqrt(a^4 + (a
-    o - v)^2), or at the brightest M.
+    where a is the largest gain of a pixel. The bound is largest over M >= 0 at u = a^2 + sqrt(a^4 +
+    (a o - v)^2), or at the brightest M.
     """
     spare = (1 + _WIDE * pixel.high("conversion_prnu")) * pixel.grown
     per_electron = pixel.gain * (1 + _WIDE * pixel.high("column_prnu"))

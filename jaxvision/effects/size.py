@@ -1,5 +1,5 @@
-"""The size of a picture's program, as a number of equations, which is independent of the machine's
-load."""
+"""Measure the size of the program of a picture by its number of equations, which does not depend on
+the load of the machine."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from ..scene import Scene, View
 
 
 def equations(scene: Scene, view: View) -> int:
-    """The number of equations of `render` before XLA compiles it; those in loops count once.
+    """Count the equations of `render` before XLA compiles it; equations inside loops count once.
 
     Args:
         scene: surfaces and lights.

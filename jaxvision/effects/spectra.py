@@ -1,10 +1,11 @@
-"""Fewer bands: all bands of the picture reconstructed from a few.
+"""Reduce the number of bands: all bands of the picture are reconstructed from a few.
 
-The radiance of a pixel is a sum of terms, each a geometry that is equal in all bands times a
-product of spectra (`sums`). A few bands determine the others if the products nearly are linear in
-them. Pivoted QR of the table of products, weighted by the supremum of each geometry, selects the
-bands, and least squares reconstructs the others. The residual of each product, weighted in the same
-way and summed over the terms of a cell, bounds the error of a pixel.
+The radiance of a pixel is a sum of terms (`sums`). Each is a geometry that is equal in all bands,
+times a product of spectra. A few bands determine the others if the products of spectra are nearly
+linear in them. The bands are selected by pivoted QR of the table of products, weighted by the
+supremum of each geometry. Least squares reconstructs the other bands. The error of a pixel is
+bounded by the residuals of the products, weighted in the same way and summed over the terms of a
+cell.
 """
 
 from collections.abc import Iterator
@@ -26,8 +27,8 @@ _ROUNDING = 1e-15  # relative rounding error of each term, and so of each pixel,
 
 
 def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
-    """Return the rows "bands", with the fewest bands first. At most one of them is dropped. Bounds
-    are in W m^-2 sr^-1."""
+    """Return the rows "bands", which reduce the number of bands, the fewest bands first. At most
+    one of these rows is dropped. Their bounds are in W m^-2 sr^-1."""
     bands = sums.own.shape[1]
     if bands == 1:
         return ()
@@ -56,7 +57,7 @@ def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
 
 
 def _why_not(sums: Sums, direct: bool) -> str:
-    """Return the reason why no bands can be dropped, or ""."""
+    """Return the reason why the number of bands cannot be reduced, or "" if it can."""
     if not direct:
         return "light that bounces takes the colour of every surface that it meets"
     if not sums.lights:
@@ -81,7 +82,7 @@ Terms = list[tuple[np.ndarray, np.ndarray]]
 
 
 def _terms(sums: Sums) -> Terms:
-    """The terms of each visible surface and of the lights that may be seen."""
+    """Return the terms of each visible surface, and those of the lights that may be seen."""
     found: Terms = []
     for i in range(len(sums.surfaces)):
         own = part_of(sums.cells, i)
@@ -105,13 +106,14 @@ def _terms(sums: Sums) -> Terms:
 
 
 def _largest(terms: Terms, bands: int) -> np.ndarray:
-    """(bands,) the largest sum over the terms of one cell."""
+    """Return the largest sum of the terms of any cell, (bands,)."""
     found = [times(g[:, :, None], np.abs(p)[None]).sum(1).max(0) for g, p in terms]
     return np.max([np.zeros(bands), *found], axis=0)
 
 
 def _ladder(terms: Terms, bands: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """(kept bands, expand) from one band to all of them, by pivoted QR."""
+    """Yield (kept bands, reconstruction matrix), from one band to all but one, selected by pivoted
+    QR."""
     weighted = []
     for g, p in terms:
         weight = g.max(0)
@@ -127,9 +129,9 @@ def _ladder(terms: Terms, bands: int) -> Iterator[tuple[np.ndarray, np.ndarray]]
 
 
 def _pivots(table: np.ndarray) -> np.ndarray:
-    """The columns in the order of pivoted QR: each is the farthest from the span of the previous
-    ones. This uses NumPy, because loading `scipy.linalg` takes longer than all bounds of a
-    scene.
+    """Return the columns of a table in the order of pivoted QR: each is the one farthest from the
+    span of those before. This is done in NumPy, because loading `scipy.linalg` takes longer than
+    all bounds of a scene.
     """
     rest, order = table.astype(float), []
     for _ in range(table.shape[1]):
@@ -149,8 +151,8 @@ def _step(bands: int, kept: np.ndarray, expand: np.ndarray, residual: np.ndarray
 
 
 def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
-    """A scene with some of its bands: every spectrum of `bands` numbers is cut, and neutral ones
-    are kept."""
+    """Return a scene with a few of its bands. Every spectrum of `bands` numbers is reduced; neutral
+    spectra stay."""
 
     def cut(spectrum: Any) -> Any:
         if spectrum is None or spectrum.shape[-1] != bands:
@@ -179,13 +181,13 @@ def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
 
 
 def folded(camera: Camera, kept: np.ndarray, expand: np.ndarray) -> Camera | None:
-    """A camera whose colour filter covers all bands, changed to take the r kept ones for all of
-    them.
+    """Return a camera whose colour filter covers all bands, changed so that the r kept bands stand
+    for all of them.
 
-    With w the electrons per unit of irradiance in a band before the filter, the transmission
-    becomes (T w) @ expand / w for the kept bands.
+    The transmission T of the filter becomes (T w) @ expand / w for the kept bands, where w are the
+    electrons per unit of irradiance in each band before the filter.
 
-    The result is None if there is no such camera: without a filter each band has its own raw
+    The result is None if no such camera exists: without a colour filter each band has its own raw
     numbers, diffraction may differ between bands, and a transmission cannot be negative.
     """
     sensor, diffraction = camera.sensor, getattr(camera.view, "diffraction", None)

@@ -1,8 +1,8 @@
-"""The interface of a stage of the camera: it returns rows, each with an effect and a way to drop
-it.
+"""The interface of the stages of a camera: each returns rows, which consist of an effect, its bound
+and a way to drop it.
 
 Light passes scene -> optics -> sensor -> development, and each stage returns the data that the next
-one needs. All numbers are NumPy float64, outside `jit`.
+one needs. All numbers are NumPy float64, computed outside `jit`.
 
     scene_stage(scene, view)                -> rows, Arriving     radiance.py
     optics_stage(view, arriving, ...)       -> rows, OnSensor     optics.py
@@ -10,14 +10,14 @@ one needs. All numbers are NumPy float64, outside `jit`.
     sensor_stage(sensor, light, shape=...)  -> rows, Response     sensor.py
     development_stage(development)          -> rows               development.py
 
-Each record is given as `Ends`: two copies at the low and high ends of its free parameters (the same
-record twice if nothing is free). A bound uses the end at which it is largest: sizes, albedos,
-radiances, gains and noises at `high`, distances and wells at `low`. If the effect of a field on a
-bound is not monotone, the bound must be inf where the two ends differ. A stage need not know which
-effects are free, because `prune` never drops a free effect.
+Each record is given as `Ends`: two copies, with the free parameters at their smallest and largest
+values; the same record twice if no parameter is free. A bound uses the end at which it is larger:
+sizes, albedos, radiances, gains and noises at `high`, distances and full wells at `low`. If a bound
+does not depend monotonically on a field, it must be inf when the two ends of the field differ. A
+stage does not know which effects are free, because `prune` never drops a free effect.
 
-Bounds must be valid for every picture between the full and the pruned one. They therefore use
-suprema that ignore everything that only removes light (shadows, rims, wells).
+A bound must be valid for every picture between the full and the pruned one. Suprema therefore
+ignore everything that only removes light, such as shadows, rims and full wells.
 """
 
 from collections.abc import Callable, Mapping
@@ -36,8 +36,8 @@ QUICKLY = {"xla_backend_optimization_level": "0", "xla_llvm_disable_expensive_pa
 
 @dataclass(frozen=True)
 class Draft:
-    """The scene and camera during pruning: lights and surfaces at their original indices, with None
-    for dropped ones."""
+    """The scene and camera while effects are dropped. Lights and surfaces keep their original
+    indices; a dropped light is None."""
 
     surfaces: tuple[Surface, ...]  # all surfaces, including those in `unmet`
     lights: tuple[Light | None, ...]  # each light, or None where it was dropped
@@ -64,7 +64,7 @@ Gone = frozenset[str]
 
 @dataclass(frozen=True)
 class Row:
-    """An effect, the bound on its change, and the function that drops it."""
+    """An effect, a bound on the change if it is dropped, and the function that drops it."""
 
     name: str  # as in `Effect`, like `why`, `place`, `rare` and `present`
     # the bound in `unit`, (bands,) before the sensor, else (): at least 0, inf for NaN
@@ -117,19 +117,19 @@ class Row:
 
 
 def unproved(row: Row, why: str) -> Row:
-    """The row without a bound, which is kept for that reason."""
+    """Return a row without a bound, so that its effect is kept, with the reason."""
     amount = row.amount + np.inf
     return replace(row, why=why, amount=amount, estimated=False, after=None, drop=None)
 
 
 def by_field(record: type, functions: Mapping[str, Any]) -> dict[str, Any]:
-    """The functions with the name of a field of the record, in the order of its fields."""
+    """Return the functions whose name is a field of the record, in the order of its fields."""
     names = (field.name for field in fields(record))
     return {name: functions[name] for name in names if name in functions}
 
 
 class Method(NamedTuple):
-    """How the picture is rendered, as in `inspect`."""
+    """The settings with which a picture is rendered, as in `inspect`."""
 
     whole: bool = True  # whether a sensor and a development follow the lens
     depth: int | None = None
@@ -142,7 +142,7 @@ class Method(NamedTuple):
 
 
 class Arriving(NamedTuple):
-    """Bounds on the light from the scene to the camera. `radiance`: (bands,) W m^-2 sr^-1, the
+    """Bounds on the light from the scene to the camera: `radiance`: (bands,) W m^-2 sr^-1, the
     supremum in the picture (inf: unknown). `near`, `far`: m along the axis, the range of depths
     that may be in view (far: inf with a sky or an infinite plane). `turning`: (bands,) W m^-2
     sr^-1, the largest difference in the radiance of a point between two points of the lens."""

@@ -1,11 +1,11 @@
-"""Bounds on the light from each cell of a scene to the camera, by light and by term.
+"""Bound the light from each cell of a scene to the camera, separately for each light and term.
 
-The radiance of a pixel is a sum of terms, each a geometry times a spectrum:
+The radiance of a point x in the band b is a sum of terms, each a geometry times a spectrum:
 
     L(x, b) = sum_l E_l(x) s_l(b) k_d(b) + sum_l lobe_l(x) s_l(b) k_s(b) + emission + ambient
 
-This module has the supremum of each geometry over each cell. A bound is the sum of some of the
-terms, at its maximum over the visible cells. W m^-2 sr^-1; NumPy float64.
+This module computes the supremum of each geometry over each cell. A bound is the largest sum of
+some of these terms over the visible cells. Radiance is in W m^-2 sr^-1; computed in NumPy float64.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ _ROUNDING = 1e-6  # rad, largest rounding error of a mirrored direction in float
 
 
 class Sums(NamedTuple):
-    """Upper bounds on the light of a scene with n surfaces, l lights and c cells."""
+    """Upper bounds on the light in a scene of n surfaces, l lights and c cells."""
 
     # surfaces, lights: the records, each at the two ends of its free parameters
     surfaces: tuple[Ends[Surface], ...]
@@ -71,18 +71,20 @@ class Sums(NamedTuple):
 
     @property
     def own(self) -> np.ndarray:
-        """(n, bands) W m^-2 sr^-1, the radiance that a surface sends without other light."""
+        """The radiance that each surface sends by emission and ambient light, (n, bands) W m^-2
+        sr^-1."""
         return self.emission + self.ambient
 
 
 def pairs(low: Sequence, high: Sequence) -> tuple[Ends, ...]:
-    """Two sequences of records as one sequence of ends."""
+    """Pair the records of two sequences, at low and high ends of the free parameters."""
     return tuple(Ends(a, b) for a, b in zip(low, high, strict=True))
 
 
 def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = False) -> Sums:
-    """All suprema of a scene between its two ends, lengths in m. With `bounces`, light continues
-    between surfaces, so glass and mirrors show everything."""
+    """Compute all suprema of a scene over the range of its free parameters; lengths in m. With
+    `bounces`, light is reflected between surfaces, so that glass and mirrors may show
+    everything."""
     low, high = scene
     surfaces, lights = pairs(low.surfaces, high.surfaces), pairs(low.lights, high.lights)
     sources = tuple(source_of(light) for light in lights)
@@ -99,7 +101,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
     lobes = [own.lobe for own in reflections]
 
     def geometry(viewer: Eye) -> np.ndarray:
-        """(3, l, c) `body`, `lobe` and `facing` of `Sums`."""
+        """Compute `body`, `lobe` and `facing` of `Sums`, (3, l, c), for a viewer."""
         shape = len(sources), 3, len(cells.radius)
         each = zip(sources, nearest, strict=True)
         found = [_geometry(s, least, reflections, lobes, cells, viewer) for s, least in each]
@@ -162,11 +164,11 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
 
 
 def _growth(surface: Ends[Surface], own: Reflection, eye: Eye) -> float:
-    """Return the largest factor by which radiance may grow at a mirror or an interface of glass, no
-    unit. Radiance over the squared index is constant, so light that enters a body of an index above
-    1 and leaves it again has not grown. It has grown inside such a body, if the eye may be there,
-    and in a body of a lower index. It may also grow at a surface that bounds no body and is hit
-    only from behind."""
+    """Return the largest factor by which radiance may grow at a mirror or at an interface of glass,
+    no unit. Radiance over the squared refractive index is constant. So light that enters a body
+    with an index above 1 and leaves it again has not grown. It has grown inside such a body, where
+    the eye may be, and in a body with an index below 1. It may also grow at a surface that does not
+    bound a body and is hit only from behind."""
     if own.indices is None:
         return 1.0
     (least, most), body = own.indices, body_of(surface.of("shape"))
@@ -178,7 +180,7 @@ def _growth(surface: Ends[Surface], own: Reflection, eye: Eye) -> float:
 
 
 def _table(bands: int, spectra: Sequence[np.ndarray | None]) -> np.ndarray:
-    """(n, bands) of spectra, 0 for None; neutral ones are repeated."""
+    """Return a table, (n, bands), of spectra. None becomes 0, and neutral spectra are repeated."""
     table = np.zeros((len(spectra), bands))
     for row, spectrum in enumerate(spectra):
         table[row] = 0 if spectrum is None else spectrum
@@ -186,7 +188,7 @@ def _table(bands: int, spectra: Sequence[np.ndarray | None]) -> np.ndarray:
 
 
 def _bands(scene: Ends[Scene], sources: Sequence[Source], reflections: Sequence[Reflection]) -> int:
-    """The number of bands in a picture of the scene."""
+    """Return the number of bands in a picture of the scene."""
     counts = [len(source.spectrum) for source in sources]
     counts += [len(reflection.body) for reflection in reflections]
     for surface in scene.low.surfaces:
@@ -199,7 +201,7 @@ def _bands(scene: Ends[Scene], sources: Sequence[Source], reflections: Sequence[
 
 
 def emitted(surfaces: Sequence[Ends[Surface]], bands: int) -> np.ndarray:
-    """(n, bands) W m^-2 sr^-1, the largest radiance that surfaces emit."""
+    """Return the largest radiance that surfaces emit, (n, bands) W m^-2 sr^-1."""
     lit = [None if own.low.emission is None else peak(own, "emission") for own in surfaces]
     return _table(bands, lit)
 
@@ -207,7 +209,7 @@ def emitted(surfaces: Sequence[Ends[Surface]], bands: int) -> np.ndarray:
 def ambient_reflected(
     scene: Ends[Scene], surfaces: Sequence[Ends[Surface]], bands: int
 ) -> np.ndarray:
-    """(n, bands) W m^-2 sr^-1, the largest k_a L_a."""
+    """Return the largest reflected ambient light k_a L_a, (n, bands) W m^-2 sr^-1."""
     if scene.low.ambient is None:
         return np.zeros((len(surfaces), bands))
     around = peak(scene.of("ambient"), "radiance")
@@ -225,9 +227,8 @@ def _geometry(
     cells: Cells,
     eye: Eye,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`body`, `lobe` and `facing` of `Sums` for one light and given lobes of the surfaces: sup of E
-    f_r cos / k_d is that of E cos, and of E for the share that does not decrease with the
-    cosine."""
+    """Compute `body`, `lobe` and `facing` of `Sums` for one light and the given lobes. The supremum
+    of E f_r cos / k_d is that of E cos, plus that of E for the share `grazing` of the body."""
     grazing = np.array([own.grazing for own in reflections])[cells.surface]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         arrived = arriving(source, cells, nearest[cells.surface])
@@ -238,8 +239,8 @@ def _geometry(
 def _mirrored(
     sources: Sequence[Source], nearest: np.ndarray, mirrors: np.ndarray, cells: Cells, eye: Eye
 ) -> np.ndarray:
-    """`Sums.mirrored`, from the cone of mirrored directions; `mirrors`, (n,), marks the surfaces
-    that are mirrors."""
+    """Compute `Sums.mirrored` from the cone of mirrored directions. `mirrors`, (n,), flags the
+    surfaces that are mirrors."""
     found, own = np.ones((len(sources), len(cells.radius)), bool), mirrors[cells.surface]
     there = Cells(*(x[own] for x in cells))
     for k, source in enumerate(sources):
@@ -254,21 +255,22 @@ def _mirrored(
 def geometry_of(
     sums: Sums, source: Source, nearest: np.ndarray, lobes: Sequence[Lobe | None]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`Sums.body` and `Sums.lobe` of one light for given lobes of the surfaces; `nearest`: (n,) m,
-    lower bounds on its distances."""
+    """Compute `Sums.body` and `Sums.lobe` of one light for the given lobes. `nearest`, (n,) m, are
+    lower bounds on its distances from the surfaces."""
     return _geometry(source, nearest, sums.reflections, lobes, sums.cells, sums.eye)[:2]
 
 
 def slopes(sums: Sums) -> np.ndarray:
-    """(n,) sr^-1 rad^-1, the slopes of the lobes with respect to the light direction, which are
-    those with respect to the view direction; inf if unknown."""
+    """Return the largest slopes of the lobes with respect to the light direction, (n,) sr^-1
+    rad^-1; inf if unknown. They also hold for the view direction."""
     lobes = [own.lobe for own in sums.reflections]
     found = [0.0 if own is None else own.slope for own in lobes]
     return np.array([np.inf if slope is None else slope for slope in found])
 
 
 def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np.ndarray:
-    """(l, n) m, lower bounds on the distances of lights and surfaces; 0 if one is endless."""
+    """Return lower bounds on the distances between lights and surfaces, (l, n) m; 0 if either is
+    unbounded."""
     found = np.zeros((len(sources), len(surfaces)))
     bodies, bounded = surface_bodies(surfaces)
     near = [k for k, source in enumerate(sources) if source.body is not None]
@@ -281,7 +283,7 @@ def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np
 
 
 def _may_be_seen(source: Source, eye: Eye, surfaces: Sequence[Ends[Surface]]) -> bool:
-    """Whether a pixel may see a light, by geometry and not by its brightness."""
+    """Return whether a pixel may see a light, judged by its geometry and not by its brightness."""
     if source.kind == "sky":
         return True
     if source.kind != "area" or source.body is None:
@@ -297,8 +299,8 @@ def _may_be_seen(source: Source, eye: Eye, surfaces: Sequence[Ends[Surface]]) ->
 
 
 def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = None) -> np.ndarray:
-    """A bound on the light k reflected by each cell, (c, bands) W m^-2 sr^-1, toward the eye or,
-    with `around`, toward any viewer. `only`, (c,), selects the cells that count; None: all."""
+    """Bound the light of source k that each cell reflects, (c, bands) W m^-2 sr^-1, toward the eye
+    or, if `around`, toward any viewer. `only`, (c,), flags the cells to include, all if None."""
     of_cell = sums.cells.surface
     total = times(sums.body[k][:, None] * np.ones(1), times(sums.k_body, sums.spectrum[k])[of_cell])
     total = total + lobe_sent(sums, k, around=around)
@@ -311,15 +313,16 @@ def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = 
 
 
 def lobe_sent(sums: Sums, k: int, *, around: bool = False) -> np.ndarray:
-    """A bound on the light of one source that the lobe of each cell reflects, (c, bands) W m^-2
-    sr^-1; `around` as for `sent`."""
+    """Bound the light of source k that the lobe of each cell reflects, (c, bands) W m^-2 sr^-1;
+    `around` as in `sent`."""
     own = times(sums.k_lobe, sums.spectrum[k])[sums.cells.surface]
     return times((sums.lobe_around if around else sums.lobe)[k][:, None], own)
 
 
 def looked_at(sums: Sums, radiance: np.ndarray) -> np.ndarray:
-    """Return the largest radiance, (bands,), that a ray may see of lights with (l, bands). A light
-    at a finite distance hides the lights behind it, and the radiances of skies add.
+    """Return the largest radiance, (bands,), that a ray may see of lights with the given radiances,
+    (l, bands). A light at a finite distance hides the lights behind it, but the radiances of skies
+    add.
     """
     skies = np.array([source.kind == "sky" for source in sums.sources], bool)[:, None]
     around = np.where(skies, radiance, 0).sum(0)
@@ -327,5 +330,5 @@ def looked_at(sums: Sums, radiance: np.ndarray) -> np.ndarray:
 
 
 def pictured(sums: Sums, values: np.ndarray) -> np.ndarray:
-    """The maximum of (c, bands) over the visible cells, (bands,)."""
+    """Return the maximum of the values, (c, bands), over the visible cells, (bands,)."""
     return np.max(values[sums.seen], axis=0, initial=0)

@@ -1,11 +1,12 @@
-"""The extent of a lamp's shadows: the cells that may be in one, and the cells in full shadow.
+"""Find the cells that may be in a lamp's shadow, and those in its full shadow.
 
-A cell is out of reach if the hull of it and the lamp is disjoint from every occluder that
-`blocking.may_block` allows. It is in full shadow of a flat occluder if it is beyond the occluder's
-plane and, for each corner of the lamp, inside all planes through that corner and a side of the
-occluder. Every segment from the cell to such a corner then meets the occluder, and so do those to
-the whole lamp, because the section of the hull of two bodies by a plane between them is the hull of
-these points. Cells in the full shadow of the eye are not seen. Lengths in m.
+A cell cannot be shaded if the convex hull of the cell and the lamp is disjoint from every occluder
+that `blocking.may_block` allows. A cell is in the full shadow of a flat occluder under two
+conditions. It is beyond the occluder's plane, and for each corner of the lamp it is inside all
+planes through that corner and a side of the occluder. Every segment from the cell to such a corner
+then meets the occluder. The segments to the whole lamp do too, because a plane between two bodies
+cuts their convex hull in the hull of these points. The eye is treated in the same way: cells in its
+full shadow are not seen. Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -49,9 +50,9 @@ def shaded(
     may: np.ndarray,
     wanted: np.ndarray,
 ) -> np.ndarray:
-    """Return whether anything can be between a light and a cell, (l, c), for the wanted pairs, (l,
-    c). False is certain for these, and all other pairs are False. `may`, (l, n, n), comes from
-    `may_block`."""
+    """Return flags, (l, c): whether anything may lie between a light and a cell, for the pairs
+    flagged in `wanted`, (l, c). A flag False is certain for these pairs, and all other pairs are
+    False. `may`, (l, n, n), comes from `may_block`."""
     found = wanted & np.any(may, axis=2)[:, cells.surface]
     count = sum(int((found[k][:, None] & may[k][cells.surface]).sum()) for k in range(len(found)))
     if not 0 < count <= _PAIRS:
@@ -82,9 +83,10 @@ def _meets(
     reach: float,
     relative: float,
 ) -> np.ndarray:
-    """Return whether the hull of a light and each cell may intersect an occluder. The tests are, in
-    order: the horizon of a flat cell, the ball around the occluder, fixed directions, and the best
-    direction for the few remaining triples."""
+    """Return whether the convex hull of the light and each cell may intersect an occluder, for
+    pairs of cells and occluders. Four tests follow each other: the horizon of a flat cell, the ball
+    around the occluder, fixed directions, and, for few remaining pairs, the best separating
+    direction."""
     cell, occluder = pairs
     tolerance = certain(reach)
     about, size = balls_about(occluders)
@@ -110,7 +112,7 @@ def _meets(
 
 
 def _distance_to_segment(place: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """(n,) m, from each place, (n, 3), to the segment between two others."""
+    """Return the distance, (n,) m, from each point, (n, 3), to the segment between two others."""
     along = end - start
     square = (along**2).sum(1)
     t = np.clip(((place - start) * along).sum(1) / np.where(square > 0, square, 1), 0, 1)
@@ -118,8 +120,9 @@ def _distance_to_segment(place: np.ndarray, start: np.ndarray, end: np.ndarray) 
 
 
 def outward(surfaces: Sequence[Ends[Surface]], cells: Cells) -> np.ndarray:
-    """Return (c,), the side of a convex body that a cell belongs to: 1 outer, -1 inner. It is 0 for
-    other shapes, for shapes that may move, and for cells of many triangles of a mesh."""
+    """Return the side of a convex body that each cell belongs to, (c,): 1 for the outer side, -1
+    for the inner. It is 0 for other shapes, for shapes with free parameters, and for cells that
+    join several triangles of a mesh."""
     side = np.zeros(len(cells.radius))
     for i, surface in enumerate(surfaces):
         shape = surface.low.shape
@@ -132,7 +135,7 @@ def outward(surfaces: Sequence[Ends[Surface]], cells: Cells) -> np.ndarray:
 
 
 def _middle(shape: Shape) -> np.ndarray:
-    """(3,) m, a point inside a convex body."""
+    """Return a point inside a convex body, (3,) m."""
     if isinstance(shape, TriangleMesh):
         return numbers(shape.vertices)[np.unique(faces_of(shape))].mean(0)
     assert isinstance(shape, Sphere | Box)
@@ -140,8 +143,8 @@ def _middle(shape: Shape) -> np.ndarray:
 
 
 def hidden(surfaces: Sequence[Ends[Surface]], cells: Cells, eye: Eye) -> np.ndarray:
-    """(c,) whether a cell is on the inner side of a convex body with the eye outside, or entirely
-    behind one flat surface."""
+    """Return flags, (c,): whether a cell is certainly invisible to the eye. Such a cell is on the
+    inner side of a convex body with the eye outside, or entirely behind one flat surface."""
     inner = outward(surfaces, cells) < 0
     if eye.everywhere:
         return inner & False
@@ -161,14 +164,14 @@ def hidden(surfaces: Sequence[Ends[Surface]], cells: Cells, eye: Eye) -> np.ndar
 
 
 class _Shadow(NamedTuple):
-    """The full shadow of one flat occluder: the intersection of these half-spaces."""
+    """The full shadow of one flat occluder, as an intersection of half-spaces."""
 
     normals: np.ndarray  # (h, 3) unit, inward; the first is that of the occluder's own plane
     offsets: np.ndarray  # (h,) m
     size: float  # m, the largest coordinate of its rim
 
     def least(self, bodies: Bodies) -> np.ndarray:
-        """(n, h) m, the distance of each body's worst point inside each half-space."""
+        """Return how far the worst point of each body is inside each half-space, (n, h) m."""
         return -heights(bodies, -self.normals) - self.offsets
 
 
@@ -179,9 +182,9 @@ def in_umbra(
     *,
     occluders: Sequence[int] | None = None,
 ) -> np.ndarray:
-    """Return whether a whole cell is in the full shadow of one flat occluder, (l, c), lengths in m.
-    True is certain, except for the rounding of coordinates. `occluders` are the numbers of the
-    blocking surfaces; None: all."""
+    """Return flags, (l, c): whether a whole cell is in the full shadow that one flat occluder
+    casts; lengths in m. A flag True is certain, up to the rounding of coordinates. `occluders` are
+    the indices of the surfaces that may block light, all if None."""
     dark = np.zeros((len(sources), len(cells.radius)), bool)
     relative = touching(surfaces)
     whole, bounded = surface_bodies(surfaces)
@@ -211,8 +214,8 @@ def in_umbra(
 def covered(
     body: tuple[np.ndarray, np.ndarray], eye: Eye, surfaces: Sequence[Ends[Surface]]
 ) -> bool:
-    """Whether one flat surface hides all of a body, points (p, 3) m and radii (p,) m, from an eye
-    at one place."""
+    """Return whether one flat surface hides a whole body from an eye that is a point. The body is
+    given by points (p, 3) m and radii (p,) m."""
     source = _eye_as_source(eye)
     if source is None:
         return False
@@ -227,7 +230,8 @@ def covered(
 
 
 def _eye_as_source(eye: Eye) -> Source | None:
-    """An eye at one place is treated as a light: no pixel sees the points in its full shadow."""
+    """Return a light at the position of an eye that is a point, because no pixel sees points in the
+    full shadow of such a light; None for other eyes."""
     if eye.everywhere or eye.parallel or eye.size > 0:
         return None
     one, body = np.ones(1), (eye.place[None], np.zeros(1))
@@ -235,8 +239,9 @@ def _eye_as_source(eye: Eye) -> Source | None:
 
 
 def _shadow_of(shape: Ends[Shape], source: Source) -> _Shadow | None:
-    """None without a full shadow: for a shape that is not flat or may move, for a sky, and for a
-    light that is not entirely on one side."""
+    """Return the full shadow of an occluder, or None if there is none. That is so if the shape
+    is not flat or has free parameters, if the light is a sky, and if it is not entirely on one
+    side."""
     plane = plane_between(shape)
     if plane is None:
         return None
@@ -267,8 +272,8 @@ def _shadow_of(shape: Ends[Shape], source: Source) -> _Shadow | None:
 
 
 def _rim(shape: Shape) -> np.ndarray:
-    """(m, 3) m, the corners of a polygon inside a flat shape, in order; none for an endless
-    plane."""
+    """Return the corners, (m, 3) m in order, of a polygon inside a flat shape; none for an
+    unbounded plane."""
     match shape:
         case Quad():
             corner, u, v = (numbers(x) for x in (shape.corner, shape.edge_u, shape.edge_v))
@@ -281,8 +286,9 @@ def _rim(shape: Shape) -> np.ndarray:
 def _beyond(
     cells: Cells, of_ball: np.ndarray, shadow: _Shadow, least: np.ndarray, deep: np.ndarray
 ) -> np.ndarray:
-    """Return (c,), whether a cell is beyond the occluder. It is False in the plane of the occluder,
-    where their order is unknown. A cell of a ball, or a flat one, may touch the occluder."""
+    """Return flags, (c,): whether a cell is certainly beyond the occluder. The flag is False for
+    cells in the plane of the occluder, because rounding decides which is in front. A cell of a
+    ball, and a flat cell, may touch the occluder."""
     normal, offset = shadow.normals[0], shadow.offsets[0]
     lean = np.sqrt(np.maximum(1 - (cells.axis @ normal) ** 2, 0))
     share = np.where(of_ball, 1.0, np.where(cells.spread == 0, lean, 0.0))

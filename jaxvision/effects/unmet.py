@@ -1,10 +1,11 @@
-"""Surfaces that no ray of direct light meets: neither a ray from the eye nor a shadow ray.
+"""Find the surfaces that no ray of direct light meets, neither a ray from the eye nor a shadow ray.
 
-Rays from the eye stay in the cone of the picture. A shadow ray goes from a point in that cone to a
-lamp, and so stays in the hull of both. Along a direction u in which the cone never falls, the hull
-is nowhere lower than the cone's apex and the lamp. A body that is lower along u is not met,
-whatever is in the picture. The directions tried are the normals of the cone's planes, and of the
-planes through one of its edges and the lamp. Lengths in m; NumPy float64.
+Rays from the eye stay in the picture's cone of view. A shadow ray goes from a point in that cone to
+a lamp, so it stays in the convex hull of the cone and the lamp. Along a direction u in which no ray
+of the cone falls, the lowest point of the hull is the cone's apex or a point of the lamp. No ray
+meets a body that is entirely lower along u, whatever else is in the scene. The directions u that
+are tried are the normals of the cone's planes, and of the planes through one of its edges and the
+lamp. Lengths are in m; computed in NumPy float64.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -26,8 +27,8 @@ _LEVEL = 1e-9
 
 
 def unmet_rows(scene: Ends[Scene], sums: Sums) -> Iterator[Row]:
-    """A row of bound 0 W m^-2 sr^-1 for each surface that no ray of direct light meets, if any
-    other is met."""
+    """Yield a row of bound 0 W m^-2 sr^-1 for each surface that no ray of direct light meets,
+    unless no surface is met at all."""
     low, never = scene.low, unmet(sums.surfaces, sums.sources, sums.eye, scene.low.occluders)
     if never.all():
         return
@@ -42,7 +43,8 @@ def unmet_rows(scene: Ends[Scene], sums: Sums) -> Iterator[Row]:
 
 
 def with_owners(rows: Iterable[Row], owners: Iterable[Row]) -> Iterator[Row]:
-    """The rows; those of a surface with a row among `owners` go with it."""
+    """Yield the rows again, where a row of a surface that has its own row in `owners` is marked as
+    a part of it."""
     names = {row.name for row in owners}
     for row in rows:
         owner = row.name.partition(".")[0]
@@ -55,8 +57,9 @@ def unmet(
     eye: Eye,
     occluders: tuple[int, ...] | None,
 ) -> np.ndarray:
-    """Return (n,) whether no ray from the eye and no shadow ray meets a surface. True is certain,
-    False is not. `occluders` are the numbers of the surfaces that block light; None for all."""
+    """Return flags, (n,): whether no ray from the eye and no shadow ray meets a surface. A flag
+    True is certain. `occluders` are the indices of the surfaces that may block light, all if
+    None."""
     bodies, never = surface_bodies(surfaces)
     if eye.everywhere or not never.any():
         return np.zeros(len(surfaces), bool)
@@ -75,8 +78,8 @@ def unmet(
 
 
 def _edges(eye: Eye) -> np.ndarray:
-    """(k, 3) unit directions to which a ray may go infinitely far within the picture: the edges of
-    the cone, or the only direction of a parallel view."""
+    """Return the unit directions, (k, 3), in which a ray of the picture may go to infinity at its
+    border: the edges of the cone, or the one direction of a parallel view."""
     forward = eye.rotation[2]
     if eye.parallel:
         return forward[None]
@@ -88,7 +91,8 @@ def _edges(eye: Eye) -> np.ndarray:
 
 
 def _beside(bodies: Bodies, source: Source, eye: Eye, edges: np.ndarray) -> np.ndarray:
-    """(n,) whether a plane is between each body and the hull of cone and light."""
+    """Return flags, (n,): whether a plane separates each body from the convex hull of the cone and
+    the light."""
     count = len(bodies.points)
     if source.kind == "sky":
         return np.zeros(count, bool)
@@ -118,7 +122,8 @@ def _beside(bodies: Bodies, source: Source, eye: Eye, edges: np.ndarray) -> np.n
 
 
 def _apex(eye: Eye, directions: np.ndarray) -> np.ndarray:
-    """m, the least height over the eye of the points where rays of the picture may start."""
+    """Return the smallest height, in m relative to the eye along each direction, of the points
+    where rays of the picture start."""
     if not eye.parallel:
         return np.zeros(len(directions))
     right, down = (np.abs(directions @ axis) for axis in eye.rotation[:2])
