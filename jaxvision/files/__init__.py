@@ -1,4 +1,4 @@
-"""Reading and writing of files.
+"""Read and write files.
 
 images raw image_settings   images, raw files, and their metadata
 scenes cameras materials    records as TOML tables, by `records` and `toml`

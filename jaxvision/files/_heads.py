@@ -1,10 +1,10 @@
-"""Metadata and chunks of image files that their decoders ignore, and a check that a PNG is
-complete, before libpng prints its own messages.
+"""Read metadata and chunks of image files that their decoders ignore, and check that a PNG is
+complete before libpng prints its own messages.
 
-A PNG is a signature and chunks: length, type, content and the CRC-32 of type and content (ISO/IEC
-15948, section 5). Chunks whose type begins with a small letter do not belong to the picture. JPEG:
-ITU-T T.81, annex B; CIPA DC-007 (Multi-Picture Format); ISO 21496-1 and Adobe's gain maps. TGA:
-Truevision, TGA File Format Specification 2.0, page 6.
+A PNG file is a signature and chunks. Each chunk has a length, a type, content, and the CRC-32 of
+type and content (ISO/IEC 15948, section 5). A chunk whose type begins with a small letter is not
+needed to decode the picture. JPEG: JPEG: ITU-T T.81, annex B; CIPA DC-007 (Multi-Picture Format);
+ISO 21496-1 and Adobe's gain maps. TGA: Truevision, TGA File Format Specification 2.0, page 6.
 """
 
 import struct
@@ -20,7 +20,7 @@ _KEPT = b"IHDR sBIT acTL pCAL sCAL gAMA cICP sRGB".split()  # chunks of a few by
 
 @dataclass(frozen=True)
 class PngChunks:
-    """The contents of the chunks of a file."""
+    """The metadata in the chunks of a PNG file."""
 
     fault: str | None  # description of the damage; None if all chunks of the picture are complete
     depth: int = 8  # bits of a sample as stored; of a palette's index for a palette
@@ -33,7 +33,8 @@ class PngChunks:
 
     @property
     def bits(self) -> int:
-        """Significant bits of the source's samples, if all channels agree."""
+        """The number of significant bits of each sample in the source of the image, if all channels
+        agree."""
         if self.colour_type == PALETTE:
             return 8
         alike = len(set(self.significant)) == 1 and 0 < self.significant[0] <= self.depth
@@ -41,8 +42,9 @@ class PngChunks:
 
 
 def png_chunks(file: Path, *, head: bool = False) -> PngChunks | None:
-    """Read the chunks of a PNG file. With `head`, only chunks before the picture are read, even if
-    the picture is incomplete. The result is None for a file without a PNG's signature."""
+    """Read the chunks of a PNG file. With `head`, only the chunks before the picture are read, even
+    if the rest of the file is missing. Return None for a file that does not begin with the
+    signature of PNG."""
     kept: dict[bytes, bytes] = {}
     with file.open("rb") as stream:
         if stream.read(len(SIGNATURE)) != SIGNATURE:
@@ -76,7 +78,7 @@ def _read_chunks(kept: dict[bytes, bytes]) -> PngChunks:
 
 
 def _scales(kept: dict[bytes, bytes]) -> Iterator[str]:
-    """Chunks that define the numbers or pixels of a PNG other than as sRGB."""
+    """Describe each chunk that gives the codes or pixels of a PNG another meaning than sRGB."""
     name, _, rest = kept.get(b"pCAL", b"").partition(b"\0")
     if len(rest) > 10:
         low, high, law = struct.unpack(">iiB", rest[:9])
@@ -106,8 +108,8 @@ _END = 0xD9  # marker of the end of the picture
 
 
 def jpeg_extras(file: Path) -> list[str]:
-    """Contents of a JPEG other than the picture and its metadata: further pictures, gain maps and
-    bytes after its end (a film, for example), each in words."""
+    """Describe the contents of a JPEG file besides the picture and its metadata: further pictures,
+    gain maps, and bytes after its end, for example a film."""
     data = file.read_bytes()
     found, pictures, listed, rest = [], 0, False, b""
     for kind, content in _segments(data):
@@ -127,8 +129,8 @@ def jpeg_extras(file: Path) -> list[str]:
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield kind and content of the segments, also between scans. For the end marker the content is
-    the rest of the file."""
+    """Yield the type and content of each segment of a JPEG file, also of those between scans. The
+    content of the end marker is the rest of the file."""
     at = 2
     while 0 <= (at := data.find(b"\xff", at)) < len(data) - 1:
         kind = data[at + 1]
@@ -146,8 +148,8 @@ def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _further_pictures(index: bytes) -> int:
-    """Return the number of pictures in a Multi-Picture index besides the first and smaller copies
-    of it."""
+    """Return the number of pictures in the index of a Multi-Picture file, without the first and
+    smaller copies of it."""
     order = {b"II": "<", b"MM": ">"}.get(index[:2])
     if order is None:
         return 0
@@ -172,7 +174,8 @@ _PALETTES = (1, 9)
 
 
 def targa_bits(file: Path) -> int:
-    """Bits of each colour of a TGA: 5 for pixels, or palette colours, of 15 or 16 bits; else 8."""
+    """Return the number of bits of each colour of a TGA file: 5 if pixels, or the colours of its
+    palette, have 15 or 16 bits, otherwise 8."""
     with file.open("rb") as stream:
         head = stream.read(18)
     if len(head) < 18 or head[2] in _GREY:

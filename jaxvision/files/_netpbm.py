@@ -1,7 +1,7 @@
 """Netpbm files: PBM, PGM and PPM, as text (P1 to P3) or binary (P4 to P6), and PFM.
 
-Codes are as stored, from 0 to the file's largest (`maxval`), which need not be 255 or 65535.
-Sources: the manual pages pbm(5), pgm(5) and ppm(5) of Netpbm; pfm(5).
+Codes are returned as stored, from 0 to the largest code that the file states (`maxval`), which need
+not be 255 or 65535. Sources: the manual pages pbm(5), pgm(5) and ppm(5) of Netpbm; pfm(5).
 """
 
 import re
@@ -25,7 +25,7 @@ _LONGEST_WORD = 32
 
 @dataclass(frozen=True)
 class NetpbmHead:
-    """The header of a file."""
+    """The header of a Netpbm file."""
 
     magic: bytes  # its first two letters
     columns: int  # of the picture
@@ -35,18 +35,19 @@ class NetpbmHead:
 
     @property
     def bits(self) -> int | None:
-        """Bits of the largest code; None for floating numbers."""
+        """The number of bits of the largest code; None for floating-point samples."""
         return None if self.magic in _FLOATS else int(self.largest).bit_length()
 
     @property
     def saturation(self) -> float | None:
-        """The largest code, if it is not the largest of its bits."""
+        """The largest code, if it is smaller than the largest number with this many bits; otherwise
+        None."""
         return None if self.bits is None or self.largest == 2**self.bits - 1 else self.largest
 
 
 def netpbm_head(file: Path, data: bytes | None = None) -> NetpbmHead:
-    """Read the header of a Netpbm file, or of its bytes. Raises `InputError` for other files and
-    unsupported kinds."""
+    """Read the header of a Netpbm file, or of its bytes. `InputError` is raised for other files and
+    unsupported variants."""
     if data is None:
         with file.open("rb") as stream:
             data = stream.read(1 << 16)  # comments may be long
@@ -145,8 +146,9 @@ def _byte_samples(
 
 
 def _rest_of_head(file: Path, ending: re.Match[bytes] | None, data: bytes, size: int) -> int:
-    """Bytes of the header beyond its single white space, because a program wrote a two-character
-    line break or a comment after the last number. The length of the file reveals them."""
+    """Return the number of bytes of the header after the single white space that the format allows.
+    A program may have written a line break of two characters, or a comment, after the last number.
+    The length of the file shows whether these bytes belong to the header."""
     more = len(data) - size
     if ending is None or more <= 0:
         return 0

@@ -1,5 +1,5 @@
-"""Limits on the size of parsed content, checked before and after. A damaged or hostile file ends in
-one sentence, and takes at most as much memory as a valid one."""
+"""Check the size of text files before they are parsed, and their content afterwards. A damaged or
+hostile file then ends in one sentence, and takes no more memory than a valid one."""
 
 import os
 from pathlib import Path
@@ -14,26 +14,27 @@ _BITS = 14_000  # largest number of bits of an integer: about as many digits as 
 
 
 def check_size(file: Path) -> None:
-    """Raise `InputError` for a text file that is too large for its format."""
+    """Raise `InputError` for a text file that is too large."""
     size = file.stat().st_size
     if size > LARGEST:
         raise InputError(f"{file}: holds {size >> 20} MiB, more than {LARGEST >> 20}; divide it.")
 
 
 def damaged(file: Path, reason: str) -> InputError:
-    """The error for a file that is not whole."""
+    """Return the error for a file that is damaged or incomplete."""
     return InputError(
         f"{file}: the file is damaged or cut short ({reason}); copy it again from its source."
     )
 
 
 def unlike(place: object, fault: str) -> InputError:
-    """The error for a file that its program has not written as the format says."""
+    """Return the error for a file that does not conform to its format."""
     return InputError(f"{place}: {fault}; export it again.")
 
 
 def file_at(path: str | os.PathLike[str], kind: str = "") -> Path:
-    """The file at a path; `InputError` if there is none. `kind` ("scene") is for the message."""
+    """Return the path of an existing file; `InputError` if there is none. `kind`, such as "scene",
+    is used in the message."""
     file = Path(path)
     if not file.is_file():
         what = f"{kind} file".strip()
@@ -42,8 +43,8 @@ def file_at(path: str | os.PathLike[str], kind: str = "") -> Path:
 
 
 def check_content(place: str, content: Any) -> None:
-    """Raise `InputError` for deeply nested content and for very long numbers and names; `place` is
-    the file.
+    """Raise `InputError` for content that is nested too deeply, and for numbers and names that are
+    too long. `place` names the file.
     """
     waiting: list[tuple[Any, tuple[str, ...]]] = [(content, ())]
     while waiting:

@@ -1,7 +1,7 @@
-"""Polygons of OBJ, PLY and OFF files, divided into triangles that cover exactly the polygon.
+"""Divide the polygons of OBJ, PLY and OFF files into triangles that cover exactly the polygon.
 
-Other readers use a fan from the first corner, which is wrong for polygons that are not convex. Here
-those are divided by ear clipping, and convex ones by the fan.
+Other readers use the fan of triangles from the first corner, which is wrong for polygons that are
+not convex. Here convex polygons are divided by the fan, and others by ear clipping.
 """
 
 import re
@@ -24,8 +24,8 @@ _PLY_TYPES = {
 
 
 def cut(vertices: np.ndarray, polygons: Polygons) -> list[np.ndarray]:
-    """(triangles, 3) for each polygon of at least three corners, as indices into its list of
-    corners; vertices in m.
+    """Divide each polygon of at least three corners into triangles, (triangles, 3), given as
+    indices into the polygon's list of corners. `vertices` are in m.
     """
     counts = np.array([len(one) for one in polygons])
     found = [fan(count) for count in counts]
@@ -42,18 +42,18 @@ def cut(vertices: np.ndarray, polygons: Polygons) -> list[np.ndarray]:
 
 
 def fan(count: int) -> np.ndarray:
-    """The fan of triangles from the first of `count` corners."""
+    """Return the fan of triangles from the first of `count` corners, (count - 2, 3) indices."""
     return np.stack([np.zeros(count - 2, int), np.arange(1, count - 1), np.arange(2, count)], 1)
 
 
 def are_fans(pieces: list[np.ndarray]) -> bool:
-    """Whether the fan is right for all polygons."""
+    """Return whether every polygon was divided as the fan of triangles from its first corner."""
     return all(len(one) == 1 or np.array_equal(one, fan(len(one) + 2)) for one in pieces)
 
 
 def _clip_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Ear clipping in the projection along the axis nearest to the normal; the fan for a polygon
-    that intersects itself."""
+    """Divide a polygon by ear clipping, projected along the coordinate axis nearest to its normal.
+    A polygon that intersects itself is divided by the fan."""
     axis = int(np.abs(normal).argmax())
     x, y = np.delete(corners, axis, axis=1).T
     if (normal[axis] < 0) != (axis == 1):  # x and z are seen from behind
@@ -83,8 +83,8 @@ def _clip_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def obj_in_triangles(text: str) -> str | None:
-    """An OBJ file, whose lines are whole, with its polygons divided into triangles; None if all of
-    them are convex."""
+    """Return the text of an OBJ file with its polygons divided into triangles, or None if all
+    polygons are convex. Continued lines must have been joined."""
     if not re.search(r"^[ \t]*f(?:[ \t]+\S+){4}", text, re.MULTILINE):
         return None
     lines = text.splitlines()
@@ -112,8 +112,8 @@ def obj_in_triangles(text: str) -> str | None:
 
 
 def polygons_of(file: Path) -> Polygons | None:
-    """The polygons of a PLY or OFF file in order; None if it contains only triangles, or cannot be
-    read here."""
+    """Return the polygons of a PLY or OFF file in order, or None if it contains only triangles or
+    cannot be read here."""
     try:
         found = (
             _off_polygons(file)
@@ -136,8 +136,9 @@ def _off_polygons(file: Path) -> Polygons:
 
 
 def ply_of_corners(data: bytes) -> bytes | None:
-    """A PLY text file whose faces have only their corners; None if that is already so, or for a
-    file that cannot be read here. Readers of text need one list per face, as the first property."""
+    """Rewrite a PLY text file so that its faces have no property except their list of corners.
+    Return None if that is already so, or if the file cannot be read here. Mesh readers expect one
+    list per face, as the first property, in a text file."""
     try:
         kind, elements, start = _ply_head(data)
         faces = next((e for e in elements if e[0] == "face"), None)
@@ -161,7 +162,8 @@ def ply_of_corners(data: bytes) -> bytes | None:
 
 
 def _ply_head(data: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]], int]:
-    """The format, the elements with their counts and properties, and the start of the numbers."""
+    """Return the format of a PLY file, its elements with their counts and properties, and the
+    position of the first number."""
     end = data.index(b"end_header")
     head = [line.split() for line in data[:end].decode("latin-1").splitlines()]
     kind = next(words[1] for words in head if words[:1] == ["format"])
@@ -175,7 +177,8 @@ def _ply_head(data: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]],
 
 
 def _ply_polygons(data: bytes) -> Polygons:
-    """The corner lists of the faces, if all faces of a binary file have the same number."""
+    """Return the corner lists of the faces of a PLY file. For a binary file, return an empty list
+    if its faces have different numbers of corners."""
     kind, elements, start = _ply_head(data)
     if kind == "ascii":
         lines = iter(line.split() for line in data[start:].decode("latin-1").splitlines())

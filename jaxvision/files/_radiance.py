@@ -1,8 +1,10 @@
-"""Radiance pictures (`.hdr`): three mantissas of 8 bits and a shared exponent a pixel.
+"""Read Radiance pictures (`.hdr`), which have three 8-bit mantissas and a shared exponent for each
+pixel.
 
-A mantissa m represents the middle of its step, (m + 1/2) 2^(e - 136), as in Radiance itself,
-because writers round down. An exponent of 0 is black. EXPOSURE and COLORCORR, the factors that were
-applied to the pixels, are undone. Source: Ward, "Radiance File Formats", and `color.c` of Radiance.
+A mantissa m and an exponent e represent (m + 1/2) 2^(e - 136), as in Radiance itself. That is the
+middle of the step, because writers round down. A pixel with the exponent 0 is black. EXPOSURE and
+COLORCORR are factors that were applied to the pixels; the pixels are divided by them. Source:
+Source: Ward, "Radiance File Formats", and `color.c` of Radiance.
 """
 
 import re
@@ -22,14 +24,15 @@ _LARGEST = 1 << 30  # pixels
 
 
 def is_radiance(file: Path) -> bool:
-    """Whether a file begins like a Radiance picture."""
+    """Return whether a file begins with the bytes of a Radiance picture."""
     with file.open("rb") as stream:
         return stream.read(2) == b"#?"
 
 
 def read_radiance(file: Path) -> np.ndarray:
-    """The radiance of a Radiance picture, (h, w, 3) float32, W m^-2 sr^-1 or relative, upright;
-    `InputError` for a file that is damaged, truncated or not Radiance, and for XYZ."""
+    """Read a Radiance picture, (h, w, 3) float32 in W m^-2 sr^-1 or relative, with its first row at
+    the top. `InputError` for a file that is damaged, incomplete or not Radiance, and for XYZ
+    colours."""
     data = file.read_bytes()
     lines, at = _head(file, data)
     if b"FORMAT=32-bit_rle_xyze" in lines:
@@ -57,7 +60,7 @@ def read_radiance(file: Path) -> np.ndarray:
 
 
 def _head(file: Path, data: bytes) -> tuple[list[bytes], int]:
-    """The lines of the header, and its end."""
+    """Return the lines of the header and the position of its end."""
     if data[:2] != b"#?":
         raise InputError(
             f"{file}: not readable as an image (it does not begin as Radiance's); export it again "
@@ -70,7 +73,7 @@ def _head(file: Path, data: bytes) -> tuple[list[bytes], int]:
 
 
 def _exposure_factors(file: Path, lines: list[bytes]) -> np.ndarray:
-    """(3,) the factors that were applied to the radiance."""
+    """Return the factors, (3,), by which the radiance was multiplied before it was stored."""
     whole = np.ones(3)
     aspect = 1.0
     for line in lines:
@@ -100,7 +103,7 @@ def _exposure_factors(file: Path, lines: list[bytes]) -> np.ndarray:
 
 
 def _scanlines(file: Path, data: bytes, rows: int, width: int) -> np.ndarray:
-    """(rows, width, 4) bytes, unpacked."""
+    """Unpack the scanlines to bytes, (rows, width, 4)."""
     mark = bytes((2, 2, width >> 8, width & 255))
     if not 8 <= width < 1 << 15 or data[:4] != mark:
         return _pixel_sequence(file, data, rows * width).reshape(rows, width, 4)
@@ -131,7 +134,8 @@ def _scanlines(file: Path, data: bytes, rows: int, width: int) -> np.ndarray:
 
 
 def _pixel_sequence(file: Path, data: bytes, count: int) -> np.ndarray:
-    """(count, 4) pixels in sequence, some of which repeat the previous one."""
+    """Unpack pixels that are stored one after another, (count, 4), some of them as repetitions of
+    the previous pixel."""
     pixels = np.frombuffer(data[: len(data) // 4 * 4], np.uint8).reshape(-1, 4)
     repeats = np.flatnonzero((pixels[:count, :3] == 1).all(axis=1))
     if not len(repeats):

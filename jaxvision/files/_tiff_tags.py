@@ -1,5 +1,5 @@
-"""Tags of a TIFF file that its decoder consumes or ignores. Sources: TIFF 6.0 (Adobe, 1992);
-BigTIFF; TIFF/EP (ISO 12234-2) for mosaics."""
+"""Read the tags of a TIFF file that its decoder uses up or ignores. Sources: Sources: TIFF 6.0
+(Adobe, 1992); BigTIFF; TIFF/EP (ISO 12234-2) for mosaics."""
 
 import struct
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ _MOST_INNER = 64  # largest number of subdirectories of one picture
 
 @dataclass(frozen=True)
 class TiffPicture:
-    """The tags of one picture."""
+    """The tags of one picture in a TIFF file."""
 
     values: Mapping[int, tuple[Any, ...]] = field(default_factory=dict)  # numbers by tag
     # position of the first value of each tag, bytes from the beginning of the file
@@ -36,11 +36,11 @@ class TiffPicture:
     inner: tuple["TiffPicture", ...] = ()
 
     def first(self, tag: int, otherwise: int = 0) -> Any:
-        """The first value of a tag."""
+        """Return the first value of a tag."""
         return next(iter(self.values.get(tag, ())), otherwise)
 
     def text(self, tag: int) -> str:
-        """The text of a tag, without its terminator."""
+        """Return the text of a tag, without its terminator."""
         return bytes(self.values.get(tag, ())).split(b"\0")[0].decode("latin-1")
 
     @property
@@ -50,7 +50,7 @@ class TiffPicture:
 
     @property
     def pattern(self) -> str | None:
-        """Phase of a Bayer mosaic, such as "RGGB"; None if the picture is not a 2 x 2 Bayer
+        """The phase of a Bayer mosaic, such as "RGGB"; None if the picture is not a 2 x 2 Bayer
         mosaic."""
         if self.first(PHOTOMETRIC) != MOSAIC or self.values.get(CFA_SIZE) != (2, 2):
             return None
@@ -59,8 +59,8 @@ class TiffPicture:
 
 
 def tiff_pictures(file: Path) -> list[TiffPicture]:
-    """The tags of the pictures in a file's main chain, with those of their subdirectories, up to
-    any damage; none for a file that is not TIFF."""
+    """Read the tags of the pictures in a TIFF file's main chain and in their subdirectories, up to
+    any damage. The list is empty for a file that is not TIFF."""
     with file.open("rb") as stream:
         head = stream.read(16)
         order = {b"II": "<", b"MM": ">"}.get(head[:2], "")
@@ -85,7 +85,8 @@ def tiff_pictures(file: Path) -> list[TiffPicture]:
 
 @dataclass(frozen=True)
 class _Layout:
-    """The binary layout of a file: byte order, and 8-byte words in BigTIFF."""
+    """The binary layout of a TIFF file: its byte order, and whether it has the 8-byte words of
+    BigTIFF."""
 
     order: str
     big: bool
@@ -94,7 +95,8 @@ class _Layout:
         return struct.unpack(f"{self.order}{'Q' if self.big else 'I'}", data)
 
     def directory(self, stream: BinaryIO, here: int) -> tuple[TiffPicture, int]:
-        """The tags at an offset in a file, and the offset of the next directory."""
+        """Read the tags of the directory at an offset in the file, and the offset of the next
+        directory."""
         word, count_letter, entry = ("Q", "Q", 20) if self.big else ("I", "H", 12)
         order, at = self.order, struct.calcsize(word)
         stream.seek(here)

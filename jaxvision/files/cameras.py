@@ -1,4 +1,5 @@
-"""Cameras from TOML files: one table for each record, with the record's fields as keys.
+"""Read and write cameras as TOML files, with one table for each record and the record's fields as
+keys.
 
     [view]
     kind = "Pinhole"              # name of the record, where several are possible
@@ -12,10 +13,10 @@
     kind = "PoissonShotNoise"
 
 A view without `position` and `rotation` is at the origin and looks along +z, with +x to its right
-and +y down. Instead of a `transmission`, `[sensor.colour_filter]` may name measured sensitivities
-of colour-science, `sensitivities = "Nikon 5100 (NPL)"`, with `peak`, the largest number of
-electrons per photon. `[bands]` then gives the wavelengths, `first`, `last` and `step` in m. A Bayer
-`pattern` may be written as "RGGB". `about` is free text.
+and +y downward. Instead of a `transmission`, `[sensor.colour_filter]` may name measured
+sensitivities of colour-science, `sensitivities = "Nikon 5100 (NPL)"`, with `peak`, the largest
+number of electrons per photon of any band. `[bands]` then gives the wavelengths, `first`, `last`
+and `step` in m. A Bayer `pattern` may be written as "RGGB". `about` is free text.
 """
 
 import os
@@ -38,7 +39,7 @@ _BANDS = ("first", "last", "step")
 
 
 def shipped_cameras() -> tuple[str, ...]:
-    """Names of the cameras that come with the library.
+    """List the names of the cameras that come with the library.
 
     Returns:
         The names, sorted.
@@ -101,7 +102,7 @@ def read_camera(
 def write_camera(
     camera: Camera, file: str | os.PathLike[str], *, draws: Camera | None = None, about: str = ""
 ) -> None:
-    """Write a camera that `read_camera` reads back, bit-equal.
+    """Write a camera to a TOML file; `read_camera` reads it back with exactly the same numbers.
 
     Args:
         camera: for example the best fit.
@@ -127,7 +128,7 @@ def write_camera(
 
 
 def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> Sensor:
-    """Read a sensor from a TOML file with the one table `[sensor]`.
+    """Read a sensor from a TOML file that has only the table `[sensor]`.
 
     Args:
         source: path of the file.
@@ -164,7 +165,7 @@ def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> 
 def write_sensor(
     sensor: Sensor, file: str | os.PathLike[str], *, draws: Sensor | None = None, about: str = ""
 ) -> None:
-    """Write a sensor that `read_sensor` reads back, bit-equal.
+    """Write a sensor to a TOML file; `read_sensor` reads it back with exactly the same numbers.
 
     Args:
         sensor: for example the best fit.
@@ -200,7 +201,8 @@ def _wavelengths(reading: Reading, table: Any) -> Float[Array, " bands"]:
 def _fill_sensitivities(
     reading: Reading, sensor: Mapping[str, Any], wavelengths: Float[Array, " bands"] | None
 ) -> dict[str, Any]:
-    """The sensor's table, with numbers in place of the name of measured sensitivities."""
+    """Return the table `[sensor]` with the name of measured sensitivities replaced by their
+    numbers."""
     table, colours = dict(sensor), sensor.get("colour_filter")
     if not isinstance(colours, Mapping) or "sensitivities" not in colours:
         return table

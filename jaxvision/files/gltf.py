@@ -1,7 +1,8 @@
-"""glTF 2.0 files, `.gltf` and `.glb`: their JSON, and the numbers of their buffers.
+"""Read glTF 2.0 files, `.gltf` and `.glb`: their JSON, and the numbers in their buffers.
 
-Eager, NumPy alone. Coordinates are the file's, metres by its standard. Source: Khronos, glTF 2.0
-Specification, version 2.0.1. Every failure is an `InputError` of one sentence.
+Eager, NumPy alone. Coordinates are returned as stored, in metres according to the standard. Source:
+Source: Khronos, glTF 2.0 Specification, version 2.0.1. Every failure raises an `InputError` with a
+message of one sentence.
 """
 
 import base64
@@ -40,7 +41,8 @@ class Gltf:
     files: dict[str, bytes] = field(default_factory=dict, repr=False, compare=False)
 
     def item(self, kind: str, index: Any) -> dict[str, Any]:
-        """An object from one of the arrays at the root ("nodes"); `InputError` if there is none."""
+        """Return an entry of an array at the root of the JSON, such as "nodes"; `InputError` if
+        there is none."""
         array = self.content.get(kind, [])
         known = isinstance(array, list) and type(index) is int and 0 <= index < len(array)
         if not known or not isinstance(array[index], dict):
@@ -50,7 +52,7 @@ class Gltf:
 
 @dataclass(frozen=True)
 class Primitive:
-    """The triangles of one primitive of a mesh."""
+    """The triangles of one primitive of a glTF mesh."""
 
     vertices: np.ndarray  # (vertices, 3) m
     faces: np.ndarray  # (faces, 3) indices of vertices, counter-clockwise seen from outside
@@ -59,8 +61,8 @@ class Primitive:
 
 
 def read_gltf(path: str | os.PathLike[str]) -> Gltf:
-    """The JSON of a file, and the binary part of a `.glb`; other buffers are read when needed.
-    `InputError` for a missing file and for anything but glTF 2."""
+    """Read the JSON of a glTF file, and the binary part of a `.glb`. Other buffers are read when
+    they are needed. `InputError` for a missing file and for anything but glTF 2."""
     file = Path(path)
     try:
         raw = file.read_bytes()
@@ -81,7 +83,8 @@ def read_gltf(path: str | os.PathLike[str]) -> Gltf:
 
 
 def _check_places(file: Path, content: Mapping[str, Any]) -> None:
-    """Raise `InputError` for a node with two parents, or whose rotation has no axis."""
+    """Raise `InputError` for a node that has both a matrix and another transform, or a rotation of
+    length 0."""
     nodes = content.get("nodes")
     for i, node in enumerate(nodes if isinstance(nodes, list) else ()):
         if not isinstance(node, dict):
@@ -99,7 +102,7 @@ def _check_places(file: Path, content: Mapping[str, Any]) -> None:
 
 
 def _chunks(file: Path, raw: bytes) -> tuple[bytes, bytes | None]:
-    """JSON and binary part of a `.glb`."""
+    """Return the JSON and the binary part of a `.glb` file."""
     found: dict[int, bytes] = {}
     start, end = _HEAD.size, len(raw)
     while start + _CHUNK.size <= end:
@@ -115,9 +118,9 @@ def _chunks(file: Path, raw: bytes) -> tuple[bytes, bytes | None]:
 
 
 def primitive_of(file: Gltf, mesh: int, primitive: int, *, uv: bool = False) -> Primitive:
-    """The triangles of a primitive of a mesh, both by number from 0, with `uv` its texture
-    coordinates; `InputError` for one that is no set of triangles, or has morph targets or
-    extensions."""
+    """Return the triangles of a primitive of a mesh, both given by index from 0; with `uv`, also
+    its texture coordinates. `InputError` for a primitive that is not a set of triangles, or that
+    has morph targets or extensions."""
     label = f"{file.path}: meshes[{mesh}].primitives[{primitive}]"
     parts = file.item("meshes", mesh).get("primitives", [])
     if not isinstance(parts, list) or not 0 <= primitive < len(parts):
@@ -149,7 +152,7 @@ def primitive_of(file: Gltf, mesh: int, primitive: int, *, uv: bool = False) -> 
 
 
 def image_bytes(file: Gltf, index: int) -> bytes:
-    """The bytes of an object of `images`, a whole picture file."""
+    """Return the bytes of an entry of `images`, a complete image file."""
     image = file.item("images", index)
     if "bufferView" not in image:
         uri = image.get("uri")
@@ -165,7 +168,7 @@ def image_bytes(file: Gltf, index: int) -> bytes:
 
 
 def _numbers(file: Gltf, index: Any, width: int) -> np.ndarray:
-    """(count, width) of an accessor."""
+    """Return the numbers of an accessor, (count, width)."""
     accessor, label = file.item("accessors", index), f"{file.path}: accessors[{index}]"
     if "sparse" in accessor or "bufferView" not in accessor:
         raise InputError(f"{label}: sparse accessors are not read; export it without.")
@@ -203,7 +206,8 @@ def _buffer(file: Gltf, index: Any) -> bytes:
 
 
 def _of(table: Mapping[Any, Value], key: Any) -> Value | None:
-    """The value of a key, or None if damage has put a list in place of the table."""
+    """Return the value of a key, or None if the key is not text or a number, as in a damaged
+    file."""
     return table.get(key) if isinstance(key, str | int) else None
 
 

@@ -1,5 +1,6 @@
-"""Metadata of an image file: exposure, sensitivity, date, camera, depth. EXIF of JPEG, TIFF and PNG
-is read by OpenImageIO, of raw files by exifread, and FITS headers by astropy."""
+"""Read the metadata of image files: exposure time, ISO speed, date, camera and bit depth.
+OpenImageIO reads the EXIF of JPEG, TIFF and PNG files, exifread that of raw files, and astropy
+reads FITS headers."""
 
 import datetime
 import os
@@ -36,7 +37,7 @@ _CODES = "bits of codes"  # an own name in addition to those of OpenImageIO
 
 @dataclass(frozen=True)
 class ImageSettings:
-    """The metadata of a file; a value is None if the file does not state it.
+    """The metadata of an image file; a value is None if the file does not state it.
 
     Attributes:
         exposure: s.
@@ -95,7 +96,7 @@ def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
 
 
 def _attributes(file: Path) -> dict[str, Any]:
-    """EXIF values by OpenImageIO's names, single numbers or words."""
+    """Read EXIF values, single numbers or words, by OpenImageIO's names."""
     import OpenImageIO as oiio
 
     # libpng would print messages about the damage
@@ -136,7 +137,8 @@ def _exif_settings(file: Path, said: Mapping[str, Any]) -> ImageSettings:
 
 
 def _depth(file: Path, said: Mapping[str, Any]) -> int | None:
-    """Bits of the codes of a PNG, TIFF, JPEG or TGA file; None if they are not codes."""
+    """Return the number of bits of the codes in a PNG, TIFF, JPEG or TGA file, or None if its
+    samples are not codes."""
     whole = said.get(_CODES)
     if chunks := png_chunks(file, head=True):
         return chunks.bits if whole else None
@@ -154,7 +156,8 @@ def _raw_settings(file: Path) -> ImageSettings:
     tags = _raw_tags(file)
 
     def said(name: str) -> Any:
-        """A value about the photograph, which TIFF/EP and DNG may store in the main directory."""
+        """Return a value about the photograph, which TIFF/EP and DNG may store in the main
+        directory."""
         return tags.get(f"EXIF {name}", tags.get(f"Image {name}"))
 
     with opened_raw(file) as raw:
@@ -196,8 +199,8 @@ def _raw_settings(file: Path) -> ImageSettings:
 
 
 def _dng_blacks(file: Path) -> np.ndarray | None:
-    """Black levels of a DNG's mosaic, DN, over the rows and columns of their period, which LibRaw
-    truncates and averages; None if none are stated."""
+    """Return the black levels of a DNG's mosaic, in DN, over one period of rows and columns, or
+    None if it states none. LibRaw truncates and averages these levels."""
     for page in tiff_pictures(file):
         for picture in (page, *page.inner):
             along_columns, along_rows = (
@@ -219,7 +222,7 @@ def _dng_blacks(file: Path) -> np.ndarray | None:
 
 
 def _raw_tags(file: Path) -> dict[str, Any]:
-    """EXIF values by exifread's names, the first value of each."""
+    """Read EXIF values by exifread's names, the first value of each."""
     exifread = extra("exifread", "raw", file)
     try:
         with file.open("rb") as stream:
@@ -252,8 +255,9 @@ def _fits_settings(file: Path, header: Mapping[str, Any]) -> ImageSettings:
 
 
 def _fits_pattern(file: Path, header: Mapping[str, Any]) -> str | None:
-    """Phase of the mosaic at the first pixel of the file: BAYERPAT begins at XBAYROFF, YBAYROFF of
-    the upright image, and a file of the order BOTTOM-UP with its lowest row."""
+    """Return the phase of a FITS mosaic at the first pixel of the file. BAYERPAT starts at the
+    pixel XBAYROFF, YBAYROFF of the upright image, whereas a file with the row order BOTTOM-UP
+    starts with its lowest row."""
     names = ("BAYERPAT", "COLORTYP")
     said = [str(header.get(name, "")).strip().strip("'").strip().upper() for name in names]
     known = [word for word in said if _is_bayer(word)]
@@ -273,7 +277,8 @@ def _fits_pattern(file: Path, header: Mapping[str, Any]) -> str | None:
 
 
 def _is_bayer(letters: str) -> bool:
-    """Whether it is a phase of Bayer's mosaic, with its greens on a diagonal."""
+    """Return whether the letters are a phase of the Bayer mosaic, with the two greens on a
+    diagonal."""
     return letters in ("RGGB", "BGGR", "GRBG", "GBRG")
 
 
@@ -282,7 +287,7 @@ def _warn_of_mosaic(file: Path, name: str) -> None:
 
 
 def _number(said: Any) -> float | None:
-    """A number, also from a quotient; None if there is none."""
+    """Convert a value, possibly a fraction, to a finite number; None if that is not possible."""
     try:
         found = float(said)
     except (TypeError, ValueError, ZeroDivisionError):
@@ -296,8 +301,9 @@ def _positive(said: Any) -> float | None:
 
 
 def _sensitivity(file: Path, rating: Any, said: Callable[[str], Any]) -> float | None:
-    """Return the 16-bit ISO rating. If it is absent or 65535, which means at least that, return the
-    32-bit value that the type of sensitivity names (EXIF 2.3, tag 0x8830)."""
+    """Return the ISO speed, normally from the 16-bit tag. If this tag is absent or 65535, which
+    means at least 65535, return the 32-bit value of the tag that the type of sensitivity names
+    (EXIF 2.3, tag 0x8830)."""
     found = _positive(rating)
     if found is not None and found < _HIGHEST_RATING:
         return found
@@ -313,7 +319,7 @@ def _sensitivity(file: Path, rating: Any, said: Callable[[str], Any]) -> float |
 
 
 def _seconds(time: Any, speed: Any) -> float | None:
-    """The exposure time, or else 2^-speed, because EXIF may contain only the APEX value."""
+    """Return the exposure time in s, or 2^-speed if EXIF contains only the APEX shutter speed."""
     value = _number(speed)
     if time is not None or value is None or abs(value) > 64:
         return _positive(time)
@@ -321,7 +327,8 @@ def _seconds(time: Any, speed: Any) -> float | None:
 
 
 def _f_number(stop: Any, aperture: Any) -> float | None:
-    """The f-number, or else 2^(aperture / 2). A lens without contacts states an aperture of 0."""
+    """Return the f-number, or 2^(aperture / 2) if EXIF contains only the APEX aperture. A lens
+    without electric contacts states an aperture of 0, which is ignored."""
     value = _positive(aperture)
     if stop is not None or value is None or value > 64:
         return _positive(stop)
@@ -329,7 +336,7 @@ def _f_number(stop: Any, aperture: Any) -> float | None:
 
 
 def _time(said: Any) -> datetime.datetime | None:
-    """A time in EXIF's form, 2026:11:23 13:00:00, or in ISO 8601."""
+    """Parse a date and time in the form of EXIF, 2026:11:23 13:00:00, or of ISO 8601."""
     text = str(said or "").strip().strip("\0")
     try:
         return datetime.datetime.strptime(text[:19], "%Y:%m:%d %H:%M:%S")
@@ -342,8 +349,8 @@ def _time(said: Any) -> datetime.datetime | None:
 
 
 def _name(*parts: Any) -> str | None:
-    """Return maker and model, without a repeated maker. Characters that are not text, as in damaged
-    metadata, become `?`."""
+    """Join the maker and the model of a camera; a model that begins with the maker stays alone.
+    Characters that cannot be printed, as in damaged metadata, become `?`."""
     texts = ("".join(c if c.isprintable() else "?" for c in str(part)) for part in parts if part)
     words = [text.strip("? ") for text in texts]
     if len(words) > 1 and words[-1].startswith(words[0]):

@@ -1,11 +1,12 @@
 """Image files: PNG, TIFF, JPEG, EXR and Radiance HDR, NumPy arrays; and, read only, PGM, PPM, TGA,
 raw files of cameras and FITS.
 
-This module is the edge of the library: eager, with NumPy arrays in and out, through OpenImageIO,
-which is loaded on first use. Arrays are (h, w) or (h, w, channels). Integer files keep their codes,
-of 1 to 16 bits (uint8, uint16); floating files come as float32. Changes that a decoder makes to the
-codes are undone. Contents besides one picture are named in a one-sentence warning, or the file is
-refused. Every failure is an `InputError` of one sentence.
+This module cannot be traced by JAX. It takes and returns NumPy arrays, and reads most files by
+OpenImageIO, which is loaded on first use. Arrays are (h, w) or (h, w, channels). Integer files keep
+their codes of 1 to 16 bits, as uint8 or uint16; floating-point files become float32. Where a
+decoder changes the codes, the change is undone. If a file contains more than one picture, a warning
+of one sentence names the rest, or the file is refused. Every failure raises an `InputError` with a
+message of one sentence.
 """
 
 import errno
@@ -58,8 +59,8 @@ _MOST_ADDED = 1 << 26
 
 @contextmanager
 def replaced_on_success(path: Path) -> Iterator[Path]:
-    """Context with a temporary path beside `path`, in a folder made if missing, that replaces it
-    only if the block ends without error; `InputError` if it cannot be written."""
+    """Yield a temporary path next to `path`, and move the file there to `path` if the block ends
+    without an error. Missing folders are made. `InputError` if the file cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=".partial-", suffix=path.suffix)
@@ -89,8 +90,9 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def check_writable(path: Path, *, kind: type = np.float32) -> None:
-    """Raise `InputError` if an image file of that suffix cannot contain samples of `kind`, or
-    cannot be written there. Call it before the work for the file.
+    """Raise `InputError` if an image file with this suffix cannot contain samples of type `kind`,
+    or cannot be written at this path. Long work calls this function first, so that it does not fail
+    at its end.
     """
     _check_format(path, np.dtype(kind))
     if path.is_dir():
@@ -106,18 +108,19 @@ def check_writable(path: Path, *, kind: type = np.float32) -> None:
 def read_image(path: str | os.PathLike[str], *, part: int | str | None = None) -> np.ndarray:
     """Read the pixels of an image file as they are stored.
 
-    Codes are those of the file: 12-bit samples range from 0 to 4095, and bitmaps have 0 and 1.
-    `image_settings.read_settings` gives the number of bits. Rows and columns are those of the file,
-    too: an orientation tag is not applied, and a warning says so. A palette is replaced by its
-    colours. If white is stored as zero, numbers are reversed, so that more is brighter. An EXR is
-    the picture of its display window, black outside its data window. Its channels R, G, B and A, or
-    Y, are found by their names. An HDR is the radiance before EXPOSURE.
+    Codes are those of the file: 12-bit samples range from 0 to 4095, and bitmaps have the values 0
+    and 1. `image_settings.read_settings` gives the number of bits. Rows and columns are those of
+    the file, too: an orientation tag is not applied, but a warning names it. A palette is replaced
+    by its colours. If the file stores white as zero, the codes are reversed, so that larger codes
+    are brighter. For an EXR, the result is the picture of its display window, black outside the
+    data window. The channels R, G, B and A, or Y, of an EXR are found by their names. The values of
+    an HDR are radiances, that is, divided by EXPOSURE.
 
-    Colours of an EXR are premultiplied by alpha, as its standard says. Those of other files are as
-    stored, usually not premultiplied.
+    Colours of an EXR are premultiplied by alpha, as its standard requires. Colours of other files
+    are returned as stored; they are usually not premultiplied.
 
-    A warning, with one sentence each, names the contents that are not read: further pictures,
-    channels, or pixels outside the window.
+    Warnings name contents of the file that are not read: further pictures, channels, or pixels
+    outside the window.
 
     Args:
         path: a PNG, TIFF, JPEG, EXR, HDR, PGM, PPM, PFM, TGA or `.npy` file; DNG and other raw
@@ -148,7 +151,7 @@ def read_image(path: str | os.PathLike[str], *, part: int | str | None = None) -
 def read_channels(
     path: str | os.PathLike[str], *, part: int | str | None = None
 ) -> tuple[np.ndarray, tuple[str, ...]]:
-    """The pixels of an image file, and what its channels are.
+    """Read the pixels of an image file and the names of its channels.
 
     Args:
         path: as for `read_image`.
@@ -221,7 +224,7 @@ def _read_by_openimageio(
 
 @contextmanager
 def _open(file: Path) -> Iterator[Any]:
-    """A file opened by OpenImageIO, without multiplying colours by alpha."""
+    """Open a file by OpenImageIO so that colours are not multiplied by alpha."""
     import OpenImageIO as oiio
 
     as_stored = oiio.ImageSpec()
@@ -245,7 +248,7 @@ def _open(file: Path) -> Iterator[Any]:
 
 
 def _pixels(file: Path, source: Any, number: int, chosen: Sequence[int], sample: str) -> np.ndarray:
-    """(h, w, channels) of one picture of the file, in the order of `chosen`."""
+    """Read the channels `chosen` of one picture of the file, (h, w, channels), in their order."""
     first, last = min(chosen), max(chosen) + 1
     spec = source.spec(number, 0)
     wanted = "float" if sample == "half" else sample
@@ -260,7 +263,8 @@ def _pixels(file: Path, source: Any, number: int, chosen: Sequence[int], sample:
 def _place(
     file: Path, source: Any, pages: Sequence[TiffPicture], part: int | str | None
 ) -> tuple[int, str | None]:
-    """The index of the picture to read, and of the layer in it; it warns of all others."""
+    """Return the index of the picture to read and the name of its layer, and warn of all other
+    pictures in the file."""
     titles = [f"number {i}" for i in range(len(pages))]  # for a TIFF, without reading every page
     while not pages and source.seek_subimage(len(titles), 0):
         named = source.spec(len(titles), 0).get_string_attribute("oiio:subimagename")
@@ -312,7 +316,7 @@ def _refuse_unlike_pictures(file: Path, spec: Any, page: TiffPicture | None) -> 
 
 
 def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tuple[str, ...]]:
-    """The channels of the picture, by their names, with their meaning."""
+    """Choose the channels to read by their names. Return their indices and names."""
     layers: dict[str, dict[str, int]] = {}
     for i, name in enumerate(spec.channelnames):
         above, _, own = name.rpartition(".")
@@ -358,7 +362,7 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
 
 
 def _sample(file: Path, spec: Any, chosen: Sequence[int]) -> str:
-    """The type of the samples, as a supported array type."""
+    """Return the sample type of the channels as one of the supported array types."""
     formats = spec.channelformats or [spec.format] * spec.nchannels
     for kind in {str(formats[i]) for i in chosen}:
         if kind not in _DTYPES:
@@ -371,7 +375,8 @@ def _sample(file: Path, spec: Any, chosen: Sequence[int]) -> str:
 def _stored_codes(
     file: Path, pixels: np.ndarray, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
 ) -> np.ndarray:
-    """The codes of the file, which its decoder has stretched to 8 or 16 bits."""
+    """Return the codes as stored in the file, where the decoder has stretched them to 8 or 16
+    bits."""
     if not np.issubdtype(pixels.dtype, np.integer):
         if page and page.first(tiff.PHOTOMETRIC, 1) == tiff.WHITE_IS_ZERO:
             raise InputError(f"{file}: floating numbers with white as zero; save it the other way.")
@@ -392,8 +397,8 @@ def _stored_codes(
 
 
 def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -> np.ndarray:
-    """The source's codes, if a PNG's writer has stretched them to the depth of the file, as sBIT
-    states."""
+    """Return the codes of a PNG's source, if the sBIT chunk states that they were stretched to the
+    depth of the file."""
     if chunks.colour_type == PNG_PALETTE or all(bits == n for n in chunks.significant):
         return pixels
     source = chunks.bits
@@ -411,7 +416,7 @@ def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -
 
 
 def _repeat_bits(codes: np.ndarray, source: int, bits: int) -> np.ndarray:
-    """Codes whose bits are repeated until they fill a larger depth."""
+    """Repeat the bits of codes until they fill a larger depth."""
     whole, left = np.zeros_like(codes), bits
     while left > 0:
         left -= source
@@ -420,8 +425,9 @@ def _repeat_bits(codes: np.ndarray, source: int, bits: int) -> np.ndarray:
 
 
 def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
-    """(h, w, 3) colours of a TIFF's palette at full depth, by indices from a copy of the file
-    declared grey; the decoder keeps 8 bits."""
+    """Return the colours of a TIFF with a palette, (h, w, 3), at full depth, because the decoder
+    keeps only 8 bits. The palette indices are read from a copy of the file that is declared
+    grey."""
     bits = page.first(tiff.BITS, 1)
     colours = np.array(page.values.get(tiff.COLOUR_MAP, ()))
     if len(colours) != 3 << bits:
@@ -446,7 +452,7 @@ def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
 def _warn_of_unused(
     file: Path, kind: str, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
 ) -> None:
-    """Warn about metadata that the array does not contain."""
+    """Warn about metadata that matter for the codes but are not applied to the array."""
     said = [
         f"its picture of {x.first(tiff.ROWS)} x {x.first(tiff.COLUMNS)} and "
         f"{x.first(tiff.BITS, 1)} bits in a SubIFD: export it as a file of its own"
@@ -486,7 +492,7 @@ def _warn_of_unused(
 
 
 def _gdal_scaling(page: TiffPicture) -> list[str]:
-    """GDAL's metadata of a GeoTIFF: scale, offset, and the value of missing data."""
+    """Describe GDAL's metadata of a GeoTIFF: scale, offset, and the value of missing pixels."""
     items = re.findall(
         r"<Item[^>]*\brole=[\"'](scale|offset)[\"'][^>]*>\s*([^<\s]+)", page.text(tiff.GDAL_WORDS)
     )
@@ -508,8 +514,8 @@ def _differs(number: str, plain: float) -> bool:
 
 
 def _display_window(file: Path, pixels: np.ndarray, spec: Any) -> np.ndarray:
-    """The picture of an EXR's display window, or of the whole image of a cropped TIFF, black
-    outside the file's data."""
+    """Return the picture in the display window of an EXR, black outside the data that the file
+    contains."""
     rows, columns = spec.full_height, spec.full_width
     top, left = spec.y - spec.full_y, spec.x - spec.full_x
     height, width = pixels.shape[:2]
@@ -543,7 +549,7 @@ def _display_window(file: Path, pixels: np.ndarray, spec: Any) -> np.ndarray:
 
 
 def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
-    """A latitude-longitude picture of radiance from an EXR or HDR file, for `environment_map`.
+    """Read a latitude-longitude picture of radiance from an EXR or HDR file, for `environment_map`.
 
     Args:
         path: the file; an alpha channel is ignored. The part of an EXR outside its data window is
@@ -579,10 +585,10 @@ def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
 
 
 def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: int = 95) -> None:
-    """Write an image file in the format of its suffix.
+    """Write an image file in the format that its suffix names.
 
-    The file appears only when it is complete. A lossless integer file is read back to verify its
-    depth.
+    The file appears at its path only when it is complete. A lossless integer file is read back and
+    compared with the array.
 
     Args:
         path: the file. uint8 and uint16 are written as PNG or TIFF of the same depth, uint8 with
@@ -641,8 +647,8 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
 
 
 def as_float32(path: str | os.PathLike[str], numbers: np.ndarray) -> np.ndarray:
-    """The numbers, in any unit, as float32; `InputError` for finite numbers or whole numbers that
-    do not fit, or all below 1e-31."""
+    """Convert numbers, in any unit, to float32. `InputError` for finite or whole numbers that
+    float32 cannot represent, and if all are below 1e-31."""
     if numbers.dtype == np.float32:
         return numbers
     with np.errstate(over="ignore", under="ignore"):
@@ -696,9 +702,10 @@ def write_exr(
     channels: Sequence[str] = (),
     attributes: Mapping[str, str | int] | None = None,
 ) -> None:
-    """Write an EXR of float32 samples from blocks of rows.
+    """Write an EXR file of float32 samples, given as blocks of rows.
 
-    The whole picture need not be in memory. The file appears only when it is complete.
+    The whole picture never needs to be in memory. The file appears at its path only when it is
+    complete.
 
     Args:
         path: the file.
@@ -725,7 +732,7 @@ def _write(
     attributes: Mapping[str, str | int],
     names: Sequence[str] = (),
 ) -> None:
-    """Blocks of rows, (rows, w, channels), from the top."""
+    """Write an image file from blocks of rows, (rows, w, channels), from the top."""
     import OpenImageIO as oiio
 
     height, width, channels = shape
@@ -779,7 +786,8 @@ def _read_npy(file: Path) -> np.ndarray:
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """The arrays of a `.npz` file, which the library writes next to records and for chains.
+    """Read the arrays of a `.npz` file, which the library writes for posterior draws next to a
+    record, and for chains.
 
     Args:
         path: the file.
@@ -801,7 +809,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
 
 
 def _reason(teller: Any) -> str:
-    """The last error of OpenImageIO, or of one of its files, on one line."""
+    """Return the last error message of OpenImageIO, or of one of its open files, on one line."""
     try:
         words = _one_line(teller.geterror())
     except UnicodeDecodeError:  # it quotes the file

@@ -1,12 +1,12 @@
-"""Lamps as sold: photometric files IES LM-63 (1986 to 2019) and EULUMDAT.
+"""Read photometric files of commercial lamps: IES LM-63 (1986 to 2019) and EULUMDAT.
 
     .ies    types A, B and C; TILT=NONE and INCLUDE, whose factor is that of an upright lamp; feet
             and metres; ballast factors; absolute photometry (-1 lm)
     .ldt    all five symmetries; the first set of lamps
 
-Values omitted because of symmetry are filled in. A round opening becomes a rectangle of the same
-area. Some programs write other line ends, commas or a byte order mark, and texts in Latin-1; these
-are read.
+Values that a file omits because of its stated symmetry are filled in. A round opening becomes a
+square of the same area. Files with unusual line ends, commas, a byte order mark, or texts in
+Latin-1, as some programs write them, are also read.
 """
 
 import math
@@ -70,7 +70,7 @@ def read_luminaire(file: str | os.PathLike[str]) -> Luminaire:
 
 
 class _Numbers:
-    """The numbers of a file, taken in order."""
+    """Takes the numbers of a file in order, and checks them."""
 
     def __init__(self, path: Path, words: Sequence[str]) -> None:
         self.path, self.words, self.taken = path, words, 0
@@ -116,7 +116,7 @@ class _Numbers:
         return found
 
     def end(self) -> None:
-        """Check that no number is left: a decimal comma would turn one number into two."""
+        """Check that no number is left over. A decimal comma would turn one number into two."""
         left = self.words[self.taken :]
         if left and _is_number(left[0]):
             self.fail(
@@ -207,8 +207,8 @@ def _check_polar(numbers: _Numbers, vertical: np.ndarray) -> None:
 def _whole_turn(
     numbers: _Numbers, angles: np.ndarray, table: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The planes of type C over 360 degrees, filled in by the symmetry that the first and last
-    angle imply.
+    """Complete the planes of a type C lamp to 360 degrees. The first and last angle imply the
+    symmetry.
     """
     if len(angles) == 1:
         return angles[:1], table
@@ -233,7 +233,8 @@ def _whole_turn(
 def _fill_turn(
     angles: np.ndarray, table: np.ndarray, mirrors: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The planes over 360 degrees, with those mirrored at each axis m / 2: h -> m - h."""
+    """Complete the planes to 360 degrees. For each m in `mirrors`, the planes are mirrored about
+    the angle m / 2: h becomes m - h."""
     for mirror in mirrors:
         angles = np.concatenate([angles, mirror - angles])
         table = np.concatenate([table, table], axis=1)
@@ -243,7 +244,7 @@ def _fill_turn(
 
 
 def _mirror(angles: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns at angles from 0 on, and the same at their negatives."""
+    """Extend columns at angles from 0 upward to negative angles, with the same values."""
     whole = np.concatenate([table[:, :0:-1], table], axis=1)
     return np.concatenate([-angles[:0:-1], angles]), whole
 
@@ -260,8 +261,8 @@ def _lamp(
     name: str,
     stated: float = 0.0,
 ) -> Luminaire:
-    """The luminaire; `stated` is its light output ratio in percent, 0 if the file does not give
-    it.
+    """Make the luminaire, after plausibility checks. `stated` is the file's light output ratio in
+    per cent, 0 if it states none.
     """
     if table.min() < 0 or table.max() > _BRIGHTEST:
         numbers.fail(
@@ -346,8 +347,9 @@ def _eulumdat(path: Path, lines: list[str]) -> Luminaire:
 
 
 def _first_lamp_set(path: Path, lines: Sequence[str], sets: int) -> tuple[int, int]:
-    """The lines of the first set's lumens and watts: the standard stores field by field, and many
-    programs set by set. The fields are number, type, lumens, colour, rendering and watts."""
+    """Return the line numbers of the lumens and watts of the first lamp set. The standard stores
+    the sets field by field, but many programs store them set by set. The fields of a set are its
+    number of lamps, type, lumens, colour, colour rendering and watts."""
 
     def holds_numbers(stride: int, step: int) -> bool:
         places = [field * stride + one * step for field in (0, 2, 5) for one in range(sets)]

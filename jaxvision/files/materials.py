@@ -1,4 +1,5 @@
-"""One material as a TOML file: `kind`, the name of its record, and the record's fields.
+"""Read and write a material as a TOML file with the key `kind`, the name of its record, and the
+record's fields.
 
 kind = "Phong"
 diffuse = [0.3]
@@ -19,7 +20,7 @@ from .records import Reading, attach_draws, record_of, table_of, write_record
 
 
 def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> Material:
-    """Read a material from its file.
+    """Read a material from a TOML file.
 
     Args:
         file: a file written by `write_material`.
@@ -58,7 +59,7 @@ def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> 
 def write_material(
     material: Material, file: str | os.PathLike[str], *, draws: Material | None = None
 ) -> None:
-    """Write a material that `read_material` reads back, bit-equal.
+    """Write a material to a TOML file; `read_material` reads it back with exactly the same numbers.
 
     Args:
         material: for example the best fit.

@@ -1,9 +1,9 @@
 """Triangle meshes from files: OBJ, PLY, GLB, STL and the other formats that trimesh reads.
 
-Eager; trimesh (the extra `mesh`) is loaded on first use. Several meshes in a file become one, each
-placed as in the file's scene. Polygons are divided into triangles that cover them. Lengths are
-taken as metres; colours, textures and materials of the file are not read here. Every failure is an
-`InputError` of one sentence.
+This module cannot be traced; trimesh (the extra `mesh`) is loaded on first use. Several meshes in a
+file become one, each transformed as in the file's scene. Polygons are divided into triangles that
+cover exactly the polygon. Lengths are assumed to be in metres. Colours, textures and materials of
+the file are not read here. Every failure raises an `InputError` with a message of one sentence.
 """
 
 import os
@@ -46,13 +46,13 @@ def read_mesh(
     dtype: str | np.dtype | None = None,
     uv: bool = False,
 ) -> TriangleMesh:
-    """Read the triangles of a file, in order.
+    """Read the triangles of a mesh file, in their order.
 
-    Points are scaled, then rotated, then moved, or mapped by `matrix`. Triangles whose area
-    vanishes in `dtype`, which no ray would hit, are left out, and a warning counts them.
-    Coordinates that are not finite are kept; `geometry.problems` reports them. A warning names a
-    mesh so far from the origin that rounding to `dtype` changes its triangles by more than 1 % on
-    average, or moves its vertices by more than 5e-4 of its size.
+    Vertices are scaled, then rotated, then moved; or they are mapped by `matrix`. Triangles whose
+    area is 0 in `dtype`, which no ray would hit, are dropped; a warning states their number.
+    Coordinates that are not finite are kept; `geometry.problems` reports them. A warning is given
+    if the mesh is so far from the origin that rounding to `dtype` changes its triangles by more
+    than 1 % on average, or moves its vertices by more than 5e-4 of its size.
 
     Args:
         path: the file.
@@ -109,7 +109,8 @@ def read_mesh(
 
 
 def _commented_unit(file: Path) -> str | None:
-    """The unit of length in a comment among the first lines of an OBJ or PLY file."""
+    """Return the unit of length that a comment in the first lines of an OBJ or PLY file states, or
+    None."""
     if file.suffix.lower() not in (".obj", ".ply"):
         return None
     with file.open("rb") as opened:
@@ -118,7 +119,7 @@ def _commented_unit(file: Path) -> str | None:
 
 
 def _coordinates(file: Path, mesh, primitive: tuple[int, int] | None) -> np.ndarray:
-    """(vertices, 2) texture coordinates, v downward."""
+    """Return the texture coordinates of a mesh, (vertices, 2), with v downward."""
     if primitive is not None:
         known = mesh.metadata["uv"]
     elif file.suffix.lower() == ".obj" and mesh.metadata["pieces"] == 1:
@@ -140,7 +141,7 @@ def _world_matrix(
     position: Vector,
     matrix: Affine | None,
 ) -> np.ndarray:
-    """(4, 4) matrix for column vectors, m."""
+    """Return the matrix, (4, 4), that maps the file's points, as columns, to m in the world."""
     whole = np.eye(4)
     if matrix is None:
         axes = np.eye(3) if rotation is None else np.asarray(rotation, float)
@@ -158,8 +159,9 @@ def _world_matrix(
 def _nonempty_triangles(
     file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray
 ) -> np.ndarray:
-    """The triangles with a positive area; files often contain some of area 0. A warning reports
-    triangles lost by rounding, since the file's vertices are exact."""
+    """Return the triangles with a positive area, because files often contain some of area 0. A
+    warning states how many triangles have lost their area by rounding; the file's own vertices are
+    exact."""
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces.min() if faces.min() < 0 else faces.max()
         raise unlike(
@@ -181,7 +183,8 @@ def _nonempty_triangles(
 
 
 def _check_rounding(file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray) -> None:
-    """Warn of a mesh far from the origin, whose triangles or position rounding changes."""
+    """Warn if a mesh is so far from the origin that rounding changes its triangles or its
+    position."""
     before, after = (
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         for corners in (exact[faces], vertices[faces].astype(float))
@@ -201,7 +204,7 @@ def _check_rounding(file: Path, vertices: np.ndarray, exact: np.ndarray, faces: 
 
 
 def _primitive(file: Path, mesh: int, primitive: int, uv: bool):
-    """The mesh of one primitive of a glTF file."""
+    """Read one primitive of a glTF file as a trimesh mesh."""
     part = primitive_of(_gltf(file, file.stat().st_mtime_ns), mesh, primitive, uv=uv)
     made = _trimesh(file).Trimesh(
         part.vertices, part.faces, vertex_normals=part.normals, process=False, validate=False
@@ -212,12 +215,13 @@ def _primitive(file: Path, mesh: int, primitive: int, uv: bool):
 
 @lru_cache(maxsize=1)
 def _gltf(file: Path, _changed: int) -> Gltf:
-    """The file at its last modification time, cached for its next primitive."""
+    """Read a glTF file, cached for its next primitive as long as its modification time does not
+    change."""
     return read_gltf(file)
 
 
 def _trimesh(file: Path):
-    """The package, for a file of meshes."""
+    """Import trimesh; if it is not installed, raise an error that names the mesh file."""
     try:
         import trimesh
     except ImportError as error:
@@ -228,7 +232,7 @@ def _trimesh(file: Path):
 
 
 def _load(file: Path):
-    """One trimesh mesh; vertices are merged only if the file shares them."""
+    """Read a file as one trimesh mesh. Vertices are shared only where the file shares them."""
     trimesh = _trimesh(file)
     from trimesh.exchange.load import mesh_formats
 
@@ -275,7 +279,7 @@ _MARK = b"\xef\xbb\xbf"  # byte order mark before text in UTF-8
 
 
 def _source(file: Path) -> dict[str, Any]:
-    """The input for trimesh: the file, or a copy without the parts that trimesh misreads."""
+    """Return the input for trimesh: the file, or a copy without the parts that trimesh misreads."""
     suffix, data = file.suffix.lower(), file.read_bytes()
     plain = data
     if suffix == ".obj":
@@ -306,7 +310,7 @@ def _source(file: Path) -> dict[str, Any]:
 
 
 def _cut_polygons(file: Path, mesh):
-    """The mesh of a PLY or OFF file with its polygons correctly divided."""
+    """Divide the polygons of a PLY or OFF file correctly into triangles."""
     polygons = polygons_of(file) if file.suffix.lower() in (".ply", ".off") else None
     if polygons is None or max(one.max() for one in polygons) >= len(mesh.vertices):
         return mesh
@@ -326,7 +330,7 @@ def _cut_polygons(file: Path, mesh):
 
 
 def _content_fault(file: Path) -> str | None:
-    """The cause of a trimesh reader's failure, from the content."""
+    """Return the reason why trimesh could not read a file, found in its content, or None."""
     data = file.read_bytes()
     match file.suffix.lower():
         case ".stl" if len(data) >= 84:
@@ -341,7 +345,7 @@ def _content_fault(file: Path) -> str | None:
 
 
 def _error_in_words(error: Exception) -> str:
-    """The cause of a trimesh reader's failure, from the type of the error."""
+    """Return the reason why trimesh could not read a file, derived from the type of its error."""
     match error:
         case UnicodeError() | ModuleNotFoundError(name="charset_normalizer"):
             return "it holds bytes that are not text where its format has text"

@@ -1,5 +1,5 @@
-"""Raw files of cameras (DNG, CR2, NEF, ARW, ...) by rawpy, and FITS files by astropy; each is an
-extra that is loaded on first use."""
+"""Read raw files of cameras (DNG, CR2, NEF, ARW and others) by rawpy, and FITS files by astropy.
+Both packages are extras that are loaded on first use."""
 
 import warnings
 from collections.abc import Iterator, Sequence
@@ -19,10 +19,11 @@ FITS_FORMATS = (".fits", ".fit", ".fts")
 
 
 def read_raw(file: Path) -> np.ndarray:
-    """The numbers of a raw file as LibRaw decodes them, before black level and demosaicing.
+    """Read the numbers of a raw file as LibRaw decodes them, before black-level subtraction and
+    demosaicing.
 
-    If a camera stores curved numbers (a DNG's linearisation table, Nikon's and Sony's compressed
-    files), LibRaw undoes the curve, and the result is linear in the light.
+    Some cameras store numbers on a curve: DNG with a linearisation table, and compressed files of
+    Nikon and Sony. LibRaw undoes the curve, so that the result is linear in the light.
 
     Args:
         file: of a sensor with one colour per pixel, or none.
@@ -62,8 +63,8 @@ def read_raw(file: Path) -> np.ndarray:
 
 @contextmanager
 def opened_raw(file: Path) -> Iterator[Any]:
-    """Context with a raw file as a `rawpy.RawPy`; `InputError` for a damage found in it, and
-    without the `raw` extra."""
+    """Open a raw file as a `rawpy.RawPy` for a `with` block. `InputError` if the file is damaged,
+    or if the `raw` extra is not installed."""
     rawpy = extra("rawpy", "raw", file)
     try:
         with rawpy.imread(str(file)) as raw:
@@ -77,9 +78,9 @@ def opened_raw(file: Path) -> Iterator[Any]:
 
 
 def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
-    """An image of a FITS file, its rows in the order of the file.
+    """Read an image of a FITS file, with its rows in the order of the file.
 
-    A warning names the units that are not read, and a third axis that is not colour.
+    A warning names the HDUs that are not read, and a third axis that is not colour.
 
     Args:
         file: the file. BZERO and BSCALE are applied; pixels of the value BLANK are NaN.
@@ -139,8 +140,8 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
 
 @contextmanager
 def opened_fits(file: Path) -> Iterator[Any]:
-    """Context with a FITS file as an `astropy.io.fits.HDUList`; `InputError` for a damage found in
-    it, and without the `fits` extra."""
+    """Open a FITS file as an `astropy.io.fits.HDUList` for a `with` block. `InputError` if the file
+    is damaged, or if the `fits` extra is not installed."""
     fits = extra("astropy.io.fits", "fits", file)
     try:
         with fits.open(file, memmap=False) as units:
@@ -153,8 +154,8 @@ def opened_fits(file: Path) -> Iterator[Any]:
 
 
 def fits_header(file: Path) -> dict[str, Any]:
-    """Values by keyword for the first image of a FITS file and for the file's first unit;
-    `InputError` as from `read_fits`."""
+    """Read the header of the first image of a FITS file and of the file's first HDU, as values by
+    keyword. `InputError` as in `read_fits`."""
     extra("astropy.io.fits", "fits", file)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `read_fits` warns of them
@@ -181,14 +182,15 @@ def _holds_image(unit: Any) -> bool:
 
 
 def listed(words: Sequence[str], *, most: int = 6) -> str:
-    """The words, or the first of them and the number of the others."""
+    """Join words by commas; if there are too many, only the first ones, with the number of the
+    others."""
     shown = ", ".join(words[:most])
     return shown if len(words) <= most else f"{shown} and {len(words) - most} more"
 
 
 def extra(module: str, name: str, file: Path) -> Any:
-    """The module of the extra `name`; if it is not installed, an `InputError` names the file that
-    needs it."""
+    """Import a module of the extra `name`. If it is not installed, an `InputError` names the file
+    that needs it."""
     try:
         return import_module(module)
     except ImportError as error:

@@ -1,8 +1,10 @@
-"""Records as TOML files: one table for each record, with the record's fields as keys.
+"""Read and write records as TOML files, with one table for each record and the record's fields as
+keys.
 
-Numbers are written with all digits, so that a record is read back bit-equal. Draws of a fitted
-record are stored next to its file as `.npz`. Each number that differs between draws has an array
-with a leading axis, under its path (`.sensor.gain`).
+Numbers are written with all digits, so that a record is read back with exactly the same numbers.
+Posterior draws of a fitted record are stored in a `.npz` file next to it. This file has an array
+for each number that differs between draws, with the draws along its leading axis. The array is
+named by the path of the number, such as `.sensor.gain`.
 """
 
 import os
@@ -46,7 +48,8 @@ def write_record(
     record: Record,
     draws: Record | None,
 ) -> None:
-    """Write a record as TOML and its draws in a second file. An error leaves no partial file.
+    """Write a record as a TOML file, and its draws, if any, in a second file. An error leaves no
+    partial file.
 
     Args:
         file: ending in .toml; missing folders are created.
@@ -71,8 +74,8 @@ def write_record(
 
 
 def table_of(record: eqx.Module) -> dict[str, Any]:
-    """Return the table from which `record_of` makes the same record: `kind`, and the fields that
-    are not None."""
+    """Return the table from which `record_of` makes the same record. It has the key `kind` and the
+    fields that are not None."""
     table: dict[str, Any] = {"kind": type(record).__name__}
     for field in fields(record):
         value = getattr(record, field.name)
@@ -88,7 +91,7 @@ def table_of(record: eqx.Module) -> dict[str, Any]:
 
 
 def count_draws(file: Path) -> int:
-    """The number of draws stored with the file of a record; 0 for none."""
+    """Return the number of draws that are stored with the file of a record; 0 if there are none."""
     beside = _draws_file(file)
     if not beside.is_file():
         return 0
@@ -96,8 +99,8 @@ def count_draws(file: Path) -> int:
 
 
 def attach_draws(file: Path, record: Record, count: int) -> Record:
-    """Return a record with a leading axis of `count` draws, evenly spread over those stored next to
-    its file; `InputError` if there are none, too few, or those of another record.
+    """Return a record with a leading axis of `count` draws, evenly spaced among those stored next
+    to its file. `InputError` if there are none or too few, or if they belong to another record.
     """
     beside = _draws_file(file)
     if not beside.is_file():
@@ -149,8 +152,8 @@ def _draws_file(file: Path) -> Path:
 
 
 class Key(NamedTuple):
-    """A key of a table: the type of its value, its default (MISSING: it must be given), and its
-    description from a docstring."""
+    """What a key of a table expects: the type of its value, its default (MISSING if it must be
+    given), and its description from a docstring."""
 
     hint: Any
     default: Any
@@ -158,7 +161,7 @@ class Key(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """How the tables of one file are read.
+    """The settings with which the tables of one file are read.
 
     Attributes:
         place: name of the file, for messages.
@@ -174,12 +177,13 @@ class Reading(NamedTuple):
     typed: Callable[[Any, str, Any], Any] = lambda *_: NotImplemented
 
     def wrong(self, what: str) -> InputError:
-        """The error for a value of the file."""
+        """Return the error for a value of the file."""
         return InputError(f"{self.place}: {what}")
 
     @contextmanager
     def placed(self, where: str = "") -> Iterator[None]:
-        """Context whose errors name the file and the key `where`, if they do not name them."""
+        """Add the names of the file and of the key `where` to errors in a `with` block, unless they
+        name them already."""
         try:
             yield
         except (TypeError, ValueError) as error:
@@ -190,8 +194,9 @@ class Reading(NamedTuple):
 
 @cache
 def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str, Key]:
-    """Return the keys of the table of a record, by name: its fields, or the keywords of the
-    function that makes it, after the fields of `record` for its `**fields`."""
+    """Return the keys of a record's table, by name. They are the record's fields, or the keyword
+    arguments of the function that makes it. For its `**fields` they include the fields of
+    `record`."""
     said = meanings(make)
     if isinstance(make, type):
         hints = get_type_hints(make, include_extras=True)
@@ -217,8 +222,8 @@ def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str
 def record_of(
     reading: Reading, where: str, make: Callable[..., Any], table: Mapping[str, Any]
 ) -> Any:
-    """A record, by its class or the function that makes it, from the table of values at `where`;
-    `InputError` for a wrong key or value."""
+    """Make a record, by its class or by the function that makes it, from the table of values at the
+    key `where`. `InputError` for a wrong key or value."""
     values = values_of(reading, where, keys_of(make), table)
     with reading.placed(where):
         return make(**values)
@@ -227,7 +232,7 @@ def record_of(
 def values_of(
     reading: Reading, where: str, keys: Mapping[str, Key], table: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The values of a table, each of the type of its key; `InputError` as from `record_of`."""
+    """Convert the values of a table to the types of their keys; `InputError` as in `record_of`."""
     check_keys(reading, where, table, keys)
     for name, key in keys.items():
         if key.default is MISSING and name not in table:
@@ -239,8 +244,8 @@ def values_of(
 
 
 def value_of(reading: Reading, where: str, hint: Any, value: Any) -> Any:
-    """Convert the value at the key `where` to its type: lists to tuples, numbers to arrays. Raises
-    `InputError` for a value of another type."""
+    """Convert the value at the key `where` to its type: lists to tuples, numbers to arrays.
+    `InputError` is raised for a value of another type."""
     kinds = tuple(kind for kind in members_of(hint) if kind is not NoneType)
     for kind in kinds:
         with reading.placed(where):
@@ -276,7 +281,8 @@ _PLAIN = {bool: "true or false", str: "text", int: "a whole number"}
 
 
 def chosen(reading: Reading, where: str, value: Any, words: Iterable[str]) -> str:
-    """A word at the key `where` that must be a known one; else `InputError` with the nearest."""
+    """Return the word at the key `where`, which must be a known one; otherwise `InputError`
+    suggests the nearest."""
     if not isinstance(value, str) or value not in words:
         hint = nearest(str(value), words)
         raise reading.wrong(f"{where} = {shorten(value)} is unknown; {hint}.")
@@ -290,7 +296,8 @@ def _wrong(reading: Reading, where: str, value: Any, what: str) -> InputError:
 def _chosen_record(
     reading: Reading, where: str, hints: tuple[Any, ...], table: Mapping[str, Any]
 ) -> Any:
-    """The record of a field: the only possible kind, or the one that the key `kind` names."""
+    """Make the record of a field: of its only possible type, or of the type that the key `kind`
+    names."""
     kinds = {k.__name__: k for kind in hints if is_record(kind) for k in _kinds_of(kind)}
     if not kinds:
         what = "no table" if {bool, str} & {*hints} else "a number, not a table"
@@ -303,13 +310,13 @@ def _chosen_record(
 
 
 def _kinds_of(base: type) -> list[type]:
-    """The records that a field of a base class may have, including registered ones."""
+    """List the record types that a field of a base class accepts, including registered ones."""
     own = [kind for below in base.__subclasses__() for kind in _kinds_of(below)]
     return own or [base]
 
 
 def _tuple(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) -> Any:
-    """A list as a tuple; "RGGB" as its pattern."""
+    """Convert a list to a tuple, and the name of a Bayer phase, such as "RGGB", to its pattern."""
     if where.endswith(".pattern") and isinstance(value, str):
         with reading.placed(where):
             return bayer(value)
@@ -327,7 +334,8 @@ def _tuple(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) -> 
 
 
 def _number(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) -> Any:
-    """A number, or nested lists as an array, in the range of the annotation."""
+    """Convert a number or nested lists to an array, and check the range that the annotation
+    states."""
     array = np.asarray(value, dtype=None if not isinstance(value, list) else object)
 
     def place(number: int) -> str:
@@ -362,14 +370,15 @@ def _number(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) ->
 
 
 def _check_ranges(where: str, numbers: Any, hints: tuple[Any, ...]) -> None:
-    """Raise `ValueError` unless numbers are in the range of the annotation."""
+    """Raise `ValueError` unless the numbers lie in the range that the annotation states."""
     stated = [x for hint in hints for x in getattr(hint, "__metadata__", ())]
     for allowed in [x for x in stated if isinstance(x, Range)][:1]:
         check_range(where, numbers, **allowed._asdict())
 
 
 def check_keys(reading: Reading, where: str, table: Mapping[str, Any], known: Any) -> None:
-    """Raise `InputError` for unknown keys in the table at `where`, with the nearest known name."""
+    """Raise `InputError` for an unknown key in the table at `where`; the message suggests the
+    nearest known key."""
     for key in table:
         if key not in known:
             name, hint = f"{where}.{key}".lstrip("."), nearest(key, known)

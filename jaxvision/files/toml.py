@@ -1,7 +1,7 @@
-"""TOML files with a schema: each mistake is reported in one sentence.
+"""Read TOML files and check them against a schema; the first mistake is reported in one sentence.
 
-A sentence names the file, the table with its own `name`, and the key; for a misspelt key or word it
-suggests the nearest known one. The models of a schema document it.
+The sentence names the file, the table with its own `name`, and the key. For a misspelt key or word,
+it suggests the nearest known one. The models of a schema are its documentation.
 """
 
 import os
@@ -29,13 +29,14 @@ _LONG_KEY = re.compile(
 
 
 class Entry(BaseModel):
-    """Base of the tables of a file; a key that is not in the schema is an error."""
+    """Base of the models for the tables of a file. A key that is not in the schema is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
-        """Signatures and `help` show `float`; the range is in the attributes' documentation."""
+        """Show `float` without its range in signatures and `help`, because the documentation of the
+        attributes states the range."""
         plain = get_type_hints(cls)
         whole = signature(cls)
         said = [x.replace(annotation=plain[x.name]) for x in whole.parameters.values()]
@@ -54,7 +55,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     """Read the tables of a TOML file by name. `kind` is the expected kind of file, such as "scene".
-    Raises `InputError` for a missing file, or one that is not TOML."""
+    `InputError` is raised if the file is missing or is not TOML."""
     file = file_at(path, kind)
     check_size(file)
     text = ""
@@ -91,8 +92,8 @@ def checked(
     called: Mapping[str, str] | None = None,
 ) -> Model:
     """Return the content of a file as an instance of its schema; `InputError` for the first
-    mistake, with array items counted from `first`, and named by `called`, such as {"flat.exposure":
-    "exposures"}."""
+    mistake. The message counts the items of arrays from `first`, and uses the names in `called`,
+    such as {"flat.exposure": "exposures"}."""
     try:
         return schema.model_validate(content)
     except ValidationError as error:
@@ -147,8 +148,8 @@ def _short(value: Any) -> str:
 
 
 def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) -> str:
-    """A location such as `surface "left wall".corner`, without parts that only name a member of a
-    union."""
+    """Return a location such as `surface "left wall".corner`, without the parts that only name a
+    member of a union."""
     place, node = "", content
     for part in loc:
         if isinstance(node, list) and isinstance(part, int) and part < len(node):
@@ -165,14 +166,16 @@ def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) 
 
 
 def _call_lists(place: str, called: Mapping[str, str]) -> str:
-    """`exposures[0]` in place of `flat[0].exposure`, if the list has that name."""
+    """Replace a location such as `flat[0].exposure` by `exposures[0]`, if `called` gives the list
+    that name."""
     within = re.match(r"(\w+)(\[\d+\])\.(\w+)", place)
     name = called.get(f"{within[1]}.{within[3]}") if within else None
     return f"{name}{within[2]}{place[within.end() :]}" if within and name else place
 
 
 def _known_keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> set[str]:
-    """The keys of the table at a location, which consists of keys and array indices."""
+    """Return the known keys of the table at a location, which is a sequence of keys and array
+    indices."""
     models = [schema]
     for part in loc:
         within = [m.model_fields[part].annotation for m in models if part in m.model_fields]
@@ -181,7 +184,7 @@ def _known_keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> set[str]
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
-    """The models inside an annotation, a union or a tuple."""
+    """Return the models inside a type annotation, such as a union or a tuple."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models(part)]

@@ -1,7 +1,7 @@
 """Files of measured reflectance: MERL, Cornell goniometer, RGL. Eager.
 
-The module of each format describes its layout. Every failure is an `InputError` of one sentence
-that names the file.
+The module of each format describes the layout of its files. Every failure raises an `InputError`
+with a message of one sentence that names the file.
 """
 
 from ...core.lazy_names import names_of

@@ -1,4 +1,4 @@
-"""Common parts of the readers: the bytes of a file, and the units of files."""
+"""Read the bytes of files of measured reflectance, and define their units."""
 
 import os
 from collections.abc import Sequence
@@ -16,13 +16,14 @@ TURN = 6.2832  # rad, 2 pi rounded up to the digits in files
 
 
 def representable(values: np.ndarray | Sequence[float]) -> np.ndarray:
-    """Mask of the values, in any unit, that are finite in JAX's default dtype, as records need."""
+    """Return a mask of the values, in any unit, that are finite in JAX's default dtype, as records
+    require."""
     with np.errstate(over="ignore"):
         return np.isfinite(np.asarray(values).astype(jnp.result_type(float)))
 
 
 def contents_of(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
-    """The path and the bytes of a file; `InputError` if there is none."""
+    """Return the path and the bytes of a file; `InputError` if there is no such file."""
     file = Path(path)
     if file.is_dir():
         raise InputError(f"{file}: is a folder; name the file in it.")

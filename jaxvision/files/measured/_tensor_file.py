@@ -1,9 +1,10 @@
-"""Tensor files: named arrays in one file.
+"""Read and write tensor files, which store named arrays in one file.
 
-The file begins with "tensor_file", a zero byte, version 1.0 in two bytes, and a little-endian
-uint32 count of fields. Each field has a uint16 length and the name, uint16 number of dimensions,
-uint8 type, uint64 offset from the file's start and uint64 per dimension. Source: the loader
-published with the RGL database, rgl.epfl.ch/materials.
+The file begins with "tensor_file", a zero byte, the version 1.0 in two bytes, and the number of
+fields as a little-endian uint32. Each field has the length of its name as uint16, the name, the
+number of dimensions as uint16, the type as uint8, the offset of its data from the start of the file
+as uint64, and its shape as a uint64 for each dimension. Source: the loader published with the RGL
+database, rgl.epfl.ch/materials.
 """
 
 import math
@@ -23,7 +24,7 @@ _MOST_DIMENSIONS = 8  # the database's fields have 5 at most
 
 
 def fields_in(file: Path, data: bytes) -> dict[str, np.ndarray]:
-    """The named arrays of a tensor file."""
+    """Read the named arrays of a tensor file."""
     cut = InputError(f"{file}: the file is cut short; copy it again from its source.")
     if len(data) < 14 and (_MAGIC.startswith(data) or data.startswith(_MAGIC)):
         raise cut
@@ -75,7 +76,7 @@ def fields_in(file: Path, data: bytes) -> dict[str, np.ndarray]:
 
 
 def tensor_file(arrays: dict[str, np.ndarray]) -> bytes:
-    """The bytes of a tensor file, with all headers before all data."""
+    """Return the bytes of a tensor file, with the headers of all fields before their data."""
     kinds = {np.dtype(name): number for number, name in _TYPES.items()}
     offset = len(_MAGIC + _VERSION) + 4
     offset += sum(2 + len(name.encode()) + 11 + 8 * x.ndim for name, x in arrays.items())

@@ -1,4 +1,4 @@
-"""The reader for a file of measured reflectance, by its suffix."""
+"""Choose the reader for a file of measured reflectance by its suffix."""
 
 import os
 from pathlib import Path

@@ -1,8 +1,8 @@
-"""Cornell goniometer files (`.brdf`): scattered spectral samples.
+"""Read and write Cornell goniometer files (`.brdf`), with spectral samples at scattered directions.
 
-Text; `#` starts a comment. The number of wavelengths n, the n wavelengths in nm, then one row per
-sample: theta_i phi_i theta_s phi_s in rad and n values of f_r in sr^-1. The mirror direction lies
-at phi_s = phi_i + pi.
+The files are text, and `#` starts a comment. First comes the number of wavelengths n, then the n
+wavelengths in nm. Each sample is a row with theta_i phi_i theta_s phi_s in rad and n values of f_r
+in sr^-1. The mirror direction lies at phi_s = phi_i + pi.
 
 Source:
     Cornell Program of Computer Graphics.
@@ -23,7 +23,7 @@ Row = tuple[int, list[float]]  # the number of its line, and its numbers
 
 
 def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
-    """Read the samples of a Cornell goniometer file, in the file's order.
+    """Read the samples of a Cornell goniometer file, in the order of the file.
 
     Args:
         path: the file.
@@ -45,7 +45,8 @@ def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
 
 
 def _rows_of_numbers(file: Path, data: bytes) -> list[Row]:
-    """The rows of a text file, without comments and empty lines."""
+    """Return the rows of numbers in a text file with their line numbers, without comments and empty
+    lines."""
     try:
         lines = data.decode("ascii").splitlines()
     except UnicodeDecodeError as error:
@@ -72,7 +73,7 @@ def _rows_of_numbers(file: Path, data: bytes) -> list[Row]:
 
 
 def _take_wavelengths(file: Path, rows: list[Row]) -> list[float]:
-    """The wavelengths in the header in nm, which are removed from the rows."""
+    """Remove the header from the rows, and return its wavelengths in nm."""
     if not rows or len(rows[0][1]) != 1 or rows[0][1][0] % 1 or rows[0][1][0] < 1:
         raise InputError(
             f"{file}: the first number must be the count of wavelengths, alone on its line; this "
@@ -119,7 +120,7 @@ def _check_samples(file: Path, rows: list[Row], *, bands: int) -> None:
 def write_cornell(
     path: str | os.PathLike[str], samples: BRDFSamples, *, description: str = ""
 ) -> None:
-    """Write samples in the Cornell layout, with 17 significant digits.
+    """Write samples as a Cornell goniometer file, with 17 significant digits.
 
     Args:
         path: the file.

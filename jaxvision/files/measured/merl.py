@@ -1,9 +1,10 @@
-"""MERL files (`.binary`): isotropic reflectance in RGB.
+"""Read and write MERL files (`.binary`), with isotropic reflectance in RGB.
 
-The file has three little-endian int32 n_h, n_d, n_p (90, 90, 180). Then follow n_h n_d n_p float64
-each for red, green and blue, with phi_d the fastest and theta_h the slowest index, over the bins of
-`brdf.half_difference`. Values times (1, 1.15, 1.66) / 1500 are f_r in sr^-1. Negative values mark
-bins that were not measured or lie below the surface.
+The file begins with three little-endian int32, the numbers of bins n_h, n_d, n_p (90, 90, 180).
+Then follow n_h n_d n_p float64 for each of red, green and blue, over the bins of
+`brdf.half_difference`; phi_d is the fastest index and theta_h the slowest. The values times (1,
+1.15, 1.66) / 1500, for red, green and blue, are f_r in sr^-1. Negative values mark bins that were
+not measured or lie below the surface.
 
 Source:
     The reader published with Matusik et al., "A Data-Driven Reflectance Model", 2003.
@@ -28,8 +29,8 @@ MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 
 
 def _nearest_valid(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """(bins..., bands) with every invalid bin replaced by the nearest valid one, with distance in
-    bins and periodic in phi_d."""
+    """Replace every invalid bin of values, (bins..., bands), by the nearest valid one. The distance
+    is counted in bins, and phi_d is periodic."""
     from scipy.ndimage import distance_transform_edt
 
     turn = valid.shape[2]
@@ -43,7 +44,7 @@ def _nearest_valid(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
 def read_merl(
     path: str | os.PathLike[str], *, invalid: Literal["nearest", "zero"] = "nearest"
 ) -> HalfDifferenceTable:
-    """Read the table of a MERL file.
+    """Read the BRDF table of a MERL file.
 
     Args:
         path: the file.
@@ -97,7 +98,7 @@ def read_merl(
 
 
 def _name_padding(file: Path, stored: np.ndarray) -> None:
-    """Warn of a colour that ends in zeros, as in a truncated file that was padded."""
+    """Warn if the bins of a colour end in zeros, as in a truncated file that was padded."""
     for colour, values in zip(("red", "green", "blue"), stored.reshape(3, -1), strict=True):
         ends = len(values) - 1 - int(np.max(np.flatnonzero(values), initial=-1))
         if _PADDED * len(values) < ends < len(values):
@@ -108,7 +109,7 @@ def _name_padding(file: Path, stored: np.ndarray) -> None:
 
 
 def write_merl(path: str | os.PathLike[str], table: HalfDifferenceTable) -> None:
-    """Write a table as a MERL file; no bin is marked as unmeasured.
+    """Write a BRDF table as a MERL file, in which no bin is marked as unmeasured.
 
     Args:
         path: the file.

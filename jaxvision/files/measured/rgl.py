@@ -1,8 +1,8 @@
-"""RGL files (`.bsdf`): a tensor file with one material, RGB or spectral.
+"""Read and write RGL files (`.bsdf`): tensor files with one material, RGB or spectral.
 
-Fields: theta_i (t,), phi_i (p,) in rad, ndf, sigma (rows, columns), vndf (p, t, rows, columns),
-luminance (p, t, n, n), jacobian (1,), and rgb (p, t, 3, n, n) or wavelengths (b,) in nm with
-spectra (p, t, b, n, n).
+The fields are theta_i (t,) and phi_i (p,) in rad, ndf and sigma (rows, columns), vndf (p, t, rows,
+columns), luminance (p, t, n, n), jacobian (1,), and the colours. These are rgb (p, t, 3, n, n), or
+wavelengths (b,) in nm and spectra (p, t, b, n, n).
 
 Source:
     Dupuy and Jakob 2018 and the loader published with the database, rgl.epfl.ch/materials.
@@ -22,7 +22,7 @@ from ._tensor_file import fields_in, tensor_file
 
 
 def read_rgl(path: str | os.PathLike[str]) -> RGL:
-    """Read the material of an RGL file, RGB or spectral.
+    """Read the RGB or spectral material of an RGL file.
 
     Args:
         path: the file.
@@ -74,8 +74,8 @@ def read_rgl(path: str | os.PathLike[str]) -> RGL:
 
 
 def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bool) -> int:
-    """The number of equal azimuth sectors in a full circle; `InputError` for values out of
-    range."""
+    """Return the number of equal azimuth sectors into which the material's symmetry divides a full
+    circle. `InputError` if values are out of range."""
     theta, phi = fields["theta_i"], fields["phi_i"]
     for name in ("theta_i", "phi_i"):
         if (np.diff(fields[name]) <= 0).any():
@@ -110,14 +110,14 @@ def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bo
 
 
 def _damaged(file: Path, name: str, fault: str) -> InputError:
-    """The error for a field whose values cannot be those of the database."""
+    """Return the error for a field whose values cannot come from the RGL database."""
     return InputError(f"{file}: field {name!r} {fault}; copy the file again.")
 
 
 def write_rgl(path: str | os.PathLike[str], material: RGL, *, description: str = "") -> None:
-    """Write a material as an RGL file, in float32 like the database.
+    """Write a material as an RGL file, in float32 like the files of the database.
 
-    Densities are written normalised; readers normalise them anyway.
+    Probability densities are written normalised; readers normalise them in any case.
 
     Args:
         path: the file.

@@ -1,4 +1,4 @@
-"""A table for rendering from samples scattered over pairs of directions."""
+"""Interpolate a BRDF table for rendering from samples at scattered pairs of directions."""
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +11,13 @@ from ...brdf.measured import BRDFSamples, sample_directions
 def table_of_samples(
     samples: BRDFSamples, *, shape: tuple[int, int, int] = (45, 30, 24), floor: float = 1e-3
 ) -> HalfDifferenceTable:
-    """A continuous, reciprocal, mirror-symmetric BRDF through scattered isotropic samples.
+    """Fit a continuous, reciprocal and mirror-symmetric BRDF to scattered isotropic samples, and
+    tabulate it in bins.
 
-    log(f_r + floor) is interpolated by radial basis functions (kernel r) over half and difference
-    angles, in which a narrow lobe stays at the same angles as `wi` moves, and tabulated in bins.
-    For the Cornell paints, with one of eight incidence angles left out, the error is 1.5 to 10
-    times smaller than with linear interpolation over the angles of both directions.
+    log(f_r + floor) is interpolated by radial basis functions with the kernel r. Its variables are
+    half and difference angles, in which a narrow lobe does not move with `wi`. If one of eight
+    incidence angles of the Cornell paints is omitted, the error at this angle is 1.5 to 10 times
+    smaller than by linear interpolation over the angles of both directions.
 
     Args:
         samples: samples of f_r in sr^-1.

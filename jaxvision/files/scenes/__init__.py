@@ -1,9 +1,9 @@
 """Scene files: TOML with lights, surfaces, materials and a camera, read as records; and scenes of
 Mitsuba and glTF (`mitsuba` and `gltf` list the supported parts).
 
-`tables` and `schema` define the contents of a file. Reading is eager. Every mistake is an
-`InputError` of one sentence that names the file and the object. Shipped scenes are read by their
-names.
+`tables` and `schema` define the contents of a scene file. Reading is eager. Every mistake raises an
+`InputError` with a message of one sentence that names the file and the object. Shipped scenes are
+read by their names instead of a path.
 """
 
 import hashlib
@@ -76,7 +76,7 @@ class SceneFile:
         return f"{self.path.name}: {', '.join(held)}"
 
     def _repr_html_(self) -> str:
-        """The table of surfaces and lights, by name, for a notebook."""
+        """Return the HTML table of all surfaces and lights that a notebook shows."""
         surfaces = zip(self.surfaces, self.scene.surfaces, strict=True)
         rows = [(name, type(s.shape).__name__, type(s.material).__name__) for name, s in surfaces]
         lights = zip(self.lights, self.scene.lights, strict=True)
@@ -85,7 +85,7 @@ class SceneFile:
 
 
 def shipped_scenes() -> list[str]:
-    """Names of the scenes that come with the library.
+    """List the names of the scenes that come with the library.
 
     Returns:
         The names, sorted.
@@ -98,7 +98,7 @@ def shipped_scenes() -> list[str]:
 
 
 def read_scene(path: str | os.PathLike[str]) -> SceneFile:
-    """Read and check a scene file, or a shipped scene by its name.
+    """Read and check a scene file, or a shipped scene given by its name.
 
     Args:
         path: the file, TOML, Mitsuba's XML or glTF, or one of `shipped_scenes`.
@@ -184,7 +184,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
 
 
 def _content(file: Path) -> dict[str, Any]:
-    """The tables of a TOML file, or the equivalent of a Mitsuba or glTF scene."""
+    """Read the tables of a TOML file, or convert a Mitsuba or glTF scene to such tables."""
     suffix = file.suffix.lower()
     if suffix not in (".xml", *GLTF):
         return read_toml(file, "scene")
@@ -203,7 +203,7 @@ def _digest(*records: object) -> str:
 
 
 def _names(kind: str, entries) -> tuple[str, ...]:
-    """The names of the entries in messages: their own, or their position in the file."""
+    """Return the name of each entry for messages: its own name, or its position in the file."""
     return tuple(
         f'{kind} "{entry["name"]}"' if isinstance(entry.get("name"), str) else f"{kind}[{i}]"
         for i, entry in enumerate(entries, 1)
@@ -218,7 +218,7 @@ def _check_rounding(
     rounded: tuple[Scene, View],
 ) -> None:
     """Raise `InputError` for the first object that the dtype of the rendering cannot represent, and
-    a warning of objects that it represents coarsely.
+    warn of objects that it represents only coarsely.
     """
     (scene, view), (kept, kept_view) = exact, rounded
     objects = [
@@ -240,7 +240,7 @@ def _check_rounding(
 
 @contextmanager
 def _naming(file: Path, name: str) -> Iterator[None]:
-    """Add the file and the object to the message of an error or a warning."""
+    """Add the file and the object to the messages of errors and warnings in a `with` block."""
     where = f"{file}: {name}: " if name else f"{file}: "
     try:
         with warnings.catch_warnings(record=True) as caught:

@@ -1,17 +1,18 @@
-"""Spectra of a scene file, reduced to the bands in which the scene is rendered.
+"""Reduce the spectra of a scene file to the bands in which the scene is rendered.
 
-A table is linear between its wavelengths. Beyond them a reflectance keeps its end value and a light
-is 0.
+A tabulated spectrum is linear between its wavelengths. Beyond the table, a reflectance keeps its
+end value, and a light is 0.
 
-With wavelengths, a band of a reflectance is the value at its wavelength. A band of light reaches
-half-way to its neighbours. If the table has further wavelengths within the band, the value is the
-mean over the part that the table covers, so that no line of a lamp is lost between the bands.
-Otherwise it is the value at the wavelength.
+If the scene has wavelengths, a band of a reflectance is its value at the band's wavelength. A band
+of light extends half-way to the neighbouring bands. If the table has further wavelengths within the
+band, the value is the mean over the part of the band that the table covers. No line of a lamp is
+then lost between the bands. Otherwise the value is that at the band's wavelength.
 
-Without wavelengths, three bands are linear sRGB. For a reflectance they are its colour under D65,
-with 1 for perfect white. For light they are the integral of S(lambda) xyz(lambda) over the integral
-of y(lambda), so that a flat spectrum of 1 has Y = 1. Colours outside the sRGB gamut are clipped at
-0. Colours of a reflectance of at most 1 are clipped at 1 too, and a warning says so.
+If the scene has no wavelengths, three bands are linear sRGB. For a reflectance, these are its
+colour under D65, where a perfect white has 1. For light, they are the integral of S(lambda)
+xyz(lambda) divided by the integral of y(lambda), where S is the spectrum and x, y and z are the
+colour-matching functions. A flat spectrum of 1 then has Y = 1. Colours outside the sRGB gamut are
+clipped at 0. If a reflectance is at most 1, its colour is also clipped at 1, and a warning says so.
 """
 
 from collections.abc import Mapping
@@ -47,7 +48,8 @@ _ROUNDING = 1e-3  # white is up to 1.0002 in linear sRGB, whose matrix is rounde
 
 @dataclass(frozen=True, kw_only=True)
 class Tabulated:
-    """A spectrum by its wavelengths or by name, reduced to the bands of the scene.
+    """A spectrum that is given by wavelengths or by a name, before it is reduced to the bands of
+    the scene.
 
     Exactly one of `pairs`, `file`, `illuminant`, `patch` and `blackbody` is given.
 
@@ -94,7 +96,8 @@ Spectrum = np.ndarray | Tabulated
 
 
 def spectrum_of(reading: Reading, where: str, value: Any) -> Spectrum:
-    """Read a spectrum from its entry in a file. Raises `InputError` for other entries."""
+    """Read a spectrum from the value of a key in a scene file. `InputError` is raised for other
+    values."""
     if isinstance(value, Mapping):
         return record_of(reading, where, Tabulated, value)
     return value_of(reading, where, Annotated[Float[Array, "..."], NOT_NEGATIVE], value)
@@ -102,7 +105,7 @@ def spectrum_of(reading: Reading, where: str, value: Any) -> Spectrum:
 
 @dataclass(frozen=True)
 class Bands:
-    """The bands of a scene.
+    """The number of bands of a scene, and their wavelengths if it has any.
 
     Attributes:
         count: number of bands.
@@ -114,7 +117,7 @@ class Bands:
 
 
 def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) -> Bands:
-    """The bands of a scene file, 3 by default; a list or a grid of wavelengths is in nm.
+    """Make the bands of a scene file, 3 by default. A list or a grid of wavelengths is in nm.
     `InputError` for wavelengths that do not ascend, or that seem to be in another unit."""
     if wavelengths is None:
         return Bands(3 if count is None else count)
@@ -133,8 +136,8 @@ def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) ->
 def band_values(
     spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quantity
 ) -> np.ndarray:
-    """Return a spectrum of a scene file, reflectance or light in its unit, in the scene's bands,
-    (bands,); `InputError` for another number of values, and an unknown table."""
+    """Convert a spectrum of a scene file to the bands of the scene, (bands,), in its own unit.
+    `InputError` for another number of values, and for an unknown table."""
     if isinstance(spectrum, Tabulated):
         return _reduce(spectrum, bands, folder, quantity)
     values = np.atleast_1d(np.asarray(spectrum, float))
@@ -147,8 +150,9 @@ def band_values(
 
 
 def reduction(known: np.ndarray, bands: Bands, *, quantity: Quantity) -> np.ndarray:
-    """Matrix, (known, bands), no unit, from a spectrum at ascending wavelengths, m, to the bands of
-    the scene, before clipping; `InputError` where no wavelength of the scene lies within them."""
+    """Return the matrix, (known, bands), no unit, that converts a spectrum at ascending
+    wavelengths, in m, to the bands of the scene, before clipping. `InputError` if no wavelength of
+    the scene lies within them."""
     nm, wanted = known * 1e9, _samples(bands) * 1e9
     half = np.diff(wanted) / 2
     edges = np.r_[wanted[0] - half[0], wanted[:-1] + half, wanted[-1] + half[-1]]
@@ -177,8 +181,9 @@ def reduction(known: np.ndarray, bands: Bands, *, quantity: Quantity) -> np.ndar
 def _integrals(
     known: np.ndarray, grid: np.ndarray, density: np.ndarray, covered: np.ndarray
 ) -> np.ndarray:
-    """(known, bands): the integrals of a spectrum times a density for each band, over a grid. Both
-    are linear between their wavelengths and 0 beyond them."""
+    """Return the matrix, (known, bands), that integrates a spectrum times a density for each band,
+    over a grid of wavelengths. The spectrum and the density are linear between their wavelengths
+    and 0 beyond them."""
     points = np.concatenate([grid, known[(known > grid[0]) & (known < grid[-1])]])
     points = np.unique(points[(points >= covered[0]) & (points <= covered[1])])
     at = np.stack([np.interp(points, grid, one) for one in density.T], axis=-1)
@@ -189,8 +194,8 @@ def _integrals(
 
 
 def _shares(known: np.ndarray, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(known, bands): the sums over points of weights, (points, bands), times a spectrum at the
-    points."""
+    """Return the matrix, (known, bands), that sums an interpolated spectrum times weights, (points,
+    bands), over the points."""
     above = np.clip(np.searchsorted(known, points, side="right"), 1, max(len(known) - 1, 1))
     below, above = above - 1, np.minimum(above, len(known) - 1)
     t = np.clip((points - known[below]) / np.maximum(known[above] - known[below], 1e-300), 0, 1)
@@ -225,8 +230,8 @@ def _reduce(spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quantit
 def _table_of(
     spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quantity
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Wavelengths, m, and values of a tabulated spectrum: pairs, a file, or a CIE lamp without a
-    formula."""
+    """Return the wavelengths, in m, and the values of a spectrum given by pairs, by a file, or by a
+    tabulated CIE illuminant; None for a spectrum given by a formula or a chart."""
     if spectrum.pairs is not None:
         nanometres, values = np.asarray(spectrum.pairs, float).T
         return nanometres * 1e-9, values
@@ -252,8 +257,8 @@ def _table_of(
 
 
 def _samples(bands: Bands) -> np.ndarray:
-    """The wavelengths in m at which spectra are evaluated: those of the bands, or the visible
-    range."""
+    """Return the wavelengths, in m, at which spectra are evaluated: those of the bands, or the
+    visible range for RGB."""
     if bands.wavelengths is not None:
         return bands.wavelengths
     if bands.count != 3:
@@ -265,8 +270,8 @@ def _samples(bands: Bands) -> np.ndarray:
 
 
 def colours_of(wavelengths: np.ndarray, quantity: Quantity) -> np.ndarray:
-    """Linear sRGB, (wavelengths, 3), relative, of a reflectance or light that is 1 at one
-    wavelength, m, and 0 at the others."""
+    """Compute the linear sRGB colour, (wavelengths, 3), relative, of a reflectance or a light that
+    is 1 at one wavelength, in m, and 0 at the others."""
     grid, each = jnp.asarray(wavelengths), jnp.eye(len(wavelengths))
     observer = colour_data.observer(grid)
     if quantity == "reflectance":
@@ -278,7 +283,7 @@ def colours_of(wavelengths: np.ndarray, quantity: Quantity) -> np.ndarray:
 
 
 def _library_spectrum(spectrum: Tabulated, wavelengths: np.ndarray) -> np.ndarray:
-    """The spectrum for a name or a temperature at these wavelengths in m."""
+    """Evaluate a spectrum that is given by a name or a temperature, at wavelengths in m."""
     grid = jnp.asarray(wavelengths)
     if spectrum.illuminant is not None:
         return np.asarray(colour_data.illuminant(spectrum.illuminant, grid))

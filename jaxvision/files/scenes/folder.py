@@ -1,4 +1,4 @@
-"""Files of a scene, with paths relative to the scene file."""
+"""Find the files that a scene file names, by paths relative to the scene file."""
 
 from pathlib import Path
 
@@ -6,18 +6,18 @@ from ...errors import InputError, plain_text
 
 
 class Folder:
-    """The folder to which the paths of a scene file are relative."""
+    """The folder of a scene file, from which its relative paths start."""
 
     def __init__(self, scene_file: Path) -> None:
         self._start = scene_file.parent
 
     def file(self, name: str) -> Path:
-        """The file of that name; `InputError` if there is none."""
+        """Return the path of the file with that name; `InputError` if there is none."""
         path = self._start / name
         if not path.is_file():
             raise InputError(f"{path}: no such file; paths start at the folder of the scene file.")
         return path
 
     def text(self, name: str) -> str:
-        """The content of a text file; `InputError` if it is not text."""
+        """Return the content of a text file; `InputError` if it is not text."""
         return plain_text(self.file(name))

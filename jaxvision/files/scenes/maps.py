@@ -1,11 +1,12 @@
-"""Maps of a scene file: pictures, or texels in the file itself, in place of numbers of a material.
+"""Make maps of a scene file, which take the place of constant numbers of a material. A map is a
+picture, or texels in the file itself.
 
     albedo = { map = "wood.png" }
     roughness = { map = "worn.png", channel = 1, scale = 0.5, uv = [[4, 0, 0], [0, 4, 0]] }
     specular = { texels = [[0.1, 0.3], [0.3, 0.1]], wrap = "clamp" }
 
-Integer pictures are sRGB if they replace spectra, and linear fractions of the largest code if they
-replace other numbers; floating pictures are linear.
+Integer pictures are decoded from sRGB if they replace a spectrum, and are linear fractions of the
+largest code if they replace other numbers. Floating-point pictures are linear.
 """
 
 from typing import Annotated, Any, Literal
@@ -38,9 +39,10 @@ def make_map(
     uv: Float[np.ndarray, "2 affine"] | None = None,
     wrap: Literal["repeat", "clamp"] = "repeat",
 ) -> Map:
-    """A map from its keys in a scene file, in the unit of its key: of a picture, `encoding` and
-    `channel` (from 0; by default all, or the luminance for a number); `InputError` for channels
-    that do not fit."""
+    """Make a map from its keys in a scene file, in the unit of the number that it replaces. For a
+    picture, the keys include `encoding` and `channel`, counted from 0; by default all channels are
+    used, or their luminance if the map replaces one number. `InputError` for channels that do not
+    fit."""
     if (map is None) == (texels is None):
         raise InputError("give either map, the name of a picture, or texels.")
     if map is not None:

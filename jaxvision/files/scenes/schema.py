@@ -1,9 +1,10 @@
-"""A scene file as a whole, and `[render]`.
+"""Models of a whole scene file and of its table `[render]`.
 
-A scene file is TOML. Lengths are metres, angles degrees, radiance W m^-2 sr^-1; paths are relative
-to the file. Most scenes need `[camera]`, `[[surface]]` and `[material.NAME]`; `[[light]]`,
-`[ambient]`, `[render]` and `wavelengths` are optional. `tables` reads each kind of table. A number
-has the same meaning as the field of that name in the record (`Pinhole`, `Quad`, `Lambert`, ...).
+A scene file is written in TOML. Lengths are in metres, angles in degrees, and radiance in W m^-2
+sr^-1. Paths are relative to the scene file. Most scenes need `[camera]`, `[[surface]]` and
+`[material.NAME]`; `[[light]]`, `[ambient]`, `[render]` and `wavelengths` are optional. `tables`
+reads each kind of table. A number has the same meaning as the field of that name in the record
+(`Pinhole`, `Quad`, `Lambert`, ...).
 """
 
 from collections.abc import Mapping
@@ -36,7 +37,7 @@ _IDLE = {
 
 
 class RenderEntry(Entry):
-    """The default rendering of the scene, which the command's options override.
+    """The settings with which a scene is rendered, unless options of the command override them.
 
     Attributes:
         integrator: "direct" sums over the lights; "path" adds reflected light; "rays" follows
@@ -80,13 +81,13 @@ class RenderEntry(Entry):
 
 
 def idle(integrator: str, given: Mapping[str, Any]) -> list[str]:
-    """The given settings (not None) that an integrator does not use."""
+    """Return the names of the given settings (not None) that an integrator does not use."""
     return [name for name in _IDLE[integrator] if given.get(name) is not None]
 
 
 def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]:
-    """The materials and the keys of `[render]` in a file that change no picture, one sentence each
-    without its full stop; `entry` is the checked content."""
+    """Describe the materials and the keys of `[render]` in a file that do not change the picture,
+    in one sentence each, without a full stop. `entry` is the checked content."""
     integrator = entry.render.integrator
     given = content.get("render", {})
     used = {surface.get("material") for surface in entry.surface}
@@ -100,9 +101,9 @@ def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]
 
 
 def override_settings(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:
-    """The settings of a file, overridden by the given ones (not None). Samples and depth of the
-    file apply to the file's integrator only. `InputError` for a wrong value, or one of another
-    integrator.
+    """Return the settings of a file, overridden by the given ones that are not None. The samples
+    and depth of the file are used only with the file's own integrator. `InputError` for a wrong
+    value, and for a setting of another integrator.
     """
     given = {name: value for name, value in given.items() if value is not None}
     kept = settings.model_dump()

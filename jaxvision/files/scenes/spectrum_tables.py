@@ -1,7 +1,8 @@
-"""Spectra in CSV files: the columns of wavelengths and values, and their units.
+"""Read spectra from CSV files: find the columns of wavelengths and values, and their units, from
+the headers.
 
-The headers state them. Ambiguous headers are refused by name, because a wrong column or unit would
-give plausible but wrong numbers.
+The headers state them. Ambiguous headers are refused, because a wrong column or unit would give
+plausible but wrong numbers.
 """
 
 import csv
@@ -45,9 +46,9 @@ _NO_LENGTH = {"hz", "thz", "ev", "frequency", "energy"}
 
 
 def read_table(file: Path, column: str | None, quantity: str) -> tuple[np.ndarray, np.ndarray]:
-    """Wavelengths, (n,) m, ascending, and values, (n,) in the file's unit, of a column of a CSV.
-    The default is the only column that is a spectrum, or that is named after the quantity.
-    `InputError` where column or unit are ambiguous."""
+    """Read the wavelengths, (n,) m, ascending, and the values, (n,) in the file's unit, of a column
+    of a CSV file. By default it is the only column that is a spectrum, or the only one that is
+    named after the quantity. `InputError` if the column or its unit is ambiguous."""
     lines = plain_text(file).splitlines()
     first = next((n for n, line in enumerate(lines) if line.strip()[:1] not in ("", "#")), None)
     heads = [] if first is None else _cells(lines[first])
@@ -108,12 +109,13 @@ def _is_number(cell: str) -> bool:
 
 
 def _words(head: str) -> set[str]:
-    """The words of a header in lower case: wavelength and um for "Wavelength_um"."""
+    """Split a header into its words in lower case: "Wavelength_um" gives wavelength and um."""
     return set(re.findall(r"[^\W\d_]+", head.lower())) or {""}
 
 
 def _along(file: Path, heads: list[str]) -> int:
-    """The column of the wavelengths: the first with such a name, or else the first."""
+    """Return the index of the column of wavelengths: the first whose header names wavelengths or
+    their unit, or else the first column."""
     sure = [set() if _words(head) & _UNCERTAINTY else _words(head) for head in heads]
     units = set(_METRES) | _NO_LENGTH
     named = [n for n, words in enumerate(sure) if words & _WAVELENGTH]
@@ -127,7 +129,8 @@ def _along(file: Path, heads: list[str]) -> int:
 
 
 def _only(file: Path, others: list[str], quantity: str) -> str:
-    """The column of the values, if it is unambiguous."""
+    """Return the header of the only column of values; `InputError` if several columns could be
+    meant."""
     left = [h for h in others if not (_words(h) <= _INDEX or _words(h) & _UNCERTAINTY)]
     named = [h for h in left if _words(h) & _VALUES[quantity]]
     chosen = left if len(left) == 1 else named

@@ -1,9 +1,9 @@
-"""The tables of a scene file as records.
+"""Convert the tables of a scene file to records.
 
-A table corresponds to a call. Its keys are the fields of a record, or the arguments of the function
-that makes the record, with the same meaning. Lights and materials register their tables by
-`register`. The tables of shapes and cameras are below. Lengths are in m, angles in degrees,
-radiance in W m^-2 sr^-1.
+A table corresponds to a function call. Its keys are the fields of a record, or the arguments of the
+function that makes the record, and have the same meaning. The types of lights and materials
+register their tables by `register`. The tables of shapes and cameras are defined in this module.
+Lengths are in m, angles in degrees, and radiance in W m^-2 sr^-1.
 """
 
 from collections.abc import Callable, Mapping
@@ -76,7 +76,8 @@ def _mesh(
     flip: bool = False,
     primitive: tuple[Whole, Whole] | None = None,
 ) -> Shape:
-    """Triangles from a file. Points are scaled, then rotated, then moved; or mapped by `matrix`."""
+    """Triangles from a file. Vertices are scaled, then rotated, then moved; or they are mapped by
+    `matrix`."""
     placed = {"scale": scale, "rotation": rotation, "position": position}
     placed = {name: value for name, value in placed.items() if value is not None}
     if matrix is not None and placed:
@@ -105,7 +106,7 @@ def beside_shape(
     two_sided: bool = False,
     normals: Map | None = None,
 ) -> dict[str, Any]:
-    """The keys of a table `[[surface]]` in addition to its shape."""
+    """Check the keys that every table `[[surface]]` has, whatever its shape."""
     if material is None and emission is None:
         raise InputError("give a material, an emission or both.")
     given = {"material": material, "emission": emission, "two_sided": two_sided}
@@ -122,7 +123,7 @@ def beside_camera(
     up: Point = (0.0, 0.0, 1.0),  # type: ignore[assignment]
     resolution: tuple[Count, Count],
 ) -> dict[str, Any]:
-    """The keys of a table `[camera]` of any kind."""
+    """Convert the keys that every table `[camera]` has, whatever its kind."""
     forward = np.subtract(target, position)
     if not forward.any():
         raise InputError("position and target are one point; move one of them.")
@@ -148,8 +149,8 @@ def _pinhole(
     distortion: Float[np.ndarray, " coefficients"] | None = None,
     **placed: Any,
 ) -> Pinhole:
-    """Central projection, with `field_of_view`, or `focal_length` and `pixel_pitch`, or the
-    `matrix` of an OpenCV calibration.
+    """Central projection. The field of view is given by `field_of_view`, by `focal_length` and
+    `pixel_pitch`, or by the `matrix` of an OpenCV calibration.
     """
     sizes = (focal_length, pixel_pitch)
     if matrix is not None:
@@ -179,7 +180,7 @@ def _thin_lens(
     blades: Count | None = None,
     **placed: Any,
 ) -> ThinLens:
-    """Central projection through a lens."""
+    """Central projection through a thin lens."""
     return ThinLens(
         focal_length=focal_length,
         pixel_pitch=pixel_pitch,
@@ -202,22 +203,22 @@ VIEWS: dict[str, Callable[..., View]] = {
 
 
 def beside_light(*, name: str | None = None) -> None:
-    """The keys of a table `[[light]]` of any kind."""
+    """Define the keys that every table `[[light]]` has, whatever its kind."""
 
 
 def light_tables() -> dict[str, Table]:
-    """The tables of all registered lights, by their `kind`."""
+    """Return the tables of all registered lights, by the value of their key `kind`."""
     return _tables_by_word("lights", kinds())
 
 
 def material_tables() -> dict[str, Table]:
-    """The tables of all registered materials, by their `family`."""
+    """Return the tables of all registered materials, by the value of their key `family`."""
     return _tables_by_word("materials", families())
 
 
 def _tables_by_word(things: str, registered: Mapping[type, Any]) -> dict[str, Table]:
-    """The tables by their word. A class that is defined again replaces itself; two classes may not
-    share a word."""
+    """Return tables by the word that names them in a scene file. If a class is defined again, its
+    new definition replaces the old one; two different classes may not have the same word."""
     found: dict[str, Table] = {}
     tables: list[Table | None] = [own.table for own in registered.values()]
     for table in tables:
@@ -238,8 +239,8 @@ def _name_of(record: type) -> str:
 
 
 def keys_of_kind(table: Table) -> dict[str, Key]:
-    """Return the keys of a light or a material. A material with `diffuse` takes `albedo`
-    instead."""
+    """Return the keys in the table of a light or a material. A material with the field `diffuse`
+    also accepts `albedo` in its place."""
     keys = keys_of(table.make, record=table.record)
     if "diffuse" not in keys or not issubclass(table.record, Material):
         return keys
@@ -251,7 +252,8 @@ def keys_of_kind(table: Table) -> dict[str, Key]:
 
 
 def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> Reading:
-    """The settings for reading the tables of a scene file, with spectra of that quantity."""
+    """Return the settings for reading the tables of a scene file, in which spectra are of the given
+    quantity."""
 
     def typed(hint: Any, where: str, value: Any) -> Any:
         if isinstance(value, Mapping) and {"map", "texels"} & set(value):
@@ -273,7 +275,7 @@ def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> R
 def _map_of(
     reading: Reading, bands: Bands, folder: Folder, hint: Any, where: str, value: Mapping[str, Any]
 ) -> Map:
-    """The map of a key whose value is of that type."""
+    """Make the map for a key whose value, of the type `hint`, varies over the surface."""
     stands_for = "spectrum" if hint == Colour else "normal" if hint is Map else "number"
     texels = {name: own for name, own in value.items() if name == "texels"}
     rest = {name: own for name, own in value.items() if name != "texels"}
@@ -282,7 +284,7 @@ def _map_of(
 
 
 def light_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Light:
-    """The light of a table `[[light]]`; `InputError` for an invalid one."""
+    """Make the light of a table `[[light]]`; `InputError` if the table is invalid."""
     word, rest = _word(reading, where, "kind", entry, light_tables())
     table = light_tables()[word]
     keys = keys_of(beside_light) | keys_of_kind(table)
@@ -291,7 +293,7 @@ def light_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Light:
 
 
 def material_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Material:
-    """The material of a table `[material.NAME]`; `InputError` for an invalid one."""
+    """Make the material of a table `[material.NAME]`; `InputError` if the table is invalid."""
     word, rest = _word(reading, where, "family", entry, material_tables())
     table = material_tables()[word]
     keys = keys_of_kind(table)
@@ -324,9 +326,9 @@ def surface_of(
     *,
     mapped: Callable[[Any], bool],
 ) -> tuple[Shape, dict[str, Any]]:
-    """Return the shape of the table `[[surface]]` at `where`, with texture coordinates for a
-    material or normals that are `mapped`, and the keys beside it; `InputError` for an invalid
-    one."""
+    """Return the shape of the table `[[surface]]` at `where`, and the values of its other keys. A
+    mesh has texture coordinates if its material is `mapped` or it has a map of normals.
+    `InputError` if the table is invalid."""
     word, rest = _word(reading, where, "shape", entry, SHAPES)
     make, beside = SHAPES[word], keys_of(beside_shape)
     values = _values(reading, where, beside | keys_of(make), rest)
@@ -338,7 +340,7 @@ def surface_of(
 
 
 def view_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> View:
-    """The view of the table `[camera]`; `InputError` for an invalid one."""
+    """Make the view of the table `[camera]`; `InputError` if the table is invalid."""
     word, rest = _word(reading, where, "kind", entry, VIEWS)
     make, beside = VIEWS[word], keys_of(beside_camera)
     values = _values(reading, where, beside | keys_of(make), rest)
@@ -349,7 +351,7 @@ def view_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> View:
 def _word(
     reading: Reading, where: str, key: str, entry: Mapping[str, Any], known: Mapping[str, Any]
 ) -> tuple[str, dict[str, Any]]:
-    """Return the word that gives the kind of a table, and its other keys."""
+    """Return the word that names the type of a table, and the other keys of the table."""
     rest = dict(entry)
     if key not in rest:
         raise reading.wrong(f"{where}: {key} is missing; add it.")
@@ -359,7 +361,7 @@ def _word(
 def _values(
     reading: Reading, where: str, keys: Mapping[str, Key], entry: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The values of a table, with default spectra."""
+    """Return the values of a table, including spectra that have a default."""
     usual = {
         name: key.default
         for name, key in keys.items()
@@ -369,7 +371,7 @@ def _values(
 
 
 def _picture(folder: Folder, name: str, bands: Bands) -> np.ndarray:
-    """(h, w, bands) W m^-2 sr^-1 of a picture of the sky."""
+    """Read a picture of the sky, (h, w, bands) W m^-2 sr^-1."""
     picture = read_environment(folder.file(name))
     if picture.shape[2] != bands.count:
         raise InputError(
@@ -380,7 +382,7 @@ def _picture(folder: Folder, name: str, bands: Bands) -> np.ndarray:
 
 
 def _measured(folder: Folder, name: str, bands: Bands) -> Material:
-    """The table of a measured BRDF in the bands of the scene."""
+    """Read a measured BRDF as a table in the bands of the scene."""
     file = folder.file(name)
     found = read_measured(file)
     table: Any = found if isinstance(found, Material) else table_of_samples(found)

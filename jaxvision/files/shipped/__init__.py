@@ -1,6 +1,6 @@
-"""Scene and camera files by path, or by name if they come with the package.
+"""Find scene and camera files by their path, or by their name if they come with the package.
 
-No numerical library is loaded here, so a wrong path is reported immediately.
+This module loads no numerical library, so that a wrong path is reported immediately.
 """
 
 import os
@@ -15,12 +15,13 @@ Kind = Literal["scene", "camera"]
 
 
 def shipped_files(kind: Kind) -> tuple[str, ...]:
-    """Names of the files that come with the package, sorted."""
+    """List the names of the scenes or cameras that come with the package, sorted."""
     return tuple(sorted(file.stem for file in _folder(kind).glob("*.toml")))
 
 
 def existing_file(path: str | os.PathLike[str], kind: Kind) -> Path:
-    """The existing file for a path or name; `InputError` without one."""
+    """Return the path of an existing file, given by its path or name; `InputError` if there is
+    none."""
     file, known = Path(path), shipped_files(kind)
     if file.is_file():
         return file

@@ -1,4 +1,5 @@
-"""Scenes of glTF 2.0 (`.gltf`, `.glb`): the parts that have a counterpart here.
+"""Read scenes of glTF 2.0 (`.gltf`, `.glb`), as far as their parts have a counterpart in this
+library.
 
     meshes      triangles, with their normals; every node that shows one
     materials   metallic-roughness with factors, KHR_materials_ior, KHR_materials_emissive_strength,
@@ -8,10 +9,11 @@
     lights      point, directional and spot, of KHR_lights_punctual
     cameras     perspective and orthographic
 
-glTF measures light in candela, lux and cd m^-2. Here 683 lumens are 1 W. Blender writes lamps in
-these units in its lighting mode "Standard", but not emissive meshes. A warning names a file with
-both. Colours are linear sRGB. Unsupported parts are refused by name and never dropped. A warning
-names small differences.
+glTF measures light in candela, lux and cd m^-2. This library uses watts instead of lumens, at 683
+lm for 1 W. In its lighting mode "Standard", Blender writes lamps in these units, but not emissive
+meshes. A warning is given for a file with both. Colours are linear sRGB. A part that is not
+supported is never dropped; the file is refused, and the message names the part. If a part is
+rendered slightly differently, a warning says so.
 """
 
 from collections.abc import Iterator
@@ -42,8 +44,8 @@ _UNREAD = ("COLOR_", "JOINTS_", "WEIGHTS_")  # attributes that change the pictur
 
 
 def scene_of(file: Path) -> dict[str, Any]:
-    """The tables of a TOML scene file, by name, with the content of a `.gltf` or `.glb`;
-    `InputError` for the first unsupported or wrong part."""
+    """Convert a `.gltf` or `.glb` file to the tables, by name, of a TOML scene file. `InputError`
+    for the first part that is wrong or not supported."""
     whole = read_gltf(file)
     content = content_of(file, whole.content)
     for name in content.extensionsRequired or ():
@@ -93,7 +95,8 @@ def _item(items: tuple, index: int, label: str):
 
 
 def _light(light: Light, to_world: np.ndarray) -> dict[str, Any]:
-    """A light at its node; one with a direction shines along the node's -z."""
+    """Convert a light at the position of its node. A light with a direction shines along the node's
+    -z."""
     if light.type not in ("point", "directional", "spot"):
         raise InputError(
             f"a light of type {light.type!r} is not read, only 'point', 'directional' and 'spot'; "
@@ -116,7 +119,7 @@ def _light(light: Light, to_world: np.ndarray) -> dict[str, Any]:
 
 
 def _camera(camera: Camera, to_world: np.ndarray, label: str) -> dict[str, Any]:
-    """A camera at its node: it looks along -z, y up."""
+    """Convert a camera at the position of its node. It looks along -z, with y up."""
     if np.linalg.det(to_world[:3, :3]) <= 0:
         raise InputError(f"{label}: mirrors or flattens its camera; correct its scale.")
     position = to_world[:3, 3]
@@ -149,7 +152,7 @@ def _surfaces(
     label: str,
     materials: dict[str, Any],
 ) -> list[dict[str, Any]]:
-    """A surface for each primitive of a mesh."""
+    """Convert each primitive of a mesh to a surface."""
     made = []
     for number, part in enumerate(_item(content.meshes, index, label).primitives):
         unread = [name for name in part.attributes if name.startswith(_UNREAD)]
@@ -182,8 +185,9 @@ def _surfaces(
 
 
 def placed_nodes(path: Path, content: Content) -> Iterator[tuple[str, Node, np.ndarray]]:
-    """The nodes of the file's scene, parents first: name, node, and its (4, 4) map of column points
-    to the world. `InputError` for a missing node, or one that is reached twice."""
+    """Yield the nodes of the file's scene, parents first: the name, the node, and the matrix, (4,
+    4), that maps its points, as columns, to the world. `InputError` for a missing node, or for one
+    that is reached twice."""
     if not content.scenes:
         raise InputError("has no scene; export it again.")
     if content.scene >= len(content.scenes):
@@ -202,7 +206,7 @@ def placed_nodes(path: Path, content: Content) -> Iterator[tuple[str, Node, np.n
 
 
 def _local(node: Node) -> np.ndarray:
-    """(4, 4): scale, then rotation, then translation."""
+    """Return the matrix of a node, (4, 4), which scales, then rotates, then translates."""
     if node.matrix is not None:
         return np.reshape(node.matrix, (4, 4)).T
     x, y, z, w = np.array(node.rotation) / np.linalg.norm(node.rotation)

@@ -1,4 +1,5 @@
-"""The supported part of glTF's JSON, as models: a missing key has no exact counterpart."""
+"""Models of the supported part of glTF's JSON. A key that is missing here has no exact counterpart
+in this library, and is refused."""
 
 import math
 from collections.abc import Mapping
@@ -15,14 +16,14 @@ Colour = tuple[Share, Share, Share]
 
 
 class Named(Entry):
-    """The common fields of glTF objects; `extras` are data of other programs."""
+    """The fields that all glTF objects share; `extras` are data of other programs."""
 
     name: str | None = None
     extras: Any = None
 
 
 class Perspective(Named):
-    """A camera of central projection; angles in rad."""
+    """A camera with central projection; angles in rad."""
 
     yfov: Annotated[float, Field(strict=True, gt=0, lt=3.1415926)]
     aspectRatio: Positive | None = None
@@ -31,7 +32,8 @@ class Perspective(Named):
 
 
 class Parallel(Named):
-    """A camera with parallel projection: half the width and half the height of the picture, m."""
+    """A camera with parallel projection; `xmag` and `ymag` are half the width and half the height
+    of the picture, in m."""
 
     xmag: Positive
     ymag: Positive
@@ -48,14 +50,14 @@ class Camera(Named):
 
 
 class Spot(Named):
-    """The half angles of a spot's cones, rad."""
+    """The half-angles of a spotlight's inner and outer cone, in rad."""
 
     innerConeAngle: NonNegative = 0.0
     outerConeAngle: NonNegative = math.pi / 4
 
 
 class Light(Named):
-    """A light of KHR_lights_punctual, in cd, or in lux if it is directional."""
+    """A light of KHR_lights_punctual. Its intensity is in cd, or in lux if it is directional."""
 
     type: str
     color: Colour = (1.0, 1.0, 1.0)
@@ -64,7 +66,7 @@ class Light(Named):
 
 
 class Lights(Entry):
-    """All lights of the file."""
+    """The lights of a file."""
 
     lights: tuple[Light, ...] = ()
 
@@ -76,7 +78,7 @@ class RootExtensions(Entry):
 
 
 class LightHere(Entry):
-    """The index of a light."""
+    """The index of the light at a node."""
 
     light: Index
 
@@ -88,8 +90,8 @@ class NodeExtensions(Entry):
 
 
 class Node(Named):
-    """An object of `nodes`: `matrix` by columns, or translation (m), rotation (x, y, z, w) and
-    scale."""
+    """An object of `nodes`, with the columns of its `matrix`, or with a translation (m), a rotation
+    (x, y, z, w) and a scale."""
 
     children: tuple[Index, ...] = ()
     mesh: Index | None = None
@@ -102,7 +104,7 @@ class Node(Named):
 
 
 class Primitive(Entry):
-    """A part of a mesh; its numbers are read by `jaxvision.files.gltf`."""
+    """A primitive of a mesh; `jaxvision.files.gltf` reads its numbers."""
 
     attributes: dict[str, Index]
     indices: Index | None = None
@@ -118,8 +120,8 @@ class Mesh(Named):
 
 
 class Placed(Entry):
-    """KHR_texture_transform: scale, then offset of texture coordinates. Programs differ in the
-    sense of a rotation."""
+    """KHR_texture_transform, which scales texture coordinates and then adds an offset. A rotation
+    is refused, because programs differ in its sense."""
 
     offset: tuple[Finite, Finite] = (0.0, 0.0)
     rotation: Annotated[float, Field(ge=0, le=0)] = 0.0
@@ -128,13 +130,13 @@ class Placed(Entry):
 
 
 class TextureExtensions(Entry):
-    """Extensions at the use of a texture."""
+    """The extensions at a reference to a texture."""
 
     KHR_texture_transform: Placed = Placed()
 
 
 class Used(Entry):
-    """The use of a texture."""
+    """A reference from a material to a texture."""
 
     index: Index
     texCoord: Literal[0] = 0
@@ -143,7 +145,7 @@ class Used(Entry):
 
 
 class UsedNormals(Used):
-    """The use of a normal map; `scale` multiplies x and y."""
+    """A reference from a material to a normal map; `scale` multiplies x and y of the normals."""
 
     scale: Finite = 1.0
 
@@ -156,7 +158,7 @@ class Texture(Named):
 
 
 class Sampler(Named):
-    """An object of `samplers`, by the numbers of OpenGL."""
+    """An object of `samplers`, with filters and wrapping as numbers of OpenGL."""
 
     magFilter: Any = None
     minFilter: Any = None
@@ -165,7 +167,8 @@ class Sampler(Named):
 
 
 class Roughness(Entry):
-    """`pbrMetallicRoughness`; roughness is the root of alpha."""
+    """The object `pbrMetallicRoughness` of a material. Its roughness is the square root of
+    alpha."""
 
     baseColorFactor: tuple[Share, Share, Share, Share] = (1.0, 1.0, 1.0, 1.0)
     baseColorTexture: Used | None = None
@@ -188,7 +191,7 @@ class Ior(Entry):
 
 
 class Coat(Entry):
-    """KHR_materials_specular: 0 for a surface without a coat."""
+    """KHR_materials_specular: the strength of a dielectric's specular coat, 0 for none."""
 
     specularFactor: Share = 1.0
 
@@ -200,7 +203,7 @@ class Transmission(Entry):
 
 
 class Volume(Entry):
-    """KHR_materials_volume: the transmittance of white light over a distance, m."""
+    """KHR_materials_volume: the transmittance of a volume over a given distance, in m."""
 
     thicknessFactor: NonNegative = 0.0
     attenuationDistance: Positive | None = None
@@ -237,7 +240,7 @@ class Part(Named):
 
 
 class Content(Entry):
-    """A whole file. Buffers and images are read by `files.gltf`."""
+    """A whole file. `files.gltf` reads buffers and images."""
 
     asset: Any
     scene: Index = 0
@@ -259,8 +262,8 @@ class Content(Entry):
 
 
 def content_of(path: object, content: Mapping[str, Any]) -> Content:
-    """The JSON of the file at `path` as records; `InputError` for the first unsupported key or
-    value."""
+    """Convert the JSON of the file at `path` to records; `InputError` for the first key or value
+    that is not supported."""
     try:
         return Content.model_validate(content)
     except ValidationError as error:
@@ -274,7 +277,7 @@ def content_of(path: object, content: Mapping[str, Any]) -> Content:
 
 
 def _place(loc: tuple[int | str, ...], content: Any) -> str:
-    """The place of an error, such as `materials "red".normalTexture`."""
+    """Return the place of an error in the JSON, such as `materials "red".normalTexture`."""
     place, at = "", content
     for part in loc:
         at = at[part]

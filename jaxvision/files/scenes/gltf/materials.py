@@ -1,13 +1,14 @@
-"""glTF's materials as the tables `[material.NAME]`.
+"""Convert glTF's materials to the tables `[material.NAME]` of a scene file.
 
 glTF mixes a metal and a coated matt body, f = (1 - m) ((1 - F) c / pi + F D V) + m F_m D V, with
 Schlick's F from F0 = ((ior - 1) / (ior + 1))^2 and F_m from F0 = c, the GGX density D of alpha =
-roughness^2 and Smith's V. The specular parts are those of `TorranceSparrow` with Schlick's F from
-the mean of both F0, which is exact because Schlick's formula is linear in F0. The matt part keeps
-(1 - F0) at all angles here. With an index of 1.5 its albedo is 0.5 % too high at a viewing angle of
-60 degrees, and 2.2 % at 85. Textures are multiplied texel by texel, and the product is interpolated
-bilinearly; glTF interpolates each texture first, and multiplies the results. Source: Khronos, glTF
-2.0 Specification, appendix B.
+roughness^2 and Smith's V. The specular parts become a `TorranceSparrow` with Schlick's F, whose F0
+is the mean of both, weighted by 1 - m and m. This is exact because Schlick's formula is linear in
+F0. The matt part has the factor (1 - F0) at all angles here, instead of (1 - F). For an index of
+1.5 the matt light is therefore 0.5 % too bright at a viewing angle of 60 degrees, and 2.2 % at 85
+degrees. Textures are multiplied texel by texel, and the product is interpolated bilinearly. glTF
+interpolates each texture first and multiplies the results. Source: Source: Khronos, glTF 2.0
+Specification, appendix B.
 """
 
 from typing import Any
@@ -24,8 +25,8 @@ LEAST_ALPHA = 1e-6  # alpha of a polished metal, the smallest that `TorranceSpar
 
 
 def material_of(file: Gltf, content: Content, material: Material, label: str) -> dict[str, Any]:
-    """`family` and the other keys of a material; `label` is its name in messages. `InputError` for
-    a transparent one without an exact counterpart."""
+    """Return `family` and the other keys of a material's table; `label` names it in messages.
+    `InputError` for a transparent material without an exact counterpart."""
     surface, more = material.pbrMetallicRoughness, material.extensions
     colour, metal = np.array(surface.baseColorFactor[:3]), np.array(surface.metallicFactor)
     rough = np.array(surface.roughnessFactor)
@@ -43,7 +44,7 @@ def material_of(file: Gltf, content: Content, material: Material, label: str) ->
         rough, metal = rough * of_rest[0][..., 1], metal * of_rest[0][..., 2:]
 
     def numbers(values: np.ndarray, axes: int) -> Any:
-        """Numbers of the material, or the table of a map of them."""
+        """Return numbers of the material as a list, or as the table of a map if they vary."""
         return values.tolist() if values.ndim == axes else {"texels": values, **keys}
 
     factors = {
@@ -80,7 +81,7 @@ def material_of(file: Gltf, content: Content, material: Material, label: str) ->
 def normals_of(
     file: Gltf, content: Content, material: Material, label: str
 ) -> dict[str, Any] | None:
-    """The table of a material's normal map; None without one."""
+    """Return the table of a material's normal map, or None if it has none."""
     used = material.normalTexture
     found = texels_of(file, content, used, label)
     if found is None or used is None:
@@ -89,7 +90,8 @@ def normals_of(
 
 
 def _glass(material: Material, label: str) -> dict[str, Any]:
-    """Smooth glass, clear or absorbing, around a volume."""
+    """Convert a transmissive material to smooth glass, clear or absorbing, that encloses a
+    volume."""
     surface, more = material.pbrMetallicRoughness, material.extensions
     volume = more.KHR_materials_volume
     smooth = surface.roughnessFactor == 0 and surface.metallicFactor == 0
@@ -108,6 +110,6 @@ def _glass(material: Material, label: str) -> dict[str, Any]:
 
 
 def emission_of(material: Material) -> np.ndarray:
-    """Return the emission of a material, (3,) cd m^-2."""
+    """Return the radiance that a material emits, (3,), as luminance in cd m^-2."""
     strength = material.extensions.KHR_materials_emissive_strength.emissiveStrength
     return strength * np.array(material.emissiveFactor)

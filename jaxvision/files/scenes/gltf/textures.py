@@ -1,4 +1,4 @@
-"""Textures of glTF as maps of a scene file: texels, their coordinates and their wrapping."""
+"""Convert glTF's textures to maps of a scene file, with texels, coordinates and wrapping."""
 
 from tempfile import NamedTemporaryFile
 from typing import Any
@@ -20,8 +20,9 @@ _NEAREST = 9728
 def texels_of(
     file: Gltf, content: Content, used: Used | None, label: str, *, srgb: bool = False
 ) -> tuple[np.ndarray, dict[str, Any]] | None:
-    """(rows, columns, channels) of a texture in [0, 1], no unit, without sRGB's encoding, and the
-    other keys of its map; None where none is used. `InputError` for one that is not read."""
+    """Read the texels of a texture, (rows, columns, channels) in [0, 1], no unit, with sRGB decoded
+    if `srgb`, and the other keys of its map. None if no texture is used; `InputError` for one that
+    is not supported."""
     if used is None:
         return None
     if used.index >= len(content.textures):
@@ -62,7 +63,8 @@ def texels_of(
 def match_sizes(
     one: tuple[np.ndarray, dict[str, Any]], other: tuple[np.ndarray, dict[str, Any]], label: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The texels of two textures that are used together, in one size; no unit."""
+    """Repeat the texels of two textures that are used together until both have the same size; no
+    unit."""
     if one[1] != other[1]:
         raise InputError(f"{label}: its textures are placed differently; place them alike.")
     sizes = [np.array(x.shape[:2]) for x, _ in (one, other)]

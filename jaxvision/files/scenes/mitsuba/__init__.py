@@ -1,4 +1,5 @@
-"""Scenes in Mitsuba's XML (versions 0.5 to 3): the parts that have an exact counterpart here.
+"""Read scenes in Mitsuba's XML (versions 0.5 to 3), as far as their parts have an exact counterpart
+in this library.
 
     shapes      sphere, rectangle, disk, cube, obj, ply
     BSDFs       diffuse, twosided, dielectric, conductor (material "none"), roughconductor, plastic,
@@ -7,11 +8,12 @@
     sensors     perspective, thinlens, orthographic
     integrators path, volpath and direct (as paths), ptracer
 
-Values: float, integer, boolean, string, vector, point, rgb and spectrum, transforms, `<default>`,
-`<ref>`, `<alias>` and `<include>`; lights take blackbody. Colours are those of Mitsuba's RGB
-variants. Unsupported parts are refused by name and never dropped. A warning names small
-differences. On a mesh with mirrored texture coordinates, y of a normal map stays up in the picture,
-where Mitsuba turns it down.
+Supported values are float, integer, boolean, string, vector, point, rgb, spectrum, transforms,
+`<default>`, `<ref>`, `<alias>` and `<include>`, and for lights also blackbody. Colours are those of
+Mitsuba's RGB variants. A part that is not supported is never dropped; the file is refused, and the
+message names the part. If a part is rendered slightly differently, a warning says so. If a mesh has
+mirrored texture coordinates, the y axis of a normal map stays upward in its picture, whereas
+Mitsuba turns it downward.
 """
 
 from pathlib import Path
@@ -32,8 +34,8 @@ _READ = ("shape", "bsdf", "emitter", "sensor", "integrator")
 
 
 def scene_of(file: Path) -> dict[str, Any]:
-    """The tables of a TOML scene file, by name, with the content of a Mitsuba scene; `InputError`
-    for the first unsupported or wrong part."""
+    """Convert a Mitsuba scene to the tables, by name, of a TOML scene file. `InputError` for the
+    first part that is wrong or not supported."""
     root = root_of(file)
     root.must_be_read(tags=_READ)
     sensors = root.within("sensor")
@@ -56,7 +58,8 @@ def scene_of(file: Path) -> dict[str, Any]:
 
 
 def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
-    """A shape with its BSDF and its light; an emissive one reflects only if it has its own BSDF."""
+    """Convert a shape with its BSDF and its area light. A shape with a light reflects only if it
+    has a BSDF of its own."""
     bsdf, emitter = node.only("bsdf"), node.only("emitter")
     made = {"name": node.label, **shape_of(node)}
     two_sided = False
@@ -89,7 +92,8 @@ def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_coordinates(node: Node, surface: dict[str, Any], mapped: bool) -> None:
-    """Raise `InputError` for a textured shape whose coordinates are not those of its record."""
+    """Raise `InputError` for a textured shape if its texture coordinates differ from those of the
+    record that replaces it."""
     turned = node.take("to_world", np.ndarray, np.eye(4))[:3, :3]
     usual = node.take("flip_tex_coords", bool, node.kind == "obj") == (node.kind == "obj")
     if not mapped:
@@ -103,8 +107,9 @@ def _check_coordinates(node: Node, surface: dict[str, Any], mapped: bool) -> Non
 
 
 def _render(node: Node | None, samples: int, *, old: bool) -> dict[str, Any]:
-    """The integrator with its path depth, which equals Mitsuba's `max_depth`. Without one, versions
-    before 2 render direct light, later ones all light."""
+    """Convert the integrator; the largest number of path segments equals Mitsuba's `max_depth`. For
+    a scene without an integrator, Mitsuba renders direct light before version 2, and all light from
+    version 2 on."""
     if node is None and old:
         return {"integrator": "path", "samples": samples, "depth": 2}
     if node is None:
@@ -134,8 +139,8 @@ EMITTERS = ("point", "directional", "spot", "constant", "envmap")
 
 
 def light_entry(node: Node) -> dict[str, Any]:
-    """`kind` and the other keys of an `<emitter>` of the scene, lengths in m; `InputError` for one
-    without a counterpart."""
+    """Return `kind` and the other keys of an `<emitter>` of the scene, with lengths in m.
+    `InputError` for an emitter without a counterpart."""
     kind = node.must_be(*EMITTERS)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
     match kind:

@@ -1,4 +1,4 @@
-"""Mitsuba's sensor and film as the table `[camera]`."""
+"""Convert Mitsuba's sensor and film to the table `[camera]`."""
 
 from typing import Any
 
@@ -16,8 +16,8 @@ _UNUSED = (*_CLIPS, "shutter_open", "shutter_close")
 
 
 def camera_of(node: Node) -> tuple[dict[str, Any], int]:
-    """The keys of the camera of a `<sensor>`, including `kind`, in m and degrees, and the samples
-    per pixel; `InputError` for a camera without a counterpart."""
+    """Return the keys of a `<sensor>` for `[camera]`, including `kind`, in m and degrees, and the
+    samples per pixel. `InputError` for a camera without a counterpart."""
     kind = node.must_be(*SENSORS)
     rows, columns = _resolution(node.only("film"), node.label)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
@@ -52,7 +52,7 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
 
 
 def _pose(to_world: Affine) -> dict[str, Any]:
-    """The camera looks along its z axis, with y up."""
+    """Return the camera's position and orientation; it looks along its z axis, with y up."""
     position = to_world[:3, 3]
     _, up, forward = (to_world[:3, :3] / lengths_of_axes(to_world)).T
     return {
@@ -82,7 +82,7 @@ def _resolution(film: Node | None, label: str) -> tuple[int, int]:
 
 
 def _half_width(node: Node, rows_per_column: float) -> float:
-    """Tangent of half the field of view across the width."""
+    """Return the tangent of half the field of view across the picture's width."""
     axis = node.take("fov_axis", str, "x")
     focal_length = node.take("focal_length", str)
     degrees = node.take("fov", float)
@@ -110,8 +110,8 @@ def _half_width(node: Node, rows_per_column: float) -> float:
 
 
 def _lens(node: Node, half_width: float, columns: int) -> dict[str, Any]:
-    """A lens focused at a distance s, with a short focal length: the sensor is at the image
-    distance v of s, and its width follows from the field of view at v."""
+    """Return the keys of a thin lens with a short focal length, focused at a distance s. The sensor
+    is at the image distance v of s, and its width follows from the field of view at v."""
     radius = node.take("aperture_radius", float)
     distance = node.take("focus_distance", float)
     if radius is None or distance is None or radius <= 0 or distance <= 0:

@@ -1,5 +1,5 @@
-"""Mitsuba's XML as a tree of nodes, with typed values and resolved `$names`, references and
-includes."""
+"""Read Mitsuba's XML as a tree of nodes with typed values, where `$names`, references and includes
+are resolved."""
 
 import re
 import xml.etree.ElementTree as xml
@@ -20,7 +20,7 @@ _DEEPEST = 16  # largest depth of files that include each other
 
 @dataclass(frozen=True)
 class Colour:
-    """Linear RGB in sRGB primaries, three numbers or one for all."""
+    """A colour in linear sRGB: three numbers, or one for all channels."""
 
     values: tuple[float, ...]
 
@@ -34,21 +34,22 @@ class Flat:
 
 @dataclass(frozen=True)
 class Table:
-    """A spectrum as pairs of a wavelength, nm, and a value."""
+    """A spectrum as pairs of a wavelength, in nm, and a value."""
 
     pairs: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class Blackbody:
-    """Planck's spectrum, W m^-2 sr^-1 per nm, of a temperature in K."""
+    """The spectrum of a black body by Planck's law, in W m^-2 sr^-1 per nm."""
 
     kelvin: float
 
 
 @dataclass
 class Node:
-    """An object of the file. An element that no reader takes is unsupported and an error.
+    """An object of a Mitsuba scene. An element that no function has read is not supported, which is
+    an error.
 
     Attributes:
         tag: "shape", "bsdf", ...
@@ -68,25 +69,25 @@ class Node:
     _taken: set[str] = field(default_factory=set)
 
     def wrong(self, what: str) -> InputError:
-        """The error for this object."""
+        """Return the error for this object."""
         return InputError(f"{self.label}: {what}")
 
     def filename(self) -> str:
-        """The value `filename`; `InputError` if there is none."""
+        """Return the value of `filename`; `InputError` if there is none."""
         name = self.take("filename", str)
         if name is None:
             raise self.wrong("has no filename; add it.")
         return name
 
     def distribution(self) -> str:
-        """The distribution of facets of a rough BSDF."""
+        """Return the name of the facet distribution of a rough BSDF."""
         word = self.take("distribution", str, "beckmann")
         if word not in ("beckmann", "ggx"):
             raise self.wrong("distribution must be 'beckmann' or 'ggx'.")
         return word
 
     def take(self, name: str, kinds: type | tuple[type, ...], otherwise: Any = None) -> Any:
-        """The value with that name; `InputError` if it has another type."""
+        """Return the value with that name; `InputError` if it has another type."""
         self._taken.add(name)
         if any(called == name for called, _ in self.parts):
             part = next(part for called, part in self.parts if called == name)
@@ -104,24 +105,24 @@ class Node:
         return value
 
     def texture(self, name: str) -> "Node | None":
-        """The child `<texture>` of that name, or None."""
+        """Return the child `<texture>` with that name, or None."""
         found = [part for called, part in self.parts if called == name and part.tag == "texture"]
         self._taken |= {name} if found else set()
         return found[0] if found else None
 
     def within(self, tag: str) -> list["Node"]:
-        """The child objects with a tag."""
+        """Return the child objects with a tag."""
         return [part for _, part in self.parts if part.tag == tag]
 
     def only(self, tag: str) -> "Node | None":
-        """The child object with a tag, if there is one; `InputError` if there are several."""
+        """Return the child object with a tag, or None; `InputError` if there are several."""
         found = self.within(tag)
         if len(found) > 1:
             raise self.wrong(f"has {len(found)} of <{tag}>; leave one.")
         return found[0] if found else None
 
     def must_be(self, *known: str) -> str:
-        """The type, which must be a supported one; `InputError` otherwise."""
+        """Return the type, which must be a supported one; otherwise `InputError`."""
         if self.kind not in known:
             words = ", ".join(known)
             raise self.wrong(
@@ -130,8 +131,9 @@ class Node:
         return self.kind
 
     def must_be_read(self, *, tags: tuple[str, ...] = (), without: tuple[str, ...] = ()) -> None:
-        """Raise `InputError` for the first value or child object that no reader has taken. Objects
-        with a tag in `tags` count as read, and values with a name in `without` have no effect here.
+        """Raise `InputError` for the first value or child object that no function has read. Objects
+        with a tag in `tags` count as read, and so do values with a name in `without`, which have no
+        effect in this library.
         """
         for name in self.values:
             if name not in self._taken and name not in without:
@@ -149,8 +151,8 @@ class Node:
 
 
 def root_of(file: Path) -> Node:
-    """Return `<scene>` of a file of Mitsuba 0.5 or later, with the names of version 2 on;
-    `InputError` for another file, or a missing reference."""
+    """Return the `<scene>` of a file of Mitsuba 0.5 or later, with the names that version 2
+    introduced. `InputError` for another file, and for a missing reference."""
     root = _parse(file)
     if root.tag != "scene":
         raise InputError(f"begins with <{root.tag}>; a scene of Mitsuba begins with <scene>.")
@@ -168,7 +170,7 @@ def _parse(file: Path) -> xml.Element:
 
 
 def _check_depth(root: xml.Element) -> xml.Element:
-    """The root of a tree, checked for its depth."""
+    """Return the root of an XML tree, after checking its depth."""
     level, depth = [root], 0
     while level:
         level, depth = [child for element in level for child in element], depth + 1
@@ -186,7 +188,7 @@ def _is_old(root: xml.Element) -> bool:
 
 
 class _Reader:
-    """The conversion of elements to nodes, with the definitions of earlier elements."""
+    """Converts XML elements to nodes, with the definitions of earlier elements."""
 
     def __init__(self, file: Path, old: bool) -> None:
         self._file, self._old, self._depth = file, old, 0
@@ -223,7 +225,7 @@ class _Reader:
         return made
 
     def _flatten(self, element: xml.Element) -> Iterator[xml.Element]:
-        """The children, with those of included files in their place."""
+        """Yield the child elements, with those of included files in place of `<include>`."""
         for child in element:
             if child.tag != "include":
                 yield child
@@ -241,7 +243,8 @@ class _Reader:
             yield from self._flatten(root) if root.tag == "scene" else (root,)
 
     def _attributes(self, element: xml.Element) -> dict[str, str]:
-        """Attributes with the values of `$names`, in current spelling."""
+        """Return the attributes of an element, with `$names` replaced by their values, and names in
+        current spelling."""
         given = {key: self._fill_defaults(value) for key, value in element.attrib.items()}
         if self._old and "name" in given:
             given["name"] = re.sub(
@@ -322,12 +325,13 @@ class _Reader:
 
 
 def _alike(value: Any, otherwise: Any) -> bool:
-    """Whether two values have the same type; a transform is not a point, though both are arrays."""
+    """Return whether two values have the same shape. A transform is not a point, although both are
+    arrays."""
     return not isinstance(otherwise, np.ndarray) or np.shape(value) == otherwise.shape
 
 
 def _numbers(text: str, place: str, counts: tuple[int, ...]) -> tuple[float, ...]:
-    """Finite numbers, separated by commas or spaces."""
+    """Parse finite numbers that are separated by commas or spaces."""
     words = text.replace(",", " ").split()
     try:
         values = tuple(float(word) for word in words)

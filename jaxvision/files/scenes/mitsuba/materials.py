@@ -1,4 +1,4 @@
-"""Mitsuba's BSDFs as the tables `[material.NAME]`."""
+"""Convert Mitsuba's BSDFs to the tables `[material.NAME]` of a scene file."""
 
 from collections.abc import Callable
 from typing import Any
@@ -37,8 +37,9 @@ _INDICES = {
 
 
 def material_of(node: Node | None) -> tuple[dict[str, Any], bool]:
-    """`family` and the other keys of a `<bsdf>` (None: diffuse, albedo 0.5), with `normals` for its
-    normal map, and whether both sides are fronts; `InputError` for one without a counterpart."""
+    """Return `family` and the other keys of a `<bsdf>`, and whether it reflects on both sides. The
+    keys include `normals` for a normal map; None gives a diffuse BSDF of albedo 0.5. `InputError`
+    for a BSDF without a counterpart."""
     if node is None:
         return {"family": "lambert", "albedo": 0.5}, False
     if (kind := node.must_be(*_FAMILIES, "twosided", "normalmap")) in ("twosided", "normalmap"):
@@ -97,9 +98,10 @@ def _rough_conductor(node: Node) -> dict[str, Any]:
 
 
 def _plastic(node: Node) -> dict[str, Any]:
-    """A Lambertian body under a clear coat. Mitsuba divides its albedo r by 1 - R, and only with
-    `nonlinear` by 1 - r R, as light that the coat returns to the body loses a part each time; R is
-    the share that is returned. The same light leaves a body of the albedo r / (1 - R (1 - r))."""
+    """Convert a plastic to a Lambertian body of albedo r under a clear coat. The coat returns a
+    share R of the light to the body. Mitsuba divides r by 1 - R or, with `nonlinear`, by 1 - r R,
+    because returned light loses a part at each reflection. Without `nonlinear`, a body with the
+    albedo r / (1 - R (1 - r)) reflects the same light."""
     if node.take("specular_reflectance", SPECTRUM, 1.0) != 1.0:
         raise node.wrong("a specular_reflectance below 1 is not read; remove it.")
     eta = _index(node, "int_ior", "polypropylene") / _index(node, "ext_ior", "air")
@@ -120,7 +122,7 @@ def _plastic(node: Node) -> dict[str, Any]:
 
 
 def _each(spectrum: Any, change: Callable[[float], float]) -> Any:
-    """A change of every number of a spectrum as `reflectance_of` gives it."""
+    """Apply a function to every number of a spectrum as `reflectance_of` returns it."""
     match spectrum:
         case {"pairs": pairs}:
             return {"pairs": [[wavelength, change(value)] for wavelength, value in pairs]}
@@ -151,7 +153,8 @@ _FAMILIES = {
 
 
 def _reflects_all(node: Node) -> bool:
-    """Whether a metal has neither an index nor a name."""
+    """Return whether a metal has neither a refractive index nor the name of a material, so that it
+    reflects all light."""
     given = {"eta", "k"} <= set(node.values)
     name = node.take("material", str, "Cu" if node.old and not given else "none")
     if name != "none":

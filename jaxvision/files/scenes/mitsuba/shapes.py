@@ -1,4 +1,4 @@
-"""Mitsuba's shapes as the tables `[[surface]]`."""
+"""Convert Mitsuba's shapes to the tables `[[surface]]` of a scene file."""
 
 from typing import Any
 
@@ -17,8 +17,8 @@ SHAPES = ("sphere", "rectangle", "disk", "cube", "obj", "ply")
 
 
 def shape_of(node: Node) -> dict[str, Any]:
-    """`shape` and the other keys of a `<shape>`, m; `InputError` for a shape, or a stretched one,
-    without a counterpart."""
+    """Return `shape` and the other keys of a `<shape>`, in m. `InputError` for a shape without a
+    counterpart, or one whose transform stretches it to such a shape."""
     kind = node.must_be(*SHAPES)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
     flip = node.take("flip_normals", bool, False)
@@ -55,7 +55,7 @@ def _sphere(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
 
 
 def _quad(to_world: Affine, flip: bool) -> dict[str, Any]:
-    """The square [-1, 1] x [-1, 1] with its front toward z."""
+    """Convert the square [-1, 1] x [-1, 1], whose front faces z."""
     u, v = (2 * to_world[:3, axis] for axis in (0, 1))
     if flip != mirrors(to_world):
         u, v = v, u
@@ -68,7 +68,7 @@ def _quad(to_world: Affine, flip: bool) -> dict[str, Any]:
 
 
 def _disc(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
-    """The disc of radius 1 with its front toward z."""
+    """Convert the disc of radius 1, whose front faces z."""
     if not keeps_shape(to_world, axes=2):
         raise node.wrong("is stretched to an ellipse; give it as a mesh.")
     normal = np.linalg.inv(to_world[:3, :3])[2]  # normals are transformed by the transposed inverse
@@ -81,7 +81,7 @@ def _disc(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
 
 
 def _box(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
-    """The box [-1, 1] along each axis."""
+    """Convert the box that extends from -1 to 1 along each axis."""
     if not keeps_right_angles(to_world):
         raise node.wrong("is sheared to a parallelepiped; give it as a mesh.")
     _not_inside_out(node, flip)

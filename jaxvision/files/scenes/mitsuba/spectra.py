@@ -1,4 +1,4 @@
-"""Mitsuba's colours and spectra as spectra of a scene file, for rendering in RGB."""
+"""Convert Mitsuba's colours and spectra to spectra of a scene file, for rendering in RGB."""
 
 from typing import Any
 
@@ -10,8 +10,8 @@ SPECTRUM = (Colour, Flat, Table, float)
 
 
 def map_of(node: Node, name: str) -> dict[str, Any] | None:
-    """The table of a map for a `<texture>` of type bitmap by its name; None where there is none.
-    Mitsuba takes texels as sRGB unless they are `raw`."""
+    """Return the table of a map for the bitmap `<texture>` with that name, or None if there is
+    none. As in Mitsuba, texels are encoded in sRGB unless the texture is `raw`."""
     texture = node.texture(name)
     if texture is None:
         return None
@@ -36,7 +36,7 @@ def map_of(node: Node, name: str) -> dict[str, Any] | None:
 
 
 def reflectance_of(node: Node, name: str, otherwise: float) -> Any:
-    """A reflectance by its name, no unit."""
+    """Return the reflectance with that name, no unit."""
     if (found := map_of(node, name)) is not None:
         return found
     match node.take(name, SPECTRUM, otherwise):
@@ -47,9 +47,9 @@ def reflectance_of(node: Node, name: str, otherwise: float) -> Any:
 
 
 def light_of(node: Node, name: str, otherwise: float) -> Any:
-    """Return a radiance, intensity or irradiance by its name; without one, the white of sRGB. A
-    flat spectrum has equal energy. A black body has the values of Mitsuba's spectral variants, per
-    nm."""
+    """Return the radiance, intensity or irradiance with that name. If the file states none, it is
+    the white of sRGB. A spectrum with one value has that value at all wavelengths. A black body has
+    the values of Mitsuba's spectral variants, which are per nm."""
     match node.take(name, (*SPECTRUM, Blackbody), otherwise):
         case Blackbody(kelvin):
             return {"blackbody": kelvin, "scale": 1e-9}
@@ -62,7 +62,7 @@ def light_of(node: Node, name: str, otherwise: float) -> Any:
 
 
 def index_of(node: Node, name: str, otherwise: float) -> Any:
-    """A part of a metal's index by its name, no unit."""
+    """Return a part of a metal's complex refractive index, the one with that name, no unit."""
     value = node.take(name, SPECTRUM, otherwise)
     if isinstance(value, Table):
         raise node.wrong(

@@ -1,4 +1,5 @@
-"""Mitsuba's `<transform>`: affine maps of column vectors, (4, 4), m and degrees."""
+"""Convert Mitsuba's `<transform>` to affine maps of column vectors, (4, 4), in m; angles are in
+degrees."""
 
 from collections.abc import Iterable, Mapping
 
@@ -12,8 +13,9 @@ Affine = Float[np.ndarray, "4 4"]
 
 
 def transform_of(steps: Iterable[tuple[str, Mapping[str, str]]], place: str) -> Affine:
-    """The map to the world: the product of all steps, each with its tag and attributes, the last
-    one applied last. `InputError` for an unknown step, or one without an inverse."""
+    """Return the map to the world, the product of all steps, of which the last is applied last.
+    Each step is a tag with its attributes. `InputError` for an unknown step, or for a map without
+    an inverse."""
     whole = np.eye(4)
     for tag, given in steps:
         whole = _step(tag, given, f"{place}, {tag}") @ whole
@@ -59,7 +61,8 @@ def _step(tag: str, given: Mapping[str, str], place: str) -> Affine:
 
 
 def _look_at(origin: np.ndarray, target: np.ndarray, up: np.ndarray, place: str) -> Affine:
-    """Mitsuba's camera looks along its z axis with y up, so x points to the left."""
+    """Return the map of a camera at `origin` that looks at `target`. Mitsuba's camera looks along
+    its z axis with y up, so its x axis points to the left."""
     forward = target - origin
     left = np.cross(up, forward)
     if not forward.any() or np.linalg.norm(left) <= 1e-9 * np.linalg.norm(forward):
@@ -72,7 +75,8 @@ def _look_at(origin: np.ndarray, target: np.ndarray, up: np.ndarray, place: str)
 
 
 def _vector(given: Mapping[str, str], place: str, *, otherwise: float) -> np.ndarray:
-    """From `value`, one number for all axes or three, or from `x`, `y` and `z`."""
+    """Read a vector from `value`, which holds three numbers or one for all axes, or from `x`, `y`
+    and `z`."""
     if "value" in given:
         several = len(given["value"].replace(",", " ").split()) > 1
         return np.broadcast_to(_words(given["value"], place, 3 if several else 1), 3)
@@ -90,22 +94,23 @@ def _words(text: str, place: str, count: int) -> np.ndarray:
 
 
 def lengths_of_axes(to_world: Affine) -> np.ndarray:
-    """Return the length of a unit along each axis after the transform, (3,) m."""
+    """Return the lengths of the unit vectors along the axes after the transform, (3,) m."""
     return np.linalg.norm(to_world[:3, :3], axis=0)
 
 
 def keeps_right_angles(to_world: Affine, *, axes: int = 3) -> bool:
-    """Whether the coordinate axes stay perpendicular."""
+    """Return whether the coordinate axes are still perpendicular after the transform."""
     linear = (to_world[:3, :3] / lengths_of_axes(to_world))[:, :axes]
     return bool(np.abs(linear.T @ linear - np.eye(axes)).max() <= 1e-5)
 
 
 def keeps_shape(to_world: Affine, *, axes: int = 3) -> bool:
-    """Whether the coordinate axes stay perpendicular and equally long."""
+    """Return whether the coordinate axes are still perpendicular and equally long after the
+    transform."""
     lengths = lengths_of_axes(to_world)[:axes]
     return keeps_right_angles(to_world, axes=axes) and bool(np.ptp(lengths) <= 1e-5 * lengths.max())
 
 
 def mirrors(to_world: Affine) -> bool:
-    """Whether the map swaps left and right."""
+    """Return whether the transform mirrors space."""
     return bool(np.linalg.det(to_world[:3, :3]) < 0)
