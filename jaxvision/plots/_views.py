@@ -1,4 +1,4 @@
-"""The views in the figure of an image, one function each."""
+"""Draw the views in the figure of an image, one function for each view."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -31,7 +31,8 @@ BEFORE_NOTE = 1.5  # a bin this much higher than the axis is noted instead of sq
 
 
 def as_picture(pixels: np.ndarray, white: float) -> tuple[np.ndarray, str]:
-    """(h, w, 3) in [0, 1] with NaN marked, and a description of the mapping."""
+    """Convert an image to a picture, (h, w, 3) in [0, 1], with NaN pixels in magenta, and describe
+    the mapping in words."""
     colours = colours_of(pixels).astype(float)
     how = ""
     if colours.shape[-1] not in (1, 3):
@@ -71,8 +72,8 @@ def draw_picture(
 
 
 def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float, names: Sequence[str]) -> None:
-    """Counts in equal bins of codes, of values, or of log10 of the values (high dynamic range). The
-    label then gives the number at or below 0."""
+    """Draw the number of pixels in equal bins of codes, of values, or, for a high dynamic range, of
+    log10 of the values. With log10, the label states the number of values at or below 0."""
     bands = pixels.shape[-1]
     values, unit = pixels.astype(float), "DN" if pixels.dtype.kind in "ui" else "relative"
     finite = values[np.isfinite(values)]
@@ -156,7 +157,7 @@ def draw_numbers(
     columns: range,
     names: Sequence[str],
 ) -> None:
-    """Each pixel as a cell with its values printed one below the other."""
+    """Draw each pixel as a cell with its values printed one below the other."""
     cells = [[_print_values(pixels[i, j]) for j in columns] for i in rows]
     longest = max(len(number) for line in cells for cell in line for number in cell)
     stacked = max(len(cell) for line in cells for cell in line)
@@ -185,14 +186,15 @@ def draw_numbers(
 
 
 def _print_values(pixel: np.ndarray) -> list[str]:
-    """The values of one pixel, at most four."""
+    """Print the values of one pixel, at most four."""
     shown: Sequence[Any] = pixel[:4].tolist()
     return [f"{v:.3g}" if isinstance(v, float) else str(v) for v in shown]
 
 
 def draw_surface(axis: "Axes3D", pixels: np.ndarray) -> None:
-    """Draw the mean of the colour bands as a height. Each facet is the mean over the finite pixels
-    of a block. A block without finite pixels gets the mean of all."""
+    """Draw the mean of the colour bands as the height of a surface. Each facet is the mean over the
+    finite pixels of a block of pixels. A block without finite pixels gets the mean of the whole
+    image."""
     height, width, _ = pixels.shape
     colours = colours_of(pixels).astype(float)
     step = max(1, -(-max(height, width) // SURFACE_SIDE))
@@ -218,7 +220,7 @@ def draw_surface(axis: "Axes3D", pixels: np.ndarray) -> None:
 
 
 def draw_summary(axis: "Axes", bands: Sequence[BandSummary], white: float) -> None:
-    """The numbers of `summarise` as a table with one column for each band."""
+    """Draw the numbers of `summarise` as a table with one column for each band."""
     rows = ["min", "max", "mean", "s.d.", "median", "≤ 0", f"≥ {white:.6g}", "NaN", "inf"]
     shown = bands[:4]
     cells = zip(*(_cells(band) for band in shown), strict=True)

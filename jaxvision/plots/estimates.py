@@ -1,4 +1,4 @@
-"""Plots of estimates with their errors, compared with the true values."""
+"""Plot estimates with their uncertainties, compared with the true values."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -36,7 +36,7 @@ MOST_VECTORS = 8_000  # number of points in a row, above which pixels make a sma
 
 @runtime_checkable
 class Measured(Protocol):
-    """A setting with its error and time, like `accuracy.Trial`."""
+    """A setting with its error and time, as in `accuracy.Trial`."""
 
     @property
     def setting(self) -> Any: ...
@@ -55,7 +55,7 @@ def curve(
     names: tuple[str, str] = ("", ""),
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """A curve with its band, such as a camera's response or a prediction.
+    """Plot a curve with its uncertainty band, such as a camera's response or a prediction.
 
     Args:
         x: (n,) any unit.
@@ -106,7 +106,7 @@ def curves(
     title: str = "",
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """Plot several curves by name, in distinguishable colours.
+    """Plot several curves by name, in distinct colours.
 
     Args:
         x: (n,) any unit, for all; or (n,) each, by the names of y.
@@ -150,11 +150,11 @@ def curves(
 
 
 def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None) -> "Axes":
-    """Plot error against time of several settings.
+    """Plot the error of several settings against their time.
 
-    A line joins the Pareto front. If every setting is (method, value), each method has its own
-    line, colour and mark. `accuracy.plot` draws a `Curve`, with its spread and the error of its
-    reference.
+    A line joins the settings of the Pareto front. If every setting is a pair (method, value), each
+    method has its own line, colour and marker. `accuracy.plot` draws a `Curve` with the spread over
+    seeds and the error of its reference.
 
     Args:
         trials: as from `accuracy.error_against_time`; those without a finite error above 0 are left
@@ -211,7 +211,8 @@ def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None
 def corner(
     draws: Mapping[str, np.ndarray], *, truth: Mapping[str, float] | None = None
 ) -> "Figure":
-    """Draw of a posterior: each parameter, and each pair with its 68 and 95 % regions.
+    """Plot the draws of a posterior: each parameter, and each pair of parameters with its 68 and 95
+    % regions.
 
     Args:
         draws: by name of the parameter, (draws,), or (chains, draws, ...) as in `Fit.draws`; each
@@ -318,7 +319,7 @@ def trace(draws: Mapping[str, np.ndarray]) -> "Figure":
 
 
 def _numbers(name: str, drawn: np.ndarray) -> dict[str, np.ndarray]:
-    """(chains, draws) of each number of a parameter, by its name."""
+    """Return the draws of each number of a parameter, (chains, draws), by its name."""
     whole = np.atleast_1d(np.asarray(plain_array(name, drawn), float))
     chains = whole[None] if whole.ndim == 1 else whole
     flat = chains.reshape(*chains.shape[:2], -1)

@@ -1,4 +1,4 @@
-"""An image, or a map of any quantity, on one axes; several side by side."""
+"""Plot an image, or a map of any quantity, or several images side by side."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -18,7 +18,8 @@ NO_NUMBER = "magenta"  # where a map is NaN
 
 
 def picture(image: np.ndarray, *, white: float | None = None, axes: "Axes | None" = None) -> "Axes":
-    """Show an image as a picture: codes and values up to white unchanged, radiance in sRGB.
+    """Show an image as a picture. Codes and values up to white are shown as they are, and radiance
+    is encoded in sRGB.
 
     Args:
         image: (h, w) or (h, w, bands), DN or relative; for more than 4 bands their mean is shown.
@@ -56,7 +57,7 @@ def pictures(
     unit: str = "",
     inches: float = 2.6,
 ) -> "Figure":
-    """Images side by side with titles, on one scale for comparison.
+    """Show images side by side with their titles, on one scale for comparison.
 
     Args:
         images: (h, w), (h, w, 1), or (h, w, 3) encoded for display, by title.
@@ -112,7 +113,7 @@ def false_colour(
     limits: tuple[float, float] | None = None,
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """A map of one quantity in a colour scale that is uniform from dark to light.
+    """Plot a map of one quantity in a perceptually uniform colour scale from dark to light.
 
     Args:
         values: (h, w) or (h, w, 1), any unit.
@@ -162,9 +163,9 @@ def false_colour(
 def histogram(
     image: np.ndarray, *, white: float | None = None, axes: "Axes | None" = None
 ) -> "Axes":
-    """Counts of the values of each channel in bins of equal width, or of log10 of the values if
-    they span more than three decades. Values at or below 0 have no logarithm; the axis label gives
-    their number.
+    """Plot the number of pixels of each channel in bins of equal width. If the values span more
+    than three decades, the bins are of log10 of the values. Values at or below 0 have no logarithm;
+    the axis label states their number.
 
     Args:
         image: (h, w) or (h, w, bands), DN or relative.

@@ -1,4 +1,5 @@
-"""Figures in HTML pages with the page's text colour, in dark or light mode."""
+"""Convert figures to SVG for HTML pages, in the text colour of the page, which may be dark or
+light."""
 
 import io
 import math
@@ -31,8 +32,9 @@ DOTS_PER_INCH = 130  # resolution of pictures and clouds of points, which remain
 def inline_svg(
     draw: "Callable[[Axes], None]", *, size: tuple[float, float] = (4.8, 3.6), font: float = 11
 ) -> str:
-    """One axes as an `<svg>` for HTML, as wide as its container, of a size in inches; text stays
-    text, in the given points, and lines in `INK` take the page's colour."""
+    """Draw a plot as an `<svg>` for HTML that is as wide as its container; `size` is in inches.
+    Text stays text, of the given size in points, and lines in `INK` take the text colour of the
+    page."""
 
     def drawn() -> "Figure":
         from matplotlib.figure import Figure
@@ -45,8 +47,8 @@ def inline_svg(
 
 
 def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:
-    """A figure as an `<svg>` for HTML, as wide as its container; text stays text, in the given
-    points, and black and white follow the page."""
+    """Convert a figure to an `<svg>` for HTML that is as wide as its container. Text stays text, of
+    the given size in points, and black and white become the colours of the page."""
     (whole,) = figure_strips(draw, widest=math.inf, font=font)
     return whole
 
@@ -54,8 +56,8 @@ def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:
 def figure_strips(
     draw: "Callable[[], Figure]", *, widest: float, font: float = 10
 ) -> tuple[str, ...]:
-    """The result of `figure_svg`, cut between columns of panels into as few elements of at most
-    `widest` points as possible, which a narrow page stacks."""
+    """Convert a figure as `figure_svg` does, but cut it between columns of panels into as few
+    pieces as possible, each at most `widest` points wide. A narrow page then stacks the pieces."""
     import matplotlib
     from matplotlib.transforms import Bbox
 
@@ -81,7 +83,8 @@ def figure_strips(
 
 
 def _columns(figure: "Figure") -> "list[_Strip]":
-    """Left and right end of each column of panels including labels, in inches, and its panels."""
+    """Return the left and right end of each column of panels, in inches including labels, and its
+    panels."""
     figure.draw_without_rendering()
     found: list[_Strip] = []
     boxes = [(axes.get_tightbbox(), axes) for axes in figure.axes]
@@ -96,7 +99,7 @@ def _columns(figure: "Figure") -> "list[_Strip]":
 
 
 def _strips(columns: "list[_Strip]", widest: float) -> "list[_Strip]":
-    """Neighbouring columns combined into as few strips as the width allows, of similar widths."""
+    """Join neighbouring columns into as few strips as the width allows, with similar widths."""
     packed = _pack(columns, widest)
     for limit in sorted(b[1] - a[0] for a in columns for b in columns if a[0] < b[1]):
         alike = _pack(columns, limit)

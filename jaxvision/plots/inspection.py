@@ -1,4 +1,4 @@
-"""Five views of an image in one figure."""
+"""Show five views of an image in one figure."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -22,7 +22,8 @@ def inspect(
     title: str = "",
     names: Sequence[str] = (),
 ) -> "Figure":
-    """One figure with five views of an image.
+    """Plot an image in one figure with five views: a picture, a histogram, a scan line, printed
+    values and a surface.
 
     Args:
         image: (h, w) or (h, w, bands), DN or relative; 1 to 4 bands are grey, grey and alpha, RGB
@@ -73,7 +74,7 @@ def inspect(
 
 
 def _window(centre: int, size: int) -> range:
-    """Up to 7 neighbours about a pixel, inside the image."""
+    """Return the range of up to 7 pixels around a pixel, within the image."""
     side = min(7, size)
     start = min(max(centre - side // 2, 0), size - side)
     return range(start, start + side)

@@ -1,4 +1,5 @@
-"""Legible axes: labels of points and ticks that do not overlap, and colours for any background."""
+"""Make axes legible: labels of points and ticks that do not overlap, and colours for any
+background."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -29,8 +30,8 @@ def name_points(
     color: str | None = None,
     size: float | None = None,
 ) -> None:
-    """Write the names of points, (name, s, error) each, in free places beside them on logarithmic
-    axes; points close together share a label."""
+    """Write the names of points, (name, s, error) each, in free places next to them on logarithmic
+    axes. Points that are close together share a label."""
     from matplotlib import rcParams
 
     if not points:
@@ -72,8 +73,9 @@ def name_points(
 
 
 def few_ticks(axes: "Axes") -> None:
-    """At most `MOST` tick labels on either axis, without overlap: powers of ten, or 1, 2 and 5 of
-    each, or equal steps, whichever are more. Times below a second are written in ms."""
+    """Set at most `MOST` tick labels on each axis, without overlap. They are powers of ten, or 1, 2
+    and 5 times those, or equal steps, whichever give most labels. Times below a second are written
+    in ms."""
     from matplotlib import rcParams
     from matplotlib.font_manager import FontProperties
     from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullLocator
@@ -99,7 +101,7 @@ def few_ticks(axes: "Axes") -> None:
 
 
 def _candidates(low: float, high: float) -> Iterator[list[float]]:
-    """Numbers between the ends of an axis, roundest first."""
+    """Yield candidate lists of tick values between the ends of an axis, the roundest first."""
     from matplotlib.ticker import MaxNLocator
 
     powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
@@ -118,7 +120,7 @@ def _candidates(low: float, high: float) -> Iterator[list[float]]:
 def _fits(
     ticks: list[float], low: float, high: float, length: float, letters: float, name: str
 ) -> bool:
-    """Return whether the numbers of an axis of a given length, pt, do not overlap."""
+    """Return whether the tick labels do not overlap on an axis of the given length, in pt."""
     at = length * np.log(np.array(ticks) / low) / np.log(high / low)
     wide = [WIDE * len(f"{tick:g}") if name == "x" else HIGH for tick in ticks]
     room = letters * np.convolve(wide, [0.5, 0.5], "valid") if len(ticks) > 1 else np.zeros(0)
@@ -126,7 +128,7 @@ def _fits(
 
 
 def _size(axes: "Axes") -> np.ndarray:
-    """Estimated width and height of a label, pt, before layout."""
+    """Estimate the width and height of the axes, in pt, before the layout is computed."""
     figure = axes.get_figure(root=True)
     assert figure is not None
     share = LAID_OUT if figure.get_layout_engine() else 1.0
@@ -134,7 +136,8 @@ def _size(axes: "Axes") -> np.ndarray:
 
 
 def _make_room(axes: "Axes", logs: np.ndarray, needed: float, below: bool) -> None:
-    """Extend the axis above the highest point, or below the lowest, to make room for a name."""
+    """Extend the axis above the highest point, or below the lowest if `below`, to make room for a
+    name."""
     bottom, top = np.log(axes.get_ylim())
     share = min(needed / _size(axes)[1], 0.4)
     if below:
@@ -147,7 +150,8 @@ def _make_room(axes: "Axes", logs: np.ndarray, needed: float, below: bool) -> No
 def _around(
     point: np.ndarray, extent: np.ndarray, *, below: bool
 ) -> Iterator[tuple[float, float, np.ndarray]]:
-    """Offsets of a name, pt, with its box: lower left and upper right corner."""
+    """Yield possible offsets of a name from its point, in pt, each with the lower left and upper
+    right corner of the name."""
     for lines in (0.0, 0.8):
         for up in (-1, 1) if below else (1, -1):
             for right in (1, -1):
@@ -157,7 +161,7 @@ def _around(
 
 
 def _box_of(text, whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """The box of a name that is already written."""
+    """Return the box of a name that is already written."""
     place = (np.log(text.xy) - first) / np.maximum(last - first, 1e-9) * whole
     extent = np.array([WIDE * len(text.get_text()), HIGH]) * text.get_fontsize()
     sides = np.sign(text.xyann)
@@ -166,8 +170,9 @@ def _box_of(text, whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.
 
 
 def _drawing(axes: "Axes", whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Return (n, 3) points on marks, lines and bars, about `APART` from each other: their position
-    in pt from the lower left corner, and the cost of covering them."""
+    """Return points on markers, lines and error bars, (n, 3), about `APART` pt from each other.
+    Each has its position, in pt from the lower left corner, and the cost of covering it with a
+    name."""
     paths = [
         (line.get_xydata(), line.get_marker() not in ("", " ", "None", None))
         for line in axes.lines
@@ -191,7 +196,8 @@ def _drawing(axes: "Axes", whole: np.ndarray, first: np.ndarray, last: np.ndarra
 def _covered_area(
     box: np.ndarray, taken: Sequence[np.ndarray], drawn: np.ndarray, whole: np.ndarray
 ) -> float:
-    """Area, pt^2, in which a name covers other names, drawn marks, or lies outside the axes."""
+    """Return a cost, as an area in pt^2, for a name that covers other names or drawn marks, or lies
+    outside the axes."""
     overlaps = (np.minimum(box[1], one[1]) - np.maximum(box[0], one[0]) for one in taken)
     inside = np.clip(np.minimum(box[1], whole) - np.maximum(box[0], 0), 0, None)
     beyond = float(np.prod(box[1] - box[0]) - np.prod(inside))
@@ -205,7 +211,7 @@ if TYPE_CHECKING:
 
 
 def new_axes(axes: "Axes | None", *, polar: bool = False) -> "Axes":
-    """The given axes, or the only one of a new figure."""
+    """Return the given axes, or the only axes of a new figure."""
     from matplotlib.figure import Figure
 
     if axes is not None:
@@ -215,6 +221,6 @@ def new_axes(axes: "Axes | None", *, polar: bool = False) -> "Axes":
 
 
 def tidy(axes: "Axes") -> None:
-    """Draw a light grid, and no frame above and on the right."""
+    """Draw a light grid, and remove the frame at the top and on the right."""
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)

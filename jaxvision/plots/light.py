@@ -1,4 +1,4 @@
-"""Light and its reflection: spectra over wavelength, lobes over angle."""
+"""Plot light and its reflection: spectra over wavelength, and lobes over angle."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -82,7 +82,7 @@ def spectrum(
 def _brdf_toward(
     material: Material, light: Float[Array, "3"], viewers: Float[Array, "n 3"]
 ) -> Float[Array, "n bands"]:
-    """f_r toward each viewer, sr^-1."""
+    """Evaluate the BRDF toward each viewer, in sr^-1."""
     return jax.vmap(lambda wo: evaluate(material, light, wo))(viewers)
 
 
@@ -97,8 +97,8 @@ def lobe(
 ) -> "Axes":
     """Plot the BRDF of materials for one direction of light, in the plane of incidence.
 
-    It is evaluated at every degree, and more finely where the curve is steep, so that highlights of
-    any width have their full height.
+    The BRDF is evaluated at every degree, and more finely where the curve is steep, so that
+    highlights of any width have their full height.
 
     Args:
         materials: one, or several by name.
@@ -177,7 +177,8 @@ def lobe(
 
 
 def _components(materials: Mapping[str, Material]) -> dict[str, Material]:
-    """The diffuse and the specular term of each material that has both, by name, in sr^-1."""
+    """Return the diffuse and the specular term of each material that has both, by name, in
+    sr^-1."""
     found = {}
     for name, material in materials.items():
         if hasattr(material, "diffuse") and hasattr(material, "specular"):

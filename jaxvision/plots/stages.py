@@ -1,4 +1,4 @@
-"""The stages of a camera as boxes, from light to picture."""
+"""Plot the stages of a camera, from light to picture, as boxes."""
 
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
@@ -15,10 +15,11 @@ _COLUMNS = 5
 
 
 def pipeline(camera: Camera, *, axes: "Axes | None" = None) -> "Axes":
-    """Plot the stages of a camera in the order of the light, with absent ones in grey.
+    """Plot the stages of a camera in the order in which light passes them, with absent stages in
+    grey.
 
-    The stages are the fields of the lens, the sensor and the development. A field that is None is
-    absent and never computed.
+    The stages are the fields of the lens, the sensor and the development. A field that is None
+    stands for an absent stage, which is never computed.
 
     Args:
         camera: the camera.
@@ -58,7 +59,8 @@ def pipeline(camera: Camera, *, axes: "Axes | None" = None) -> "Axes":
 
 
 def _stages(camera: Camera) -> list[tuple[str, Any, list[str]]]:
-    """Title, record and fields of the lens, the sensor and the development."""
+    """Return the title, the record and the field names of the lens, the sensor and the
+    development."""
     stages: list[tuple[str, Any, list[str]]] = [("lens", camera.view, list(_LENS))]
     for title, record in (("sensor", camera.sensor), ("development", camera.development)):
         if record is not None:

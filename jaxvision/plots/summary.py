@@ -1,5 +1,5 @@
-"""Statistics of the channels of an image, in DN (integer images) or relative values (floating
-images)."""
+"""Compute statistics of the channels of an image, in DN for integer images and relative for
+floating-point images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class BandSummary:
 
 
 def band_names(bands: int) -> tuple[str, ...]:
-    """The names of an image's channels.
+    """Return the names of an image's channels.
 
     Args:
         bands: number of bands.
@@ -61,7 +61,8 @@ def band_names(bands: int) -> tuple[str, ...]:
 def summarise(
     image: np.ndarray, *, white: float | None = None, names: Sequence[str] = ()
 ) -> tuple[BandSummary, ...]:
-    """Range, moments and the counts of black, saturated and undefined values of each channel.
+    """Compute the range, the moments, and the numbers of black, saturated and undefined values of
+    each channel.
 
     Args:
         image: (h, w) or (h, w, bands), DN or relative.
@@ -101,7 +102,7 @@ def _summary(name: str, band: np.ndarray, white: float) -> BandSummary:
 
 
 def checked(image: np.ndarray) -> np.ndarray:
-    """(h, w, bands) of a numeric dtype."""
+    """Convert an image to (h, w, bands) of a numeric dtype, or raise `InputError`."""
     pixels = np.asarray(plain_array("image", image))
     if pixels.ndim not in (2, 3) or 0 in pixels.shape:
         raise InputError(
@@ -113,7 +114,7 @@ def checked(image: np.ndarray) -> np.ndarray:
 
 
 def white_level(pixels: np.ndarray, white: float | None) -> float:
-    """The value from which a pixel counts as saturated."""
+    """Return the value from which a pixel counts as saturated."""
     if white is not None:
         if not 0 < white < np.inf:
             raise InputError(f"white = {white:g} must be a finite number above 0; correct it.")
@@ -122,5 +123,5 @@ def white_level(pixels: np.ndarray, white: float | None) -> float:
 
 
 def colours_of(pixels: np.ndarray) -> np.ndarray:
-    """The bands of light, without alpha."""
+    """Return the bands of an image that are light, without alpha."""
     return pixels[..., : {2: 1, 4: 3}.get(pixels.shape[-1], pixels.shape[-1])]
