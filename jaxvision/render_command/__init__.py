@@ -1,4 +1,4 @@
-"""The implementation of `jaxvision render`: from a scene file to an image file.
+"""Implement `jaxvision render`, from a scene file to an image file.
 
 cost         the standard error of a render and its time
 job          tile by tile, in memory that does not grow with the picture, and resumable

@@ -1,4 +1,4 @@
-"""The standard error of a render and its time, in one line."""
+"""Measure the standard error and the time of a render, and state them in one line."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -14,7 +14,7 @@ _TARGETS = tuple(step * 10.0**power for power in range(0, -9, -1) for step in (3
 
 
 class Cost(NamedTuple):
-    """The time of a render, and its standard error.
+    """The time of a render and its standard error.
 
     Attributes:
         error: rms standard error of the pixels over the rms radiance; None for one ray per pixel.
@@ -30,20 +30,21 @@ class Cost(NamedTuple):
 
 
 class Clock:
-    """The time of a block, s, divided into compilation and the rest."""
+    """Measures the time of a `with` block, in s, divided into compilation and the rest."""
 
     def __init__(self) -> None:
         self._started = monotonic()
         self._spans: list[tuple[float, float]] = []
 
     def add(self, event: str, duration_secs: float, **_: object) -> None:
-        """A listener for JAX's events. Traces are nested, so their ends are recorded, too."""
+        """Record the duration of a compilation event of JAX. Events are nested, so the start and
+        the end of each are recorded."""
         if event.startswith("/jax/core/compile/"):
             now = monotonic()
             self._spans.append((now - duration_secs, now))
 
     def read(self) -> tuple[float, float]:
-        """The seconds so far without compilation, and those of compilation."""
+        """Return the seconds so far without compilation, and the seconds of compilation."""
         compiling, reached = 0.0, self._started
         for start, end in sorted(self._spans):
             compiling += max(end - max(start, reached), 0.0)
@@ -53,7 +54,7 @@ class Clock:
 
 @contextmanager
 def time_block() -> Iterator[Clock]:
-    """A clock in s that listens to the compiler."""
+    """Yield a clock, in s, that also records the times of JAX's compilations."""
     clock = Clock()
     jax.monitoring.register_event_duration_secs_listener(clock.add)
     try:
@@ -63,8 +64,8 @@ def time_block() -> Iterator[Clock]:
 
 
 def relative_error(rows: Iterable[np.ndarray], bands: int) -> float | None:
-    """The rms standard error over the rms radiance, of all pixels and bands with finite numbers;
-    None for a picture without light. `--accuracy` has the same norm.
+    """Return the rms standard error divided by the rms radiance, over all pixels and bands with
+    finite numbers. None for a picture without light. `--accuracy` uses the same norm.
     """
     light, squares = 0.0, 0.0
     for block in rows:
@@ -76,8 +77,8 @@ def relative_error(rows: Iterable[np.ndarray], bands: int) -> float | None:
 
 
 def cost_sentence(cost: Cost, settings: RenderEntry) -> str:
-    """One line for the end of a render: samples, error in %, time in s, and the time of a smaller
-    error."""
+    """Make the last line of a render's output: the samples, the error in %, the time in s, and the
+    time that a smaller error would take."""
     took = _seconds(cost.seconds)
     if cost.workers:
         took += f" of work on {cost.workers} worker{'s' * (cost.workers != 1)}"
@@ -105,7 +106,8 @@ _BESIDE = {
 
 
 def _kind(settings: RenderEntry) -> str:
-    """Everything besides the number of samples that a picture's error depends on."""
+    """Return a word for the part of a picture's error that does not depend on the number of
+    samples; "" if there is none."""
     if settings.integrator == "radiosity":
         return "radiosity"
     by_rule = settings.integrator in ("direct", "rays") and settings.rule == "quadrature"
@@ -113,7 +115,7 @@ def _kind(settings: RenderEntry) -> str:
 
 
 def _seconds(seconds: float) -> str:
-    """A time in a readable unit."""
+    """Format a time in a readable unit."""
     if seconds < 120:
         return f"{seconds:.2g} s" if seconds < 100 else f"{seconds:.0f} s"
     return f"{seconds / 60:.2g} min" if seconds < 5400 else f"{seconds / 3600:.2g} h"

@@ -1,7 +1,9 @@
-"""The words of `[render] integrator` as functions from pixels, or from passes, to radiance.
+"""Implement the values of `[render] integrator` as functions from pixels, or from passes, to
+radiance.
 
-Four integrators compute each pixel separately, and therefore in tiles; radiosity is solved before
-the first tile. Light tracing makes whole pictures, whose mean is taken over independent passes.
+Four integrators compute each pixel separately, so the picture is rendered in tiles. Of these,
+radiosity is solved before the first tile. Light tracing renders whole pictures and takes the mean
+of independent passes.
 """
 
 import math
@@ -50,9 +52,10 @@ Pixels = Float[Array, "pixels bands"]
 def pixels_of(
     source: SceneFile, settings: RenderEntry, *, threshold: float | None = None
 ) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """A function from (rows, columns) of n pixels to their radiance and its standard error of
-    independent samples (inf for one), (n, bands) float32 in W m^-2 sr^-1. The value of a pixel
-    depends on the others only with a `threshold`, W m^-2 sr^-1 as for `render`."""
+    """Return a function from the (rows, columns) of n pixels to their radiance and its standard
+    error, (n, bands) float32 each in W m^-2 sr^-1. The error assumes independent samples, and is
+    inf for a single one. The value of a pixel depends on other pixels only if there is a
+    `threshold`, in W m^-2 sr^-1 as in `render`."""
     compute = _seeded_traces_of(source, settings, threshold)(settings.seed)
 
     def both(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -63,9 +66,10 @@ def pixels_of(
 
 
 def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
-    """Return a function from a seed, and a second one for the positions of rays, to a function that
-    computes pixels. That one takes rows, columns and the number of the first sample, and for paths
-    another depth. Radiance, W m^-2 sr^-1, has the dtype of the scene; all is compiled once."""
+    """Return a function that takes a seed, and optionally another seed for the positions of rays
+    within pixels, and returns a function that computes pixels. The latter takes rows, columns and
+    the index of the first sample, and for paths optionally another depth. The radiance, in W m^-2
+    sr^-1, has the dtype of the scene. Everything is compiled once."""
     traces = _seeded_traces_of(source, settings)
 
     def seeded(seed: int, within_pixels: int | None = None) -> Computed:
@@ -112,15 +116,15 @@ def _seeded_traces_of(
 
 
 def passes_of(source: SceneFile, settings: RenderEntry) -> tuple[int, Callable[[int], np.ndarray]]:
-    """The number of passes, and a function from the number of a pass to its picture, (h, w, bands)
-    in W m^-2 sr^-1. The result is the mean of all."""
+    """Return the number of passes, and a function from the index of a pass to its picture, (h, w,
+    bands) in W m^-2 sr^-1. The final picture is the mean of all passes."""
     passes = seeded_passes_of(source, settings)
     return settings.samples, lambda number: passes(settings.seed, number)
 
 
 def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int, int], np.ndarray]:
-    """A function from a seed and the number of a pass to its picture, (h, w, bands) W m^-2 sr^-1;
-    compiled once for all seeds."""
+    """Return a function from a seed and the index of a pass to its picture, (h, w, bands) W m^-2
+    sr^-1. It is compiled once for all seeds."""
     _check_light(source, settings)
     one = _kept_pass(_compiled_in(settings), _structure(source))  # pyright: ignore[reportArgumentType]
 
@@ -133,8 +137,8 @@ def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int,
 
 
 def light_findings(source: SceneFile, settings: RenderEntry) -> list[str]:
-    """Sentences on a scene file's lamps that light nothing, and on light that the integrator cannot
-    find."""
+    """List sentences on lamps of a scene file that light nothing, and on light that the integrator
+    cannot find."""
     return [
         *idle_lamps(source.scene, lights=source.lights),
         *missing_light(
@@ -151,27 +155,30 @@ def light_findings(source: SceneFile, settings: RenderEntry) -> list[str]:
 
 
 def _compiled_in(settings: RenderEntry) -> RenderEntry:
-    """The settings that affect the compiled program."""
+    """Return the settings that affect the compiled program, with the others at fixed values."""
     return settings.model_copy(update={"seed": 0, "tile": 1})
 
 
 def _structure(source: SceneFile) -> Hashable:
-    """The structure of the scene and its view that a program needs."""
+    """Return the structure, shapes and dtypes of the scene and its view, on which the compiled
+    program depends."""
     leaves, tree = jax.tree.flatten((source.scene, source.view))
     return tree, tuple(map(jax.typeof, leaves))
 
 
 @lru_cache(maxsize=1)
 def _kept_tile(settings: RenderEntry, structure: Hashable) -> Callable[..., tuple[Pixels, Pixels]]:
-    """The program of the last picture. A similar scene uses it without compiling again. It contains
-    no scene, and is released at the first scene of another structure.
+    """Return the compiled program for tiles, cached for one combination of settings and structure.
+    A scene with the same structure uses it without another compilation. The cache holds no scene,
+    and a scene with another structure replaces its content.
     """
     return kept_whole(_tile_of(_along(settings), settings), f"tile {settings!r}")
 
 
 @lru_cache(maxsize=1)
 def _kept_pass(settings: RenderEntry, structure: Hashable) -> Callable[..., Image]:
-    """The same for light tracing."""
+    """Return the compiled program for one pass of light tracing, cached for one combination of
+    settings and structure."""
 
     @partial(jax.jit, compiler_options=for_rays(paths=False))
     def one(key: Key, scene: Scene, view: View) -> Image:
@@ -184,7 +191,7 @@ def _kept_pass(settings: RenderEntry, structure: Hashable) -> Callable[..., Imag
 
 
 def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., tuple[Pixels, Pixels]]:
-    """The program from pixels to radiance and standard error."""
+    """Return the compiled program from pixels to their radiance and standard error."""
 
     @partial(jax.jit, compiler_options=for_rays(paths=settings.integrator == "path"))
     def tile(
@@ -211,8 +218,8 @@ def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., tuple[Pixels
 
 
 def _check_light(source: SceneFile, settings: RenderEntry) -> None:
-    """Raise `InputError` if all light is ambient, which is a substitute for the light that the
-    other integrators trace.
+    """Raise `InputError` if all light is ambient and the integrator is not "direct". Ambient light
+    is a substitute for the light that other integrators trace.
     """
     scene = source.scene
     shines = scene.lights or any(surface.emission is not None for surface in scene.surfaces)
@@ -224,7 +231,8 @@ def _check_light(source: SceneFile, settings: RenderEntry) -> None:
 
 
 def _check_lens(source: SceneFile, settings: RenderEntry) -> None:
-    """Raise `InputError` for a thin lens that a single ray per pixel would show as a pinhole."""
+    """Raise `InputError` for a thin lens with a single ray per pixel, which would show the picture
+    of a pinhole."""
     lens = isinstance(source.view, ThinLens) and np.isfinite(source.view.f_number)
     if lens and settings.samples == 1 and settings.integrator != "path":
         raise InputError(
@@ -234,17 +242,18 @@ def _check_lens(source: SceneFile, settings: RenderEntry) -> None:
 
 
 def _nothing(key: Key) -> None:
-    """No work before the first pixel, for all integrators except radiosity."""
+    """Do nothing before the first pixel; only radiosity has work to do there."""
 
 
 def _is_wide(scene: Scene, settings: RenderEntry) -> bool:
-    """Whether maps are averaged over the footprint of each pixel."""
+    """Return whether maps are averaged over the footprint of each pixel."""
     one = settings.integrator == "direct" and settings.samples == 1
     return one and varied_surfaces(scene) is not None
 
 
 def _along(settings: RenderEntry) -> RaysOf:
-    """Radiance along rays, as a function of a scene and a key; both may be traced."""
+    """Return the function that computes radiance along rays from a scene and a key, which may both
+    be traced by JAX."""
     match settings.integrator:
         case "direct":
             return lambda scene, key, _solution, _depth, threshold: direct_along(
@@ -261,8 +270,9 @@ def _along(settings: RenderEntry) -> RaysOf:
 
 
 def _solve_radiosity(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
-    """The scene divided into patches. Their exchange of light, a function of a key, precedes the
-    first pixel; then the radiance along rays follows."""
+    """Divide the scene into patches, and return two functions. The first solves the exchange of
+    light between patches for a random key, before the first pixel. The second computes radiance
+    along rays from that solution."""
     with _refusals_in_words(source):
         scene = source.scene
         whole = float(patches_of(scene, plan_patches(scene, size=np.inf, split=1)).area.sum())
@@ -290,7 +300,8 @@ def _solve_radiosity(source: SceneFile, settings: RenderEntry) -> tuple[Solve, R
 
 
 def _check_balance(scene: Scene, plan: Plan, table: Array) -> None:
-    """Raise `ValueError` with the number of a surface if light is trapped between it and others."""
+    """Raise `ValueError`, with the index of a surface, if light is trapped between this surface and
+    others."""
     materials = [surface.material for surface in scene.surfaces]
     diffuse = [np.asarray(own.diffuse) for own in materials if isinstance(own, Lambert)]
     albedo = np.pi * np.stack(np.broadcast_arrays(*diffuse))  # `plan_patches` refuses all others
@@ -323,7 +334,7 @@ def _rule(settings: RenderEntry, key: Key) -> Rule:
 
 
 def named_text(source: SceneFile, text: str) -> str:
-    """A text with surfaces and lights by their names in the scene file."""
+    """Replace the indices of surfaces and lights in a text by their names in the scene file."""
     names = {"surfaces": source.surfaces, "lights": source.lights}
     return re.sub(
         r"(?:Scene\.)?\b(surfaces|lights)\[(\d+)\]",
@@ -334,7 +345,8 @@ def named_text(source: SceneFile, text: str) -> str:
 
 @contextmanager
 def _refusals_in_words(source: SceneFile) -> Iterator[None]:
-    """A refusal by the library, rephrased with the names in the scene file."""
+    """Rephrase a `ValueError` of the library as an `InputError` with the names in the scene file,
+    for a `with` block."""
     try:
         yield
     except ValueError as error:

@@ -1,9 +1,10 @@
-"""Render a scene file to an image file, tile by tile. The memory does not grow with the picture. A
-killed render continues and ends bit-identical.
+"""Render a scene file to an image file, tile by tile. The memory needed does not grow with the
+picture. If a render is killed, the same command continues it, and the result is bit-identical.
 
-While the EXR `out` is unfinished, `out.partial` lies next to it. A tile is a run of pixels in row
-order. Every tile is computed by the same compiled code from pixel numbers and the seed alone. Light
-tracing adds light all over the picture. It is divided into passes instead, and keeps the whole
+While the EXR file `out` is unfinished, its completed tiles are in `out.partial` next to it. A tile
+is a sequence of pixels in row order. Every tile is computed by the same compiled code, and depends
+only on the indices of its pixels and on the seed. Light tracing adds light to all parts of the
+picture, so it has no tiles. Light tracing is divided into passes instead, and keeps the whole
 picture in memory.
 """
 
@@ -64,12 +65,13 @@ def render_to_file(
     fresh: bool = False,
     advance: Advance = lambda done, total: None,
 ) -> Cost:
-    """Render a scene file to an EXR file, W m^-2 sr^-1, tile by tile, and return the rms standard
-    error over the rms radiance, and the time, s. With several samples the file has a layer `error`
-    of standard errors, as if samples were independent. `pruned`: the scene to render in place of
-    the whole one; its certificate goes into the header. `preview`: file of an 8-bit picture.
-    `fresh`: whether to drop the finished tiles of an interrupted call. `advance(done, all)` counts
-    tiles. `KeyboardInterrupt` says how to continue; any other failure is an `InputError`."""
+    """Render a scene file to an EXR file, in W m^-2 sr^-1, tile by tile. Return the rms standard
+    error over the rms radiance, and the time in s. With several samples the file has a layer
+    `error` of standard errors, as if samples were independent. `pruned`: the scene to render in
+    place of the whole one; its certificate goes into the header. `preview`: file of an 8-bit
+    picture. `fresh`: whether to drop the finished tiles of an interrupted call.
+    `advance(done, all)` counts tiles. `KeyboardInterrupt` says how to continue; any other failure
+    is an `InputError`."""
     if out.suffix.lower() != ".exr":
         raise InputError(f"{out}: a render holds radiance and is written as EXR; name it so.")
     check_writable(out)
@@ -122,8 +124,8 @@ def render_to_file(
 
 
 def _check_room(out: Path, unfinished: Path, source: SceneFile) -> None:
-    """Raise `InputError` for a picture larger than the free disk space plus an earlier partial
-    file.
+    """Raise `InputError` if the picture needs more disk space than is free, where an earlier
+    partial file counts as free.
     """
     height, width = source.view.resolution
     # radiance and error, of the partial file and of the picture made from it
@@ -149,7 +151,8 @@ def _render_tiles(
     advance: Advance,
     clock: Clock,
 ) -> Iterator[tuple[Rows, Seconds]]:
-    """The picture tile by tile; the partial file is deleted at the end of the block."""
+    """Render the picture tile by tile, and yield its rows and times. The partial file is deleted at
+    the end of the block."""
     height, width = source.view.resolution
     tile = min(settings.tile, height * width)
     tiles = math.ceil(height * width / tile)
@@ -180,8 +183,8 @@ def _render_passes(
     advance: Advance,
     clock: Clock,
 ) -> Iterator[tuple[Rows, Seconds]]:
-    """The picture as the mean of its passes; the partial file is deleted at the end of the
-    block."""
+    """Render the picture as the mean of its passes, and yield its rows and times. The partial file
+    is deleted at the end of the block."""
     height, _ = source.view.resolution
     bands, several = source.bands, settings.samples > 1
     shape = (*source.view.resolution, bands * (1 + several))
@@ -211,7 +214,8 @@ def _render_passes(
 
 @dataclasses.dataclass
 class _Work:
-    """Data that the tiles or passes of one picture share. Compiled once in each process."""
+    """The scene and the settings that all tiles or passes of one picture share. Each process
+    compiles its program once."""
 
     source: SceneFile
     settings: RenderEntry
@@ -222,8 +226,8 @@ class _Work:
 
     @cached_property
     def radiance(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """`pixels_of` the remaining scene, in all of its bands: (n, bands), or with several samples
-        (n, 2 bands), with the standard errors last."""
+        """The function from pixels to radiance of the pruned scene in all its bands, (n, bands),
+        or, with several samples, to (n, 2 bands) with the standard errors last."""
         threshold = None if self.pruned is None else self.pruned.threshold
         left = pruned_scene(self.source, self.settings, self.pruned)
         compute = pixels_of(*left, threshold=threshold)
@@ -260,7 +264,7 @@ def _pass(work: _Work, number: int) -> Part:
 
 
 class _Spent:
-    """The time of a picture: by the clock of this process or, on workers, by theirs."""
+    """Adds up the time of a picture, by the clock of this process or by those of its workers."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -268,7 +272,7 @@ class _Spent:
         self._workers: set[str] = set()
 
     def taken(self, part: Part) -> np.ndarray:
-        """The result of a part, whose seconds are added."""
+        """Return the result of a tile or pass, and add its seconds to the total."""
         result, seconds, process = part
         if process != _PROCESS:
             self._there += seconds
@@ -276,21 +280,22 @@ class _Spent:
         return result
 
     def extrapolate(self, parts: int, here: int) -> Seconds:
-        """The seconds of all parts from those computed now, of compiling, and how many worked."""
+        """Return the seconds of all parts, extrapolated from those computed now, the seconds of
+        compiling, and the number of workers."""
         seconds, compiling = self._there if self._workers else self._clock.read()
         return float(seconds) * parts / max(here, 1), float(compiling), len(self._workers)
 
 
 def with_resolution(view: View, resolution: tuple[int, int]) -> View:
-    """The view with other rows and columns, and a pixel pitch in m that keeps the width of the
+    """Return a view with another resolution, whose pixel pitch, in m, keeps the width of the
     picture."""
     pitch = view.pixel_pitch * (view.resolution[1] / resolution[1])
     return dataclasses.replace(view, resolution=resolution, pixel_pitch=pitch)
 
 
 def band_names(bands: int, wavelengths: np.ndarray | None) -> tuple[str, ...]:
-    """One EXR channel a band, from wavelengths in m with digits that sort, as in Fichet et al., "An
-    OpenEXR Layout for Spectral Images", JCGT 10(3) (2021)."""
+    """Name one EXR channel for each band. Wavelengths, in m, give names with digits that sort, as
+    in Fichet et al., "An OpenEXR Layout for Spectral Images", JCGT 10(3) (2021)."""
     if wavelengths is not None:
         longest = len(f"{wavelengths[-1] * 1e9:.1f}")
         names = (f"{w * 1e9:0{longest}.1f}".replace(".", ",") for w in wavelengths)
@@ -301,7 +306,7 @@ def band_names(bands: int, wavelengths: np.ndarray | None) -> tuple[str, ...]:
 
 
 def _key(source: SceneFile, settings: RenderEntry, pruned: Pruned | None) -> dict[str, Any]:
-    """Everything that the bits of the picture depend on, including the tile size."""
+    """Return everything on which the bits of the picture depend, including the size of tiles."""
     unused = set() if settings.integrator in BY_PIXEL else {"tile"}
     return {
         "scene": source.digest,
@@ -333,8 +338,8 @@ def _attributes(
 
 
 def _display(rows: Rows, source: SceneFile) -> np.ndarray:
-    """The picture in 8-bit sRGB (grey for bands that are no colours), with 95 % of the lit pixels
-    below 0.8 of white."""
+    """Convert the picture to 8-bit sRGB, or grey if its bands are not colours, so that 95 % of the
+    lit pixels are below 0.8 of white."""
     height, width = source.view.resolution
     step = math.ceil(height * width / _SHOWN)
     to_rgb = linear_srgb(source.bands, source.wavelengths)
@@ -350,8 +355,8 @@ def _display(rows: Rows, source: SceneFile) -> np.ndarray:
 
 
 def linear_srgb(bands: int, wavelengths: np.ndarray | None) -> Float[np.ndarray, "bands 3"]:
-    """(bands, 3), relative: the part of each band in linear sRGB, by the standard observer for
-    wavelengths, m, and grey for other bands than RGB."""
+    """Return the colour of each band in linear sRGB, (bands, 3), relative. Bands with wavelengths,
+    in m, use the standard observer; other bands than RGB are grey."""
     if wavelengths is not None:
         return colours_of(wavelengths, "light")
     return np.eye(3) if bands == 3 else np.full((bands, 3), 1 / bands)

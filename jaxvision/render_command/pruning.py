@@ -1,5 +1,5 @@
-"""The implementation of `jaxvision effects` and `render --tolerance`: the effects of a scene file,
-and the scene without negligible ones."""
+"""Implement `jaxvision effects` and `render --tolerance`: list the effects of a scene file, and
+drop the negligible ones."""
 
 import math
 import re
@@ -29,7 +29,7 @@ Box = dict[str, tuple[Any, Any]]
 
 
 def _parse_request(settings: RenderEntry) -> dict[str, Any]:
-    """The samples and the path depth of an integrator."""
+    """Return the samples and the path depth of an integrator, as `effects.inspect` takes them."""
     samples, depth = None, None
     if settings.samples > 1 or settings.integrator == "path":
         samples = PixelSamples(jax.random.key(settings.seed), settings.samples)
@@ -46,7 +46,7 @@ def _parse_request(settings: RenderEntry) -> dict[str, Any]:
 
 
 def _seen_by(source: SceneFile, camera: Camera | None) -> Camera | View:
-    """The scene's view, combined with the camera's sensor if there is one."""
+    """Return the view of the scene, combined with the sensor of a camera if one is given."""
     if camera is None:
         return source.view
     conversion, scene = camera.sensor.photon_conversion, source.scene
@@ -63,9 +63,9 @@ def _seen_by(source: SceneFile, camera: Camera | None) -> Camera | View:
 def inspect_scene(
     source: SceneFile, settings: RenderEntry, *, camera: Camera | None = None, **asked: Any
 ) -> tuple[Effect, ...]:
-    """The effects of a scene file and, if given, of a camera with its sensor, with times for direct
-    light and paths; other arguments as in `effects.inspect`. `InputError` for the time of another
-    integrator."""
+    """List the effects of a scene file and, if a camera is given, of its sensor. Times are measured
+    for direct light and paths; `InputError` for the times of another integrator. Further arguments
+    are those of `effects.inspect`."""
     if asked.get("time") and settings.integrator not in ("direct", "path"):
         raise InputError(f"--time measures direct light and paths; this is {settings.integrator}.")
     seen = _seen_by(source, camera)
@@ -80,8 +80,8 @@ def prune_scene(
     camera: Camera | None = None,
     **asked: Any,
 ) -> Pruned:
-    """The scene without the effects within a tolerance, with its certificate; other arguments as in
-    `effects.prune`."""
+    """Return the scene without the effects whose change is within a tolerance, with a certificate.
+    Further arguments are those of `effects.prune`."""
     seen = _seen_by(source, camera)
     try:
         return effects.prune(source.scene, seen, tolerance, **_parse_request(settings), **asked)
@@ -90,10 +90,10 @@ def prune_scene(
 
 
 def prune_losslessly(source: SceneFile, settings: RenderEntry) -> Pruned | None:
-    """The scene without effects that are proved to be 0 W m^-2 sr^-1, or None. Effects are searched
-    for in pictures without random lamp samples, if the search takes at most a twentieth of the
-    picture's time and saves 3 % of its work. Times are estimated from counts, so that a resumed
-    render makes the same choice.
+    """Return the scene without the effects that provably change nothing, with bounds of 0 W m^-2
+    sr^-1, or None. Effects are searched only if lamps are not sampled at random, if the search
+    takes at most a twentieth of the picture's time, and if it saves 3 % of the work. The times are
+    estimated from numbers of rays and surfaces, so that a resumed render makes the same choice.
     """
     if settings.integrator not in ("direct", "rays") or settings.rule != "quadrature":
         return None
@@ -105,7 +105,7 @@ def prune_losslessly(source: SceneFile, settings: RenderEntry) -> Pruned | None:
 
 
 def lossless_sentence(source: SceneFile, pruned: Pruned) -> str:
-    """One line that says what `prune_losslessly` has left out of `source`, with the names of the
+    """Describe in one line what `prune_losslessly` has dropped from `source`, with the names in the
     file."""
     names = [name_effect(source, effect).name for effect in pruned.certificate.dropped]
     shown = ", ".join(names[:_NAMED])
@@ -116,8 +116,8 @@ def lossless_sentence(source: SceneFile, pruned: Pruned) -> str:
 def pruned_scene(
     source: SceneFile, settings: RenderEntry, pruned: Pruned | None
 ) -> tuple[SceneFile, RenderEntry]:
-    """Return the file and the settings of the pruned scene, lengths in m, with fewer bands if
-    `pruned.expand` computes the others; of the whole scene for None."""
+    """Return the file and the settings of the pruned scene, with lengths in m, or of the whole
+    scene if `pruned` is None. It has fewer bands if `pruned.expand` computes the others."""
     if pruned is None:
         return source, settings
     gone = {effect.name for effect in pruned.certificate.dropped}
@@ -135,7 +135,8 @@ def pruned_scene(
 
 
 def box_of(free: Sequence[str]) -> Box:
-    """Repeated `NAME=LOW,HIGH` as the box of a fit, in the unit of each field."""
+    """Convert repeated arguments `NAME=LOW,HIGH` to the ranges of free parameters, in the unit of
+    each field."""
     found: Box = {}
     for text in free:
         name, _, ends = text.partition("=")
@@ -151,7 +152,7 @@ def box_of(free: Sequence[str]) -> Box:
 
 
 def name_effect(source: SceneFile, effect: Effect) -> Effect:
-    """The effect, with the name of its surface or light added if the file gives one."""
+    """Add the name of its surface or light to an effect, if the file gives one."""
     place = re.match(r"(surfaces|lights|shadows)\[(\d+)\]", effect.name)
     if place is None:
         return effect
@@ -161,8 +162,8 @@ def name_effect(source: SceneFile, effect: Effect) -> Effect:
 
 
 def listed(found: Iterable[Effect]) -> str:
-    """Effects as lines of text, each bound in its own unit, displacements in pixels, measured times
-    in ms."""
+    """Format effects as lines of text: each bound in its own unit, displacements in pixels, and
+    measured times in ms."""
     found = list(found)
     timed = any(effect.seconds is not None for effect in found)
     rows = [("effect", "bound", "", "pixels", "ms" if timed else "saves", "rank", "why")]
@@ -178,7 +179,8 @@ def listed(found: Iterable[Effect]) -> str:
 
 
 def smaller(source: SceneFile, pruned: Pruned) -> str:
-    """The reduction of the direct-light program's size in per cent, as the end of a sentence."""
+    """Describe, as the end of a sentence, by how many per cent the program for direct light becomes
+    smaller."""
     left, _ = pruned_scene(source, source.render, pruned)
     before, after = (effects.equations(own.scene, own.view) for own in (source, left))
     share = 1 - after / np.maximum(before, 1)

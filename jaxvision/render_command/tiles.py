@@ -1,11 +1,12 @@
-"""An unfinished picture on disk, whose completed part survives a kill.
+"""Store an unfinished picture on disk, so that its completed part survives a kill of the process.
 
-For a picture in tiles the file is one line of JSON that describes the render, then a record per
-tile: its values as little-endian float32 and their CRC-32. A tile is a run of pixels in row order,
-all of one length (the last is padded), so that the tiles in sequence form the picture. A record
-counts when it is complete. A partial record at the end is cut off. For a picture in passes the file
-is such a line, the sum so far in float64 and the CRC-32 of both, and is replaced as a whole. No
-file is created before there is something to store.
+The file of a picture in tiles begins with one line of JSON that describes the render. A record for
+each tile follows, with its values as little-endian float32 and their CRC-32. A tile is a sequence
+of pixels in row order. All tiles have one length, with the last one padded, so that together they
+form the picture. A record is valid only if it is complete. An incomplete record at the end is
+removed when the render continues. The file of a picture in passes has such a line, the sum of the
+passes so far in float64, and the CRC-32 of both. It is replaced as a whole after each pass. No file
+is created before there is a result to store.
 """
 
 import json
@@ -28,12 +29,12 @@ Key = Mapping[str, Any]  # of values in JSON
 
 
 class PartialImage:
-    """Context with the tiles of one picture. `key`: identifies the render, by names for messages.
-    `values`: numbers per tile. `done`: complete tiles so far."""
+    """The tiles of one picture, for a `with` block. `key`: identifies the render, by names for
+    messages. `values`: numbers per tile. `done`: complete tiles so far."""
 
     def __init__(self, path: Path, *, key: Key, values: int, fresh: bool) -> None:
-        """Continue at the end of a file with the same key; `InputError` for a file with another key
-        unless it may be replaced (`fresh`) or has no tile yet."""
+        """Continue at the end of a file with the same key. `InputError` for a file with another
+        key, unless it may be replaced (`fresh`) or contains no tile yet."""
         self._path, self._values = path, values
         self._record = 4 * values + _CHECKSUM
         self._head = _head(key, values=values)
@@ -61,7 +62,7 @@ class PartialImage:
                 self._file.close()
 
     def append(self, values: np.ndarray) -> None:
-        """Append the next tile, which is on the disk when this returns."""
+        """Append the next tile; it is on the disk when this method returns."""
         data = np.ascontiguousarray(values, "<f4").tobytes()
         if len(data) != 4 * self._values:
             raise ValueError(f"a tile holds {self._values} values, got {values.size}.")
@@ -77,14 +78,14 @@ class PartialImage:
         self.done += 1
 
     def tile(self, index: int) -> np.ndarray:
-        """The values of a finished tile, flat float32."""
+        """Return the values of a finished tile, as a flat array of float32."""
         file = self._begun()
         file.seek(self._start_of(index))
         return np.frombuffer(file.read(4 * self._values), "<f4")
 
     def rows(self, width: int, bands: int, height: int, *, at_once: int) -> Iterator[np.ndarray]:
-        """The finished picture from the top, (rows, width, bands), with `at_once` rows at a
-        time."""
+        """Yield the finished picture from the top, in blocks (rows, width, bands) of `at_once`
+        rows."""
         held = np.zeros(0, np.float32)
         left = height * width * bands
         for index in range(self.done):
@@ -126,8 +127,8 @@ class PartialSum:
     error message. `total`: float64. `done`: passes so far."""
 
     def __init__(self, path: Path, *, key: Key, shape: tuple[int, ...], fresh: bool) -> None:
-        """Continue from a file with the same key, or begin again if the file is damaged;
-        `InputError` for a file with another key unless it may be replaced (`fresh`)."""
+        """Continue from a file with the same key, or begin again if the file is damaged.
+        `InputError` for a file with another key, unless it may be replaced (`fresh`)."""
         self._path, self._key = path, key
         self.total, self.done = np.zeros(shape), 0
         if fresh or not path.is_file():
@@ -142,7 +143,7 @@ class PartialSum:
             self.done = passes
 
     def add(self, picture: np.ndarray) -> None:
-        """Add one more pass, which is on the disk when this returns."""
+        """Add one more pass; it is on the disk when this method returns."""
         self.total += picture
         self.done += 1
         data = _head(self._key, passes=self.done) + self.total.astype("<f8").tobytes()
