@@ -1,4 +1,4 @@
-"""A fitted reflectance as a material for a scene: the best fit, and posterior draws."""
+"""Turn a fitted reflectance into a material for a scene: the best fit, and posterior draws."""
 
 from collections.abc import Callable
 from functools import partial
@@ -22,7 +22,7 @@ DRAWS = 1000  # most draws that are kept
 
 
 def fitted_material(model: Model, index: float, posterior: Posterior) -> tuple[Material, Material]:
-    """The material of one channel, a record of one band.
+    """Return the material of one channel, a record of one band, and posterior draws of it.
 
     Amplitudes are per unit of the rig's intensity. They are in sr^-1 (no unit for normalised lobes)
     if that intensity is the digital number, above black, of a surface that faces the light and
@@ -51,7 +51,7 @@ def fitted_material(model: Model, index: float, posterior: Posterior) -> tuple[M
 def material_files(
     fitted: dict[str, tuple[Model, float, Posterior]],
 ) -> dict[str, Callable[[Path], None]]:
-    """The function that writes the materials of a calibration."""
+    """Return, by file name, functions that write the materials of a calibration."""
     return {
         "material" if channel == "grey" else f"material_{channel}": partial(_write, *of_channel)
         for channel, of_channel in fitted.items()

@@ -1,13 +1,14 @@
-"""The reflectance models that can be fitted, one row each, with the equations of `jaxvision.brdf`.
+"""List the reflectance models that can be fitted, one row each, with the equations of
+`jaxvision.brdf`.
 
-A model is a diffuse part k_d plus k_s times a lobe of one shape parameter. A new model needs one
+A model is a diffuse part k_d plus k_s times a lobe with one shape parameter. A new model needs one
 row: its record with unit k_s, and the shape's name, unit and range. Lobes are centred on the mirror
 direction or on the half vector. A rough diffuse surface has a shape but no lobe.
 
 The facets of `torrance-sparrow` are GGX, as in the record's default, and those of
 `torrance-sparrow-beckmann` Beckmann, both with Smith's height-correlated shadowing. Their Fresnel
-term is that of a clear dielectric of a given index, which is never fitted: except at grazing
-angles, k_s and the normal reflectance enter only as their product. Facets of
+term is that of a clear dielectric of a given index. The index is never fitted, because k_s and the
+normal reflectance enter only as their product, except at grazing angles. Facets of
 `torrance-sparrow-metal` (GGX) have the same reflectance at all angles, which is nearly true for
 metals. In `eon` the interreflection between facets is that of white facets, so that k_d is an
 amplitude in any unit of light.
@@ -42,7 +43,7 @@ HIGHEST_INDEX = 10.0  # index of refraction above that of any material
 
 @dataclass(frozen=True)
 class Reflectance:
-    """One model."""
+    """A reflectance model that can be fitted."""
 
     label: str  # its name in reports
     axis: Axis  # direction about which the lobe is centred
@@ -54,7 +55,7 @@ class Reflectance:
 
 
 def amplitude(name: str, symbol: str, unit: str) -> Parameter:
-    """An amplitude: positive and searched as its logarithm."""
+    """Return an amplitude parameter, which is positive and searched as its logarithm."""
     return Parameter(name, symbol=symbol, unit=unit, transform="log")
 
 
@@ -63,7 +64,9 @@ def _one(shape: Array) -> Array:
 
 
 def _lobe(record: Callable[[Array, Array, Array], Material]) -> Callable[[Array, float], Material]:
-    """The parameters (0, 1, shape) for a record of (diffuse, specular, shape)."""
+    """Return a function from shape and index to the lobe of a record, with diffuse 0 and specular
+    1.
+    """
     return lambda shape, index: record(jnp.zeros(1, shape.dtype), _one(shape), shape)
 
 
@@ -131,7 +134,7 @@ LABELS: dict[Model, str] = {model: row.label for model, row in REFLECTANCES.item
 
 
 def facet_sentence(index: float) -> str:
-    """A finding for fits with clear facets."""
+    """Return a finding for fits with clear facets."""
     along_normal = ((index - 1) / (index + 1)) ** 2
     return (
         f"Clear facets have the index of refraction {index:g} (Fresnel reflectance "
@@ -162,27 +165,28 @@ def has_lobe(model: Model) -> bool:
 
 
 def shape_of(model: Model) -> Parameter:
-    """The shape parameter of any model but Lambert's."""
+    """Return the shape parameter of any model but Lambert's."""
     shape = REFLECTANCES[model].shape
     assert shape is not None, model
     return shape
 
 
 def shape_range(model: Model) -> tuple[float, float]:
-    """The searched range of the shape of any model but Lambert's, in its unit."""
+    """Return the searched range of the shape, in its unit, for any model but Lambert's."""
     return SEARCHED[shape_of(model).symbol]
 
 
 def log_range(model: Model) -> tuple[float, float]:
-    """The logarithms of the searched range of the shape of any model but Lambert's."""
+    """Return the logarithms of the searched range of the shape, for any model but Lambert's."""
     low, high = shape_range(model)
     return float(np.log(low)), float(np.log(high))
 
 
 def is_searched(model: Model, shape: float) -> bool:
-    """Whether a shape is inside its searched range. Outside it, predictions hardly change with the
-    shape, so a search that ends there has found a plateau and not an optimum. A rough diffuse model
-    without roughness is Lambert's."""
+    """Return whether a shape is inside its searched range. Outside it, predictions hardly change
+    with the shape, so a search that ends there has found a plateau and not an optimum. A rough
+    diffuse model may have any small roughness, because without roughness it is Lambert's.
+    """
     low, high = shape_range(model)
     return shape <= high and (low <= shape or not has_lobe(model))
 
@@ -190,7 +194,7 @@ def is_searched(model: Model, shape: float) -> bool:
 def unit_brdf(
     model: Model, shape: Float[Array, ""], wi: Vec, wo: Vec, index: float
 ) -> Float[Array, " n"]:
-    """f_r of unit amplitude."""
+    """Return f_r of unit amplitude for pairs of directions."""
     return _pair_values(evaluate, model, shape, wi, wo, index)
 
 

@@ -1,5 +1,6 @@
-"""Names of the models and parameters that can be fitted, and of supported files, without importing
-numerical libraries."""
+"""The names of the models and parameters that can be fitted, and of supported files, without
+importing numerical libraries.
+"""
 
 from pathlib import Path
 from typing import Literal, get_args
@@ -37,5 +38,5 @@ SUFFIXES = (".brdf", ".bsdf", ".binary")
 
 
 def is_measured_brdf(path: Path) -> bool:
-    """Whether a path is a file of measured reflectance, by its suffix."""
+    """Return whether a path is a file of measured reflectance, by its suffix."""
     return path.suffix.lower() in SUFFIXES

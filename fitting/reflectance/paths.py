@@ -1,4 +1,4 @@
-"""Checks that paths belong together: one rig, or files of measured reflectance."""
+"""Check that paths belong together: either one rig, or files of measured reflectance."""
 
 from collections.abc import Sequence
 from pathlib import Path

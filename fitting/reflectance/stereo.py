@@ -1,10 +1,11 @@
-"""Normals and albedo from photographs under different lights, in closed form, pixel by pixel.
+"""Estimate normals and albedo from photographs under different lights, in closed form, pixel by
+pixel.
 
-A matte surface under a distant light of direction l and irradiance E reads m = E rho n.l, with n
-its unit normal and rho its albedo in the unit of the readings over that of E. With g = rho n this
-is linear, so that three lights determine g, and more lights give it by least squares (Woodham,
-Optical Engineering 19, 1980). Attached and cast shadows, clipped pixels and highlights are outliers
-of this model.
+For a matte surface under a distant light of direction l and irradiance E, the reading of a pixel is
+m = E rho n.l, with n its unit normal and rho its albedo in the unit of the readings over that of E.
+With g = rho n the reading is linear, so that three lights determine g, and more lights give it by
+least squares (Woodham, Optical Engineering 19, 1980). Attached and cast shadows, clipped pixels and
+highlights are outliers of this model.
 """
 
 from collections.abc import Mapping
@@ -69,7 +70,7 @@ HEADS = ("", "median", "90 % of pixels in", "unit")
 
 @dataclass(frozen=True)
 class Stereo:
-    """The estimates for each pixel. Print it, or show it in a notebook.
+    """Normals, albedo and their errors for each pixel. Print the record, or show it in a notebook.
 
     Attributes:
         normals: (h, w, 3) unit, in the axes of the lights; NaN where fewer than three lights are
@@ -126,7 +127,7 @@ class Stereo:
         return rows
 
     def _repr_html_(self) -> str:
-        """The maps for a notebook, with their table."""
+        """Return the maps and their table as HTML for a notebook."""
         table = record_html(HEADS, self._rows(), title=self._heading(), notes=self.findings)
         known = self.albedo[np.isfinite(self.albedo)]
         if not known.size:
@@ -151,7 +152,8 @@ def photometric_stereo(
     materials: ArrayLike | None = None,
     viewer: ArrayLike = (0.0, 0.0, 1.0),
 ) -> Stereo:
-    """Normals, albedo and their errors from photographs of one still view under distant lights.
+    """Estimate normals, albedo and their errors from photographs of one still view under distant
+    lights.
 
     Args:
         images: (lights, h, w) linear readings without black level, in any unit; NaN marks a missing
@@ -327,7 +329,7 @@ def _materials_finding(model: Model, surface: Surface) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Rough:
-    """The change if a rough body replaces Lambert's law."""
+    """How the normals change if a rough surface model replaces Lambert's law."""
 
     covariance: Matrices  # of g, including the change by the rough body
     sigma: float  # roughness, rad
@@ -344,9 +346,11 @@ def _rough_body(
     found: Departures,
     viewer: Float[np.ndarray, "3"],
 ) -> _Rough | None:
-    """Return the rough body (Oren-Nayar), if it explains the residuals of Lambert's law. It rotates
-    normals toward the viewer and leaves hardly any residual under few lights. The detected
-    departures remain in the covariance, unless the rough body explains all of them."""
+    """Fit a rough surface (Oren-Nayar), and return it if it explains the residuals of Lambert's
+    law. Roughness rotates the fitted normals toward the viewer and leaves hardly any residual under
+    few lights. The detected departures from Lambert's law remain in the covariance, unless
+    roughness explains all of them.
+    """
     weights = found.weights
     rows, flat = directions * irradiance[:, None], counts.reshape(len(readings), -1)
     g = solved(rows, readings, weights)[0]
@@ -443,8 +447,9 @@ def _deviations(
 def _common(
     rows: Rows, readings: Readings, between: Counted, limits: tuple[float, float], *, robust: bool
 ) -> tuple[Common | None, Bool[np.ndarray, " lights"]]:
-    """Factors of the lights, or an offset, common to all pixels, and the few lights with a
-    deviating factor."""
+    """Return factors of the lights, or an offset, common to all pixels, and which few lights have a
+    deviating factor.
+    """
     counts = _counted(rows, readings, between, limits, robust=False)
     common = common_departure(rows, readings, counts)
     if common is None or not robust:
@@ -495,8 +500,9 @@ def _common_factor_finding(common: Common, moved: Vectors) -> str:
 def _contradiction_finding(
     rows: Rows, stack: Images, between: Counted, limits: tuple[float, float]
 ) -> tuple[str, ...]:
-    """Return a sentence about readings between the limits that most pixels contradict in the same
-    way as their neighbours."""
+    """Return a sentence if the readings of most pixels differ from Lambert's law, and neighbouring
+    pixels do so in the same way.
+    """
     readings = stack.reshape(len(rows), -1)
     counts = _counted(rows, readings, between, limits, robust=False)
     g, _, used = _least_squares(rows, readings, counts.astype(float))
@@ -567,8 +573,9 @@ def _copies(stack: Images) -> tuple[str, ...]:
 def _contradicted_images(
     rows: Rows, readings: Readings, counts: Counted, limits: tuple[float, float]
 ) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
-    """Images that most pixels contradict although the other images predict them between the limits,
-    with findings."""
+    """Return the images that most pixels contradict although the other images predict them between
+    the limits, with findings.
+    """
     g, _, used = _least_squares(rows, readings, counts.astype(float))
     scatter = _scatter(rows, readings, counts, g, used)
     expected = _between(rows, g, scatter, limits) & ~np.isnan(readings) & (used > 3)
@@ -659,7 +666,7 @@ def _least_squares(
 def _scatter(
     rows: Rows, readings: Readings, near: Counted, g: Vectors, used: Int[np.ndarray, " pixels"]
 ) -> OfPixels:
-    """Return the variance of a reading about g; NaN without residuals."""
+    """Return the variance of a reading about its prediction from g; NaN without residuals."""
     residuals = np.where(near, readings - rows @ g.T, 0)
     return (residuals**2).sum(axis=0) / np.where(used > 3, used - 3, np.nan)
 
@@ -673,8 +680,9 @@ def _between(rows: Rows, g: Vectors, scatter: OfPixels, limits: tuple[float, flo
 def _counted(
     rows: Rows, readings: Readings, between: Counted, limits: tuple[float, float], *, robust: bool
 ) -> Counted:
-    """The readings of the fit: those that it predicts between the limits (if at least three lights
-    remain) and that no other contradicts."""
+    """Find the readings that the fit uses: those that it predicts between the limits, if at least
+    three lights remain, and that the others do not contradict.
+    """
 
     near = _consistent(rows, readings, between) if robust else between.copy()
     moving = np.arange(readings.shape[1])
@@ -697,8 +705,9 @@ def _counted(
 
 
 def _usual_residual(rows: Rows, readings: Readings, near: Counted, g: Vectors) -> OfPixels:
-    """Standard deviation of a reading about g from the median residual, which shadowed readings do
-    not increase; 0 without residuals."""
+    """Return the standard deviation of a reading about its prediction, from the median residual,
+    which shadowed readings do not increase; 0 without residuals.
+    """
     used = near.sum(axis=0)
     ordered = np.sort(np.where(near, np.abs(readings - rows @ g.T), np.inf), axis=0)
     middle = np.take_along_axis(ordered, np.maximum(used - 1, 0)[None] // 2, axis=0)[0]
@@ -730,9 +739,11 @@ def _consistent(rows: Rows, readings: Readings, counts: Counted) -> Counted:
 
 
 def _explained(rows: Rows, readings: Readings, apart: Counted, near: Counted) -> Counted:
-    """Excluded readings that agree with the others' prediction, by Student's t for the largest of
-    all prediction errors. If no reading is wrong, the accepted readings are those nearest to the
-    fit, so their scatter is too small. Their variance is corrected as for a truncated Gaussian."""
+    """Find excluded readings that agree with the prediction from the others, by Student's t for the
+    largest of all prediction errors. Even if no reading is wrong, the accepted readings are those
+    nearest to the fit, so their scatter is too small. Their variance is therefore corrected as for
+    a truncated Gaussian.
+    """
     some = np.flatnonzero(apart.any(axis=0))
     found = np.zeros_like(apart)
     if not some.size:

@@ -1,9 +1,11 @@
-"""Whether normals belong to a surface in the axes of the image: x right, y up, z to the camera.
+"""Check whether normals belong to a surface in the axes of the image: x right, y up, z to the
+camera.
 
 The slopes p = -nx / nz and q = -ny / nz of a surface have no curl (Horn and Brooks, Computer
 Vision, Graphics, and Image Processing 33, 1986). With g = p + i q, (d/dx - i d/dy) g is therefore
-real at every pixel. If the axes of the lights are rotated about the viewing axis, all these numbers
-have the phase of the rotation. If the axes are mirrored, this is true of the conjugate of g.
+real at every pixel. If the axes of the lights are rotated about the viewing axis, the phase of all
+these numbers is the angle of the rotation. If the axes are mirrored, this is true of the conjugate
+of g.
 """
 
 import numpy as np
@@ -64,8 +66,10 @@ def axes_findings(
 def _derivatives(
     normals: Float[np.ndarray, "h w 3"], side: float
 ) -> tuple[Complex[np.ndarray, " cells"], Complex[np.ndarray, " cells"]]:
-    """(d/dx - i d/dy) of g and of its conjugate, between means over blocks. Larger values than
-    nine of ten cells have, as at edges of the surface, are reduced to the size of the tenth."""
+    """Return (d/dx - i d/dy) of g and of its conjugate, from means over blocks of pixels. The
+    largest tenth of the values, as at edges of the surface, is reduced to the size of the ninth
+    decile.
+    """
     nz = side * normals[..., 2]
     with np.errstate(invalid="ignore", divide="ignore"):
         g = np.where(nz > STEEPEST, -(normals[..., 0] + 1j * side * normals[..., 1]) / nz, np.nan)

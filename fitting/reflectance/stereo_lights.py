@@ -1,4 +1,5 @@
-"""Least squares of pixels under different lights, and errors that all pixels share.
+"""Solve for each pixel under different lights by least squares, and estimate errors that all pixels
+share.
 
 A wrong intensity of a light, another exposure of its image and a drifting lamp scale an image as a
 whole. Room light and a wrong black level add the same offset to all readings. With few lights a
@@ -40,7 +41,7 @@ Images = Float[np.ndarray, "lights h w"]
 
 @dataclass(frozen=True)
 class Common:
-    """Common errors of the readings of all pixels, relative to m = E rho n.l."""
+    """Errors that the readings of all pixels share, relative to m = E rho n.l."""
 
     factors: OfLights  # true over stated irradiance
     # their standard errors; 0 where factors are not fitted
@@ -50,20 +51,23 @@ class Common:
     explained: float  # share of the residuals' sum of squares
 
     def removed(self, readings: Readings) -> np.ndarray:
-        """Readings after removing the common error."""
+        """Return the readings after removing the common error."""
         return (readings - self.offset) / self.factors[:, None]
 
 
 def predicted(rows: np.ndarray, g: Vectors) -> Readings:
-    """Readings of a linear model, whose rows, (lights, 3), may differ between pixels, (lights,
-    pixels, 3)."""
+    """Return the readings that a linear model predicts. Its rows are (lights, 3), or (lights,
+    pixels, 3) if they differ between pixels.
+    """
     return rows @ g.T if rows.ndim == 2 else np.einsum("lpi,pi->lp", rows, g)
 
 
 def solved(
     rows: np.ndarray, readings: Readings, weights: Readings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted least squares of each pixel."""
+    """Solve the weighted least squares of each pixel, and return g and the inverse of the normal
+    matrix.
+    """
     if rows.ndim == 2:
         products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), 9)
         matrix = (weights.T @ products).reshape(-1, 3, 3)
@@ -104,7 +108,9 @@ def by_lights(
 
 
 def common_departure(rows: Rows, readings: Readings, counts: Counted) -> Common | None:
-    """Factors of the lights, or an offset, common to all pixels."""
+    """Return the factors of the lights, or the offset, that all pixels share; None if neither
+    explains the residuals.
+    """
     some = _bright(readings, counts)
     if some.size < FEWEST:
         return None
@@ -134,7 +140,7 @@ def offset_in_shadow(rows: Rows, readings: Readings, counts: Counted) -> Common 
 
 
 def _bright(readings: Readings, counts: Counted) -> Int[np.ndarray, " some"]:
-    """Pixels with more than three readings, and not much darker than the others."""
+    """Return the pixels with more than three readings that are not much darker than the others."""
     mean = np.where(counts, readings, 0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
     known = (counts.sum(axis=0) > 3) & (mean > 0)
     least = np.quantile(mean[known], 0.95) if known.any() else np.inf
@@ -144,8 +150,9 @@ def _bright(readings: Readings, counts: Counted) -> Int[np.ndarray, " some"]:
 def _fitted(
     rows: np.ndarray, readings: np.ndarray, counts: np.ndarray, *, by_offset: bool
 ) -> Common | None:
-    """The fit by Gauss-Newton with Cauchy weights; None if it is not determined or not
-    significant."""
+    """Fit factors or an offset by Gauss-Newton with Cauchy weights; None if they are not determined
+    or not significant.
+    """
     factors, offset, weights = np.ones(len(rows)), 0.0, counts.astype(float)
     normals, rights, residuals = np.zeros((3, 0))
     for _ in range(ROUNDS):
@@ -200,7 +207,9 @@ def _normal_parts(
     residuals: np.ndarray,
     by_offset: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrices and right sides of each part of the image, g eliminated."""
+    """Return the normal matrices and right sides of the common errors for each part of the image,
+    with g eliminated.
+    """
     change = weights if by_offset else weights * predicted
     right = change * residuals
     normals, rights = [], []

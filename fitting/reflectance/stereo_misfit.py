@@ -1,34 +1,36 @@
-"""Standard errors of normals from shading, with shared information on the noise, and with
-departures from Lambert's law.
+"""Compute standard errors of normals from shading, which allow for noise and for departures from
+Lambert's law.
 
-The few residuals of a pixel determine its noise poorly: with eight lights the 95 % cones contained
-the normal in 83 % of the pixels. Therefore the variance of a pixel is estimated with the
-distribution over all pixels as its prior (Laird, J. Am. Stat. Assoc. 73, 1978), a mixture of
-inverse gamma distributions.
+The few residuals of a pixel determine its noise poorly: from them alone, with eight lights, the 95
+% cones contained the true normal in 83 % of the pixels. The variance of a pixel is therefore
+estimated with the distribution over all pixels as its prior (Laird, J. Am. Stat. Assoc. 73, 1978),
+a mixture of inverse gamma distributions.
 
-Rough and glossy surfaces, and files that are not linear, depart from m = E rho n.l by an amount
-that changes slowly with the direction of the light. The errors of neighbouring lights are then
-correlated, and a part of them rotates the normal instead of appearing in the residuals. The
-departure of a pixel is modelled as a Gaussian process over the directions of the lights,
+For rough and glossy surfaces, and for files that are not linear, readings depart from m = E rho n.l
+by an amount that changes slowly with the direction of the light. The errors of neighbouring lights
+are then correlated, and a part of them rotates the normal instead of appearing in the residuals.
+The departure of a pixel is modelled as a Gaussian process over the directions of the lights,
 
     m_k = E_k (rho n.l_k + f(l_k)) + noise,    cov f(l), f(l') = tau^2 exp(-|l - l'|^2 / 2 w^2),
 
-The ratio of variances tau^2 / sigma^2 has a restricted likelihood from the residuals (Harville, J.
-Am. Stat. Assoc. 72, 1977). The prior of the ratio and of sigma^2 is their distribution over the
-pixels. The errors of least squares follow by generalised least squares. They are scaled so that
-2.448 standard errors, the 95 % radius of a two-dimensional Gaussian, are exceeded with a
-probability of 5 % in the posterior of both variances.
+where w is the reach in direction. The residuals give a restricted likelihood of the ratio tau^2 /
+sigma^2, with sigma^2 the variance of the noise (Harville, J. Am. Stat. Assoc. 72, 1977). The prior
+of the ratio and of sigma^2 is their distribution over the pixels. The covariance of the
+least-squares estimates follows from both variances. It is scaled so that 2.448 standard errors, the
+95 % radius of a two-dimensional Gaussian, are exceeded with a probability of 5 % in the posterior
+of both variances.
 
-The residuals of six lights hardly distinguish noise from departures. Neighbouring pixels do: their
-noise is independent, and their departures are similar. If residuals of neighbours correlate, the
-noise is at most twice the part that they do not share.
+The residuals of six lights hardly distinguish noise from departures. Neighbouring pixels do,
+because their noise is independent and their departures are similar. If residuals of neighbours
+correlate, the noise is at most twice the part that they do not share.
 
-Cameras count photons, so the variance of a reading grows with it. Where lamps flicker it grows with
-the square of the reading, and where readings were multiplied by the intensity of the light, with
-the square of that. The share that grows maximises the restricted likelihood. Under lights of
-unequal intensities, a constant variance would be mistaken for departures under the stronger lights.
-Only pixels whose mean reading is clear of the noise count: in a dark background the readings above
-0 are chosen by their noise, and are not Gaussian.
+Cameras count photons, so the variance of a reading grows with it. If lamps flicker, it grows with
+the square of the reading, and if readings were multiplied by the intensity of the light, with the
+square of that. The growing share of the variance is the one that maximises the restricted
+likelihood. If the variance were taken as constant under lights of unequal intensities, the noise
+under the stronger lights would be mistaken for departures. Only pixels whose mean reading is clear
+of the noise are used. In a dark background, noise selects the readings above 0, which are then not
+Gaussian.
 """
 
 from dataclasses import dataclass
@@ -78,7 +80,9 @@ class Departures:
 
 @dataclass(frozen=True)
 class _Reduced:
-    """Residuals of pixels along the eigenvectors of their covariance under the process."""
+    """The residuals of pixels along the eigenvectors of their covariance, if departures are a
+    Gaussian process.
+    """
 
     # of the residuals' covariance, per tau^2
     eigenvalues: Float[np.ndarray, "pixels features"]
@@ -99,8 +103,9 @@ def departures(
     counts: Bool[np.ndarray, "lights h w"],
     linear: np.ndarray,
 ) -> Departures:
-    """Covariance of g that includes departures from the linear model with the given slopes,
-    (lights, 3), `rows` for Lambert's law, or (lights, pixels, 3)."""
+    """Compute the covariance of g, including departures from a linear model with the given slopes.
+    These are (lights, 3), `rows` for Lambert's law, or (lights, pixels, 3).
+    """
     flat, counted = readings.reshape(len(rows), -1), counts.reshape(len(rows), -1)
     used = counted.sum(axis=0)
     g, inverse = solved(linear, flat, counted.astype(float))
@@ -163,7 +168,7 @@ def departures(
 
 @dataclass(frozen=True)
 class _Fit:
-    """Weighted least squares of all pixels."""
+    """The weighted least-squares fit of all pixels."""
 
     rows: np.ndarray  # E l, or (lights, pixels, 3) slopes of a model
     features: Float[np.ndarray, "lights features"]  # of the departures, times E
@@ -172,7 +177,9 @@ class _Fit:
     inverse: Matrices  # inverse of the normal matrices
 
     def reduced(self, some: Int[np.ndarray, " some"]) -> _Reduced:
-        """Residuals of some pixels along the eigenvectors of their covariance after the process."""
+        """Return the residuals of some pixels along the eigenvectors of their covariance, if
+        departures are a Gaussian process.
+        """
         residuals, weights, inverse = (
             self.residuals[:, some],
             self.weights[:, some],
@@ -203,7 +210,7 @@ class _Fit:
 
 
 def _features(directions: np.ndarray) -> Float[np.ndarray, "lights features"]:
-    """Columns whose outer products sum to the covariance of f / tau."""
+    """Return columns whose outer products sum to the covariance of f / tau."""
     apart = ((directions[:, None] - directions) ** 2).sum(axis=-1)
     values, vectors = np.linalg.eigh(np.exp(-apart / (2 * REACH**2)))
     kept = values > THINNEST * values.max()
@@ -212,7 +219,7 @@ def _features(directions: np.ndarray) -> Float[np.ndarray, "lights features"]:
 
 @dataclass(frozen=True)
 class _Prior:
-    """Distribution over the pixels of sigma^2 and tau^2 / sigma^2."""
+    """The distribution of sigma^2 and tau^2 / sigma^2 over the pixels, which is their prior."""
 
     # scales of inverse gamma distributions of sigma^2
     levels: Float[np.ndarray, " levels"]
@@ -226,7 +233,7 @@ class _Prior:
 
 
 def _prior(of: _Reduced, unshared: float, ratios: Float[np.ndarray, " ratios"]) -> _Prior:
-    """The prior by maximum likelihood."""
+    """Estimate the prior by maximum likelihood."""
     squares, volume = _squares(of, RATIOS)
     most = max(min(float((squares[0] / of.freedom).max()), LOUDEST * unshared), 1e-300)
     least = max(float(np.quantile(squares[-1] / of.freedom, 0.01)), QUIETEST * most)
@@ -244,8 +251,9 @@ def _prior(of: _Reduced, unshared: float, ratios: Float[np.ndarray, " ratios"]) 
 
 
 def _squares(of: _Reduced, ratios: Float[np.ndarray, " ratios"]) -> tuple[np.ndarray, np.ndarray]:
-    """The squared residuals in units of sigma^2, and half the log determinant of their covariance
-    over sigma^2, both (ratios, pixels)."""
+    """Return, both (ratios, pixels), the squared residuals in units of sigma^2 and half the log
+    determinant of their covariance over sigma^2.
+    """
     squares, volume = [], []
     for ratio in ratios:
         widening = 1 + ratio * of.eigenvalues
@@ -261,7 +269,9 @@ def _likelihoods(
     levels: Float[np.ndarray, " levels"],
     known: float,
 ) -> Float[np.ndarray, "levels ratios pixels"]:
-    """Restricted log likelihoods, sigma^2 marginalised over each level's inverse gamma."""
+    """Return the restricted log likelihoods, with sigma^2 marginalised over each level's inverse
+    gamma distribution.
+    """
     scale, whole = known * levels[:, None, None], (known + freedom) / 2
     constant = gammaln(whole) - gammaln(known / 2) + known / 2 * np.log(scale)
     return constant - whole * np.log(scale + squares) - volume
@@ -270,7 +280,9 @@ def _likelihoods(
 def _shares(
     logs: Float[np.ndarray, "levels ratios pixels"], start: Float[np.ndarray, "levels ratios"]
 ) -> tuple[Float[np.ndarray, "levels ratios"], float]:
-    """The distribution over the pixels, and its log likelihood, by expectation maximisation."""
+    """Estimate the distribution over the pixels by expectation maximisation, and return it with its
+    log likelihood.
+    """
     flat = logs.reshape(-1, logs.shape[-1])
     most = flat.max(axis=0)
     likelihood, share = np.exp(flat - most), start.ravel()
@@ -284,7 +296,7 @@ def _shares(
 def _posterior(
     of: _Reduced, inverse: Matrices, prior: _Prior
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """sigma^2, tau and the covariance of g of each pixel."""
+    """Return sigma^2, tau and the covariance of g of each pixel."""
     squares, volume = _squares(of, prior.ratios)
     logs = _likelihoods(squares, volume, of.freedom, prior.levels, prior.freedom)
     weight = prior.shares[:, :, None] * np.exp(logs - logs.max(axis=(0, 1)))
@@ -326,7 +338,9 @@ def _radius(
 
 
 def shared_squares(residuals: np.ndarray, counts: np.ndarray) -> float:
-    """Share of the residuals' squares that neighbouring pixels have in common; 0 within chance."""
+    """Return the share of the residuals' squares that neighbouring pixels have in common; 0 if
+    chance explains it.
+    """
     product = square = spread = 0.0
     for axis in (1, 2):
         one, other = (np.moveaxis(a, axis, 0) for a in (residuals, counts))

@@ -1,12 +1,14 @@
-"""Normals under a reflectance model whose numbers all pixels of a material share.
+"""Estimate normals under a reflectance model whose parameters all pixels of a material share.
 
     m_k = E_k (rho n.l_k + pi k_s s(n, l_k; shape))   a lobe on a matt body
     m_k = E_k rho s(n, l_k; shape)                    a rough body
 
-s is the shading of a model of `models.py`. The shared numbers minimise the sum of squares, with g =
-rho n of each pixel as a nuisance parameter, eliminated by its Schur complement as in bundle
-adjustment (Triggs et al., Vision Algorithms, 2000). Their covariance is a sandwich over the pixels.
-Readings far from the model (cast shadows) count less, by Cauchy's weights.
+Here m_k is the reading under light k of direction l_k and irradiance E_k, n the normal, rho the
+albedo, and s the shading of a model of `models.py`. The shared parameters k_s and shape minimise
+the sum of squares. g = rho n of each pixel is a nuisance parameter, eliminated by its Schur
+complement as in bundle adjustment (Triggs et al., Vision Algorithms, 2000). The covariance of the
+shared parameters is a sandwich over the pixels. Readings far from the model (cast shadows) count
+less, by Cauchy's weights.
 """
 
 from dataclasses import dataclass
@@ -34,7 +36,7 @@ LONGEST = 0.7  # step of a logarithm
 
 @dataclass(frozen=True)
 class Surface:
-    """The model at the fitted normals."""
+    """The fitted model, linearised at the fitted normals."""
 
     extra: Readings  # readings of the model minus those of Lambert's law for the same g
     # derivatives of the model by g
@@ -51,8 +53,9 @@ class Surface:
 
 @partial(jax.jit, static_argnums=0)
 def _linearised(model: Model, g: Array, shared: Array, lights: Array, viewer: Array):
-    """Readings per irradiance of each pixel and light, and their derivatives by g and the shared
-    logarithms."""
+    """Return the readings per irradiance of each pixel and light, and their derivatives with
+    respect to g and the shared log parameters.
+    """
     build = REFLECTANCES[model].material
     assert build is not None, model
 
@@ -71,7 +74,7 @@ def _linearised(model: Model, g: Array, shared: Array, lights: Array, viewer: Ar
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Readings of pixels of one material, with the data that predict them."""
+    """The readings of pixels of one material, with the lights and the viewer."""
 
     model: Model
     lights: Rows  # unit
@@ -81,7 +84,9 @@ class _Pixels:
     counts: Counted
 
     def at(self, g: Vectors, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residuals (pixels, lights), 0 for unused readings, and derivatives of the model."""
+        """Return the residuals (pixels, lights), 0 for unused readings, and the derivatives of the
+        model.
+        """
         found = []
         for start in range(0, len(g), AT_ONCE):
             part = g[start : start + AT_ONCE]
@@ -94,11 +99,11 @@ class _Pixels:
         return residuals, by_g * scale, by_shared * scale
 
     def weights(self, residuals: np.ndarray, scale: float) -> np.ndarray:
-        """Cauchy's weights, 0 for unused readings."""
+        """Return Cauchy's weights, 0 for unused readings."""
         return self.counts.T / (1 + (residuals / (TAIL * scale)) ** 2)
 
     def normals(self, g: Vectors, shared: np.ndarray, scale: float, steps: int) -> Vectors:
-        """g of each pixel by Levenberg and Marquardt's method."""
+        """Fit g of each pixel by Levenberg and Marquardt's method."""
         damping = np.full(len(g), 1e-3)
         residuals, slopes, _ = self.at(g, shared)
         for _ in range(steps):
@@ -123,8 +128,10 @@ class _Pixels:
         return g
 
     def reduced(self, g: Vectors, shared: np.ndarray, scale: float) -> tuple[np.ndarray, ...]:
-        """Normal matrix and right sides (pixels, numbers) of the shared numbers with g eliminated,
-        and the change of g by them (pixels, 3, numbers)."""
+        """Return the normal matrix and the right sides (pixels, numbers) for the shared log
+        parameters with g eliminated, and the derivative of g with respect to them (pixels, 3,
+        numbers).
+        """
         residuals, by_g, by_shared = self.at(g, shared)
         weights = self.weights(residuals, scale)
         own = np.einsum("pl,pli,plj->pij", weights, by_g, by_g)
@@ -177,7 +184,7 @@ def fitted_surface(
     labels: Int[np.ndarray, " pixels"],
     viewer: Float[np.ndarray, "3"],
 ) -> Surface:
-    """The model fitted to each material from the normals of Lambert's law."""
+    """Fit the model to each material, starting from the normals by Lambert's law."""
     rows = lights * irradiance[:, None]
     extra, slopes = np.zeros_like(readings), np.repeat(rows[:, None], len(start), axis=1)
     g, covariance, numbers = start.copy(), np.zeros((len(start), 3, 3)), {}
@@ -209,7 +216,9 @@ def fitted_surface(
 
 
 def _material(pixels: _Pixels, start: Vectors) -> tuple[np.ndarray, float, Vectors]:
-    """The shared logarithms of one material, the scale of its residuals, and g of the pixels."""
+    """Return the shared log parameters of one material, the scale of its residuals, and g of the
+    pixels.
+    """
     low, high = log_range(pixels.model)
     rows = pixels.lights * pixels.irradiance[:, None]
     residuals = np.where(pixels.counts.T, pixels.readings.T - start @ rows.T, 0)

@@ -1,37 +1,41 @@
-"""Errors that the rig states, of lights above all, and light directions estimated from the images.
+"""Include errors that the rig states, above all those of lights, and estimate light directions from
+the images.
 
 An error e of one standard deviation changes the prediction of each sample by s. To first order, the
 best parameters change by
 
     d theta = I^-1 p,    p = sum slope * s / deviation,
 
-where slope is the gradient of the prediction in standard deviations and I the information. Errors
-of a light (`intensity_sd`, `exposure_sd`, `stray_sd`) shift the samples of its image only. The
-residuals contain these errors, too, so with few lights the covariance from the stated errors
-replaces the covariance over lights, unless the residuals are larger. Errors of all images at once
-(`black_sd`, `gamma_sd`) look like another surface. No residual shows them, and their covariance is
-added. The gain only weights the samples, so `gain_sd` changes no parameter to first order. Errors
-that change the distribution of the samples by at most a tenth of their noise are dropped
-(`inference.left_out`).
+where `slope` is the gradient of the prediction in standard deviations, `deviation` the standard
+deviation of a sample and I the Fisher information. Errors of one light (`intensity_sd`,
+`exposure_sd`, `stray_sd`) shift the samples of its image only. The residuals contain these errors,
+too. With few lights the covariance from the stated errors therefore replaces the covariance over
+lights, unless the residuals are larger than stated. Errors of all images at once (`black_sd`,
+`gamma_sd`) have the effect of another surface. The residuals do not reveal them, so their
+covariance is added. The gain only weights the samples, so `gain_sd` changes no parameter to first
+order. Errors that change the distribution of the samples by at most a tenth of their noise are
+dropped (`inference.left_out`).
 
-A rig's `direction_sd` is a normal prior for the two rotations e of each light. In units of standard
-deviations, the residuals r of the images change by S e to first order. The most likely rotations
-for given parameters are therefore
+A rig's `direction_sd` is a normal prior for the rotations e of the lights, two for each light. In
+units of standard deviations, the residuals r of the images change by S e to first order. The most
+likely rotations for given parameters are therefore
 
     e = K^-1 S^T r,    K = P^-1 + S^T S,
 
-P is the prior covariance of all rotations: 1, or the joint covariance of lights that were measured
-on one ball, whose outline error they share. Marginalising over the rotations leaves the information
+where P is the prior covariance of all rotations. It is the identity, or the joint covariance of
+lights that were measured on one ball, whose outline error they share. Let J be the derivatives with
+respect to the parameters, and I their information for known directions. After marginalising over
+the rotations the information is
 
     I - J^T S K^-1 S^T J,    1 - S K^-1 S^T = (1 + S P S^T)^-1,
 
-for the parameters, whose derivatives are J and whose information was I.
+for the parameters.
 
-A highlight is not linear in its light's direction. If lights have errors of a degree and the rig's
-directions are kept, the fit shows the mean of displaced highlights, which is wider and weaker than
-each of them. All images are affected equally, so scatter between them does not reveal it. Rotations
-and parameters are therefore fitted in alternation, each linearised about the last ones
-(Gauss-Newton).
+A highlight is not linear in its light's direction. If light directions with errors of a degree are
+not corrected, the fit describes the mean of displaced highlights, which is wider and weaker than
+each of them. All images are affected equally, so the scatter between them does not reveal this
+bias. Rotations and parameters are therefore fitted in alternation, each linearised about the last
+ones (Gauss-Newton).
 """
 
 from dataclasses import dataclass, replace
@@ -80,7 +84,9 @@ Prior = Float[np.ndarray, "turns turns"]  # P, in these units; None where it is 
 
 
 def turned(observation: Photographs, angles_across: Turns) -> Photographs:
-    """Rotate the lights by (lights, 2) rad along two axes across them."""
+    """Rotate the lights by angles (lights, 2) in rad, about two axes perpendicular to each light's
+    direction.
+    """
     moved = observation.wi + np.einsum("la,lac->lc", angles_across, across(observation.wi))[:, None]
     moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
     cosine, mirror = angles(observation.normals, moved)
@@ -88,8 +94,9 @@ def turned(observation: Photographs, angles_across: Turns) -> Photographs:
 
 
 def shifts_of_turns(view: View, turns: Turns, vector: Vector, samples: Samples) -> Shifts:
-    """Return (2, samples) DN, the change of a prediction when its light rotates by one standard
-    deviation about each axis, at the rotations `turns`."""
+    """Return the change of each sample's prediction, (2, samples) DN, if its light rotates by one
+    standard deviation about each axis. The derivative is taken at the rotations `turns`.
+    """
 
     def predicted(axis: int, step: float) -> np.ndarray:
         moved = _about(view, turns + step * np.eye(2)[axis], samples.form)
@@ -100,7 +107,7 @@ def shifts_of_turns(view: View, turns: Turns, vector: Vector, samples: Samples) 
 
 
 def _about(view: View, turns: Turns, form: Form) -> Samples:
-    """The samples under rotated lights."""
+    """Return the samples under rotated lights."""
     seen = turned(view.observation, turns * view.observation.uncertain["direction_sd"][:, None])
     return replace(view, observation=seen).samples(form)
 
@@ -127,7 +134,7 @@ def likeliest_turns(
 def information_on_turns(
     shifts: Shifts, samples: Samples, selection: Selection, lights: int
 ) -> Prior:
-    """S^T S, the information of the images about the rotations without the rig's."""
+    """Return S^T S, the information of the images about the rotations, without the rig's prior."""
     moves = shifts * inverse_deviation(samples)
     products = [[np.bincount(selection.light, a * b, lights) for b in moves] for a in moves]
     return np.asarray(block_diag(*np.moveaxis(np.array(products), -1, 0)))
@@ -143,8 +150,8 @@ def beyond_turns(
     prior: Prior | None = None,
 ) -> Float[np.ndarray, "rows samples"]:
     """Return (1 + S P S^T)^(-1/2) x for slopes and errors x, (rows, samples) in standard
-    deviations.
-    Products of these equal x^T (1 - S K^-1 S^T) y, after marginalising over the light directions.
+    deviations. A product of two results equals x^T (1 - S K^-1 S^T) y, the product after
+    marginalising over the light directions.
     """
     moves, light = shifts * inverse_deviation(samples), selection.light
     information = information_on_turns(shifts, samples, selection, lights)
@@ -160,7 +167,7 @@ def beyond_turns(
 
 @dataclass(frozen=True)
 class TurnedLights:
-    """The light directions from the images."""
+    """The light directions that the images show."""
 
     turns: Turns
     size: float  # rms of the rotations over the lights of uncertain direction
@@ -169,18 +176,20 @@ class TurnedLights:
 
     @property
     def followed(self) -> bool:
-        """Whether the fit uses these directions. If they are too far from the rig's, the model
-        misses something else and the fit keeps the rig's."""
+        """Return whether the fit uses these directions. If they are too far from the rig's, the
+        model fails for another reason, and the fit uses the rig's directions.
+        """
         return self.size <= WIDEST
 
 
 def among_turns(
     nominal: Optimum, view: View, grouping: Grouping, sensor: Spread | None
 ) -> tuple[Optimum, TurnedLights]:
-    """Alternate between parameters and light rotations until no light moves. If lights are off by
-    more than stated and chance allows, their uncertainty is taken from the images.
+    """Fit parameters and light rotations in alternation until no light moves. If the rotations are
+    larger than the stated uncertainty and chance explain, the uncertainty is estimated from the
+    images.
 
-    Returns `nominal`, the optimum at the rig's directions, if the rotations are not followed.
+    Return `nominal`, the optimum at the rig's directions, if the fit does not use the rotations.
     """
     observation = view.observation
     known = (observation.uncertain["direction_sd"] > 0) & ~observation.held_out
@@ -205,7 +214,7 @@ def among_turns(
 
 
 def with_wider_directions(observation: Photographs, factor: float) -> Photographs:
-    """Return the observation with a larger `direction_sd`."""
+    """Return the photographs with `direction_sd` multiplied by a factor."""
     sizes = observation.uncertain | {"direction_sd": factor * observation.uncertain["direction_sd"]}
     return replace(observation, uncertain=sizes)
 
@@ -213,8 +222,10 @@ def with_wider_directions(observation: Photographs, factor: float) -> Photograph
 def _consistent_turns(
     nominal: Optimum, view: View, known: np.ndarray, grouping: Grouping, sensor: Spread | None
 ) -> tuple[Optimum, Turns]:
-    """Return the optimum and the rotations that agree with each other. With many samples, a subset
-    is used until no light moves, then all of them twice. It stops if lights move too far."""
+    """Alternate between optimum and rotations until they are consistent, and return both. With many
+    samples, a subset is used until no light moves, and then all samples twice. The iteration stops
+    if lights move too far.
+    """
     found, turns = nominal, np.zeros((len(known), 2))
     step, prior = max(1, len(view.selection.light) // ENOUGH), view.observation.turn_prior
     stages = [(view, MOST_TURNS)]
@@ -248,7 +259,9 @@ def _rms(values: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class StatedErrors:
-    """The vectors p for the errors that a rig states, each of one standard deviation."""
+    """The vectors p (see the module) of the errors that a rig states, each of one standard
+    deviation.
+    """
 
     of_lights: Float[np.ndarray, "errors parameters"]  # each error affects one image
     common: Float[np.ndarray, "more parameters"]  # each error affects all images
@@ -261,9 +274,9 @@ class StatedErrors:
     def left_of(self, information: Matrix) -> Matrix:
         """Return the (P, P) information left after marginalising over light directions.
 
-        It is the Gauss-Newton information. If the model has a misfit, the curvature of the
-        likelihood is not a sum of squares. After subtracting the part of the light directions, it
-        need not be positive.
+        The result is the Gauss-Newton information. The exact curvature of the likelihood would not
+        do for a model with a misfit: after subtracting the part of the light directions, it need
+        not be positive.
         """
         return information if self.slopes is None else self.slopes @ self.slopes.T
 
@@ -271,8 +284,9 @@ class StatedErrors:
 def stated_errors(
     view: View, prediction: Prediction, samples: Samples, turns: Turns | None
 ) -> StatedErrors:
-    """Return p for all errors that the rig states and a fit can notice. `turns` are the (lights, 2)
-    rotations of the samples' lights, if they were fitted."""
+    """Return p (see the module) for all errors that the rig states and that are not negligible.
+    `turns` are the rotations (lights, 2) of the samples' lights, if they were fitted.
+    """
     observation, light, lights = view.observation, view.selection.light, view.lights
     sizes, count = observation.uncertain, len(prediction.vector)
     deviation = np.asarray(samples.deviation, np.float64)
@@ -333,11 +347,12 @@ def stated_errors(
 
 
 def light_in_shadows(observation: Photographs, channel: int) -> float | None:
-    """Mean of the attached shadows above black, DN, which no light of the rig reaches; None for
-    encoded files and where too few pixels are in shadow.
+    """Return the mean of the attached shadows above black in DN, which no light of the rig reaches;
+    None for encoded files and where too few pixels are in shadow.
 
-    A wrong black level, stray light or interreflection may add as much to lit pixels. This looks
-    like another surface, so intervals include its effect, as that of `black_sd`.
+    A wrong black level, stray light or interreflection may add as much to lit pixels. The fit
+    cannot distinguish this from another surface, so intervals include its effect, like that of
+    `black_sd`.
     """
     light, pixel = np.nonzero(observation.cosine < SHADOWED)
     if observation.gamma is not None or len(light) < FEWEST_SHADOWED:
@@ -348,7 +363,9 @@ def light_in_shadows(observation: Photographs, channel: int) -> float | None:
 
 
 def no_more_than(robust: Robustness, model: Matrix) -> bool:
-    """Whether the variances from the images exceed a model's variances by no more than chance."""
+    """Return whether the variances from the images exceed a model's variances by no more than
+    chance.
+    """
     least = np.maximum(robust.freedom, 1)
     known = np.isfinite(robust.freedom)
     likely = np.where(known, chdtri(least, CHANCE / len(least)) / least, 1 + ROUNDING)

@@ -1,22 +1,23 @@
-"""The best parameters of one channel: variable projection, weighted squares, maximum likelihood.
+"""Find the best parameters of one channel by variable projection, then weighted squares, then
+maximum likelihood.
 
 Variable projection finds the global optimum of unweighted least squares, without start values. Its
-residuals give the spread and the weights of the final fit, which is one step of feasible
+residuals give the variance model and the weights of the final fit, which is one step of feasible
 generalised least squares. A linear signal X (DN) has the variance
 
     floor + shot X + (relative X)^2
 
-floor and shot are those of the sensor. `relative` is the misfit of the model: the pixels' own gains
-(PRNU), or a surface that differs from the model. A misfit is not noise. Weights that decrease with
-it would reduce the weight of the highlights that the model misses, although they dominate the
-errors of its pictures. The weights therefore treat a misfit as a constant,
+`floor` and `shot` are those of the sensor. `relative` is the misfit of the model, due to unequal
+pixel gains (PRNU) or a surface that differs from the model. A misfit is not noise. Weights that
+decreased with it would hardly count the highlights that the model describes badly, although these
+dominate the errors of predicted pictures. The weights therefore treat a misfit as a constant,
 
     floor + shot X + misfit^2,
 
-which is plain least squares if the misfit dominates, and efficient if there is none.
+so that the fit is plain least squares if the misfit dominates, and efficient if there is none.
 
-Saturated pixels enter the likelihood as "at least this bright". Dropping them, or using their
-numbers, would bias the highlight.
+A saturated pixel enters the likelihood as "at least this bright". If such pixels were dropped or
+used with their numbers, the highlight would be biased.
 """
 
 from collections.abc import Callable, Sequence
@@ -72,7 +73,9 @@ EXCESS = 3.0  # standard deviations by which chi-square must exceed its expectat
 
 @dataclass(frozen=True)
 class Spread:
-    """Variance of the linear signal X: floor + shot X + (relative X)^2."""
+    """The variance of residuals as a function of the linear signal X: floor + shot X + (relative
+    X)^2.
+    """
 
     floor: float  # DN^2
     shot: float  # DN; the system gain, DN per electron
@@ -80,8 +83,9 @@ class Spread:
 
 
 def variance(spread: Spread, signal: OfSamples, *, slope: OfSamples | float = 1.0) -> OfSamples:
-    """Variance of the stored number in DN^2, including rounding, at a signal X in DN and a slope d
-    DN / d X."""
+    """Return the variance of the stored number in DN^2, including rounding, at a signal X in DN and
+    a slope d DN / d X.
+    """
     linear = spread.floor + spread.shot * np.maximum(signal, 0)
     if spread.relative is not None:
         linear = linear + (spread.relative * signal) ** 2
@@ -89,19 +93,19 @@ def variance(spread: Spread, signal: OfSamples, *, slope: OfSamples | float = 1.
 
 
 def sensor_spread(gain: float, read_noise: float) -> Spread:
-    """Spread of a sensor with a gain in DN/e- and a read noise in e-."""
+    """Return the variance model of a sensor with a gain in DN/e- and a read noise in e-."""
     return Spread((gain * read_noise) ** 2, gain, None)
 
 
 def fit_spread(
     residual: OfSamples, signal: OfSamples, slope: OfSamples, *, sensor: Spread | None
 ) -> Spread:
-    """Return the most likely spread of residuals (DN), from their mean squares in bins of signal
-    (DN).
+    """Return the most likely variance model of residuals (DN), from their mean squares in bins of
+    signal (DN).
 
     With a known sensor, only the relative term is fitted, and only if chi-square exceeds its
-    expectation by three standard deviations. Without one, a constant and a relative term are
-    fitted.
+    expectation by three standard deviations. Without a known sensor, a constant and a relative term
+    are fitted.
     """
     bins = counts, squares, x, d = _binned(residual, signal, slope)
     if sensor is not None:
@@ -126,8 +130,9 @@ def fit_spread(
 def flat_spread(
     residual: OfSamples, signal: OfSamples, slope: OfSamples, *, sensor: Spread | None
 ) -> Spread:
-    """Return the spread that weights a fit: the sensor's plus the constant that makes residuals
-    most likely."""
+    """Return the variance model from which a fit's weights follow: the sensor's plus the constant
+    that makes the residuals most likely.
+    """
     bins = counts, squares, _, d = _binned(residual, signal, slope)
     own = Spread(0.0, 0.0, None) if sensor is None else sensor
 
@@ -143,7 +148,9 @@ def flat_spread(
 def _deviance(
     spread_of: Callable[..., Spread], counts: Vector, squares: Vector, x: Vector, d: Vector
 ) -> Callable[..., float]:
-    """-2 ln L per residual of binned residuals, by the logarithms that give a spread."""
+    """Return -2 ln L per residual, for binned residuals, as a function of the logarithms of the
+    variance model's terms.
+    """
 
     def deviance(logs: np.ndarray) -> float:
         v = variance(spread_of(logs), x, slope=d)
@@ -153,7 +160,7 @@ def _deviance(
 
 
 def _binned(residual: OfSamples, signal: OfSamples, slope: OfSamples) -> tuple[np.ndarray, ...]:
-    """Counts, mean squares, mean signals and rms slopes in bins of equally many samples."""
+    """Return counts, mean squares, mean signals and rms slopes in bins of equally many samples."""
     order = np.argsort(signal)
     edges = np.unique(np.linspace(0, len(order), min(BINS, len(order)) + 1).astype(int))
     counts = np.diff(edges)
@@ -167,7 +174,7 @@ def _binned(residual: OfSamples, signal: OfSamples, slope: OfSamples) -> tuple[n
 
 @dataclass(frozen=True)
 class Optimum:
-    """The most likely parameters."""
+    """The most likely parameters of one channel, with the weights of the fit."""
 
     samples: Samples  # with the deviations of the weights
     spread: Spread  # of the residuals that gave the weights
@@ -183,8 +190,9 @@ class Optimum:
 
 
 def best(samples: Samples, grouping: Grouping, sensor: Spread | None) -> Optimum:
-    """Return the most likely parameters, found without a start. The form then lacks the terms of
-    amplitude zero."""
+    """Return the most likely parameters, found without start values. Terms whose best amplitude is
+    zero are removed from the form.
+    """
     cells, first = project(average(samples, grouping))
     own = replace(samples, form=cells.form)
     if samples.form.free_gamma:  # the tried encodings are far from each other
@@ -201,8 +209,9 @@ def best(samples: Samples, grouping: Grouping, sensor: Spread | None) -> Optimum
 def weighed(
     first: Vector, samples: Samples, sensor: Spread | None
 ) -> tuple[Samples, Spread, Spread, Prediction]:
-    """Return the samples with their deviations, the spread of a vector's residuals, the spread of
-    the weights, and the prediction of the samples at the vector."""
+    """Predict the samples at a vector. Return the samples with standard deviations, the variance
+    model of their residuals, the variance model of the weights, and the prediction.
+    """
     prediction = predict(first, samples)
     seen = residual_signal_slope(prediction, samples)
     weights = spread = fit_spread(*seen, sensor=sensor)
@@ -214,9 +223,10 @@ def weighed(
 def weighed_and_fitted(
     first: Vector, samples: Samples, grouping: Grouping, sensor: Spread | None
 ) -> Optimum:
-    """Return the optimum near a first vector, whose residuals give the weights, and about which the
-    means over the pixels' areas are linear. The optimum of cells and saturated samples, if it is
-    nearby, saves all but the last two steps of the search."""
+    """Return the optimum near a first vector. The residuals at that vector give the weights, and
+    the means over the pixels' areas are linearised about it. The search starts at the optimum of
+    cells and saturated samples if that is nearby, and then needs only two steps.
+    """
     samples, spread, weights, prediction = weighed(first, samples, sensor)
     samples = with_offset(samples, prediction) if samples.points else samples
     cells, saturated = average(samples, grouping, exact_at=prediction), saturated_only(samples)
@@ -227,9 +237,9 @@ def weighed_and_fitted(
 
 
 def project(samples: Samples) -> tuple[Samples, Vector]:
-    """Return the global optimum of the weighted squares of the unsaturated samples, with linearised
-    deviations, and the samples in the form of that vector, which lacks every term of amplitude
-    zero."""
+    """Find the global optimum of the weighted squares of the unsaturated samples, with linearised
+    deviations. Return the samples without the terms whose amplitude is zero there, and the optimum.
+    """
     form, gammas = samples.form, GAMMAS if samples.form.free_gamma else (samples.gamma,)
     gamma, found = min(
         ((gamma, _projected(samples, gamma)) for gamma in gammas), key=lambda tried: tried[1].cost
@@ -250,7 +260,9 @@ def project(samples: Samples) -> tuple[Samples, Vector]:
 
 
 def _projected(samples: Samples, gamma: float | None) -> SeparableFit:
-    """Return amplitudes of [diffuse, ambient, lobe] and the log shape for a given encoding."""
+    """Return the amplitudes of diffuse, ambient and lobe, and the log shape, for a given
+    encoding.
+    """
     form, geometry, white = samples.form, samples.geometry, float(samples.white)
     linear = decoded(samples.dn, float(samples.black), white, gamma)
     weights = (encoding_slope(linear, white, gamma) / samples.deviation) ** 2
@@ -278,21 +290,24 @@ def residual_signal_slope(
     prediction: Prediction, samples: Samples
 ) -> tuple[OfSamples, OfSamples, OfSamples]:
     """Return measured - predicted (DN), linear signal (DN) and d DN / d X of the unsaturated
-    samples, from which a spread is fitted."""
+    samples, to which a variance model is fitted.
+    """
     trusted = slice(None) if samples.saturated is None else ~np.asarray(samples.saturated)
     left = np.asarray(samples.dn - prediction.dn)
     return left[trusted], prediction.signal[trusted], prediction.slope[trusted]
 
 
 def weighted(prediction: Prediction, samples: Samples, spread: Spread) -> Samples:
-    """Return the samples with the deviations of a spread at a predicted signal."""
+    """Return the samples with the standard deviations that a variance model gives at a predicted
+    signal.
+    """
     deviation = np.sqrt(variance(spread, prediction.signal, slope=prediction.slope))
     return replace(samples, deviation=deviation)
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where a search by Newton's method ended."""
+    """The point at which a search by Newton's method ended."""
 
     vector: Vector
     information: Matrix
@@ -303,7 +318,7 @@ class Minimum:
 def minimise_samples(
     start: Vector, parts: Sequence[Samples], *, tolerance: float = TOLERANCE
 ) -> Minimum:
-    """Return the optimum of all parts together that Newton's method finds from a start."""
+    """Minimise the cost of all parts together by Newton's method from a start."""
     count = len(start)
     last: list[Prediction] = []
 
@@ -326,8 +341,10 @@ def minimise_samples(
 
 def optimum(start: Vector, samples: Samples) -> tuple[Prediction, Matrix, bool]:
     """Return the samples as predicted at the optimum, its information, and whether the search
-    converged within the searched shapes. Newton's method starts next to it; if saturated pixels are
-    in between, a bounded search comes first."""
+    converged to a shape within the searched range. The start should be close, so that Newton's
+    method converges. If it does not, because pixels saturate on the way, a bounded search comes
+    first.
+    """
     found = minimise_samples(start, [samples])
     if not found.converged:
         found = minimise_samples(_box_optimum(start, samples), [samples])

@@ -1,9 +1,9 @@
-"""Whether pixels are means over their areas, as those of cameras are, or values at their middle, as
-those of many rendered pictures are.
+"""Decide whether pixels are means over their areas, like those of cameras, or values at their
+centres, like those of many rendered pictures.
 
-A predicted pixel is (1 - a) times the value at its middle plus a times the mean over its area. Fits
-assume a = 1. The least-squares estimate of a beside all other parameters is one Gauss-Newton step
-from such a fit.
+A predicted pixel is (1 - a) times the value at its centre plus a times the mean over its area. Fits
+assume a = 1. One Gauss-Newton step from such a fit gives the least-squares estimate of a, with all
+other parameters free.
 """
 
 from dataclasses import replace
@@ -38,7 +38,7 @@ def recognise_points(
 def _area_share(
     vector: Vector, samples: Samples, light: Int[np.ndarray, " samples"]
 ) -> tuple[float, float]:
-    """Return a and its standard error, for errors that are shared within images."""
+    """Return a and its standard error, which allows for errors that are shared within images."""
     root = 1 / samples.deviation
     if samples.saturated is not None:
         root = np.where(samples.saturated, 0, root)

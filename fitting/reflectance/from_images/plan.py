@@ -1,8 +1,8 @@
-"""The choice of the next light to photograph, for a smaller error of a reflectance parameter.
+"""Choose the next light to photograph, so that the error of a reflectance parameter decreases most.
 
 Candidates are the rig's own lights, including those held out, and distant lights of the same
-strength over the hemisphere in front of the object. Each adds the Fisher information of its pixels,
-divided by the design effect if residuals are correlated by light or by pixel.
+strength over the hemisphere in front of the object. Each candidate adds the Fisher information of
+its pixels, divided by the design effect if residuals are correlated within lights or pixels.
 """
 
 from dataclasses import replace
@@ -68,7 +68,9 @@ def check_target(target: str, form: Form) -> None:
 def added_information(
     observation: Photographs, fit: ChannelFit, light: int
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Fisher information (P, P) of one more image of independent pixels, if the model is right."""
+    """Return the Fisher information (P, P) that one more image adds, if its pixels are independent
+    and the model is right.
+    """
     lit = observation.cosine[light] > 0
     samples = image_view(observation, fit.view.channel, light).samples(fit.form)
     prediction = predict(fit.vector, samples)
@@ -82,7 +84,9 @@ def added_information(
 
 
 def _all_around(rigs: Photographs) -> tuple[Photographs, list[str]]:
-    """The object under distant lights over the hemisphere, and the positions of these lights."""
+    """Return the object under distant lights over the hemisphere, and descriptions of the lights'
+    positions.
+    """
     described, directions = [], []
     for tilt in FROM_VIEW:
         for turn in AROUND if tilt else (0,):

@@ -1,10 +1,10 @@
-"""Photographs of a known shape under known lights, from a rig or from memory. For each light and
-pixel, these hold the digital number, the cosine of incidence, the angle to the mirror direction and
-the irradiance. If the rig has flats and darks of the camera, their temporal noise gives gain and
-read noise, and darks give the black level.
+"""Read photographs of a known shape under known lights, from a rig or from memory. The record
+holds, for each light and pixel, the digital number, the cosine of incidence, the angle to the
+mirror direction and the irradiance. If the rig has flats and darks of the camera, their temporal
+noise gives gain and read noise, and darks give the black level.
 
 The view is orthographic along +z (x right, y up, z toward the camera), so that the viewer's
-direction is the same everywhere. Angles are radians, digital numbers as stored.
+direction is the same everywhere. Angles are in radians, and digital numbers are those of the files.
 """
 
 import os
@@ -88,7 +88,7 @@ PILED = (
 
 
 class UniformLevels(eqx.Module):
-    """Flats and darks of one channel, one level for each entry of the rig."""
+    """The statistics of flats and darks in one channel, one level for each entry of the rig."""
 
     mean: Float[Any, " levels"]  # over frames and pixels, DN
     variance: Float[Any, " levels"]  # temporal, of one pixel, DN^2
@@ -101,7 +101,7 @@ class UniformLevels(eqx.Module):
 class Photographs:
     """The measurements at the pixels of the object, with the rig's values and their uncertainties.
 
-    intensity x falloff is the irradiance on a surface that faces the light.
+    The product of `intensity` and `falloff` is the irradiance on a surface that faces the light.
 
     Attributes:
         channels: names.
@@ -170,7 +170,9 @@ class Photographs:
 
     @cached_property
     def points(self) -> tuple["Photographs", ...]:
-        """Return the photographs with the normals and lights at `POINTS` of each pixel."""
+        """Return the photographs once for each of the `POINTS` within a pixel, with the normals and
+        lights there.
+        """
         if self.within is None:
             return (self,)
         to_light, lit, found = self.wi / np.sqrt(self.falloff)[..., None], {}, []
@@ -213,8 +215,8 @@ def read_reflectance_observation(
 ) -> Photographs:
     """Read and check all files that a rig's `[[light]]` and `[geometry]` entries name.
 
-    Lights marked `held_out` are kept for testing. If none is marked and there are at least four,
-    every fourth is kept. Normals are scaled to unit length.
+    Lights marked `held_out` are used only to test predictions. If none is marked and there are at
+    least four, every fourth is held out. Normals are scaled to unit length.
 
     Args:
         rig: with `[[light]]` and `[geometry]`, or its folder or file.
@@ -323,7 +325,9 @@ def _covariance_of(rig: Rig) -> Float[np.ndarray, "lights 3 lights 3"]:
 def with_covariance(
     observation: Photographs, covariance: Float[np.ndarray, "lights 3 lights 3"]
 ) -> Photographs:
-    """Return the observation with a covariance of the components of all light directions."""
+    """Return the photographs with uncertain light directions, whose components have the given joint
+    covariance.
+    """
     axes = across(observation.wi)
     both = np.einsum("lai,limj,mbj->lamb", axes, covariance, axes)
     sizes = np.sqrt(np.einsum("lala->l", both) / 2)
@@ -357,8 +361,9 @@ def across(wi: Float[np.ndarray, "lights pixels 3"]) -> Float[np.ndarray, "light
 
 
 def _pile_at_top(dn: Float[np.ndarray, "channels lights pixels"]) -> tuple[float, int] | None:
-    """The largest number, DN, and how many samples have it, if they far outnumber those of the next
-    smaller numbers in several images: the camera clipped them."""
+    """Return the largest number in DN, and how many samples have it, if these far outnumber the
+    samples with the next smaller numbers in several images. The camera then clipped them.
+    """
     top = dn.max()
     values, counts = np.unique(dn[dn >= BRIGHT * top], return_counts=True)
     several = np.count_nonzero((dn == top).any(axis=(0, 2))) > 1
@@ -369,7 +374,7 @@ def _pile_at_top(dn: Float[np.ndarray, "channels lights pixels"]) -> tuple[float
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
-    """A rig without the lights whose metadata contradict the majority, with the reason."""
+    """Return a rig without the lights whose metadata contradict the majority, with the reasons."""
     stated = [Stated(light.file, rig.path(light.file), 0.0) for light in rig.light]
     odd, _ = odd_heads(rig.folder, stated)
     refuse_half(rig.folder, odd, len(stated))
@@ -394,8 +399,9 @@ def _surface(
     load: Load,
     channel: str,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and unit normals of the pixels that show the object, and normals at `POINTS`
-    inside them."""
+    """Return rows, columns and unit normals of the pixels that show the object, and the normals at
+    `POINTS` inside them.
+    """
     if geometry.sphere is not None:
         normals, seen = _sphere_normals(geometry.sphere, rig.camera, *np.indices(shape))
     else:
@@ -423,7 +429,9 @@ def _surface(
 def _sphere_normals(
     sphere: SphereGeometry, camera: Camera, row: np.ndarray, column: np.ndarray
 ) -> tuple[Float[np.ndarray, "... 3"], Bool[np.ndarray, "..."]]:
-    """Normals of an orthographic sphere, and which pixels its outline does not cross."""
+    """Return the normals of a sphere in orthographic projection, and a mask of the pixels inside
+    its outline.
+    """
     top, left = (camera.region or (0, 0))[:2]
     x = (column + left - sphere.centre[0]) / sphere.radius
     y = (sphere.centre[1] - row - top) / sphere.radius
@@ -481,8 +489,9 @@ def _stored_normals(
 def _light_field(
     rig: Rig, normals: Float[np.ndarray, "pixels 3"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unit vectors toward each light, (lights, pixels, 3), the (lights, pixels) falloff of its
-    intensity, and its (lights,) reach."""
+    """Return unit vectors toward each light (lights, pixels, 3), the falloff of its intensity
+    (lights, pixels), and its reach (lights,).
+    """
     directions, falloffs, reach = [], [], np.zeros(len(rig.light))
     for i, light in enumerate(rig.light):
         if light.direction is not None:
@@ -600,7 +609,9 @@ def _refuse_unusable(rig: Rig, observation: Photographs) -> None:
 
 
 def lightless_images(observation: Photographs) -> dict[int, str]:
-    """Return, by index, the images in which all lit pixels are dark or saturated, and which."""
+    """Return, by index, the images whose lit pixels are all dark or all saturated, and which of the
+    two.
+    """
     found = {}
     dark = _dark(observation)
     for i, lit in enumerate(observation.cosine > 0):
@@ -614,7 +625,8 @@ def lightless_images(observation: Photographs) -> dict[int, str]:
 
 def _dark(observation: Photographs) -> Bool[np.ndarray, " lights"]:
     """Find images that are at the black level within their noise, although the other images imply a
-    much larger signal."""
+    much larger signal.
+    """
     signal = (observation.dn - observation.black).mean(axis=0)
     driven = observation.intensity.mean(axis=0)[:, None] * observation.falloff * observation.cosine
     median, error, drive = np.zeros((3, len(signal)))
@@ -661,7 +673,7 @@ def read_joint_measurement(
 
 
 def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
-    """A rig without the flats and darks that deviate from the others, with the reason."""
+    """Return a rig without the flats and darks that deviate from the others, with the reasons."""
     sentences: list[str] = []
     camera, black = one_site(rig.camera), np.zeros(0)
     kept: dict[str, list[Flat | Dark]] = {"dark": [], "flat": []}
@@ -714,7 +726,9 @@ def _levels(
 
 
 def _level(rig: Rig, files: tuple[str, ...], names: tuple[str, ...], load: Load) -> np.ndarray:
-    """(channels, 4): mean, temporal variance, its degrees of freedom, error of the mean."""
+    """Return, for each channel, the mean of a level, its temporal variance, the variance's degrees
+    of freedom, and the error of the mean, (channels, 4).
+    """
     stack = np.stack([to_one_site(f, rig.camera) for f in read_stack(rig, files, load=load)])
     if rig.camera.pattern is not None:
         own = pixels_of_colour(rig.camera, stack.shape[1:3], names[0])
@@ -768,10 +782,10 @@ def from_photographs(
     darks: Sequence[Sequence[ArrayLike]] = (),
     channel: str = "",
 ) -> Photographs:
-    """Photographs in memory, for `reflectance.calibrate` and `joint.calibrate`.
+    """Make a record of photographs in memory, for `reflectance.calibrate` and `joint.calibrate`.
 
     The view is orthographic along +z (x right, y up, z toward the camera). Each standard deviation
-    is one number for all images or one for each; None for exact.
+    is one number for all images or one number for each. None means that the value is exact.
 
     Args:
         images: one for each light, (h, w) or (h, w, 3) DN.

@@ -1,22 +1,23 @@
 """Samples of photographs, their prediction by a surface and an encoding, and their likelihood.
 
-A sample is a lit pixel under one light, or a cell: the mean of pixels of one light with similar
-geometry, so that the work of a fit does not grow with the number of pixels. The curvature of the
-model inside a cell changes its mean. This correction is computed at given parameters, where cells
-and pixels then agree exactly.
+A sample is a lit pixel under one light, or a cell. A cell is the mean of pixels with similar
+geometry under one light, so that the work of a fit does not grow with the number of pixels. The
+curvature of the model inside a cell changes its mean. The correction for this is computed at given
+parameters, where cells and pixels then agree exactly.
 
 A pixel at or above the clip level states only that its value is at least that large. It is censored
 (Tobin, Econometrica 26, 1958) and contributes log Phi((predicted - clip) / deviation).
 
-Searches take derivatives in NumPy. JAX computes only the lobe of a model and its slopes (`signal`).
-All else follows by the chain rule, so that a new number of pixels, channels or terms compiles
-nothing. With X the signal, D its digital number and ln L = sum l(D),
+Searches compute derivatives in NumPy. JAX computes only the lobe of a model and its derivatives
+(`signal`). All other derivatives follow by the chain rule, so that a new number of pixels, channels
+or terms needs no compilation. With X the signal, D its digital number, ln L = sum l(D) and indices
+for derivatives with respect to parameters,
 
     d ln L / d_i = sum l' D_i,    d2 ln L / d_i d_j = sum l'' D_i D_j + l' D_ij,
     D_i = f' X_i,                 D_ij = f'' X_i X_j + f' X_ij.
 
-All parameters are logarithms. For an amplitude a and a shape s, X_aa = X_a and X_as = X_s if the
-lobe is a's, 0 otherwise. Chains evaluate the same density traced by JAX.
+All parameters are logarithms. For an amplitude a, X_aa = X_a. For a shape s, X_as = X_s if a is the
+amplitude of the lobe with this shape, and 0 otherwise. Chains evaluate the same density in JAX.
 """
 
 from dataclasses import dataclass, replace
@@ -102,7 +103,7 @@ def select(
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One channel of photographs at the samples of a fit."""
+    """One channel of photographs, restricted to the samples of a fit."""
 
     observation: Photographs
     channel: int
@@ -110,7 +111,7 @@ class View:
 
     @property
     def lights(self) -> int:
-        """Number of lights, including held-out ones."""
+        """Return the number of lights, including held-out ones."""
         return len(self.observation.files)
 
     def samples(self, form: Form) -> Samples:
@@ -147,14 +148,14 @@ class View:
         )
 
     def every_nth_pixel(self, step: int) -> "View":
-        """The samples of every `step`-th pixel."""
+        """Return the view with the samples of every `step`-th pixel."""
         kept = self.selection.pixel % step == 0
         some = Selection(self.selection.light[kept], self.selection.pixel[kept] // step)
         return View(self.observation.of_pixels(slice(None, None, step)), self.channel, some)
 
 
 def image_view(observation: Photographs, channel: int, light: int) -> View:
-    """All pixels of the object under one light."""
+    """Return a view of all pixels of the object under one light."""
     pixels = np.arange(observation.cosine.shape[1])
     return View(observation, channel, Selection(np.full_like(pixels, light), pixels))
 
@@ -164,7 +165,7 @@ def image_view(observation: Photographs, channel: int, light: int) -> View:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Samples as predicted at an unconstrained vector."""
+    """The prediction of samples at an unconstrained vector."""
 
     vector: Vector
     signal: OfSamples  # X, DN above black
@@ -245,7 +246,9 @@ def predict(vector: Vector, samples: Samples) -> Prediction:
 
 
 def _encoding(x: OfSamples, white: float, gamma: float) -> tuple[np.ndarray, ...]:
-    """f(X), f', f'', and by g = ln gamma df/dg, df'/dg and d2f/dg2; 0 without light."""
+    """Return f(X), f', f'', and the derivatives of f and f' with respect to g = ln gamma, df/dg,
+    df'/dg and d2f/dg2; 0 without light.
+    """
     lit = x > 0
     x, power = np.where(lit, x, white), 1 / gamma
     log = power * np.log(x / white)
@@ -291,14 +294,16 @@ def scores_and_slopes(prediction: Prediction, samples: Samples) -> tuple[np.ndar
 
 
 def inverse_deviation(samples: Samples) -> OfSamples:
-    """1 / deviation in DN^-1; 0 for saturated samples, whose residuals have no linear model."""
+    """Return 1 / deviation in DN^-1; 0 for saturated samples, whose residuals have no linear
+    model.
+    """
     weight = 1 / np.asarray(samples.deviation, np.float64)
     return weight if samples.saturated is None else np.where(samples.saturated, 0, weight)
 
 
 def log_likelihoods(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """Log density of each measured value at an unconstrained vector, or log probability of a
-    saturated one.
+    """Return the log density of each measured value at an unconstrained vector; for a saturated
+    value, the log probability.
 
     Source:
         Tobin, Econometrica 26, 1958.
@@ -321,7 +326,9 @@ def log_likelihoods(vector: Float[Array, " parameters"], samples: Samples) -> Ar
 def total_log_likelihood(
     vector: Float[Array, " parameters"], data: tuple[Samples, Samples | None]
 ) -> Array:
-    """Log likelihood of cells, and of the saturated samples, which belong to no cell."""
+    """Return the log likelihood of cells, plus that of the saturated samples, which belong to no
+    cell.
+    """
     each = [jnp.sum(log_likelihoods(vector, own)) for own in data if own is not None]
     return jnp.sum(jnp.stack(each))
 
@@ -331,7 +338,7 @@ def total_log_likelihood(
 
 @dataclass(frozen=True)
 class Grouping:
-    """Which samples share a cell."""
+    """The assignment of samples to cells."""
 
     cell: Int[np.ndarray, " samples"]  # cell index for each
     count: int  # number of cells
@@ -356,7 +363,7 @@ def group(
 
 
 def cells_of(observation: Photographs, selection: Selection, *, width: float = 1.0) -> Grouping:
-    """The cells of a selection; `width` scales them."""
+    """Group a selection's samples to cells; `width` scales the cells."""
     at = selection.light, selection.pixel
     return group(at[0], observation.cosine[at], observation.mirror_angle[at], width=width)
 
@@ -364,9 +371,9 @@ def cells_of(observation: Photographs, selection: Selection, *, width: float = 1
 def average(samples: Samples, grouping: Grouping, *, exact_at: Prediction | None = None) -> Samples:
     """Average the unsaturated samples of each cell, weighted by their inverse variances.
 
-    With `exact_at`, the samples as predicted at a vector, the cells predict the mean of their
-    pixels exactly there. An empty cell gets an enormous deviation, so that all channels have the
-    same number of cells.
+    `exact_at` is the prediction of the samples at a vector. With it, the cells predict the mean of
+    their pixels exactly at that vector. An empty cell has an enormous standard deviation, so that
+    all channels have the same number of cells.
     """
     weight = inverse_deviation(samples) ** 2
     total = np.bincount(grouping.cell, weight, grouping.count)
@@ -395,8 +402,9 @@ def average(samples: Samples, grouping: Grouping, *, exact_at: Prediction | None
 
 
 def with_offset(samples: Samples, exact: Prediction) -> Samples:
-    """Return the samples whose prediction at the middle is corrected to an exact one of the same
-    samples, to first order about its vector."""
+    """Return samples that are predicted at the centres of pixels plus a correction. With the
+    correction, the prediction equals the exact one, to first order about its vector.
+    """
     samples = replace(samples, points=(), offset=None)
     middle = predict(exact.vector, samples)
     slopes = exact.slopes - middle.slopes
@@ -407,8 +415,8 @@ def with_offset(samples: Samples, exact: Prediction) -> Samples:
 def saturated_only(samples: Samples) -> Samples | None:
     """Return the saturated samples alone; None if there are none.
 
-    Their number is padded to a power of two, so that channels share a compiled program. The padding
-    counts as measured, with an enormous deviation.
+    Their number is padded to a power of two, so that channels share a compiled program. Padding
+    samples count as unsaturated, with an enormous standard deviation.
     """
     if samples.saturated is None or not bool(np.any(samples.saturated)):
         return None

@@ -1,4 +1,4 @@
-"""Reflectance of a known shape under known lights: one of `reflectance.models`, per channel.
+"""Write the report section of a reflectance from images: one of `reflectance.models`, by channel.
 
 Several models are fitted to the same lights and compared on the held-out lights. The requested one
 is reported in full, with the reasons to doubt it.
@@ -62,8 +62,9 @@ def section_of_photographs(
     settings: dict[str, Any],
     **parts: Any,
 ) -> Section:
-    """The section of either calibration of photographs, with the fits of its reported model.
-    Channels that the model does not predict, by their scores, get no numbers."""
+    """Return the report section of a calibration from photographs, with the fits of its reported
+    model. The section has no numbers for channels that the model does not predict.
+    """
     observation, posteriors = calibration.observation, calibration.posteriors
     label = LABELS[calibration.model]
     common = {
@@ -105,8 +106,9 @@ def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:
 def determined_estimates(
     posterior: Posterior, channel: str, reasons: dict[str, str]
 ) -> list[Estimate]:
-    """The estimates of one channel, without numbers for parameters that have a reason for it, or
-    that the data bound on one side only."""
+    """Return the estimates of one channel. Parameters with a reason against it, or that the data
+    bound on one side only, get no numbers.
+    """
     if posterior.endless:
         one_sided = "the data bound it on one side only (see the findings)"
         reasons = reasons | {posterior.endless: one_sided}
@@ -117,8 +119,9 @@ def determined_estimates(
 
 
 def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimate]:
-    """Estimate the determined parameters, given the best values of the others, and state the
-    reasons for the others."""
+    """Estimate the parameters that the data determine, with the others fixed at their best values.
+    For the others, state the reasons.
+    """
     known = [i for i, parameter in enumerate(fit.space) if parameter.name not in reasons]
     errors, freedom = np.zeros(len(fit.space)), np.full(len(fit.space), np.inf)
     if known:

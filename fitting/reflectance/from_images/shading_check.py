@@ -1,9 +1,9 @@
-"""A check of the rig's light directions and object position against the images.
+"""Check the rig's light directions and object position against the images.
 
-Under a distant light a matt surface shows g.n, so each image determines its own light direction
-from known normals (Woodham 1980), with the highlight left out as an outlier. A wrong sign, files in
-another order or a displaced sphere appear as an angle between this direction and the stated one,
-for any model of the surface.
+Under a distant light, the signal of a matt surface with normal n is g.n, where the vector g has the
+direction of the light. Each image therefore determines its own light direction from known normals
+(Woodham 1980), with the highlight left out as an outlier. A wrong sign, files in another order or a
+displaced sphere make this direction differ from the stated one, whatever the model of the surface.
 """
 
 from dataclasses import replace
@@ -37,8 +37,9 @@ CHANGES = {
 def directions_by_shading(
     observation: Photographs,
 ) -> tuple[Float[np.ndarray, "lights 3"], Bool[np.ndarray, " lights"]]:
-    """Return the (lights, 3) unit direction estimated from each image alone, and (lights,) whether
-    the estimate is valid: the light is distant and the surface matt enough."""
+    """Return the unit direction (lights, 3) estimated from each image alone, and whether the
+    estimate is valid (lights,). It is valid if the light is distant and the surface matt enough.
+    """
     signal = np.mean(observation.dn - observation.black, axis=0)
     if observation.gamma is not None:
         signal = np.maximum(signal, 0) ** observation.gamma
@@ -53,7 +54,9 @@ def directions_by_shading(
 def _direction(
     values: Float[np.ndarray, " pixels"], normals: Float[np.ndarray, "pixels 3"]
 ) -> tuple[Float[np.ndarray, "3"], bool]:
-    """Least-squares direction of one light, without shadows and highlights."""
+    """Return the least-squares direction of one light, without shadows and highlights, and whether
+    it is valid.
+    """
     if len(values) < FEWEST_PIXELS:
         return CAMERA, False
     kept = lit = values > LIT * np.quantile(values, 0.98)
@@ -86,9 +89,11 @@ def contradictions(observation: Photographs, *, gamma: float | None = None) -> l
 
 
 def without_strangers(observation: Photographs) -> Photographs:
-    """Leave out images that are dark or saturated throughout, copies, and images whose shading
-    shows the light far from its stated direction while most agree, with a finding on each. All
-    images stay if more than half, or all but a few, would be left out."""
+    """Leave out images that are dark or saturated throughout and copies of others. Also leave out
+    images whose shading contradicts the stated direction of the light while most others agree with
+    theirs. A finding reports each. If more than half of the images, or all but a few, would be left
+    out, none is.
+    """
     reasons = {
         i: f"every pixel that its light reaches is {state}"
         for i, state in lightless_images(observation).items()
@@ -120,7 +125,7 @@ def without_strangers(observation: Photographs) -> Photographs:
 
 
 def _stated(observation: Photographs) -> Float[np.ndarray, "lights 3"]:
-    """The rig's unit directions of the lights."""
+    """Return the rig's unit directions of the lights."""
     stated = observation.wi.mean(axis=1)
     return stated / np.linalg.norm(stated, axis=1, keepdims=True)
 
@@ -131,7 +136,9 @@ def _odd(
     judged: Bool[np.ndarray, " lights"],
     median: float,
 ) -> np.ndarray:
-    """Lights that individually deviate by more than the rig's uncertainty."""
+    """Return the lights that individually deviate from their stated direction by more than the
+    rig's uncertainty.
+    """
     known = np.degrees(observation.uncertain.get("direction_sd", np.zeros(len(off))))
     return np.flatnonzero(judged & (off > np.maximum(max(FAR, 4 * median), 4 * known)))
 
@@ -144,7 +151,7 @@ def _copies(observation: Photographs) -> Copies:
 
 
 def _copies_findings(observation: Photographs) -> list[str]:
-    """Images with equal numbers, which noise rules out for two exposures."""
+    """Report images with equal numbers, which noise rules out for two exposures."""
     copies = _copies(observation)
     if not copies.found:
         return []
@@ -158,7 +165,9 @@ def _copies_findings(observation: Photographs) -> list[str]:
 
 
 def _spread(normals: Float[np.ndarray, "pixels 3"]) -> float:
-    """Root mean square of the components along the direction in which they are smallest."""
+    """Return the root mean square component of the normals along the axis where it is smallest; 0
+    for normals in one plane.
+    """
     return float(np.linalg.svd(normals, compute_uv=False)[2] / np.sqrt(len(normals)))
 
 
@@ -197,7 +206,7 @@ def _single_light_findings(
     known: Bool[np.ndarray, " lights"],
     median: float,
 ) -> list[str]:
-    """Findings on lights that deviate individually."""
+    """Report lights that individually deviate from their stated directions."""
     odd, files = _odd(observation, angles, known, median), observation.files
     names = ", ".join(f"{files[i]} {angles[i]:.0f}°" for i in odd[np.argsort(-angles[odd])][:5])
     return [
@@ -209,12 +218,14 @@ def _single_light_findings(
 def _angles(
     one: Float[np.ndarray, "lights 3"], other: Float[np.ndarray, "lights 3"]
 ) -> Float[np.ndarray, " lights"]:
-    """Degrees between directions."""
+    """Return the angles between directions in degrees."""
     return np.degrees(np.arccos(np.clip((one * other).sum(axis=1), -1, 1)))
 
 
 def _ball_outline_findings(observation: Photographs) -> list[str]:
-    """Pixels that stay dark under lights that they face."""
+    """Report pixels that stay dark under lights that they face, as beside a ball whose outline is
+    wrong.
+    """
     signal = np.mean(observation.dn - observation.black, axis=0)
     facing = observation.cosine.max(axis=0) > SIDE
     dark = facing & (signal.max(axis=0) < DARK * np.quantile(signal, 0.98))

@@ -1,4 +1,4 @@
-"""The signal of a surface under a light, and the digital number that a file stores for it.
+"""Compute the signal of a surface under a light, and the digital number that a file stores for it.
 
     X   = E (k_d [n.l]+ + k_s lobe) + k_a                  linear signal, DN
     v   = K X + (K sigma)^2                                its variance: shot and read noise
@@ -6,14 +6,15 @@
     E[DN]   = b + f + f'' v / 2
     Var[DN] = f'^2 v + f' f'' K^2 X + (f''^2 / 2 + f' f''') v^2 + 1 / 12
 
-The latter two are accurate to second order in the noise, which is enough if X is at least five
-standard deviations. E is the irradiance on a surface facing the light, in the rig's unit, so k_d
-and k_s are in DN per unit of E. `lobe` is the SHADING of one of `reflectance.models` with unit k_s.
-Phong, Blinn and the Gaussian lobe are as published, without a cosine. All others are f_r
-cos(theta_i). For Oren-Nayar, k_d lobe replaces both terms. Terms that a `Form` does not name are
-not parameters and not traced.
+Mean and variance of DN are accurate to second order in the noise, which is enough if X is at least
+five standard deviations. E is the irradiance on a surface facing the light, in the rig's unit, so
+k_d and k_s are in DN per unit of E. n is the normal, l the light direction, K the system gain,
+sigma the read noise, b the black level and W the DN of full scale above black. `lobe` is the
+SHADING of one of `reflectance.models` with unit k_s. Phong, Blinn and the Gaussian lobe are as
+published, without a cosine. All others are f_r cos(theta_i). For Oren-Nayar, k_d lobe replaces both
+terms. Terms that a `Form` does not name are neither parameters nor computed.
 
-Two calibrations invert this model. They differ in what is known from the rig:
+Two calibrations invert this model. They differ in which values must be known from the rig:
 
                       surface   f, b, K, sigma                    errors of lights and pixels
     reflectance       free      known, or K and sigma weights     widen the covariance
@@ -54,7 +55,7 @@ OfSamples = Float[np.ndarray, " samples"]
 
 @dataclass(frozen=True)
 class Form:
-    """The terms of a fit."""
+    """The terms of the model that a fit includes."""
 
     model: Model  # one of `reflectance.models`
     ambient: bool = False  # whether an ambient term is free
@@ -63,13 +64,14 @@ class Form:
 
 
 def surface_parameters(form: Form) -> ParameterSpace:
-    """The parameters of the surface."""
+    """Return the parameters of the surface."""
     return surface_space(form.model, COEFFICIENT_UNIT, COEFFICIENT_UNIT)
 
 
 def parameter_space(form: Form) -> ParameterSpace:
-    """Parameters of the surface, the ambient term and gamma, as the form requires. All are positive
-    and searched as logarithms."""
+    """Return the parameters of the surface, the ambient term and gamma, as the form requires. All
+    are positive and searched as logarithms.
+    """
     ambient = (amplitude("ambient", "k_a", "DN"),) if form.ambient else ()
     return (*surface_parameters(form), *ambient, *((GAMMA,) if form.free_gamma else ()))
 
@@ -94,10 +96,10 @@ def local_geometry(
     *,
     turns: bool = False,
 ) -> Geometry:
-    """Directions in the frames of normals.
+    """Return the directions of light and viewer in the local frames of normals.
 
-    With `turns`, also the derivative of `wi` with respect to rotations of the light, for (images,
-    cells) normals.
+    With `turns`, the geometry also has the derivatives of `wi` with respect to rotations of the
+    light. The normals then are (images, cells).
     """
     normals, wi = jnp.asarray(normals), jnp.asarray(wi)
     frame = local_frame(as_vec(normals))
@@ -121,8 +123,10 @@ def local_geometry(
 def in_plane(
     cos_i: OfSamples, cos_o: OfSamples, between: OfSamples, irradiance: OfSamples
 ) -> Geometry:
-    """Return directions with given cosines between light, normal and viewer, because these models
-    depend on nothing else: the viewer in the xz plane, the light at positive y."""
+    """Return directions with given cosines between light, normal and viewer: the viewer in the xz
+    plane, the light at positive y. These cosines suffice, because the models depend on nothing
+    else.
+    """
     sin_i, sin_o = (np.sqrt(np.maximum((1 - c) * (1 + c), 0)) for c in (cos_i, cos_o))
     tilted = sin_i * sin_o > 0
     cos_phi = (between - cos_i * cos_o) / np.where(tilted, sin_i * sin_o, 1)
@@ -135,7 +139,7 @@ def in_plane(
 
 @eqx.filter_jit
 def unit_lobe(form: Form, shape: Float[Array, ""], geometry: Geometry) -> Array:
-    """The shading of unit amplitude, 0 in attached shadows, for any model but Lambert's."""
+    """Return the shading of unit amplitude, 0 in attached shadows, for any model but Lambert's."""
     wi, wo = jax.tree.map(jnp.ravel, (geometry.wi, geometry.wo))
     unit = unit_shading(form.model, shape, wi, wo, form.index).reshape(geometry.wi.z.shape)
     return jnp.where(geometry.wi.z > 0, unit, 0)
@@ -145,7 +149,9 @@ def unit_lobe(form: Form, shape: Float[Array, ""], geometry: Geometry) -> Array:
 def lobe_with_slopes(
     form: Form, log_shape: Float[np.ndarray, " samples"] | float, geometry: Geometry
 ) -> Float[np.ndarray, "3 samples"]:
-    """Return `unit_lobe` and its first two derivatives by the logarithm of its shape."""
+    """Return `unit_lobe` and its first two derivatives with respect to the logarithm of its
+    shape.
+    """
     count = geometry.wi.z.size
     given = [np.broadcast_to(log_shape, count), *geometry.wi, *geometry.wo]
     found = np.empty((3, -(-count // BLOCK) * BLOCK))
@@ -161,7 +167,7 @@ def lobe_with_slopes(
 def _lobe_of_block(
     model: Model, index: float, log_shape: Array, *components: Array
 ) -> tuple[Array, ...]:
-    """u, du/ds and d2u/ds2 of a block at log shapes s."""
+    """Return the unit lobe u of a block of samples, du/ds and d2u/ds2 at log shapes s."""
     wi, wo = Vec(*components[:3]), Vec(*components[3:])
 
     def unit(s: Array) -> Array:
@@ -178,7 +184,7 @@ _block = jax.jit(_lobe_of_block, static_argnums=(0, 1), compiler_options=moderat
 
 
 def signal(values: Values, form: Form, geometry: Geometry) -> Array:
-    """X, the signal of a linear camera, DN above black."""
+    """Return X, the signal of a linear camera in DN above black."""
     reflected = 0.0
     if form.model == "lambert" or has_lobe(form.model):
         reflected = values["diffuse"] * jnp.maximum(geometry.wi.z, 0)
@@ -192,23 +198,23 @@ def signal(values: Values, form: Form, geometry: Geometry) -> Array:
 def decoded(
     dn: Float[np.ndarray, "..."], black: float, white: float, gamma: float | None
 ) -> Float[np.ndarray, "..."]:
-    """X of stored digital numbers; with a gamma, values below black give 0.
+    """Return X from stored digital numbers; with a gamma, values below black give 0.
 
-    `white`: DN of full scale above black."""
+    `white` is the DN of full scale above black."""
     if gamma is None:
         return dn - black
     return white * (np.maximum(dn - black, 0) / white) ** gamma
 
 
 def encoded(x: Array, white: Array | float, gamma: Array | float | None) -> Array:
-    """f(X), DN above black."""
+    """Return f(X) in DN above black."""
     return x if gamma is None else white * gamma_encode(x / white, gamma)
 
 
 def encoding_slope(
     x: Float[np.ndarray, "..."], white: float, gamma: float | None
 ) -> Float[np.ndarray, "..."]:
-    """f'(X), no unit; X is taken as at least 1 DN."""
+    """Return f'(X), no unit. X counts as at least 1 DN."""
     if gamma is None:
         return np.ones_like(x)
     ratio = np.maximum(x, DARKEST) / white
@@ -216,9 +222,9 @@ def encoding_slope(
 
 
 def stored(values: Values, x: Array, white: Array) -> tuple[Array, Array, Array]:
-    """E[DN] in DN, Var[DN] in DN^2 and d DN / d X of a signal X of known noise.
+    """Return E[DN] in DN, Var[DN] in DN^2 and d DN / d X for a signal X of known noise.
 
-    `x`: DN, positive where there is a gamma. `white`: W, DN.
+    `x` is X in DN, which must be positive if there is a gamma. `white` is W in DN.
     """
     gain, black = values["system_gain"], values["black_level"]
     v = gain * x + (gain * values["read_noise"]) ** 2
