@@ -36,40 +36,43 @@ from widened import calls, widened
 
 HEAD = """# Floating-point errors, function by function
 
-This page gives the rounding error of every public function. The unit is ULP, the unit in the last
-place: the distance between neighbouring floating-point numbers at the true value, at most 2^-23
-(float32) and 2^-52 (float64) of it. `python tests/stability/table.py` writes the page.
+This page gives the rounding error of every public function. The unit is the ULP (unit in the last
+place), the distance between neighbouring floating-point numbers at the true value. An ULP is at
+most 2^-23 (float32) or 2^-52 (float64) of the value. `python tests/stability/table.py` writes the
+page.
 
 - **How it was measured.** Each function is compared with an oracle, which is written from the
-  definition and shares no code with the library (`tests/stability/registry/`). The oracle uses 64
-  binary digits or 60 decimal digits, and the same rounded arguments as the function. The points are
-  hard cases and {many:,} random points of the domain in float32, and a fifth as many in float64.
-  Where the oracle needs mpmath, there are {slow} and {few} points.
-- **worst, mean**: the largest and the mean error in ULP, in float32 and float64. The mean is taken
-  against 64 binary digits (60 decimal digits where the oracle needs mpmath). The worst is taken
-  against 60 decimal digits, at the hard cases and at the three worst points. The mean in float64 is
-  left out where 64 binary digits are too few for it.
-- **‡**: a larger error than at those points, found by a search: 32 hill climbs in units in the last
-  place, from the worst of 200,000 points (`python tests/stability/searched.py`).
+  definition and shares no code with the library (`tests/stability/registry/`). The oracle computes
+  with 64 binary digits or 60 decimal digits, from the same rounded arguments as the function. The
+  points are hard cases and {many:,} random points of the domain in float32, and a fifth as many in
+  float64. If the oracle needs mpmath, there are only {slow} and {few} points.
+- **worst, mean**: the largest and the mean error in ULP, in float32 and float64. The mean error is
+  measured against the oracle with 64 binary digits (60 decimal digits if the oracle needs mpmath).
+  The largest error is measured against 60 decimal digits, at the hard cases and at the three worst
+  points. There is no mean in float64 where 64 binary digits are too few to measure it.
+- **‡**: a larger error than at those points, found by a search: 32 hill climbs in steps of ULP,
+  from the worst of 200,000 points (`python tests/stability/searched.py`).
 - **†**: the errors are divided by the condition number 1 + Σ |x ∂f/∂x| / |f|. In these rows the
-  result is a difference or an exponential of rounded numbers, and no formula is more accurate.
-- **slope**: the largest relative error of a derivative over the hard cases, float32 / float64. It
-  is relative to the largest slope with respect to the same argument, or to a hundredth of f / x
-  where the note says so.
-- **jit, one**: the largest differences in ULP, in float32. "jit" compares compiled with eager code
-  at 32 points, and "one" compares `vmap` with a loop at 3 points.
-- **bound**: the tests fail if an error exceeds this. {outside} Number of infinite or NaN
+  result is a difference or an exponential of rounded numbers, so the rounding of the arguments
+  limits the accuracy of any formula.
+- **slope**: the largest relative error of a derivative over the hard cases, float32 / float64. The
+  error is relative to the largest slope with respect to the same argument, or to a hundredth of f /
+  x if a note says so.
+- **jit, one**: the largest differences in ULP, in float32. "jit" is between compiled and eager code
+  at 32 points, and "one" is between `vmap` and a loop at 3 points.
+- **bound**: the tests fail if an error exceeds this bound. {outside} Number of infinite or NaN
   results where the true one is finite: {non_finite} of {points:,} points; slopes: {endless}.
-- **points**: the domain of each argument in turn, as a range. Points are uniform in the logarithm,
-  or uniform if the range begins at 0. ± means either sign, and "3 of" means three components of a
-  vector. Outside of the domain only hard cases were measured.
-- **Not covered**: a result below the smallest normal number may be 0. Random draws and iterative
-  solvers are in the last tables.
+- **points**: the domain of each argument in turn, as a range. Points are drawn uniformly in the
+  logarithm, or uniformly if the range begins at 0. ± means either sign, and "3 of" means three
+  components of a vector. Outside the domain only hard cases were measured.
+- **Not covered**: results below the smallest normal number, which may be 0. Random draws and
+  iterative solvers are in the last tables.
 
 JAX publishes the errors of its elementary functions, at every float32 and at random float64
 numbers, on its page [Numerical accuracy](https://docs.jax.dev/en/latest/accuracy.html). The
-functions here call them. Some of them are much less accurate in one region than elsewhere, as JAX's
-`log1p` is in float64 near -0.4 (128 ULP). There `core/_numerics.py` uses another formula.
+library's functions call these elementary functions. Some of them are much less accurate in one
+region than elsewhere: the error of JAX's `log1p` in float64 near -0.4 is 128 ULP. In such regions
+`core/_numerics.py` uses another formula.
 
 ## Functions with an oracle
 
@@ -80,14 +83,15 @@ SECOND = """
 ## Compositions
 
 These functions are compositions of others. Their float32 result is compared with their float64
-result, on the examples of `tests/examples/`; other tests check the formulas. The errors are in ULP
-of the largest number of the result, and of each number itself. The second is meaningless for
-numbers that cancel to nearly 0, as in kernels and Fourier transforms.
+result, on the examples of `tests/examples/`; other tests check the formulas. The column "of the
+largest" gives errors in ULP of the largest number of the result, the column "of each" in ULP of
+each number. The latter is meaningless for numbers that cancel to nearly 0, as in kernels and
+Fourier transforms.
 
 One example does not cover other sizes. `pytest -m slow tests/stability/test_scaled.py` therefore
-scales the arguments by powers of ten between -3 and 2, eight times each. A float32 result may have
-an error of 32 times the expected one, which follows from the rounding of the arguments and of the
-result. The file lists ten exceptions, each with its reason.
+scales the arguments by powers of ten between -3 and 2, eight times each. The test allows an error
+of 32 times the error expected from the rounding of the arguments and of the result. Its file lists
+ten exceptions, each with its reason.
 
 | function | of the largest | of each | bound |
 | --- | --- | --- | --- |
@@ -95,8 +99,9 @@ result. The file lists ten exceptions, each with its reason.
 THIRD = """
 ## Other functions
 
-These functions have no floating-point result of their own, draw random numbers, or iterate to a
-stated tolerance. The table gives their number, their kind, and the tests that check them.
+These functions return no floating-point numbers that they compute, draw random numbers, or iterate
+to a stated tolerance. The table gives the number of functions of each type, and the tests that
+check them.
 
 | functions | kind | tests |
 | --- | --- | --- |
@@ -104,10 +109,10 @@ stated tolerance. The table gives their number, their kind, and the tests that c
 EVERY = """
 ## Every float32
 
-Functions of one variable were measured at each float32 of their domain, by `python
-tests/stability/every_float32.py --record`. This takes ten minutes of one core, and continues after
-an interruption with `--kept FOLDER`. The test suite repeats this for about one number in some
-thousands.
+Functions of one variable were measured at every float32 number of their domain, by
+`python tests/stability/every_float32.py --record`. The command takes ten minutes of one core. With
+`--kept FOLDER` it can be interrupted and continued. The test suite repeats the measurement for
+about one number in several thousand.
 
 | function | numbers | worst, ULP | at | mean, ULP |
 | --- | --- | --- | --- | --- |
@@ -116,18 +121,18 @@ LAST = """
 ## Errors above four units
 
 Errors above 4 ULP remain where a formula multiplies rounding errors by a small whole number. If
-they matter, compute in float64 and convert the result to float32, with an error of half an ULP
-(`JAX_ENABLE_X64=1`, records by `as_dtype`). This takes 2.5 times as long for the dielectric, 2.1
-times for the conductor and 1.5 times for GGX (a million points, two cores,
-`tests/benchmarks/bench_precision.py`). Compensated float32 arithmetic, as in `spectra.blackbody`,
-took 3 and 5 times as long and left errors of 6.5 and 2.3 units.
+such errors matter, compute in float64 and convert the result to float32, which leaves an error of
+half an ULP (`JAX_ENABLE_X64=1`, records by `as_dtype`). The computation then takes 2.5 times as
+long for the dielectric, 2.1 times for the conductor and 1.5 times for GGX (a million points, two
+cores, `tests/benchmarks/bench_precision.py`). Compensated float32 arithmetic, as in
+`spectra.blackbody`, took 3 and 5 times as long and left errors of 6.5 and 2.3 units.
 
 - `fresnel_dielectric`, `fresnel_conductor`: squares of quotients of squares. A relative error of
-  the refracted cosine counts four times, and one of the index contrast twice. For an index below 1
-  the slope is infinite at the critical angle, and the rows are divided by the condition number.
-  At a cosine of 0.98724 and an index of 0.16265, the reflectances of the two polarisations change
-  117 times as fast as the angle, in opposite directions, and their mean hardly changes. There a
-  search found an error of 104 ULP, 6e-6 of the reflectance.
+  the refracted cosine appears fourfold in the result, an error of the index contrast twofold. For
+  an index below 1 the slope is infinite at the critical angle, and the rows are divided by the
+  condition number. At a cosine of 0.98724 and an index of 0.16265, the reflectances of the two
+  polarisations change 117 times as fast as the angle, in opposite directions, and their mean hardly
+  changes. At that point a search found an error of 104 ULP, 6e-6 of the reflectance.
 - `normal_distribution` of GGX: the square of a sum of squares of quotients.
 - `parallel_rectangles` in float32: three terms of similar size. Two of them are differences of
   angles, which use a series where they are small.
@@ -137,15 +142,16 @@ took 3 and 5 times as long and left errors of 6.5 and 2.3 units.
 - `log_curve`: two logarithms of 1 + x, for which XLA's error is 2.5 units near x = 0.4.
 - `depth_of_field`: seven roundings.
 - `scaled_to_key`: the exponential of a mean of logarithms.
-- `log_ndtr`, `Censored` and `StudentT` in float64: JAX's own series, with a relative error of 1e-10
+- `log_ndtr`, `Censored` and `StudentT` in float64: JAX's series, whose relative error is 1e-10
   where one series replaces another.
 
 ## Damaged files
 
 `pytest -m slow tests/fuzz` changes, cuts and doubles bytes, lines and numbers of valid files. Each
-damaged file must be read, or be refused in one sentence, within 10 s of CPU and 12 GiB. There were
-1,691,980 files so far, of 28 kinds: cameras, scenes (also Mitsuba's and glTF's), materials, rigs,
-tables, measured BRDFs, meshes, images, FITS, DNG and NPY files, and unfinished renders and chains.
+damaged file must be read, or be rejected with a message of one sentence, within 10 s of CPU time
+and 12 GiB. So far 1,691,980 files of 28 types were tested: cameras, scenes (also Mitsuba's and
+glTF's), materials, rigs, tables, measured BRDFs, meshes, images, FITS, DNG and NPY files, and
+unfinished renders and chains.
 
 | run | files | read | wrong |
 | --- | --- | --- | --- |
@@ -154,36 +160,37 @@ tables, measured BRDFs, meshes, images, FITS, DNG and NPY files, and unfinished 
 | last | 392,000 | 72,806 | 0 |
 | after the last changes | 7,600 | | 0 |
 
-Commands are also run on damaged files and folders: flats and darks, an exposure stack, a ball,
-photographs. The damage is to the rig or to an image, which may be a copy of another, constant, dim,
+Commands are also run on damaged folders of flats and darks, of an exposure stack, of a ball and of
+photographs. Either the rig is damaged, or an image: it is a copy of another image, constant, dim,
 full of outliers or of another size. The last run tried 2,090 damaged inputs on ten commands: 441
-were processed, 1,649 were refused with a message, and no result was wrong. `pytest -m slow
-tests/fuzz/test_fuzz_arguments.py` calls public functions with odd arguments. In its last run, eight
-errors were raised by JAX instead of the function; the functions now raise them themselves. That run
-did not include `transport`.
+were processed, 1,649 were refused with a message, and no result was wrong.
+`pytest -m slow tests/fuzz/test_fuzz_arguments.py` calls public functions with odd arguments. In its
+last run, which did not include `transport`, eight calls failed with an error of JAX instead of one
+of the function. These functions now check their arguments.
 
 ## Interrupted commands
 
 `python tests/killed.py` interrupts a render, a chain and a report at random moments, and runs them
 again.
 
-- **SIGKILL** at 290 moments: no file was damaged. Each run continued, or began again, to the same
-  bytes.
-- **Ctrl-C** at 324 moments before all was written, on a busy machine: each command ended within 2 s
-  with status 130 and one line. No file was damaged, and runs continued to the same bytes. Of 36
-  interruptions after all was written, at least 10 finished with status 0.
+- **SIGKILL** at 290 moments: no file was damaged. When run again, each command continued or started
+  anew, and its results had the same bytes as without interruption.
+- **Ctrl-C** at 324 moments before all files were written, on a busy machine: each command ended
+  within 2 s with status 130 and one line. No file was damaged, and continued runs gave the same
+  bytes. Of 36 commands interrupted after all files were written, at least 10 ended with status 0.
 - **Files removed** at 84 moments of five commands (images, image folders, the folder of the results
-  or the working folder): each run ended with its results, or with one sentence.
+  or the working folder): each command ended with its results, or with an error message of one
+  sentence.
 
 ## Large data
 
 `pytest -m slow tests/package/test_large.py` tests large inputs:
 
-- Histograms, integral images, means, blurs, mosaics and a raw frame of 100 megapixels are rounded
-  like small ones. Counts are exact, and sums in float32 are within 16 units.
-- Least squares on 1e7 observations agrees within .02 of a standard error.
-- Rows of form factors to 1e6 patches of a closed room sum to 1 within 1e-4.
-- Chains of 1e6 steps use the predicted memory within 2 %.
+- Histograms, integral images, means, blurs, mosaics and a raw frame of 100 megapixels have the
+  rounding errors of small inputs. Counts are exact, and sums in float32 are within 16 ULP.
+- Least squares on 1e7 observations agree with the reference within .02 of a standard error.
+- The form factors from one patch to the 1e6 patches of a closed room sum to 1 within 1e-4.
+- The memory of chains of 1e6 steps is within 2 % of the predicted memory.
 """
 
 
