@@ -56,7 +56,7 @@ def show(
     command: str,
     as_json: bool = False,
 ) -> dict[str, Any]:
-    """Print the measured curves as a table or as JSON, and return them as a JSON object. Raises
+    """Print the measured curves as a table or as JSON, and return them as a JSON object. Raise
     `InputError` if there was too little time to measure any setting."""
     if not any(curve.trials for curve in curves):
         raise InputError(

@@ -409,8 +409,8 @@ def measure_in_turn(
     shares: list[float] = []
 
     def measured(name: str, share: float) -> Curve | None:
-        """Return the measured curve, or None if an interrupt came; before the first curve it is
-        raised again."""
+        """Return the measured curve, or None if an interrupt stopped the measurement. An interrupt
+        before the first curve is raised again."""
         try:
             with raised_interrupts():
                 return measure(name, max(share, LEAST))

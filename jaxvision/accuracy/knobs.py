@@ -29,8 +29,8 @@ KNOBS: Mapping[str, Knob] = {name: _knob(name, table) for name, table in _TABLES
 
 
 def knob_named(name: str) -> Knob:
-    """Return the record of an approximation by name. `InputError` for an unknown name suggests the
-    nearest one."""
+    """Return the record of an approximation by name. For an unknown name, raise `InputError`, which
+    suggests the nearest one."""
     if name not in KNOBS:
         raise InputError(f"knob {name!r} is unknown; {nearest(name, KNOBS)}.")
     return KNOBS[name]

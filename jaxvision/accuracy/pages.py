@@ -29,7 +29,7 @@ def page(
     command: str,
     together: Sequence[Together] | None = None,
 ) -> str:
-    """The page.
+    """Make the HTML page of the measured curves.
 
     Args:
         problem: that has the knobs.

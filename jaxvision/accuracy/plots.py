@@ -25,10 +25,10 @@ def plot(
     others: Sequence[tuple[str, float, float]] = (),
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """Draw a curve. Filled points have error bars for the spread over seeds. A hollow point has an
-    error of less than three times that of the reference. A dashed line marks the error of the
-    reference, unless it is far below all points. Points on the lower axis have no error: they equal
-    the reference. The solid line is the Pareto front.
+    """Plot error against time for one setting. Filled points have error bars for the spread over
+    seeds. A hollow point has an error of less than three times that of the reference. A dashed line
+    marks the error of the reference, unless it is far below all points. Points on the lower axis
+    have no error: they equal the reference. The solid line is the Pareto front.
 
     Args:
         curve: as `curve` returns it.

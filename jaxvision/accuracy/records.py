@@ -130,7 +130,8 @@ class Trial:
 
 @dataclass(frozen=True)
 class Reference:
-    """The reference for errors.
+    """The source of the reference result, from which errors are measured, and its own estimated
+    error.
 
     Attributes:
         setting: the setting with which it was computed; None for a closed form or the caller's

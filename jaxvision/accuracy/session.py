@@ -64,7 +64,7 @@ class Session:
 
     @property
     def taken(self) -> float:
-        """s since the beginning."""
+        """The time since the session began, in s."""
         return self.clock() - self.begun
 
     @property

@@ -467,7 +467,7 @@ def _pair(option: str, text: str) -> tuple[int, int]:
 
 
 def _finite_or_null(values: dict[str, Any]) -> dict[str, Any]:
-    """JSON-compatible numbers: NaN and infinity become null."""
+    """Make numbers compatible with JSON: NaN and infinity become null."""
     return json.loads(json.dumps(values), parse_constant=lambda _: None)
 
 
@@ -487,7 +487,7 @@ def start() -> None:
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the shell command `jaxvision`; an interrupt ends it at once."""
     ending_on_interrupt("jaxvision", start)
 
 

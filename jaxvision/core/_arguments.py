@@ -2,7 +2,7 @@
 function of one point refuses an array of several points, and a direction must be a unit vector.
 
 Values are checked only if they are concrete; inside `jax.jit` and other transforms they are not.
-NaN passes.
+NaN is accepted.
 """
 
 from collections.abc import Callable, Collection, Iterable

@@ -218,5 +218,5 @@ class Source(NamedTuple):
 
     @property
     def extended(self) -> bool:
-        """Whether the light has a finite size, so that a ray can hit it."""
+        """Whether the light has a radiance, so that a ray can hit it: an area light or a sky."""
         return self.kind in ("area", "sky")

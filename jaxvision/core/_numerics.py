@@ -145,14 +145,14 @@ def divide(
 
 def magnitude(x: Float[Array, "..."], axis: int | tuple[int, ...] | None = -1) -> Scalars:
     """Return the largest absolute value along the axes, which are kept with length 1. If all of x
-    is 0, return 1. Its gradient is 0. The squares of x divided by this magnitude neither overflow
-    nor underflow."""
+    is 0, return 1. The gradient of the result is 0. The squares of x divided by this magnitude
+    neither overflow nor underflow."""
     return or_one(jax.lax.stop_gradient(jnp.max(jnp.abs(x), axis=axis, keepdims=True)))
 
 
 def binary_unit(x: Float[Array, "..."]) -> Scalars:
     """Return the largest power of two up to the largest finite |x|, in its unit, so that division
-    by it is exact; 1 if all of x is 0. Its gradient is 0."""
+    by it is exact; 1 if all of x is 0. The gradient of the result is 0."""
     finite = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)
     largest = or_one(jax.lax.stop_gradient(jnp.max(finite)))
     return jnp.ldexp(jnp.ones_like(largest), jnp.frexp(largest)[1] - 1)

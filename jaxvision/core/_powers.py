@@ -177,7 +177,8 @@ _FORMAT = {
 
 
 class Decay(NamedTuple):
-    """exp(-y) = (left + left_rest) scale further, and 1 - exp(-y) = lost + lost_rest, no units."""
+    """The parts of a decay and of its complement: exp(-y) = (left + left_rest) scale further, and 1
+    - exp(-y) = lost + lost_rest, no units."""
 
     left: Scalars  # (...) between 0.7 and 1.5
     left_rest: Scalars  # (...)

@@ -1,5 +1,5 @@
-"""Aliases of array types, conversions that keep a dtype, and checks of values. Nothing here
-computes.
+"""Aliases of array types, conversions that keep a dtype, and checks of values. This module contains
+no computations.
 
 Names of axes: `...` is any batch, `bands` spectral bands (RGB is three bands), `h w` rows and
 columns of an image, and `3` a Cartesian vector. `Colour` and `Scalar` are values of one point, ray
@@ -287,8 +287,8 @@ def check_kind(name: str, value: Any, *kinds: type | UnionType) -> None:
 
 
 def check_given(name: str, value: Any, *kinds: type | UnionType) -> None:
-    """Raise `ValueError` unless `value` is a record of one of the given types; None is refused too.
-    None raises `ValueError` too."""
+    """Raise `ValueError` unless `value` is a record of one of the given types. None raises
+    `ValueError` too."""
     known: tuple[Any, ...] = tuple(kind for union in kinds for kind in members_of(union))
     if isinstance(value, known):
         return

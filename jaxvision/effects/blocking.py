@@ -1,14 +1,14 @@
 """Find which surfaces may lie between a light and a surface. The answer `False` is certain.
 
 A one-sided convex surface does not shade itself, and neither does the outer side of a convex body.
-A convex ball or box that contains lamp and receiver, such as a room, cannot lie between them. An
-occluder also blocks nothing if the plane of the lamp, the receiver or the occluder separates the
-other two, as follows. Lamp and receiver are on the same closed side of a flat occluder; or the lamp
-or the occluder is behind a flat receiver; or the receiver or the occluder is behind a flat lamp. In
-all other cases the occluder must be disjoint from the convex hull of lamp and receiver
-(`bodies.gap`). A point within a few rounding errors of a plane is treated as a point of the plane.
-That distance is far smaller than `geometry.offset_length`, within which no ray meets the plane
-either. Lengths in m.
+A ball or box that contains both lamp and receiver, such as a room, blocks nothing between them,
+because it is convex. An occluder also blocks nothing if the plane of the lamp, the receiver or the
+occluder separates the other two, as follows. Lamp and receiver are on the same closed side of a
+flat occluder; or the lamp or the occluder is behind a flat receiver; or the receiver or the
+occluder is behind a flat lamp. In all other cases the occluder must be disjoint from the convex
+hull of lamp and receiver (`bodies.gap`). A point within a few rounding errors of a plane is treated
+as a point of the plane. That distance is far smaller than `geometry.offset_length`, within which no
+ray meets the plane either. Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -66,9 +66,9 @@ def touching(surfaces: Sequence[Ends[Surface]]) -> float:
 
 @once
 def is_convex(shape: Ends[Shape]) -> bool:
-    """Return whether a shape is a convex body that is shaded with its own normals. True for balls
-    and boxes, and for closed meshes without shading normals if all vertices lie below the plane of
-    each face, within a few rounding errors."""
+    """Return whether a shape is a convex body that is shaded with its own normals. The result is
+    True for balls and boxes, and for closed meshes without shading normals if all vertices lie
+    below the plane of each face, within a few rounding errors."""
     mesh = shape.low
     if not isinstance(mesh, TriangleMesh):
         return isinstance(mesh, Sphere | Box)

@@ -83,8 +83,8 @@ def corners(shape: Shape) -> np.ndarray | None:
 @once
 def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the centres, (p, 3) m, and radii, (p,) m, of balls whose convex hull contains a shape
-    for all values of its free parameters. None for an unbounded plane, and if the shape's rotation
-    is free."""
+    for all values of its free parameters. The result is None for an unbounded plane, and if the
+    shape's rotation is free."""
     low, high = shape
     if isinstance(low, Sphere) and isinstance(high, Sphere):
         points = box_about(numbers(low.centre), numbers(high.centre))
@@ -111,9 +111,9 @@ def faces_of(mesh: TriangleMesh) -> np.ndarray:
 
 @once
 def is_closed(shape: Ends[Shape]) -> bool:
-    """Return whether a shape bounds a solid body with outward normals. True for balls and boxes,
-    and for a fixed mesh in which each edge is used once in each direction and each connected part
-    has positive volume. A mesh is assumed not to intersect itself."""
+    """Return whether a shape bounds a solid body with outward normals. The result is True for balls
+    and boxes, and for a fixed mesh in which each edge is used once in each direction and each
+    connected part has positive volume. A mesh is assumed not to intersect itself."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

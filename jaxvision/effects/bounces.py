@@ -73,7 +73,7 @@ def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = ""
 
 
 class Transport(NamedTuple):
-    """The operator T between n surfaces, see the module; no units."""
+    """The operator T that one more path segment applies, between n surfaces; no units."""
 
     # body, lobe, mirror: (n,) the largest reflected share of light from all directions
     body: np.ndarray

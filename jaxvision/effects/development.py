@@ -71,8 +71,8 @@ def demosaicing(development: Development) -> Factor:
 
 
 def white_balance(development: Development) -> Factor:
-    """The largest gain. There is no bound if the gains are computed from the picture, because they
-    are ratios of means that may vanish."""
+    """Return the largest white-balance gain. There is no bound if the gains are computed from the
+    picture, because they are ratios of means that may vanish."""
     match development.white_balance:
         case WhiteBalance(gains=gains):
             gains = np.asarray(gains, float)
@@ -107,10 +107,10 @@ def colour_matrix(development: Development) -> Factor:
 
 
 def tone_map(development: Development) -> Factor:
-    """The largest slope. The slope of Reinhard's curve goes monotonically from 1 to 1 / white^2. A
-    monotone spline is nowhere steeper than three times its steepest chord (Fritsch and Carlson,
-    "Monotone Piecewise Cubic Interpolation", SIAM J. Numer. Anal. 17 (1980)). Numer. Anal. 17
-    (1980))."""
+    """Return the largest slope of the tone curve. The slope of Reinhard's curve goes
+    monotonically from 1 to 1 / white^2. A monotone spline is nowhere steeper than three times
+    its steepest chord (Fritsch and Carlson, "Monotone Piecewise Cubic Interpolation", SIAM J.
+    Numer. Anal. 17 (1980))."""
     match development.tone_map:
         case Reinhard(white=None):
             return Factor(1.0, "largest slope, at 0")
@@ -142,7 +142,7 @@ def tone(development: Development) -> Factor:
 
 
 def sharpening(development: Development) -> Factor:
-    """The factor of f + a (f - g * f), where g has sum 1, is 1 + 2 |a|."""
+    """Return the factor of sharpening, 1 + 2 |a| for f + a (f - g * f) with a kernel g of sum 1."""
     how = development.sharpening
     assert how is not None
     amount = abs(float(how.amount))

@@ -97,8 +97,8 @@ def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
 
 
 def kernel_slopes(kernel: Any) -> float:
-    """Half of the sum of |K_l - K_(l + neighbour)| over all offsets l, for neighbours in rows and
-    in columns, per electron.
+    """Return half of the sum of |K_l - K_(l + neighbour)| over all offsets l, for neighbours in
+    rows and in columns, per electron.
     """
     rows, columns = (np.abs(np.arange(1 - n, n)) for n in np.shape(kernel))
     whole = np.pad(np.asarray(kernel, float)[np.ix_(rows, columns)], 1)

@@ -5,7 +5,7 @@ divided into pieces. The irradiance E of a surface that faces the light is at mo
 cos(theta) / d^2 over the balls, where I is the intensity, d a lower bound of the distance, and the
 cosine of emission has its largest value. A light of radiance L gives at most pi L if weighted by
 the receiver's cosine, and at most 2 pi L without it. E is given per unit of the light's own
-`spectrum`, and lengths are in m. Lengths in m.
+`spectrum`. Lengths are in m.
 """
 
 from collections.abc import Sequence
@@ -81,8 +81,9 @@ def arriving(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
 def of_lobes(
     arrived: Arrived, source: Source, lobes: Sequence[Lobe | None], cells: Cells, eye: Eye
 ) -> np.ndarray:
-    """Return the largest E f_r cos / k_s, (c,), of the lobes toward the eye, per unit of the
-    light's spectrum. A surface without a lobe, None in `lobes`, has 0. Lengths in m."""
+    """Return the largest product E f_r cos / k_s, (c,), of the irradiance E and the lobe's shading
+    toward the eye, per unit of the light's spectrum. A surface without a lobe, None in `lobes`, has
+    0. Lengths in m."""
     found, e = np.zeros(len(cells.radius)), arrived.e
     has = np.array([own is not None for own in lobes], bool)[cells.surface]
     angles = None

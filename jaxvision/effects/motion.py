@@ -1,8 +1,8 @@
 """Bound the displacement of points in the picture by motion during an exposure.
 
-Rendering evaluates a motion at a few times, and the bound uses exactly these. A body is the hull of
-its corners, which move with it: x' = sum w_i x'_i if x = sum w_i x_i. With coordinates X across and
-Z along the camera's axis, a visible point of slope up to M moves by
+Rendering evaluates a motion at a few times, and the bound uses exactly these. A body is the convex
+hull of its corners, which move with it: its point x = sum w_i x_i moves to x' = sum w_i x'_i. With
+coordinates X across and Z along the camera's axis, a visible point of slope up to M moves by
 
     |X' / Z' - X / Z| = |(X' - X) - (X / Z)(Z' - Z)| / Z' <= (max |dX_i| + M max |dZ_i|) / min Z_i,
 

@@ -159,8 +159,9 @@ def rim(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
 
 
 def _passes(grids: _Grids, *gone: str) -> bool:
-    """Whether the rim clears the aperture for every pixel: r |1 - l / z_f| + l t <= R, with r the
-    radius of its farthest point."""
+    """Return whether the rim clears the aperture for every pixel: r |1 - l / z_f| + l t <= R. Here
+    r is the radius of the aperture's farthest point, l the rim's distance from the lens, z_f the
+    focus distance, t the largest slope of a chief ray, and R the rim's radius."""
     view = grids.view.high
     assert isinstance(view, ThinLens)
     assert view.rim is not None
@@ -272,9 +273,9 @@ def defocus(view: Ends[View], near: float, far: float, *, wider: float = 1.0) ->
 
 
 def stretch(view: Pinhole | ThinLens, steepest: float) -> float:
-    """The largest relative factor, >= 1, by which distortion magnifies small distances on the
-    sensor. The norm of its derivative is at most 1 + sum (2 i + 1) |k_i| r^2i + 6 |p| r, with r the
-    largest slope of a chief ray in the picture."""
+    """Return the largest relative factor, >= 1, by which distortion magnifies small distances on
+    the sensor. The norm of its derivative is at most 1 + sum (2 i + 1) |k_i| r^2i + 6 |p| r, with r
+    the largest slope of a chief ray in the picture."""
     if view.distortion is None:
         return 1.0
     radial = np.abs(np.asarray(view.distortion.radial, float))

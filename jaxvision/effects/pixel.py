@@ -3,7 +3,7 @@ change.
 
 The squared distance of two distributions with means m and rms s is
 
-    D^2 = (m_1 - m_2)^2 + (s_1 - s_2)^2,
+    D^2 = (m_1 - m_2)^2 + (s_1 - s_2)^2.
 
 D is the 2-Wasserstein distance for Gaussian distributions, and a lower bound of it for others
 (Gelbrich, "On a formula for the L2 Wasserstein metric", Mathematische Nachrichten 147 (1990)). D is
@@ -116,12 +116,12 @@ class Pixel:
 
     @cached_property
     def gain(self) -> float:
-        """K, DN per electron."""
+        """The largest gain K, in DN per electron."""
         return 1.0 if self.sensor.high["gain"] is None else self.high("gain")
 
     @cached_property
     def gain_low(self) -> float:
-        """The smallest K."""
+        """The smallest gain K, in DN per electron."""
         value = self.sensor.low["gain"]
         return 1.0 if value is None else float(value)
 
@@ -151,8 +151,8 @@ class Pixel:
     @cached_property
     def repulsion(self) -> float:
         """The largest relative change of a pixel's charge by the brighter-fatter effect, c = 2 m
-        (D_rows + D_columns) for a charge m. D is half of sum |K_l - K_(l + neighbour)|, so D m
-        bounds a difference of potentials."""
+        (D_rows + D_columns) for a charge m. D is half of the sum of |K_l - K_(l + neighbour)| over
+        the kernel K, so D m bounds a difference of potentials."""
         effect = self.sensor.high["brighter_fatter"]
         if effect is None:
             return 0.0
@@ -161,8 +161,9 @@ class Pixel:
 
     @cached_property
     def pushing(self) -> float:
-        """exp c, the largest factor of the brighter-fatter effect on a charge or a change of one:
-        q' = 1 + c q, and d' = e^(c t) + c d."""
+        """The largest factor, e^c, of the brighter-fatter effect on a charge q or a change d of it,
+        which grow at most as q' = 1 + c q and d' = e^(c t) + c d during the exposure, t from 0 to
+        1."""
         return math.exp(self.repulsion) if self.repulsion < 700 else INF
 
     @cached_property
@@ -205,7 +206,8 @@ class Pixel:
 
     @cached_property
     def variances(self) -> Ends[dict[str, float]]:
-        """`read_out_variances` at both ends."""
+        """The variances of the read-out (`read_out_variances`) at both ends of the free
+        parameters."""
         return Ends(read_out_variances(self.sensor.low), read_out_variances(self.sensor.high))
 
     def added(self, name: str = "") -> float:
@@ -248,15 +250,14 @@ class Pixel:
 
     @cached_property
     def quiet(self) -> float:
-        """The smallest variance of any pixel, that of the darkest, divided by the gains to refer it
-        to its charge."""
+        """The smallest variance of any pixel, that of the darkest, expressed as a variance of its
+        charge."""
         larger = (1 + self.high("conversion_prnu") ** 2) * self.grown**2
         return self.counted_dark + self.added() / larger
 
     @cached_property
     def behind_column(self) -> float:
-        """The change in DN for one electron added after the conversion: K sqrt(1 + q^2). K sqrt(1 +
-        q^2)."""
+        """The change in DN for one electron added after the conversion: K sqrt(1 + q^2)."""
         return self.gain * math.hypot(1, self.high("column_prnu"))
 
     @cached_property
@@ -281,7 +282,7 @@ class Pixel:
 
     @cached_property
     def own(self) -> tuple[Ends[Any], ...]:
-        """External (registered) effects."""
+        """The external effects on charge, which were registered."""
         both = (end["own"] or () for end in self.sensor)
         return tuple(Ends(low, high) for low, high in zip(*both, strict=True))
 
@@ -356,13 +357,13 @@ class Pixel:
 
     @cached_property
     def received(self) -> float:
-        """The root mean square of the charge that overflows into a pixel, in electrons. It is at
-        most a full well:
+        """A bound on the root mean square of the charge R that overflows into a pixel, in
+        electrons:
 
             R = sum s_i X_i,   E R^2 <= (E X sum s)^2 + E X^2 sum s^2,   R <= w
 
-        Here s_i is the share that arrives from pixel i, and the excesses X_i of different pixels
-        are independent.
+        Here s_i is the share that arrives from pixel i, w is the full well, and the excesses X_i of
+        different pixels are independent.
         """
         mean, rms = self.spilt
         if self.flood.all == 0 or rms == 0:

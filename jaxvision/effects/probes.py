@@ -8,8 +8,8 @@ for all further segments, so paths of more than m segments add
 
     sum over k > m of D r^(k - n - 1) = D r^(m - n) (1 - r^(depth - m)) / (1 - r)
 
-where D is taken from the brightest pixel, and r is two standard errors above the observed factor. W
-m^-2 sr^-1.
+where D is taken from the brightest pixel, and r is two standard errors above the observed factor.
+Light is given as radiance in W m^-2 sr^-1.
 """
 
 from dataclasses import replace

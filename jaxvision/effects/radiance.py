@@ -47,8 +47,8 @@ def scene_stage(
     """Return the rows of all effects of a scene over the range of its free parameters, a bound on
     the light at the camera, in W m^-2 sr^-1, and the suprema from which both follow.
 
-    `depth` is the largest number of path segments, or None for direct light, as in `render`.
-    `caustics`: paths start at the lights, too.
+    `depth` is the largest number of path segments, or None for direct light, as in `render`. With
+    `caustics`, paths also start at the lights.
     """
     eye, whole = eye_of(view), scene.low.surfaces
     varied = [[place for place, _ in maps_of(own)] for own in whole]
@@ -144,8 +144,8 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
 
 
 def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
-    """Return the largest radiance, (bands,), of objects behind a lamp that mirrors in the given
-    cells, (c,), show."""
+    """Return the largest radiance, (bands,), that mirrors in the given cells, (c,), can show from
+    behind a lamp."""
     if sums.sources[k].kind != "area":
         return np.zeros(sums.spectrum.shape[1])
     extended = np.array([own.extended for own in sums.sources])[:, None]

@@ -20,8 +20,8 @@ _COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sq
 
 def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
     """Return the row for replacing the rays of a pixel, which extend to its corners, by one ray.
-    The one ray passes through the pixel's centre. The radiance is at most (bands,) W m^-2 sr^-1.
-    The blur of the lens must have been dropped before."""
+    The one ray passes through the pixel's centre. `radiance`, (bands,) W m^-2 sr^-1, is the largest
+    in the picture. The blur of the lens must have been dropped before."""
     nothing, why = np.zeros_like(radiance), "a pixel's rays reach its corners"
     needs = frozenset({"view.defocus"} if isinstance(view.high, ThinLens) else ())
     more = {"unit": IRRADIANCE, "place": _MIDDLE, "saves": 0.5, "needs": needs}

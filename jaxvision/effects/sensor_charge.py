@@ -57,10 +57,10 @@ def brighter_fatter(pixel: Pixel) -> Bound:
     """Bound the effect of repulsion between charges: the charge that it moves over the borders of
     the brightest pixel, and the change of its noise.
 
-    With c = 2 m (D_rows + D_columns) the charge follows at most q' = 1 + c q. The mean therefore
-    changes by m ((e^c - 1) / c - 1). Covariances grow by c from either side. So the variance
-    changes by m (e^c (e^(2 c) - 1) / (2 c) - 1), and that of a fixed pattern by the factor e^(2 c)
-    - 1.
+    With c = 2 m (D_rows + D_columns), as in `Pixel.repulsion`, the charge q, in units of its mean
+    m, grows at most as q' = 1 + c q during the exposure. The mean therefore changes by m ((e^c - 1)
+    / c - 1). Covariances grow by c from either side. So the variance changes by m (e^c (e^(2 c) -
+    1) / (2 c) - 1), and that of a fixed pattern by the factor e^(2 c) - 1.
     """
     c, light = pixel.repulsion, pixel.light / pixel.pushing
     if c == 0:

@@ -130,8 +130,8 @@ def hot_pixels(pixel: Pixel) -> Bound:
 
 
 def _attenuator(pixel: Pixel, name: str, factor: float | np.ndarray, why: str) -> Bound:
-    """Bound the effect of a factor of at most 1 on each band by the light that it removes. Other
-    pixels become brighter. Other pixels become brighter."""
+    """Bound the effect of a factor of at most 1 on each band by the light that it removes. If the
+    effect is dropped, pixels become brighter."""
     ends = (dict(end, **{name: None}) for end in pixel.sensor)
     without = replace(pixel, sensor=Ends(*ends))
     # no bound is known if the light is inf, even if the factor is 1

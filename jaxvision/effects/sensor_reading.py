@@ -245,8 +245,9 @@ def _below(pixel: Pixel, offset: float) -> float:
 
 
 def _gaussian_excess(rms: float, level: float) -> float:
-    """Root mean square of a Gaussian above a level, sqrt((1 + z^2) Q(z) - z phi(z)) rms, bounded by
-    E x+^2 <= exp(-z^2 / 2) / 2 for z >= 0."""
+    """Return a bound on the root mean square of the part of a Gaussian above a level, sqrt((1 +
+    z^2) Q(z) - z phi(z)) rms with z = level / rms. The bound uses E x+^2 <= exp(-z^2 / 2) / 2 for z
+    >= 0."""
     if rms == 0:
         return max(-level, 0.0)
     z = level / rms

@@ -142,7 +142,7 @@ class Method(NamedTuple):
 
 
 class Arriving(NamedTuple):
-    """Bounds on the light from the scene to the camera: `radiance`: (bands,) W m^-2 sr^-1, the
+    """Bounds on the light from the scene to the camera. `radiance`: (bands,) W m^-2 sr^-1, the
     supremum in the picture (inf: unknown). `near`, `far`: m along the axis, the range of depths
     that may be in view (far: inf with a sky or an infinite plane). `turning`: (bands,) W m^-2
     sr^-1, the largest difference in the radiance of a point between two points of the lens."""

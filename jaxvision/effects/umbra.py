@@ -239,9 +239,9 @@ def _eye_as_source(eye: Eye) -> Source | None:
 
 
 def _shadow_of(shape: Ends[Shape], source: Source) -> _Shadow | None:
-    """Return the full shadow of an occluder, or None if there is none. That is so if the shape
-    is not flat or has free parameters, if the light is a sky, and if it is not entirely on one
-    side."""
+    """Return the full shadow of an occluder, or None if there is none. That is so if the shape is
+    not flat or has free parameters, if the light is a sky, or if the light is not entirely on one
+    side of the shape."""
     plane = plane_between(shape)
     if plane is None:
         return None

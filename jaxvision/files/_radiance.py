@@ -3,8 +3,8 @@ pixel.
 
 A mantissa m and an exponent e represent (m + 1/2) 2^(e - 136), as in Radiance itself. That is the
 middle of the step, because writers round down. A pixel with the exponent 0 is black. EXPOSURE and
-COLORCORR are factors that were applied to the pixels; the pixels are divided by them. Source:
-Source: Ward, "Radiance File Formats", and `color.c` of Radiance.
+COLORCORR are factors that were applied to the pixels; the pixels are divided by them. Source: Ward,
+"Radiance File Formats", and `color.c` of Radiance.
 """
 
 import re
@@ -31,7 +31,7 @@ def is_radiance(file: Path) -> bool:
 
 def read_radiance(file: Path) -> np.ndarray:
     """Read a Radiance picture, (h, w, 3) float32 in W m^-2 sr^-1 or relative, with its first row at
-    the top. `InputError` for a file that is damaged, incomplete or not Radiance, and for XYZ
+    the top. Raise `InputError` for a file that is damaged, incomplete or not Radiance, and for XYZ
     colours."""
     data = file.read_bytes()
     lines, at = _head(file, data)

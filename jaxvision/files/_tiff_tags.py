@@ -1,5 +1,5 @@
-"""Read the tags of a TIFF file that its decoder uses up or ignores. Sources: Sources: TIFF 6.0
-(Adobe, 1992); BigTIFF; TIFF/EP (ISO 12234-2) for mosaics."""
+"""Read the tags of a TIFF file that its decoder uses up or ignores. Sources: TIFF 6.0 (Adobe,
+1992); BigTIFF; TIFF/EP (ISO 12234-2) for mosaics."""
 
 import struct
 from collections.abc import Mapping

@@ -1,8 +1,8 @@
 """Read glTF 2.0 files, `.gltf` and `.glb`: their JSON, and the numbers in their buffers.
 
-Eager, NumPy alone. Coordinates are returned as stored, in metres according to the standard. Source:
-Source: Khronos, glTF 2.0 Specification, version 2.0.1. Every failure raises an `InputError` with a
-message of one sentence.
+The functions cannot be traced by JAX, and use only NumPy. Coordinates are returned as stored, in
+metres according to the standard. Source: Khronos, glTF 2.0 Specification, version 2.0.1. Every
+failure raises an `InputError` with a message of one sentence.
 """
 
 import base64
@@ -32,7 +32,7 @@ _CHUNK = struct.Struct("<II")
 
 @dataclass(frozen=True)
 class Gltf:
-    """One file."""
+    """The JSON and the binary data of one glTF file."""
 
     path: Path  # the file
     content: dict[str, Any]  # its JSON
@@ -62,7 +62,7 @@ class Primitive:
 
 def read_gltf(path: str | os.PathLike[str]) -> Gltf:
     """Read the JSON of a glTF file, and the binary part of a `.glb`. Other buffers are read when
-    they are needed. `InputError` for a missing file and for anything but glTF 2."""
+    they are needed. Raise `InputError` for a missing file and for anything but glTF 2."""
     file = Path(path)
     try:
         raw = file.read_bytes()
@@ -119,8 +119,8 @@ def _chunks(file: Path, raw: bytes) -> tuple[bytes, bytes | None]:
 
 def primitive_of(file: Gltf, mesh: int, primitive: int, *, uv: bool = False) -> Primitive:
     """Return the triangles of a primitive of a mesh, both given by index from 0; with `uv`, also
-    its texture coordinates. `InputError` for a primitive that is not a set of triangles, or that
-    has morph targets or extensions."""
+    its texture coordinates. Raise `InputError` for a primitive that is not a set of triangles, or
+    that has morph targets or extensions."""
     label = f"{file.path}: meshes[{mesh}].primitives[{primitive}]"
     parts = file.item("meshes", mesh).get("primitives", [])
     if not isinstance(parts, list) or not 0 <= primitive < len(parts):

@@ -60,7 +60,7 @@ _MOST_ADDED = 1 << 26
 @contextmanager
 def replaced_on_success(path: Path) -> Iterator[Path]:
     """Yield a temporary path next to `path`, and move the file there to `path` if the block ends
-    without an error. Missing folders are made. `InputError` if the file cannot be written."""
+    without an error. Missing folders are made. Raise `InputError` if the file cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=".partial-", suffix=path.suffix)
@@ -113,8 +113,8 @@ def read_image(path: str | os.PathLike[str], *, part: int | str | None = None) -
     the file, too: an orientation tag is not applied, but a warning names it. A palette is replaced
     by its colours. If the file stores white as zero, the codes are reversed, so that larger codes
     are brighter. For an EXR, the result is the picture of its display window, black outside the
-    data window. The channels R, G, B and A, or Y, of an EXR are found by their names. The values of
-    an HDR are radiances, that is, divided by EXPOSURE.
+    data window. The channels R, G, B and A, or Y, of an EXR are found by their names. For an HDR,
+    the values are radiances; the factor EXPOSURE has been divided out.
 
     Colours of an EXR are premultiplied by alpha, as its standard requires. Colours of other files
     are returned as stored; they are usually not premultiplied.
@@ -647,7 +647,7 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
 
 
 def as_float32(path: str | os.PathLike[str], numbers: np.ndarray) -> np.ndarray:
-    """Convert numbers, in any unit, to float32. `InputError` for finite or whole numbers that
+    """Convert numbers, in any unit, to float32. Raise `InputError` for finite or whole numbers that
     float32 cannot represent, and if all are below 1e-31."""
     if numbers.dtype == np.float32:
         return numbers

@@ -63,8 +63,8 @@ def read_raw(file: Path) -> np.ndarray:
 
 @contextmanager
 def opened_raw(file: Path) -> Iterator[Any]:
-    """Open a raw file as a `rawpy.RawPy` for a `with` block. `InputError` if the file is damaged,
-    or if the `raw` extra is not installed."""
+    """Open a raw file as a `rawpy.RawPy` for a `with` block. Raise `InputError` if the file is
+    damaged, or if the `raw` extra is not installed."""
     rawpy = extra("rawpy", "raw", file)
     try:
         with rawpy.imread(str(file)) as raw:
@@ -140,8 +140,8 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
 
 @contextmanager
 def opened_fits(file: Path) -> Iterator[Any]:
-    """Open a FITS file as an `astropy.io.fits.HDUList` for a `with` block. `InputError` if the file
-    is damaged, or if the `fits` extra is not installed."""
+    """Open a FITS file as an `astropy.io.fits.HDUList` for a `with` block. Raise `InputError` if
+    the file is damaged, or if the `fits` extra is not installed."""
     fits = extra("astropy.io.fits", "fits", file)
     try:
         with fits.open(file, memmap=False) as units:
@@ -155,7 +155,7 @@ def opened_fits(file: Path) -> Iterator[Any]:
 
 def fits_header(file: Path) -> dict[str, Any]:
     """Read the header of the first image of a FITS file and of the file's first HDU, as values by
-    keyword. `InputError` as in `read_fits`."""
+    keyword. Raise `InputError` as `read_fits` does."""
     extra("astropy.io.fits", "fits", file)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `read_fits` warns of them

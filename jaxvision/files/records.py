@@ -100,7 +100,8 @@ def count_draws(file: Path) -> int:
 
 def attach_draws(file: Path, record: Record, count: int) -> Record:
     """Return a record with a leading axis of `count` draws, evenly spaced among those stored next
-    to its file. `InputError` if there are none or too few, or if they belong to another record.
+    to its file. Raise `InputError` if there are none or too few, or if they belong to another
+    record.
     """
     beside = _draws_file(file)
     if not beside.is_file():
@@ -152,8 +153,8 @@ def _draws_file(file: Path) -> Path:
 
 
 class Key(NamedTuple):
-    """What a key of a table expects: the type of its value, its default (MISSING if it must be
-    given), and its description from a docstring."""
+    """A key of a table: the type of its value, its default (MISSING if it must be given), and its
+    description from a docstring."""
 
     hint: Any
     default: Any
@@ -223,7 +224,7 @@ def record_of(
     reading: Reading, where: str, make: Callable[..., Any], table: Mapping[str, Any]
 ) -> Any:
     """Make a record, by its class or by the function that makes it, from the table of values at the
-    key `where`. `InputError` for a wrong key or value."""
+    key `where`. Raise `InputError` for a wrong key or value."""
     values = values_of(reading, where, keys_of(make), table)
     with reading.placed(where):
         return make(**values)

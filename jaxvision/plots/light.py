@@ -197,8 +197,8 @@ _ROUNDS = 40
 def refined(
     function: Callable[[np.ndarray], np.ndarray], places: np.ndarray, *, peaks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions, (m,) ascending, m >= n, and the values of a function there, refined from (n,)
-    first positions; narrow peaks are searched on all scales around their possible positions."""
+    """Return positions, (m,) ascending, and the values of a function there, refined from the first
+    positions, (n,). Narrow peaks are searched on all scales around their possible positions."""
     low, high = places[0], places[-1]
     steps = (high - low) * np.geomspace(NARROWEST, 0.05, 24)
     about = np.concatenate([peaks, *(peaks[:, None] + sign * steps for sign in (-1, 1))], axis=None)

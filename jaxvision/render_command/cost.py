@@ -65,7 +65,7 @@ def time_block() -> Iterator[Clock]:
 
 def relative_error(rows: Iterable[np.ndarray], bands: int) -> float | None:
     """Return the rms standard error divided by the rms radiance, over all pixels and bands with
-    finite numbers. None for a picture without light. `--accuracy` uses the same norm.
+    finite numbers. Return None for a picture without light. `--accuracy` uses the same norm.
     """
     light, squares = 0.0, 0.0
     for block in rows:

@@ -82,7 +82,7 @@ def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., 
 def _seeded_traces_of(
     source: SceneFile, settings: RenderEntry, threshold: float | None = None
 ) -> Callable[..., Computed]:
-    """`seeded_pixels_of` with standard errors."""
+    """Return a function like that of `seeded_pixels_of`, but for pixels with standard errors."""
     least = None if threshold is None else np.float32(threshold)
     _check_light(source, settings)
     _check_lens(source, settings)
@@ -314,7 +314,8 @@ def _check_balance(scene: Scene, plan: Plan, table: Array) -> None:
 
 
 def _fixed_rule(settings: RenderEntry) -> Quadrature:
-    """The deterministic sampling rule."""
+    """Return the quadrature rule. Raise `InputError` if the settings ask for random samples of
+    lights."""
     if settings.rule != "quadrature":
         raise InputError(
             f"render: integrator = 'rays' has no random samples of lights, but rule = "

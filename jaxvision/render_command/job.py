@@ -245,7 +245,7 @@ class _Work:
 
     @cached_property
     def passes(self) -> tuple[int, Callable[[int], np.ndarray]]:
-        """`passes_of` the remaining scene."""
+        """The passes of the pruned scene, from `passes_of`."""
         return passes_of(*pruned_scene(self.source, self.settings, self.pruned))
 
 

@@ -33,8 +33,8 @@ class PartialImage:
     messages. `values`: numbers per tile. `done`: complete tiles so far."""
 
     def __init__(self, path: Path, *, key: Key, values: int, fresh: bool) -> None:
-        """Continue at the end of a file with the same key. `InputError` for a file with another
-        key, unless it may be replaced (`fresh`) or contains no tile yet."""
+        """Continue at the end of a file with the same key. Raise `InputError` for a file with
+        another key, unless it may be replaced (`fresh`) or contains no tile yet."""
         self._path, self._values = path, values
         self._record = 4 * values + _CHECKSUM
         self._head = _head(key, values=values)
@@ -127,7 +127,7 @@ class PartialSum:
     error message. `total`: float64. `done`: passes so far."""
 
     def __init__(self, path: Path, *, key: Key, shape: tuple[int, ...], fresh: bool) -> None:
-        """Continue from a file with the same key, or begin again if the file is damaged.
+        """Continue from a file with the same key, or begin again if the file is damaged. Raise
         `InputError` for a file with another key, unless it may be replaced (`fresh`)."""
         self._path, self._key = path, key
         self.total, self.done = np.zeros(shape), 0

@@ -1,4 +1,4 @@
-"""Files of measured reflectance: MERL, Cornell goniometer, RGL. Eager.
+"""Read and write files of measured reflectance: MERL, Cornell goniometer and RGL.
 
 The module of each format describes the layout of its files. Every failure raises an `InputError`
 with a message of one sentence that names the file.

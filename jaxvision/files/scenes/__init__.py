@@ -1,9 +1,9 @@
 """Scene files: TOML with lights, surfaces, materials and a camera, read as records; and scenes of
 Mitsuba and glTF (`mitsuba` and `gltf` list the supported parts).
 
-`tables` and `schema` define the contents of a scene file. Reading is eager. Every mistake raises an
-`InputError` with a message of one sentence that names the file and the object. Shipped scenes are
-read by their names instead of a path.
+`tables` and `schema` define the contents of a scene file. Reading cannot be traced by JAX. Every
+mistake raises an `InputError` with a message of one sentence that names the file and the object.
+Shipped scenes are read by their names instead of a path.
 """
 
 import hashlib

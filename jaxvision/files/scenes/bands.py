@@ -117,7 +117,7 @@ class Bands:
 
 
 def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) -> Bands:
-    """Make the bands of a scene file, 3 by default. A list or a grid of wavelengths is in nm.
+    """Make the bands of a scene file, 3 by default. A list or a grid of wavelengths is in nm. Raise
     `InputError` for wavelengths that do not ascend, or that seem to be in another unit."""
     if wavelengths is None:
         return Bands(3 if count is None else count)
@@ -137,7 +137,7 @@ def band_values(
     spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quantity
 ) -> np.ndarray:
     """Convert a spectrum of a scene file to the bands of the scene, (bands,), in its own unit.
-    `InputError` for another number of values, and for an unknown table."""
+    Raise `InputError` for another number of values, and for an unknown table."""
     if isinstance(spectrum, Tabulated):
         return _reduce(spectrum, bands, folder, quantity)
     values = np.atleast_1d(np.asarray(spectrum, float))
@@ -151,8 +151,8 @@ def band_values(
 
 def reduction(known: np.ndarray, bands: Bands, *, quantity: Quantity) -> np.ndarray:
     """Return the matrix, (known, bands), no unit, that converts a spectrum at ascending
-    wavelengths, in m, to the bands of the scene, before clipping. `InputError` if no wavelength of
-    the scene lies within them."""
+    wavelengths, in m, to the bands of the scene, before clipping. Raise `InputError` if no
+    wavelength of the scene lies within them."""
     nm, wanted = known * 1e9, _samples(bands) * 1e9
     half = np.diff(wanted) / 2
     edges = np.r_[wanted[0] - half[0], wanted[:-1] + half, wanted[-1] + half[-1]]

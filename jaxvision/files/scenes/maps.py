@@ -41,8 +41,8 @@ def make_map(
 ) -> Map:
     """Make a map from its keys in a scene file, in the unit of the number that it replaces. For a
     picture, the keys include `encoding` and `channel`, counted from 0; by default all channels are
-    used, or their luminance if the map replaces one number. `InputError` for channels that do not
-    fit."""
+    used, or their luminance if the map replaces one number. Raise `InputError` for channels that do
+    not fit."""
     if (map is None) == (texels is None):
         raise InputError("give either map, the name of a picture, or texels.")
     if map is not None:

@@ -102,8 +102,8 @@ def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]
 
 def override_settings(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:
     """Return the settings of a file, overridden by the given ones that are not None. The samples
-    and depth of the file are used only with the file's own integrator. `InputError` for a wrong
-    value, and for a setting of another integrator.
+    and depth of the file are used only with the file's own integrator. Raise `InputError` for a
+    wrong value, and for a setting of another integrator.
     """
     given = {name: value for name, value in given.items() if value is not None}
     kept = settings.model_dump()
@@ -118,7 +118,7 @@ def override_settings(settings: RenderEntry, given: Mapping[str, Any]) -> Render
 
 
 class Grid(Entry):
-    """Evenly spaced wavelengths.
+    """A grid of evenly spaced wavelengths.
 
     Attributes:
         first: nm.
@@ -155,7 +155,7 @@ Table = dict[str, Any]
 
 
 class SceneEntry(Entry):
-    """A whole file.
+    """The content of a whole scene file.
 
     Attributes:
         camera: the camera.

@@ -1,8 +1,6 @@
 """Read spectra from CSV files: find the columns of wavelengths and values, and their units, from
-the headers.
-
-The headers state them. Ambiguous headers are refused, because a wrong column or unit would give
-plausible but wrong numbers.
+the headers. Ambiguous headers are refused, because a wrong column or unit would give plausible but
+wrong numbers.
 """
 
 import csv
@@ -48,7 +46,7 @@ _NO_LENGTH = {"hz", "thz", "ev", "frequency", "energy"}
 def read_table(file: Path, column: str | None, quantity: str) -> tuple[np.ndarray, np.ndarray]:
     """Read the wavelengths, (n,) m, ascending, and the values, (n,) in the file's unit, of a column
     of a CSV file. By default it is the only column that is a spectrum, or the only one that is
-    named after the quantity. `InputError` if the column or its unit is ambiguous."""
+    named after the quantity. Raise `InputError` if the column or its unit is ambiguous."""
     lines = plain_text(file).splitlines()
     first = next((n for n, line in enumerate(lines) if line.strip()[:1] not in ("", "#")), None)
     heads = [] if first is None else _cells(lines[first])

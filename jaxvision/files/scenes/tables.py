@@ -327,7 +327,7 @@ def surface_of(
     mapped: Callable[[Any], bool],
 ) -> tuple[Shape, dict[str, Any]]:
     """Return the shape of the table `[[surface]]` at `where`, and the values of its other keys. A
-    mesh has texture coordinates if its material is `mapped` or it has a map of normals.
+    mesh has texture coordinates if its material is `mapped` or it has a map of normals. Raise
     `InputError` if the table is invalid."""
     word, rest = _word(reading, where, "shape", entry, SHAPES)
     make, beside = SHAPES[word], keys_of(beside_shape)

@@ -44,8 +44,8 @@ _UNREAD = ("COLOR_", "JOINTS_", "WEIGHTS_")  # attributes that change the pictur
 
 
 def scene_of(file: Path) -> dict[str, Any]:
-    """Convert a `.gltf` or `.glb` file to the tables, by name, of a TOML scene file. `InputError`
-    for the first part that is wrong or not supported."""
+    """Convert a `.gltf` or `.glb` file to the tables, by name, of a TOML scene file. Raise
+    `InputError` for the first part that is wrong or not supported."""
     whole = read_gltf(file)
     content = content_of(file, whole.content)
     for name in content.extensionsRequired or ():
@@ -186,8 +186,8 @@ def _surfaces(
 
 def placed_nodes(path: Path, content: Content) -> Iterator[tuple[str, Node, np.ndarray]]:
     """Yield the nodes of the file's scene, parents first: the name, the node, and the matrix, (4,
-    4), that maps its points, as columns, to the world. `InputError` for a missing node, or for one
-    that is reached twice."""
+    4), that maps its points, as columns, to the world. Raise `InputError` for a missing node, or
+    for one that is reached twice."""
     if not content.scenes:
         raise InputError("has no scene; export it again.")
     if content.scene >= len(content.scenes):

@@ -42,7 +42,7 @@ class Parallel(Named):
 
 
 class Camera(Named):
-    """An object of `cameras`."""
+    """A camera, an object of the array `cameras`."""
 
     type: Literal["perspective", "orthographic"]
     perspective: Perspective | None = None
@@ -72,7 +72,7 @@ class Lights(Entry):
 
 
 class RootExtensions(Entry):
-    """Extensions at the root."""
+    """The extensions at the root of a file."""
 
     KHR_lights_punctual: Lights = Lights()
 
@@ -84,14 +84,14 @@ class LightHere(Entry):
 
 
 class NodeExtensions(Entry):
-    """Extensions at a node."""
+    """The extensions of a node."""
 
     KHR_lights_punctual: LightHere | None = None
 
 
 class Node(Named):
-    """An object of `nodes`, with the columns of its `matrix`, or with a translation (m), a rotation
-    (x, y, z, w) and a scale."""
+    """A node, an object of the array `nodes`, with the columns of its `matrix`, or with a
+    translation (m), a rotation (x, y, z, w) and a scale."""
 
     children: tuple[Index, ...] = ()
     mesh: Index | None = None
@@ -114,7 +114,7 @@ class Primitive(Entry):
 
 
 class Mesh(Named):
-    """An object of `meshes`."""
+    """A mesh, an object of the array `meshes`."""
 
     primitives: tuple[Primitive, ...]
 
@@ -151,14 +151,15 @@ class UsedNormals(Used):
 
 
 class Texture(Named):
-    """An object of `textures`."""
+    """A texture, an object of the array `textures`."""
 
     source: Index
     sampler: Index | None = None
 
 
 class Sampler(Named):
-    """An object of `samplers`, with filters and wrapping as numbers of OpenGL."""
+    """A sampler, an object of the array `samplers`, with filters and wrapping as numbers of
+    OpenGL."""
 
     magFilter: Any = None
     minFilter: Any = None
@@ -179,7 +180,7 @@ class Roughness(Entry):
 
 
 class Strength(Entry):
-    """KHR_materials_emissive_strength: a factor."""
+    """KHR_materials_emissive_strength: a factor on the emission."""
 
     emissiveStrength: NonNegative = 1.0
 
@@ -197,7 +198,7 @@ class Coat(Entry):
 
 
 class Transmission(Entry):
-    """KHR_materials_transmission: 1 for glass."""
+    """KHR_materials_transmission: the share of light that is transmitted, 1 for glass."""
 
     transmissionFactor: Share = 0.0
 
@@ -211,7 +212,7 @@ class Volume(Entry):
 
 
 class MaterialExtensions(Entry):
-    """Extensions at a material."""
+    """The extensions of a material."""
 
     KHR_materials_emissive_strength: Strength = Strength()
     KHR_materials_ior: Ior = Ior()
@@ -221,7 +222,7 @@ class MaterialExtensions(Entry):
 
 
 class Material(Named):
-    """An object of `materials`."""
+    """A material, an object of the array `materials`."""
 
     pbrMetallicRoughness: Roughness = Roughness()
     normalTexture: UsedNormals | None = None
@@ -234,13 +235,13 @@ class Material(Named):
 
 
 class Part(Named):
-    """An object of `scenes`."""
+    """A scene, an object of the array `scenes`."""
 
     nodes: tuple[Index, ...] = ()
 
 
 class Content(Entry):
-    """A whole file. `files.gltf` reads buffers and images."""
+    """The JSON of a whole glTF file. `files.gltf` reads buffers and images."""
 
     asset: Any
     scene: Index = 0

@@ -7,8 +7,8 @@ is the mean of both, weighted by 1 - m and m. This is exact because Schlick's fo
 F0. The matt part has the factor (1 - F0) at all angles here, instead of (1 - F). For an index of
 1.5 the matt light is therefore 0.5 % too bright at a viewing angle of 60 degrees, and 2.2 % at 85
 degrees. Textures are multiplied texel by texel, and the product is interpolated bilinearly. glTF
-interpolates each texture first and multiplies the results. Source: Source: Khronos, glTF 2.0
-Specification, appendix B.
+interpolates each texture first and multiplies the results. Source: Khronos, glTF 2.0 Specification,
+appendix B.
 """
 
 from typing import Any
@@ -25,7 +25,7 @@ LEAST_ALPHA = 1e-6  # alpha of a polished metal, the smallest that `TorranceSpar
 
 
 def material_of(file: Gltf, content: Content, material: Material, label: str) -> dict[str, Any]:
-    """Return `family` and the other keys of a material's table; `label` names it in messages.
+    """Return `family` and the other keys of a material's table; `label` names it in messages. Raise
     `InputError` for a transparent material without an exact counterpart."""
     surface, more = material.pbrMetallicRoughness, material.extensions
     colour, metal = np.array(surface.baseColorFactor[:3]), np.array(surface.metallicFactor)

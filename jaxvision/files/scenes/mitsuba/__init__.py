@@ -34,8 +34,8 @@ _READ = ("shape", "bsdf", "emitter", "sensor", "integrator")
 
 
 def scene_of(file: Path) -> dict[str, Any]:
-    """Convert a Mitsuba scene to the tables, by name, of a TOML scene file. `InputError` for the
-    first part that is wrong or not supported."""
+    """Convert a Mitsuba scene to the tables, by name, of a TOML scene file. Raise `InputError` for
+    the first part that is wrong or not supported."""
     root = root_of(file)
     root.must_be_read(tags=_READ)
     sensors = root.within("sensor")
@@ -139,7 +139,7 @@ EMITTERS = ("point", "directional", "spot", "constant", "envmap")
 
 
 def light_entry(node: Node) -> dict[str, Any]:
-    """Return `kind` and the other keys of an `<emitter>` of the scene, with lengths in m.
+    """Return `kind` and the other keys of an `<emitter>` of the scene, with lengths in m. Raise
     `InputError` for an emitter without a counterpart."""
     kind = node.must_be(*EMITTERS)
     to_world = node.take("to_world", np.ndarray, np.eye(4))

@@ -17,7 +17,7 @@ _UNUSED = (*_CLIPS, "shutter_open", "shutter_close")
 
 def camera_of(node: Node) -> tuple[dict[str, Any], int]:
     """Return the keys of a `<sensor>` for `[camera]`, including `kind`, in m and degrees, and the
-    samples per pixel. `InputError` for a camera without a counterpart."""
+    samples per pixel. Raise `InputError` for a camera without a counterpart."""
     kind = node.must_be(*SENSORS)
     rows, columns = _resolution(node.only("film"), node.label)
     to_world = node.take("to_world", np.ndarray, np.eye(4))

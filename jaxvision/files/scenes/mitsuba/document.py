@@ -152,7 +152,7 @@ class Node:
 
 def root_of(file: Path) -> Node:
     """Return the `<scene>` of a file of Mitsuba 0.5 or later, with the names that version 2
-    introduced. `InputError` for another file, and for a missing reference."""
+    introduced. Raise `InputError` for another file, and for a missing reference."""
     root = _parse(file)
     if root.tag != "scene":
         raise InputError(f"begins with <{root.tag}>; a scene of Mitsuba begins with <scene>.")

@@ -38,8 +38,8 @@ _INDICES = {
 
 def material_of(node: Node | None) -> tuple[dict[str, Any], bool]:
     """Return `family` and the other keys of a `<bsdf>`, and whether it reflects on both sides. The
-    keys include `normals` for a normal map; None gives a diffuse BSDF of albedo 0.5. `InputError`
-    for a BSDF without a counterpart."""
+    keys include `normals` for a normal map; None gives a diffuse BSDF of albedo 0.5. Raise
+    `InputError` for a BSDF without a counterpart."""
     if node is None:
         return {"family": "lambert", "albedo": 0.5}, False
     if (kind := node.must_be(*_FAMILIES, "twosided", "normalmap")) in ("twosided", "normalmap"):

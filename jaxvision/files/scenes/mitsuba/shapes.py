@@ -17,8 +17,8 @@ SHAPES = ("sphere", "rectangle", "disk", "cube", "obj", "ply")
 
 
 def shape_of(node: Node) -> dict[str, Any]:
-    """Return `shape` and the other keys of a `<shape>`, in m. `InputError` for a shape without a
-    counterpart, or one whose transform stretches it to such a shape."""
+    """Return `shape` and the other keys of a `<shape>`, in m. Raise `InputError` for a shape, or a
+    stretched shape, without a counterpart."""
     kind = node.must_be(*SHAPES)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
     flip = node.take("flip_normals", bool, False)
