@@ -1,4 +1,5 @@
-"""The response of a camera from an exposure stack: curve, gamma and radiance map."""
+"""Calibration of a camera's response from an exposure stack: response curve, gamma and radiance
+map."""
 
 from jaxvision.core.lazy_names import names_of
 

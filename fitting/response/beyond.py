@@ -1,9 +1,9 @@
-"""The curve at codes beyond the observed ones.
+"""Extrapolation of a response curve to codes below and above the observed ones.
 
-A smooth prior alone would continue with the exponent of the last observed codes, with too small an
-error. The responses of real cameras form a family of curves of a few shapes, as in the empirical
-model of response (Grossberg & Nayar, IEEE TPAMI 26, 2004). Here the family is given by formulas,
-with u the code above black over full scale and X the exposure:
+A smoothness prior alone would continue with the exponent of the last observed codes and state too
+small an error. The responses of real cameras have only a few shapes (empirical model of response,
+Grossberg & Nayar, IEEE TPAMI 26, 2004). Here these shapes are given by formulas, with u the code
+above black over full scale and X the exposure:
 
     gamma        X = u^g
     toe          linear up to where its slope meets ((u + a) / (1 + a))^g: sRGB, Rec. 709
@@ -12,19 +12,20 @@ with u the code above black over full scale and X the exposure:
     film         the same, n > 1: an S-shaped curve
     tone         u = (1 - k) x + k (3 x^2 - 2 x^3), x = X^(1/g)
 
-Each of these kinds, and all kinds together, is modelled as a Gaussian with the mean and the
-covariance of its curves' ln X. No camera follows a formula exactly, so each Gaussian has an
-additional deviation whose exponent varies randomly along ln u. This deviation is small for a linear
-camera. Each Gaussian is weighted by its likelihood at the observed codes and conditioned on them.
-The variance is that of their mixture. The mean of this mixture would lie between a pure gamma and a
-gamma with a toe, even if the codes indicate a pure gamma. The prediction is therefore the mean of a
-second mixture, in which every single curve is a member with small deviations.
+For each of these kinds, and for all kinds together, ln X is modelled as a Gaussian with the mean
+and the covariance of the kind's curves. No camera follows a formula exactly, so a random deviation
+is added to each Gaussian, whose exponent varies along ln u. This deviation is small for a linear
+camera. Each Gaussian is conditioned on the curve at the observed codes, and weighted by its
+likelihood there. The variance of the extrapolation is that of the mixture of these Gaussians. The
+mean of this mixture would be biased: it lies between a pure gamma and a gamma with a toe, even if
+the observed codes indicate a pure gamma. Therefore the extrapolated curve is the mean of a second
+mixture, whose members are the single curves, each with small deviations.
 
-In a test, each kind was predicted from the other five, for six ranges of codes. Above the range,
-the 95 % band covers .74 to 1.00 of the codes for film, and .92 or more for all other kinds. For
-fourteen of fifteen other curves (tone curves of pictures, tangents, logarithms, sums of powers),
-the bands cover .82 or more below and .83 or more above the range. A linear camera with a knee above
-the observed codes is not predicted: .07 to .5.
+In a test, curves of each kind were extrapolated with the other five kinds as the family, for six
+ranges of observed codes. Above the observed range, the 95 % band covers .74 to 1.00 of the codes
+for film, and at least .92 for all other kinds. For fourteen of fifteen other curves (tone curves of
+pictures, tangents, logarithms, sums of powers), the bands cover at least .82 below and .83 above
+the range. For a linear camera with a knee above the observed codes, the bands cover only .07 to .5.
 """
 
 from collections.abc import Sequence
@@ -52,7 +53,8 @@ def extrapolate(
     covariance: Float[np.ndarray, "bins bins"],
     seen: Bool[np.ndarray, " bins"],
 ) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, "bins bins"]]:
-    """Return the curve with the family's prediction at codes below and above the observed ones."""
+    """Return the curve and its covariance, with extrapolated values at codes below and above the
+    observed ones."""
     places = np.flatnonzero(seen)
     if len(places) < FEWEST:
         return log_exposure, covariance
@@ -80,7 +82,7 @@ def _way(
     edge: int,
     beyond: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ln X at the codes beyond, relative to the edge of the observed codes, and its
+    """Return ln X at the codes `beyond`, relative to the last observed code `edge`, and its
     variance."""
     used = places[np.unique(np.linspace(0, len(places) - 1, MOST).astype(int))]
     used = used[used != edge]
@@ -117,9 +119,9 @@ def _mixture(
     measured: np.ndarray,
     error: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and variance beyond the observed codes, for a mixture of Gaussians weighted and
-    conditioned by the observed codes. Each Gaussian has a mean, a covariance and a prior weight,
-    with deviations of several sizes."""
+    """Return mean and variance beyond the observed codes, for a mixture of Gaussians that is
+    conditioned on the observed codes. Each Gaussian has a mean, a covariance and a prior weight,
+    and enters with deviations of several sizes."""
     own, evidence, means, variances = np.arange(len(measured)), [], [], []
     for (mean, covariance, prior), size in product(members, sizes):
         spread = covariance + size**2 * departure
@@ -137,8 +139,8 @@ def _mixture(
 
 
 def _wandering(log_u: Float[np.ndarray, " codes"], edge: float) -> Float[np.ndarray, "codes codes"]:
-    """Covariance of ln X relative to the edge, for a unit exponent that is an Ornstein-Uhlenbeck
-    process in ln u."""
+    """Return the covariance of ln X relative to the edge, if the exponent is an Ornstein-Uhlenbeck
+    process in ln u of unit variance."""
     off = (log_u - edge) / REACH
     size, side = np.abs(off), np.sign(off)
     fall = np.exp(-size)
@@ -150,7 +152,7 @@ def _wandering(log_u: Float[np.ndarray, " codes"], edge: float) -> Float[np.ndar
 
 @lru_cache(maxsize=8)
 def _family(shares: tuple[float, ...]) -> list[Float[np.ndarray, "curves bins"]]:
-    """Return ln X at codes u for the curves of each kind, each up to a constant."""
+    """Return ln X at the codes u for the curves of each kind, up to a constant for each curve."""
     u = np.array(shares)
     log_u = np.log(u)
     gammas = [g * log_u for g in np.linspace(1, 3, 9)]

@@ -1,5 +1,5 @@
-"""The camera response from an exposure stack: the whole curve, gamma, and the merged radiance map,
-per colour channel (or Bayer site) and group of images."""
+"""Calibration of the response from an exposure stack: the curve, gamma and the merged radiance map,
+for each colour channel (or Bayer site) and group of images."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -32,7 +32,7 @@ MOST_PIXELS = 100_000  # pixels of a plane used to find a suspect image
 
 @dataclass(frozen=True)
 class ChannelResponse:
-    """The results for one plane.
+    """The results for one plane (a channel of a group of images).
 
     Attributes:
         plane: the codes and exposures.
@@ -59,7 +59,7 @@ class ChannelResponse:
 
 @dataclass(frozen=True, repr=False)
 class ResponseCalibration(ShownInNotebooks):
-    """A calibrated stack.
+    """The calibration of an exposure stack.
 
     Attributes:
         stack: the calibrated exposures.
@@ -80,9 +80,10 @@ class ResponseCalibration(ShownInNotebooks):
 def calibrate(
     stack: ExposureStack, *, sampling: Emcee | None = None, seed: int = 0
 ) -> ResponseCalibration:
-    """The response of every plane of a stack.
+    """Calibrate the response of every plane of a stack.
 
-    A plane that cannot be calibrated (too dark, all clipped) is left out with its reason.
+    A plane that cannot be calibrated (too dark, all clipped) is listed in `skipped` with the
+    reason.
 
     Args:
         stack: exposures of still scenes.
@@ -112,8 +113,8 @@ def calibrate(
 def _recalibrate_with_exact_times(
     stack: ExposureStack, channels: list[ChannelResponse], sampling: Emcee | None, seed: int
 ) -> tuple[ExposureStack, list[ChannelResponse]]:
-    """Return the stack and its calibration with exact exposure times, if the images agree with the
-    exact times and the stated times are rounded for display."""
+    """If the stated exposure times are rounded for display and the images agree with exact times,
+    return the stack and its calibration with exact times; else return both unchanged."""
     stated = _shutter_error_of(channels)
     times = np.unique(np.concatenate([channel.plane.exposures for channel in channels]))
     for exact in exact_times(times) if stated else ():
@@ -143,13 +144,14 @@ def _recalibrate_with_exact_times(
 
 
 def _shutter_error_of(channels: Sequence[ChannelResponse]) -> float:
-    """The largest shutter error; 0 if no channel shows one."""
+    """Return the largest shutter error of the channels; 0 if none shows one."""
     return max(channel.curve.shutter_error or 0.0 for channel in channels)
 
 
 def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> str:
-    """Return a sentence on the images whose removal makes the others agree best; empty if there are
-    none. (A free curve can adapt to a wrong image near the end of a stack.)"""
+    """Return a sentence on the images without which all others agree; empty if there are none.
+    (There may be several, because a free curve can adapt to a wrong image near the end of a
+    stack.)"""
     count = len(plane.files)
     if count < FEWEST_TO_LEAVE_OUT:
         return ""
@@ -234,9 +236,9 @@ def _calibrate(
 def _first_that_fits(
     curve_of: Callable[..., ResponseCurve], attempts: Sequence[np.ndarray]
 ) -> tuple[ResponseCurve, np.ndarray]:
-    """Return the curve, with its codes, for the first set of codes that gives a curve through
-    mid-scale, or else for the first set that gives a curve. If no set does, raise the last
-    error."""
+    """Return the curve of the first set of codes for which the fit succeeds, and these codes. Sets
+    are first tried for a curve through mid-scale, then for any curve. If no fit succeeds, raise the
+    last error."""
     *others, (last, dim) = [(codes, dim) for dim in (False, True) for codes in attempts]
     for codes, may_be_dim in others:
         with contextlib.suppress(InputError):
@@ -245,7 +247,7 @@ def _first_that_fits(
 
 
 def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndarray, "h w *rgb"]]:
-    """Radiance maps by group."""
+    """Return the radiance map of each group of images."""
     images = {}
     for group in dict.fromkeys(channel.plane.group for channel in calibration.channels):
         of_colour: dict[str, list[ChannelResponse]] = {}
@@ -270,15 +272,15 @@ def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndar
 
 
 def crop_alike(planes: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Planes cut to the size of the smallest: sites of a frame with odd size differ by a row or a
-    column."""
+    """Crop planes to the size of the smallest, because mosaic sites of a frame with odd size differ
+    by a row or a column."""
     rows, columns = (min(plane.shape[axis] for plane in planes) for axis in (0, 1))
     return [plane[:rows, :columns] for plane in planes]
 
 
 def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
-    """Return one map from the taps of a colour. The exposures of a tap are relative to its own
-    mid-scale, so the ratio between taps comes from neighbouring pixels."""
+    """Combine the radiance maps of a colour's taps to one map. Radiances of a tap are relative to
+    its own mid-scale, so neighbouring pixels determine the ratio between taps."""
     first = taps[0]
     bins, factor = first.curve.bins, np.float32(1)
     if bins.anchor is not None:  # no pixel is at mid-scale, where relative exposure is 1
@@ -329,7 +331,7 @@ def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
 
 
 def _border_values(lines: np.ndarray) -> np.ndarray:
-    """Values half a line before the first, extrapolated from the first two."""
+    """Extrapolate from the first two lines to half a line before the first."""
     return lines[0] if len(lines) < 2 else 1.5 * lines[0] - 0.5 * lines[1]
 
 
@@ -341,7 +343,7 @@ def _log_radiance(channel: ChannelResponse) -> np.ndarray:
 
 
 def _further(values: np.ndarray, rows: float, columns: float) -> np.ndarray:
-    """Values displaced by a fraction of a pixel (0 to 1), by linear interpolation."""
+    """Shift values by a fraction of a pixel (0 to 1) along each axis, by linear interpolation."""
     for axis, part in ((0, rows), (1, columns)):
         if part > 0:
             one, next_one = np.moveaxis(values, axis, 0)[:-1], np.moveaxis(values, axis, 0)[1:]

@@ -1,14 +1,14 @@
-"""Detection of pixels that lack light because their neighbours clipped.
+"""Detection of pixels that are too dark because their neighbours clipped.
 
 Demosaicking, resampling, denoising and JPEG blocks mix neighbours after the sensor has clipped, so
-a pixel near a clipped one is too dark. The error is equal in every tile and exposure, so no other
-check reveals it. Such pixels count as clipped.
+a pixel near a clipped one is too dark. The error is the same in every tile and exposure, so no
+other check reveals it. Such pixels count as clipped.
 
-A camera that blurs its picture also hides clipped peaks, whose codes then look unclipped. The next
-shorter exposure reveals them. If peaks are hidden, pixels around a peak that clips in the longer
-exposure are darker in it than other pixels with the same code in the shorter one. If not, they are
-equal. If they are darker by more than tiles of the picture differ, pixels around such peaks also
-count as clipped.
+A camera that blurs its picture may also hide a clipped peak: after the blur its codes are below the
+clip level. The next shorter exposure reveals such peaks. If there are hidden peaks, the pixels
+around them are darker in the longer exposure than other pixels with the same code in the shorter
+one. If there are none, they are equally bright. If the difference is significant given its scatter
+over tiles of the picture, pixels around such peaks also count as clipped.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ def clear_of_clipping(
     mask: Bool[np.ndarray, "h w"] | None = None,
     hidden: bool = True,
 ) -> Integer[np.ndarray, "exposures h w"]:
-    """The codes with all codes near a clipped one marked as clipped.
+    """Return the codes with all codes near a clipped one set to the clip level.
 
     Args:
         codes: (exposures, h, w) DN, by exposure time.
@@ -67,8 +67,8 @@ def _around(mask: np.ndarray) -> np.ndarray:
 
 
 def _lost_peaks(codes: np.ndarray, clip: float, contrast: float, scene: np.ndarray) -> np.ndarray:
-    """Where the shorter exposure, with its contrast to the mean of 3 x 3 increased, reaches the
-    codes that clip in the longer one."""
+    """Return a mask of probable hidden peaks: where the shorter exposure, after its contrast to the
+    mean of 3 x 3 pixels is increased, reaches the codes that clip in the longer one."""
     lost = np.zeros(codes.shape, bool)
     for shorter, longer, where in zip(codes, codes[1:], lost[1:], strict=False):
         clipped = (longer >= clip) & scene
@@ -82,8 +82,9 @@ def _lost_peaks(codes: np.ndarray, clip: float, contrast: float, scene: np.ndarr
 def _darker_p_value(
     codes: np.ndarray, clip: float, lost: np.ndarray, left_out: np.ndarray
 ) -> float:
-    """p-value for pixels around lost peaks being darker than others with the same code in the
-    shorter exposure, from the scatter of tiles; 1 if nothing can be compared."""
+    """Test whether pixels around hidden peaks are darker than others with the same code in the
+    shorter exposure. Return the p-value, from the scatter over tiles; 1 if nothing can be
+    compared."""
     rows, columns = np.indices(codes.shape[1:])
     tile = rows * SIDE // codes.shape[1] * SIDE + columns * SIDE // codes.shape[2]
     width = max(1, round(clip / INTERVALS))
@@ -112,7 +113,8 @@ def _darker_p_value(
 
 
 def _ring(mask: np.ndarray) -> np.ndarray:
-    """Return the pixels within `MIXED` of a mask, without its direct neighbours."""
+    """Return a mask of the pixels within `MIXED` of a mask's pixels, without these and their direct
+    neighbours."""
     one, reach = mask.astype(np.float32), 2 * MIXED + 1
     wide, narrow = (uniform_filter(one, size, mode="constant") for size in (reach, 3))
     return reach**2 * wide - 9 * narrow > 0.5
@@ -123,7 +125,7 @@ def _without(
     regressor: Float[np.ndarray, " pixels"],
     group: Integer[np.ndarray, " pixels"],
 ) -> Float[np.ndarray, " pixels"]:
-    """Return the residual of a regression within each group."""
+    """Regress values on `regressor` separately in each group, and return the residuals."""
     square = np.bincount(group, regressor**2)
     slope = np.bincount(group, value * regressor) / np.where(square > 0, square, 1)
     return value - slope[group] * regressor

@@ -1,4 +1,4 @@
-"""Intervals of codes, at which a response curve is known. Codes are DN."""
+"""Bins of codes, in which a response curve is represented. Codes are DN."""
 
 from dataclasses import dataclass
 
@@ -36,7 +36,7 @@ class CodeBins:
 
     @property
     def log_codes(self) -> Float[np.ndarray, " bins"]:
-        """Mean of ln (code - black) over each bin, for light that is log-uniform across it."""
+        """Mean of ln (code - black) over each bin, for light that is log-uniform within the bin."""
         above = np.maximum(self.edges[:-1] - self.black, (self.centres - self.black) / 4)
         return (np.log(above) + np.log(self.edges[1:] - self.black)) / 2
 
@@ -50,7 +50,7 @@ class CodeBins:
 
     @property
     def middle(self) -> int:
-        """The bin with g = 0: at mid-scale, or at the anchor."""
+        """Index of the bin at which g = 0: at mid-scale, or at the anchor."""
         halfway = (self.black + self.edges[-1]) / 2
         return int(np.searchsorted(self.centres, halfway if self.anchor is None else self.anchor))
 
@@ -65,8 +65,8 @@ def code_bins(
     origin: int = 0,
     black_sd: float = 0.0,
 ) -> CodeBins:
-    """Bins of codes: one per code up to a limit, and above it bins of equal width in sqrt(DN -
-    black), as shot noise."""
+    """Make bins of codes: one for each code if there are at most `count`. Otherwise make bins of
+    equal width in sqrt(DN - black), in proportion to shot noise."""
     first = int(np.floor((black - origin) / step)) + 1
     last = min(int(np.ceil((clip - origin) / step)), (2**bits - 1 - origin) // step) - 1
     if last - first + 1 <= count:
@@ -81,5 +81,5 @@ def code_bins(
 
 
 def interval_variance(means: Float[np.ndarray, " bins"]) -> Float[np.ndarray, " bins"]:
-    """Variance of ln X within each bin for log-uniform light."""
+    """Return the variance of ln X within each bin for log-uniform light."""
     return np.gradient(means) ** 2 / 12

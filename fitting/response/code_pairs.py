@@ -1,14 +1,15 @@
-"""The sufficient statistics of a response: weighted counts of code pairs.
+"""The sufficient statistics of a response curve: weighted counts of the pairs of codes that a pixel
+has in two exposures.
 
-Each pixel has an unknown irradiance. With residuals r_ij = g(z_ij) - s_j - ln E_i of weight w_ij,
-eliminating ln E_i leaves the energy
+Each pixel has an unknown irradiance. Pixel i has in exposure j the residual r_ij = g(z_ij) - s_j -
+ln E_i, with weight w_ij. The weighted sum of squares, minimised over ln E_i, is
 
     chi^2 = sum_ij w_ij (g(z_ij) - s_j)^2 - sum_i (sum_j w_ij (g(z_ij) - s_j))^2 / sum_j w_ij
           = theta^T A theta,    theta = (g, s),
 
-where g is the curve's mean over each bin of codes and s the log exposure times. A contains the
-whole information of the pixels about any curve. Its expected gradient at the true curve, the score
-b, is not zero:
+where g is the curve's mean over each bin of codes and s the log exposure times. Thus A contains all
+information of the pixels about the curve. The expected gradient of chi^2 at the true curve, the
+score b, is not zero:
 
 - noise in a code shifts its own g: E[w r h(z)] = (1 - w / sum w) (share) h' / g', the share
   of the variance that is independent of the light;
@@ -36,7 +37,8 @@ SMOOTHED = 0.3  # smoothing of the exponent, as a share of a code or, near white
 
 @dataclass(frozen=True)
 class PairStatistics:
-    """The information of the pixels about a curve: A and b over (bins, exposures).
+    """The information of the pixels about a curve: the matrix A and score b for the unknowns (g in
+    each bin, s of each exposure).
 
     Attributes:
         matrix: A.
@@ -61,7 +63,7 @@ def pair_statistics(
     rule: WeightRule,
     means: Float[np.ndarray, " bins"],
 ) -> PairStatistics:
-    """A and b from all pixels, a chunk at a time."""
+    """Compute A and b from all pixels, a chunk at a time."""
     (every,) = statistics_of_parts(codes, classes, [slice(None)], log_t, bins, rule, means)
     return every
 
@@ -75,8 +77,8 @@ def statistics_of_parts(
     rule: WeightRule,
     means: Float[np.ndarray, " bins"],
 ) -> list[PairStatistics]:
-    """A and b of several sets of pixels. They add up to A and b of all pixels, because the noise
-    scale and the adjacency of codes come from all sets."""
+    """Compute A and b for each of several sets of pixels. Their sums are A and b of all pixels,
+    because the scale of the noise and the density of codes come from all sets together."""
     every = []
     for part in parts:
         sums = _Sums(len(rule.by_bin), len(means), len(log_t))
@@ -113,7 +115,7 @@ def _statistics(
 
 
 def total(parts: Sequence[PairStatistics]) -> PairStatistics:
-    """The statistics of several sets of pixels together."""
+    """Add the statistics of several sets of pixels."""
     return PairStatistics(
         matrix=np.sum([part.matrix for part in parts], axis=0),
         score=np.sum([part.score for part in parts], axis=0),
@@ -187,10 +189,11 @@ def _count_score(sums: _Sums, seen: Observations, rule: WeightRule) -> None:
 def _pull_of_noise(
     of_all: np.ndarray, bins: CodeBins, means: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The contribution to sum (noise share) h' / g' from noise across each end of a bin, where h
-    has a step. It uses the density of observations at the end, which is exact if the density is
-    exponential across both bins. Half of the contribution is assigned to either bin, so that sets
-    of pixels add up."""
+    """Return the factors by which the bins below and above each edge contribute to sum (noise
+    share) h' / g', because noise moves codes across the edge, where h has a step. They follow from
+    the density of observations at the edge, which is interpolated exactly if it is exponential over
+    both bins. Each bin gets half of the contribution, so that the results of sets of pixels can be
+    added."""
     width = np.diff(bins.edges)
     near, far = width[:-1], width[1:]
     below, above = of_all[:-1] / near, of_all[1:] / far
@@ -205,15 +208,15 @@ def _pull_of_noise(
 
 
 def _mean_over_centre(x: np.ndarray) -> np.ndarray:
-    """Return sinh(x) / x: the mean of an exponential over an interval, divided by its value in the
+    """Return sinh(x) / x, the mean of an exponential over an interval divided by its value in the
     middle."""
     far = np.abs(x) > FLAT
     return np.where(far, np.sinh(x) / np.where(far, x, 1), 1)
 
 
 def _slope_at_ends(means: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """dg / dcode at the ends of bins, with a smoothed exponent: the slopes of a noisy curve have
-    errors that correlate with the noise to be corrected."""
+    """Return dg / dcode at the edges of bins. The exponent is smoothed, because errors in the slope
+    of a noisy curve correlate with the noise to be corrected."""
     apart, step = np.diff(bins.centres), np.diff(bins.log_codes)
     clock = np.cumsum(apart * bins.pace(bins.edges[1:-1]))
     near = step * np.exp(-(((clock[:, None] - clock) / SMOOTHED) ** 2) / 2)

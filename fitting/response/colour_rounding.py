@@ -1,14 +1,14 @@
-"""The rounding of JPEG's colours, an error that all pixels of one hue share.
+"""Rounding errors of JPEG's colour conversion, which all pixels of one hue share.
 
 A JPEG picture holds integers Y, Cb and Cr, from which the decoder computes (ITU-T T.871)
 
     R = Y + 1.402 Cr,   G = Y - 0.344136 Cb - 0.714136 Cr,   B = Y + 1.772 Cb,
 
-and rounds each product again. In a scene of several hues the rounding errors of pixels with equal
-codes differ, and average out. In a scene of one hue they are equal, in every exposure and every
-part of the picture, so the codes deviate from a smooth response by half a code rms, and the scatter
-of pixels does not show it. The variance among pixels of one code tells how far the hue dithers the
-rounding (`weights.undithered`).
+and rounds each product again. In a scene of several hues, pixels with equal codes have different
+rounding errors, which average out. In a scene of one hue the errors are equal, in every exposure
+and every part of the picture. The codes then deviate from a smooth response by half a code rms,
+which the scatter of pixels does not reveal. The variance of Cb and Cr among pixels of equal code
+determines how much the rounding errors average out (`weights.undithered_share`).
 """
 
 from collections.abc import Sequence
@@ -31,8 +31,8 @@ MOST_PIXELS = 1 << 19  # pixels examined
 def shared_rounding(
     codes: Sequence[UInt16[np.ndarray, "exposures h w"]], colour: str, clip: float
 ) -> Float[np.ndarray, "256"] | None:
-    """Return the standard deviation, in DN, of the error that all pixels of a code share, for red,
-    green and blue; None for pictures that were never JPEG."""
+    """Return, for each code of one colour channel, the standard deviation in DN of the error that
+    all pixels of this code share; None for pictures that were never JPEG."""
     if max(int(one.max()) for one in codes) > 255:
         return None
     every = max(1, codes[0].size // MOST_PIXELS)
@@ -63,8 +63,8 @@ def shared_rounding(
 
 
 def add_shared_rounding(curve: ResponseCurve, shared: Float[np.ndarray, "256"]) -> ResponseCurve:
-    """Return a curve whose errors include the shared error of each code, and of mid-scale, where g
-    = 0."""
+    """Return the curve with a covariance that includes the shared rounding error of each code, and
+    of mid-scale, where g = 0."""
     error = shared[np.rint(curve.codes).astype(int)] * np.gradient(curve.log_exposure, curve.codes)
     middle, variance = curve.bins.middle, error**2
     added = np.diag(variance) + variance[middle]

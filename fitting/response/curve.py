@@ -1,31 +1,32 @@
-"""The whole response curve: log exposure of every code, from all pixels of an exposure stack.
+"""Fit of a response curve: the log exposure of every code, from all pixels of an exposure stack.
 
 Debevec & Malik (SIGGRAPH 1997) write g(z_ij) = ln E_i + s_j + noise for the code z of pixel i in
-image j. The shutter has an error of its own, s_j = ln t_j + delta_j, delta_j ~ N(0, tau^2), shared
-by all pixels of an image. With weights w = 1 / variance the irradiances are eliminated in closed
-form (`code_pairs.py`). The remaining normal equations have the size of the curve, for any number of
-pixels:
+image j. Here g is the log exposure, E_i the irradiance, and s_j = ln t_j + delta_j the log exposure
+time with a shutter error delta_j ~ N(0, tau^2) that all pixels of an image share. With weights w =
+1 / variance, the irradiances are eliminated in closed form (`code_pairs.py`). The remaining normal
+equations have the size of the curve, for any number of pixels:
 
     A (g, s) = b,    precision of the posterior = A / phi + prior    (`solve.py`).
 
-A pure least-squares fit would shrink the curve, because g multiplies noisy codes. The score b is
-therefore the expected gradient at the true curve (the corrected score of Nakamura, Biometrika 77,
-1990).
+With b = 0, as in least squares, the curve would be too flat, because the codes are noisy. Therefore
+the score b is the expected gradient at the true curve (the corrected score of Nakamura, Biometrika
+77, 1990).
 
-Some errors are added to the posterior. Shutter errors of the forms delta ~ 1 and delta ~ ln t are
-indistinguishable from another curve and are excluded from the fit. The variance of the second, g
-g^T tau^2 / sum (ln t - mean)^2, is added, averaged over tau (`shutter.py`). For each code, a tenth
-of the variance of ln X is added for the remaining bias of noisy logarithms. For the slope, half of
-the variance that does not fall with the light is added. This variance comes from misregistration
-and compression, which are not noise of single codes, so its right share in the score is unknown.
+The covariance of the posterior is enlarged for errors that this fit does not include. Shutter
+errors that are constant (delta ~ 1) or proportional to ln t are indistinguishable from another
+curve, so the fit omits them. The covariance that the latter cause, g g^T tau^2 / sum (ln t -
+mean)^2, is added, averaged over tau (`shutter.py`). For the remaining bias of noisy logarithms,
+each code gets an error of 5 % of a pixel's variance of ln X. For the slope, a relative error of
+half the pixels' variance that does not fall with the light is added. That variance comes from
+misregistration and compression, which are not noise of single codes, so their effect on the score
+is unknown.
 
-If busy and flat places give different curves, the difference is subtracted (`flat_places.py`). If
-tiles of the picture or exposures of the stack differ by more than this posterior allows, their
-jackknife (`repeats.py`) sets the error.
+If places with much detail and flat places give different curves, the curve is corrected to that of
+flat places (`flat_places.py`). If tiles of the picture or exposures of the stack differ by more
+than the posterior explains, a jackknife over them (`repeats.py`) gives the errors.
 
-NumPy throughout: counting code pairs is 3 to 5 times faster in `np.bincount` than in XLA's scatter
-on a CPU, and nothing here is differentiated. Codes are DN; exposures are relative, g = 0 at
-mid-scale.
+The code is NumPy, because `np.bincount` counts code pairs 3 to 5 times faster than XLA's scatter on
+a CPU, and nothing here is differentiated. Codes are DN; exposures are relative, g = 0 at mid-scale.
 """
 
 from dataclasses import dataclass, replace
@@ -140,17 +141,17 @@ class ResponseCurve:
 
     @property
     def half_width(self) -> Float[np.ndarray, " bins"]:
-        """Half of the 95 % band: Student's t times the standard error."""
+        """Half the width of the 95 % band: a quantile of Student's t times the standard error."""
         return stdtrit(self.freedom, 0.975) * self.standard_error
 
     @property
     def pixel_noise(self) -> Float[np.ndarray, " bins"]:
-        """Standard deviation of one pixel's log exposure at each code."""
+        """Standard deviation of a single pixel's log exposure at each code, by noise."""
         return np.sqrt(noise_variance(self.noise, self.log_exposure))
 
     @property
     def monotone(self) -> bool:
-        """Whether g rises over the observed codes, within three standard errors."""
+        """Whether g rises with the code over the observed codes, within three standard errors."""
         g, covariance = self.log_exposure[self.seen], self.covariance[np.ix_(self.seen, self.seen)]
         step = np.diff(g)
         variance = np.diagonal(np.diff(np.diff(covariance, axis=0), axis=1))
@@ -158,14 +159,14 @@ class ResponseCurve:
 
 
 def slope_error(noise: NoiseModel) -> float:
-    """Relative error of the slope of a curve, and of gamma, from a correction for a relative
-    variance."""
+    """Return the relative error of a curve's slope, and of gamma, because the correction for
+    variance that does not fall with the light is uncertain."""
     return DOUBTFUL * noise.relative
 
 
 def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> float:
-    """Return the standard deviation, in ln X, of a ripple of g that the pixels cannot distinguish
-    from the curve."""
+    """Return the standard deviation, in ln X, of a ripple in g that widely spaced exposures do not
+    reveal."""
     # From the errors of simulated stacks with S-shaped and sRGB responses: .01 at 2 1/4 stops, .038
     # at three; smaller for a smoother curve, in proportion to the prior's 1 / sqrt(smoothness).
     steps = np.diff(np.unique(np.log(exposures)))
@@ -176,7 +177,8 @@ def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> flo
 
 
 def _room(smoothness: float) -> float:
-    """Return the relative error that the roughness of a curve may cause."""
+    """Return the share, 0 to 1, of the errors for a rough curve that a curve of this smoothness may
+    have."""
     return min(1.0, float(np.sqrt(BENT / smoothness)))
 
 
@@ -196,7 +198,7 @@ def fit_response_curve(
     black_sd: float = 0.0,
     dim: bool = False,
 ) -> ResponseCurve:
-    """The response curve of one channel.
+    """Fit the response curve of one channel.
 
     Args:
         codes: (exposures, pixels) DN.
@@ -296,8 +298,8 @@ def fit_response_curve(
 
 
 def _require_rising(curve: ResponseCurve) -> None:
-    """Refuse a curve that decreases by far: no camera has one, so the search ended at a wrong
-    optimum."""
+    """Raise InputError if a curve decreases strongly. No camera has such a curve, so the fit is at
+    a wrong optimum."""
     g, codes = curve.log_exposure[curve.seen], curve.codes[curve.seen]
     falls = np.maximum.accumulate(g) - g
     if falls.size and falls.max() > FALLS:
@@ -311,7 +313,8 @@ def _require_rising(curve: ResponseCurve) -> None:
 
 
 def _sample(classes: np.ndarray, linked: np.ndarray) -> np.ndarray:
-    """Return linked pixels for the pilot, the same number from each class."""
+    """Select the pixels for the pilot fit, about the same number from each class, among those that
+    are `linked` (well exposed in two images)."""
     picked = []
     for kind in range(int(classes.max()) + 1):
         own = np.flatnonzero(linked & (classes == kind))
@@ -322,8 +325,8 @@ def _sample(classes: np.ndarray, linked: np.ndarray) -> np.ndarray:
 def _parts(
     codes: np.ndarray, bins: CodeBins, layout: Layout | None, linked: np.ndarray
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return the indices of the pixels usable in two images, for each tile and each class of
-    activity, and the medians of the classes. If pixels have no positions, there is one part."""
+    """Return the indices of the pixels usable in two images, divided by tile and by class of
+    activity, and the median activity of each class. Pixels without positions form one part."""
     usable = np.flatnonzero(np.count_nonzero(bins.lookup[codes] >= 0, axis=0) >= 2)
     if layout is None:
         return [usable], np.zeros(1)
@@ -335,15 +338,16 @@ def _parts(
 
 
 def _well_exposed(codes: np.ndarray, bins: CodeBins) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pixels that are unclipped in two images, and the pixels beyond mid-scale in
-    one."""
+    """Return two masks: pixels that are well exposed in at least two images, and pixels that are
+    beyond mid-scale in at least one."""
     usable = np.where(bins.lookup >= 0, hat_rule(bins).by_bin[0][bins.lookup], 0) > 0
     bright = usable & (np.arange(len(usable)) > bins.centres[bins.middle])
     return usable[codes].sum(axis=0) >= 2, bright[codes].any(axis=0)
 
 
 def _exposures_in_use(codes: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """Exposures that share enough pixels with another, as one connected set."""
+    """Return the indices of the exposures that share enough pixels with another. Raises InputError
+    unless these form one connected set."""
     usable = (bins.lookup[codes] >= 0).astype(int)
     shared = usable @ usable.T
     np.fill_diagonal(shared, 0)
@@ -360,8 +364,8 @@ def _exposures_in_use(codes: np.ndarray, bins: CodeBins) -> np.ndarray:
 
 
 def _shutter_error(found: Solution) -> float | None:
-    """tau from the images alone (Paule & Mandel, J. Res. NBS 87, 1982), or None if the pixels'
-    noise explains the errors."""
+    """Estimate tau, the shutter error, from the images alone (Paule & Mandel, J. Res. NBS 87,
+    1982); None if the pixels' noise explains the scatter."""
     if not len(found.free):
         return None
     pull, information = _image_information(found)
@@ -378,7 +382,8 @@ def _shutter_error(found: Solution) -> float | None:
 
 
 def _image_information(found: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Score and information of the images about free shutter errors, without their prior."""
+    """Return the score and the information of the images about the visible shutter errors, without
+    their prior."""
     precision, size = np.linalg.inv(found.free_covariance), len(found.means)
     information = precision - found.prior[size:, size:]
     return precision @ found.free, information
@@ -387,10 +392,10 @@ def _image_information(found: Solution) -> tuple[np.ndarray, np.ndarray]:
 def _end_errors(
     density: np.ndarray, g: np.ndarray, noise: np.ndarray, seen: np.ndarray
 ) -> Float[np.ndarray, "2 bins"]:
-    """Return the error that a rough curve may have at codes near the first and the last observed
-    one, and beyond. It is not 0 if the density of light over ln X decreases by more than half
-    within the noise of a pixel. The true values of pixels observed there are then biased upward or
-    downward, which bends the curve."""
+    """Return the error of g that a rough curve may have near the first and near the last observed
+    code, and beyond. It is above 0 where the density of pixels over ln X at the end is less than
+    half of that further inside. The codes at such an end are mostly those of pixels that noise
+    moved there, which bends the curve."""
     bent = np.zeros((2, len(g)))
     places = np.flatnonzero(seen)
     for row, end in zip(bent, places[[0, -1]] if len(places) else (), strict=False):

@@ -1,5 +1,5 @@
-"""Pictures of a response calibration: curves, departures from gamma, exposure offsets, the merged
-map and its coverage."""
+"""Figures of a response calibration: curves, deviations from gamma, exposure offsets, the merged
+radiance map and its coverage."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -28,7 +28,8 @@ LEGEND = 0.2  # share of the height of an axis for its legend
 
 
 def curve_figure(calibration: ResponseCalibration) -> "Figure":
-    """Log exposure against code, one panel per group, with data, band and gamma."""
+    """Draw log exposure against code, with data, 95 % band and best gamma; one panel for each group
+    of images."""
     figure, panels = _panels(calibration, height=3.4)
     for axis, channels in panels:
         for i, channel in enumerate(channels):
@@ -77,7 +78,7 @@ def _draw_curve(axis: "Axes", channel: ChannelResponse, *, width: float) -> None
 
 
 def departure_figure(calibration: ResponseCalibration) -> "Figure":
-    """Deviation of the measured curve from the best gamma (left) and from sRGB (right)."""
+    """Draw the deviation of the measured curve from the best gamma (left) and from sRGB (right)."""
     from matplotlib.figure import Figure
 
     shown = calibration.channels[: 4 * MOST_GROUPS]
@@ -104,7 +105,8 @@ def departure_figure(calibration: ResponseCalibration) -> "Figure":
 
 
 def offsets_figure(calibration: ResponseCalibration) -> "Figure":
-    """Offset of every image's exposure from its nominal time, one panel per group."""
+    """Draw the offset of every image's exposure from its nominal time; one panel for each group of
+    images."""
     figure, panels = _panels(calibration, height=2.8)
     for axis, channels in panels:
         for i, channel in enumerate(channels):
@@ -133,8 +135,9 @@ def offsets_figure(calibration: ResponseCalibration) -> "Figure":
 def radiance_figure(
     calibration: ResponseCalibration, images: dict[str, Float[np.ndarray, "h w *rgb"]]
 ) -> "Figure":
-    """The map of each group next to its middle exposure alone, first at the map's white and then
-    brightened to show its shadows. Both are radiance with the same tone curve."""
+    """Draw the radiance map of each group next to its middle exposure alone, first at the map's
+    white and then brightened to show its shadows. Both show radiance through the same tone
+    curve."""
     from matplotlib.figure import Figure
 
     shown = list(images.items())[:MOST_MAPS]
@@ -158,7 +161,8 @@ def radiance_figure(
 
 
 def coverage_figure(calibration: ResponseCalibration) -> "Figure":
-    """The number of exposures for each pixel, in the worst channel of its group."""
+    """Draw the number of exposures used for each pixel, in the channel of the group with the
+    fewest."""
     figure, panels = _panels(calibration, height=4.0)
     drawn = None
     most = max(len(channels[0].plane.exposures) for _, channels in panels)
@@ -172,15 +176,15 @@ def coverage_figure(calibration: ResponseCalibration) -> "Figure":
 
 
 def encoded(radiance: Float[np.ndarray, "h w *rgb"], white: float) -> np.ndarray:
-    """Radiance up to white as sRGB in 0..1; a NaN is drawn black."""
+    """Encode radiance as sRGB in 0..1, clipped at `white`; NaN becomes black."""
     return np.nan_to_num(np.asarray(srgb_encode(jnp.asarray(np.clip(radiance / white, 0, 1)))))
 
 
 def _middle_exposure(
     calibration: ResponseCalibration, group: str
 ) -> tuple[Float[np.ndarray, "h w *rgb"], float]:
-    """The radiance from the middle exposure of a group alone, and its time in s; clipped pixels
-    have the radiance of the brightest code."""
+    """Return the radiance that the middle exposure of a group alone gives, and its time in s.
+    Clipped pixels get the radiance of the brightest code."""
     found, seconds = [], np.nan
     for channel in calibration.channels:
         plane, curve = channel.plane, channel.curve
@@ -196,7 +200,7 @@ def _middle_exposure(
 def _panels(
     calibration: ResponseCalibration, *, height: float
 ) -> "tuple[Figure, list[tuple[Axes, list[ChannelResponse]]]]":
-    """A figure with an axis for each group, and the group's channels."""
+    """Return a figure, and for each group of images an axis with the group's channels."""
     from matplotlib.figure import Figure
 
     of_group: dict[str, list[ChannelResponse]] = {}

@@ -1,4 +1,5 @@
-"""Findings of a response calibration: shape, shutter times, and dropped data."""
+"""Findings of a response calibration: the curve's shape, errors of exposure times, and data that
+were left out."""
 
 from collections.abc import Sequence
 
@@ -37,7 +38,7 @@ NOTABLE_RIPPLE = 0.5  # share of a curve's variance from which its ripple is rep
 
 
 def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
-    """Findings about the response and its images, one sentence each."""
+    """Return the findings about the response and its images as sentences."""
     channels = calibration.channels
     found = [*calibration.stack.remarks, _shape_in_words(channels), _beyond_in_words(channels)]
     found += [_extrapolated_in_words(channels), _anchor_in_words(channels)]
@@ -94,8 +95,8 @@ def _black_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _lowest_above_assumed_black(channels: Sequence[ChannelResponse]) -> int | None:
-    """The lowest code of all images, without pixels that never change, if a black of 0 DN was only
-    assumed and lies below it."""
+    """Return the lowest code of all images, without pixels that never change, if a black level of 0
+    DN was only assumed and that code is above 1; else None."""
     if any(c.plane.black_measured or c.plane.black >= 0.5 for c in channels):
         return None
     lowest = []
@@ -106,8 +107,8 @@ def _lowest_above_assumed_black(channels: Sequence[ChannelResponse]) -> int | No
 
 
 def _own_blacks_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding if all images have the same lowest code, and few pixels have it at the
-    longest exposure."""
+    """Return a finding on separate black points of images: all images have the same lowest code,
+    although few pixels have it at the longest exposure."""
     for channel in channels:
         plane = channel.plane
         lowest = np.array([int(image.min()) for image in plane.codes])
@@ -178,8 +179,8 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
-    """Return which exposure times to check, if they scatter more than real shutters do: the time of
-    the most deviating image, or all times. Empty if they do not."""
+    """If exposure times scatter more than real shutters do, name the time to check: that of the
+    most deviating image, or all. Otherwise return an empty string."""
     shaky = [c for c in channels if (c.curve.shutter_error or 0.0) > SHAKY]
     if not shaky:
         return ""
@@ -195,7 +196,8 @@ def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """A finding on significant larger deviations outside the codes used for the verdict."""
+    """Return a finding on significant deviations from a gamma at codes outside those tested, if
+    they are larger; else an empty string."""
     found = []
     for channel in channels:
         curve, gap, error = (
@@ -219,7 +221,8 @@ def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _extrapolated_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """The codes of each channel without usable pixels, if there are many."""
+    """Return a finding on the codes of each channel at which the curve is extrapolated, if there
+    are many; else an empty string."""
     sentences = []
     for channel in channels:
         curve = channel.curve
@@ -333,7 +336,8 @@ def _one_hue_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _colours_apart_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding if the curves of red and blue are powers of the green curve."""
+    """Return a finding if the exposures of red and blue codes are powers of those of green, as with
+    a varying white balance."""
     powers = []
     for green in (c for c in channels if c.plane.channel == "green"):
         for other in channels:
@@ -352,8 +356,8 @@ def _colours_apart_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _power_of(curve: ResponseCurve, reference: ResponseCurve) -> tuple[float, float]:
-    """Return the exponent between the exposures of two curves, and its error if the errors of all
-    codes are correlated."""
+    """Return the exponent that relates the exposures of two curves, and its error on the assumption
+    that errors of all codes are fully correlated."""
     codes = curve.codes[curve.seen]
     x = np.interp(codes, reference.codes, reference.log_exposure)
     x = np.where(np.interp(codes, reference.codes, reference.seen) > 0.5, x, 0.0)
@@ -384,7 +388,8 @@ def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _rough_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """A finding on roughness, except for channels whose curve is a gamma within its errors."""
+    """Return a finding on channels with a curve at the roughest limit, except where it is a gamma
+    within its errors."""
     if not any(c.curve.smoothness <= ROUGHEST for c in channels):
         return ""
     rough = [

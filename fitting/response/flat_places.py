@@ -1,18 +1,20 @@
-"""The response curve, corrected to the curve of flat parts of the picture.
+"""Correction of a response curve to that of flat parts of the picture.
 
-A camera that sharpens adds to a code a share of its difference from the surrounding codes. Pixels
-with equal light then have different codes where the picture is busy. This is not noise. Unless the
-response is a pure gamma, it biases a curve in proportion to the local variance a of the logarithm.
-Classes of pixels differ in a. The curves g_(k), each fitted without class k, therefore determine
-the slope, and with it the deviation d of the curve for all places:
+A camera that sharpens adds to each code a fraction of its difference from the surrounding codes.
+Where the picture has detail, pixels with equal light then have different codes. This is not noise.
+Unless the response is a pure gamma, it biases the curve in proportion to the activity a, the local
+variance of the log code. The pixels are divided into classes by activity. Curves g_(k) fitted
+without class k, whose pixels have the mean activity a_(k), determine the slope of g over a. It
+gives the deviation d of the curve of all pixels from that of flat places:
 
     d = a_all  sum_k (a_(k) - m) g_(k) / sum_k (a_(k) - m)^2,    m the mean of the a_(k).
 
-The covariance V of d comes from the scores of tiles. If d is significant by an F test of the mean q
-of d^2 / V over the codes, lambda d = (1 - 1 / q) d is subtracted (James & Stein 1961). Taking d as
-a bias with probability lambda, the covariance grows by lambda^2 V + lambda (1 - lambda) d d^T.
-Nothing is subtracted if activity correlates with the codes, as on a ramp, or is equal everywhere.
-Misregistered images are not corrected either, because their errors are not proportional to a.
+The covariance V of d comes from the scatter of the score over tiles of the picture. If d is
+significant by an F test of the mean q of d^2 / V over the codes, lambda d = (1 - 1 / q) d is
+subtracted (James & Stein 1961). Because d is a bias only with probability lambda, the covariance
+grows by lambda^2 V + lambda (1 - lambda) d d^T. Nothing is subtracted if activity is equal
+everywhere, or if it depends on the code, as on a ramp. Misregistered images are not corrected
+either, because their errors are not proportional to a.
 """
 
 from collections.abc import Sequence
@@ -34,8 +36,8 @@ APART = 0.5  # least spread of the activity at a code, relative to its mean
 
 
 def is_registered(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
-    """Whether the steepness classes have similar noise; twice the noise indicates
-    misregistration."""
+    """Return whether the images are registered: steep places then have less than twice the noise of
+    flat ones."""
     if any(noise is None for noise in noises):
         return False
     at = np.zeros(1)  # mid-scale
@@ -50,7 +52,8 @@ def correct_to_flat_places(
     log_t: Float[np.ndarray, " exposures"],
     bins: CodeBins,
 ) -> Solution:
-    """Return a solution without the contribution of busy places."""
+    """Return a solution whose curve is corrected to that of flat places, if the correction is
+    significant."""
     size, phi = len(found.means), found.used.design_effect
     each = [[equations_of(cell, log_t, found.basis) for cell in tile] for tile in cells]
     matrices = [np.sum([cell.matrix for cell in kind], axis=0) for kind in zip(*each, strict=True)]
@@ -82,9 +85,9 @@ def correct_to_flat_places(
 
 
 def _separation(weights: np.ndarray, activity: np.ndarray) -> float:
-    """Standard deviation of the activity among observations of one code. It is small if codes
-    correlate with places, as on a ramp, and if all places are equal. The result is the median over
-    codes; `weights` are (classes, bins)."""
+    """Return the standard deviation of the activity among observations of the same code, as a
+    median over codes. It is small if activity is equal everywhere, or if it depends on the code, as
+    on a ramp. `weights` has the shape (classes, bins)."""
     seen = weights[:, weights.sum(axis=0) > 0]
     mean = activity @ seen / seen.sum(axis=0)
     variance = activity**2 @ seen / seen.sum(axis=0) - mean**2
@@ -94,8 +97,9 @@ def _separation(weights: np.ndarray, activity: np.ndarray) -> float:
 def _subtract_departure(
     found: Solution, departure: np.ndarray, by_tile: np.ndarray, seen: np.ndarray
 ) -> Solution:
-    """The solution minus a deviation, which is shrunk for its noise, from the scatter over tiles,
-    (tiles, bins); the solution itself if the deviation is not significant."""
+    """Subtract the deviation `departure` from the solution, shrunk according to its noise;
+    `by_tile` (tiles, bins) is its scatter over tiles. An insignificant deviation is not
+    subtracted."""
     deviation = np.sqrt(np.sum(by_tile**2, axis=0))
     if not (deviation[seen] > 0).all():
         return found

@@ -1,4 +1,4 @@
-"""Exposure stacks from images in memory: the same stack as from a rig with these images."""
+"""Exposure stacks from images in memory, with the same result as from a rig with these images."""
 
 from collections.abc import Sequence
 
@@ -20,7 +20,8 @@ def from_stack(
     mask: Bool[np.ndarray, "h w"] | None = None,
     exposure_sd: float | None = None,
 ) -> ExposureStack:
-    """An exposure stack of one still scene in memory, for `response.calibrate`.
+    """Make an exposure stack from images of one still scene in memory, as the input of
+    `response.calibrate`.
 
     Args:
         images: (h, w) or (h, w, 3) integer DN each, in any order.

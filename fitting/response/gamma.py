@@ -1,20 +1,21 @@
-"""The gamma of a response, f(x) = x^(1/gamma), with an uncertainty that includes shutter errors.
+"""Fit of a pure gamma response, f(x) = x^(1/gamma), with an uncertainty that includes shutter
+errors.
 
-With a pure gamma, g(z) = gamma ln(z - black) + const is one column of the code-pair statistics. All
-pixels then enter through a few sums (`code_pairs.py`), and a step of a sampler costs microseconds.
-The score corrects the attenuation of the slope that noisy and rounded codes cause in a log
-regression.
+The log exposure of a pure gamma, g(z) = gamma ln(z - black) + const, is linear in gamma. All pixels
+therefore enter through a few sums of the code-pair statistics (`code_pairs.py`), and a step of a
+sampler costs microseconds. The score corrects for the attenuation of the slope that noisy and
+rounded codes cause in a regression.
 
 The pixels of one image share the error of its exposure time, delta_j ~ N(0, tau^2). Its component
 delta = c (ln t - mean) is indistinguishable from another gamma and changes it by the factor 1 + c
-with Var(c) = tau^2 / sum (ln t - mean)^2. The other components are visible in the images and
-determine tau. Therefore
+with Var(c) = tau^2 / sum (ln t - mean)^2. The other components contradict the images, so they are
+visible and determine tau. Therefore
 
     gamma | tau ~ N(q / P, 1 / P + (q / P)^2 tau^2 / sum (ln t - mean)^2),
 
 where P and q are the information and the score of gamma after marginalising over the visible
-shutter errors. The interval integrates over ln tau: it is Student's t if the images dominate, and
-follows the prior on tau if they are few.
+shutter errors. The posterior of gamma is integrated over ln tau. It is a Student's t if the images
+determine tau, and follows the prior on tau if they are few.
 """
 
 from dataclasses import dataclass, replace
@@ -58,8 +59,8 @@ SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
 
 
 class GammaSums(eqx.Module):
-    """Sums over the pixels for a fit of gamma. With d the visible shutter errors along the axes of
-    their information, the energy is
+    """The sums over all pixels that a fit of gamma needs. With d the visible shutter errors along
+    the axes of their information, chi^2 / 2 is
 
         information gamma^2 / 2 - pull gamma
         + gamma mixed . d + information_d . d^2 / 2 - pull_d . d.
@@ -93,7 +94,7 @@ class GammaSums(eqx.Module):
 
 
 class GivenShutter(eqx.Module):
-    """Gamma for a known tau.
+    """The Gaussian posterior of gamma for a given tau.
 
     Attributes:
         mean: of gamma.
@@ -123,7 +124,7 @@ class Mixture:
     variance: Float[np.ndarray, " grid"]
 
     def mean_estimate(self, what: Parameter, group: str) -> Estimate:
-        """The estimate of the parameter, with the quantiles of the mixture."""
+        """Return the estimate of the parameter, with the quantiles of the mixture."""
         centre = float(self.weights @ self.mean)
         spread = float(np.sqrt(self.weights @ (self.variance + (self.mean - centre) ** 2)))
 
@@ -143,8 +144,8 @@ class Mixture:
         return quantile_estimate(what, ends[2], spread, ends, method="marginal", group=group)
 
     def draws(self, count: int, seed: int) -> Float[np.ndarray, "count 2"]:
-        """Draws of the parameter and tau: tau by its weights, uniform between the grid's points,
-        then the parameter given tau."""
+        """Draw the parameter and tau: first a grid point by its weight, with ln tau uniform about
+        it, then the parameter given that grid point."""
         rng = np.random.default_rng(seed)
         which = rng.choice(len(self.log_tau), size=count, p=self.weights)
         step = (self.log_tau[1] - self.log_tau[0]) * rng.uniform(-0.5, 0.5, count)
@@ -154,7 +155,7 @@ class Mixture:
 
 @dataclass(frozen=True)
 class GammaFit:
-    """The best gamma of a response.
+    """The gamma that fits a response best, with the deviations of the curve from it.
 
     Attributes:
         gamma: estimate with intervals.
@@ -188,7 +189,7 @@ def fit_gamma(
     sampling: Emcee | None = None,
     seed: int = 0,
 ) -> GammaFit:
-    """The gamma that explains the pixels behind a response curve."""
+    """Fit gamma to the pixels from which a response curve was fitted."""
     column = log_code_means(curve)
     dispersion = _dispersion(curve, column)
     gone = _undetectable(
@@ -253,9 +254,9 @@ def _undetectable(
     black_sd: float,
     exposure_sd: float,
 ) -> tuple[LeftOut, ...]:
-    """Return the stated errors of the black level and of the exposures that are too small to
-    detect. A black error of one standard deviation changes ln X by `of_black`; the design effect is
-    the number of pixels that count as one."""
+    """Return those stated errors of the black level and of the exposures that are too small to
+    matter. `of_black` is the change of ln X by a black-level error of one standard deviation;
+    `overstated` is the factor by which the pixels overstate the information."""
     # The energy of the code pairs, v' A v / 2 for a shift v of the curve and of the log exposures,
     # is half the squared shift in standard deviations of all pixels, with their irradiances
     # eliminated. Therefore |h|^2 = v' A v for an error of one standard deviation.
@@ -279,7 +280,7 @@ def log_code_means(curve: ResponseCurve, *, shift: float = 0.0) -> Float[np.ndar
 
 
 def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
-    """Gamma for a known shutter error."""
+    """Return the posterior of gamma for a given shutter error tau."""
     if sums.known is not None:
         tau = jnp.hypot(tau, sums.known)
     precision = sums.information_d + 1 / tau**2
@@ -296,7 +297,8 @@ def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
 
 
 def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[Array, ""]:
-    """Log posterior density of (ln gamma, ln tau), flat in gamma, up to a constant."""
+    """Return the log posterior density of (ln gamma, ln tau) up to a constant, with a flat prior on
+    gamma."""
     gamma, tau = to_natural(SPACE, vector)
     given = given_shutter(sums, tau)
     miss = (gamma - given.mean) ** 2 / given.variance
@@ -311,8 +313,9 @@ def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[A
 
 
 def _spread(given: GivenShutter, log_tau: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Covariance of (ln gamma, ln tau). If the shutter shows no error, the density is nearly flat
-    in ln tau, and its curvature does not give the covariance."""
+    """Return the covariance of (ln gamma, ln tau) under the posterior on the grid. The curvature at
+    the mode would not give it, because the density is nearly flat in ln tau if no shutter error is
+    visible."""
     mean = np.asarray(given.mean)
     away = np.stack([np.log(mean), log_tau])
     away -= (away @ weights)[:, None]
@@ -322,8 +325,8 @@ def _spread(given: GivenShutter, log_tau: np.ndarray, weights: np.ndarray) -> np
 
 
 def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
-    """The misfit of the best gamma beyond the pixels' noise: its chi-square over that of the free
-    curve, at least 1. It widens the intervals of a curve that is not a gamma."""
+    """Return the chi-square of the best gamma over that of the free curve, at least 1. It widens
+    the intervals of a curve that is not a gamma."""
     matrix = curve.statistics.matrix
     log_t = np.log(curve.exposures) + curve.shutter_offsets
     of_gamma = np.concatenate([_least_squares(curve, column) * column, log_t])
@@ -332,7 +335,7 @@ def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
 
 
 def _least_squares(curve: ResponseCurve, column: np.ndarray) -> float:
-    """The least-squares gamma at the shutter errors of the curve."""
+    """Return the least-squares gamma, given the curve's estimates of the shutter errors."""
     matrix, size = curve.statistics.matrix, len(column)
     log_t = np.log(curve.exposures) + curve.shutter_offsets
     return -float(
@@ -343,9 +346,9 @@ def _least_squares(curve: ResponseCurve, column: np.ndarray) -> float:
 def _other_variance(
     curve: ResponseCurve, sums: GammaSums, dispersion: float, black_sd: float
 ) -> Array:
-    """Variance of gamma from sources outside the weighted fit: the black level, the correction for
-    errors that are not noise, and the change under another weighting beyond its own error (Hausman,
-    Econometrica 46, 1978)."""
+    """Return the variance of gamma from sources that the weighted fit omits: the black level, the
+    correction for errors that are not noise, and the change of gamma with another weighting beyond
+    the error of that change (Hausman, Econometrica 46, 1978)."""
     tau = jnp.asarray(SHUTTER_PRIOR.median)
     mean = float(given_shutter(sums, tau).mean)
     shifted = log_code_means(curve, shift=BLACK_STEP)
@@ -357,8 +360,9 @@ def _other_variance(
 
 
 def _other_weightings(curve: ResponseCurve) -> list[tuple[float, float]]:
-    """(gamma, its variance) from the slope of the curve, with equal weights for codes of the
-    central range, and with equal weights for magnitudes of light."""
+    """Return (gamma, its variance) from the slope of the curve over the central codes, first with
+    equal weights for equal steps in code, then with equal weights for equal steps in ln (code -
+    black)."""
     z = curve.codes - curve.bins.black
     share = z / (curve.bins.edges[-1] - curve.bins.black)
     used = curve.seen & (share > EDGES[0]) & (share < EDGES[1])
@@ -380,8 +384,8 @@ def _gamma_sums(
     known: float = 0.0,
     stated: float = 0.0,
 ) -> GammaSums:
-    """Return the sums. A stated shutter error that is too small to enter them (`known` is then
-    None) still determines the prior."""
+    """Return the sums over all pixels. `known` is the stated shutter error, or 0 if it is
+    negligible; even then, `stated` determines the prior."""
     overstated = dispersion * curve.design_effect
     size, matrix = len(column), curve.statistics.matrix / overstated
     score = curve.statistics.score / overstated
@@ -416,7 +420,8 @@ def _tabulate(sums: GammaSums, log_tau: Float[Array, " grid"]) -> GivenShutter:
 
 
 def _departure(curve: ResponseCurve, model: np.ndarray) -> np.ndarray:
-    """Measured minus modelled log exposure at observed codes, without a common factor."""
+    """Return measured minus modelled log exposure at observed codes, without their weighted
+    mean."""
     gap = np.where(curve.seen, curve.log_exposure - model, np.nan)
     weight = np.where(curve.seen, 1 / np.maximum(curve.standard_error, 1e-3) ** 2, 0)
     return gap - np.nansum(weight * gap) / weight.sum()

@@ -1,9 +1,9 @@
-"""A test whether the exposures of a stack are registered, as with a camera on a tripod.
+"""Test whether the exposures of a stack are registered, as with a camera on a tripod.
 
-Each image is thresholded at a quantile of its codes (Ward, J. Graphics Tools 8, 2003). The same
-places are bright for any exposure and response. The shift of two images is that at which most of
-their pixels agree. It is accepted if it increases the number of agreeing pixels significantly
-compared with no shift.
+Each image is thresholded at a quantile of its codes (Ward, J. Graphics Tools 8, 2003). The mask of
+bright pixels that results is the same for any exposure and response. The shift between two images
+is the one at which most pixels of their masks agree. A shift is accepted if significantly more
+pixels agree than without a shift.
 """
 
 from collections.abc import Sequence
@@ -34,8 +34,9 @@ def moved_exposures(
     full_scale: float,
     cell: tuple[int, int] = (1, 1),
 ) -> tuple[list[OddFrames], dict[str, tuple[int, int]]]:
-    """Return the exposures that are displaced relative to most others. For images displaced by
-    about a pixel, also return, by name, the rows and columns by which to move them back."""
+    """Return the exposures that are displaced by at least two pixels relative to most others. For
+    images displaced by less, also return, by name, the rows and columns by which they are
+    displaced."""
     if len({np.shape(frame) for frame in frames}) != 1:
         return [], {}  # sizes differ; refused where frames are read
     size: Any = list(cell)  # SciPy's types know one number for all axes only
@@ -69,7 +70,7 @@ def moved_exposures(
 def moved_back(
     frame: Shaped[np.ndarray, "h w *channels"], by: tuple[int, int], fill: float
 ) -> Shaped[np.ndarray, "h w *channels"]:
-    """A picture moved up and left by rows and columns, with a filled border."""
+    """Move a picture up and left by rows and columns, and fill the border."""
     found = np.full_like(frame, fill)
     (into, of), (into_columns, of_columns) = (
         (slice(max(-n, 0), size - max(n, 0)), slice(max(n, 0), size + min(n, 0)))
@@ -113,8 +114,8 @@ def _shift(
 def _cut(
     one: np.ndarray, other: np.ndarray, quantile: float, full_scale: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return pixels that are brighter (1) or darker (-1) than a quantile, for two images, 0 where
-    they are NaN; None if the quantile is black or saturated in one image."""
+    """Threshold two images at a quantile: 1 where a pixel is brighter, -1 where it is darker, 0
+    where it is NaN. None if the quantile is black or saturated in either image."""
     found = []
     for image in (one, other):
         level, black = np.nanquantile(image, quantile), float(np.nanmin(image))
@@ -125,7 +126,7 @@ def _cut(
 
 
 def _middle(frame: Shaped[np.ndarray, "h w *channels"]) -> Float[np.ndarray, "h w"]:
-    """Return the middle of a large picture, as grey values."""
+    """Return the central part of a picture, at most 1024 x 1024 pixels, as grey values."""
     top, left = (max(0, size - WIDEST) // 2 for size in frame.shape[:2])
     middle = np.asarray(frame[top : top + WIDEST, left : left + WIDEST], float)
     return middle.mean(axis=2) if middle.ndim == 3 else middle

@@ -1,4 +1,5 @@
-"""A first curve, the noise models and the hyperparameters, from a few pixels and bins."""
+"""Pilot fit to a sample of pixels with few bins: a first curve, the noise models and the
+hyperparameters."""
 
 from dataclasses import dataclass, replace
 
@@ -41,7 +42,7 @@ WINSOR = 9 / 0.4549  # three standard deviations, squared, over a squared normal
 
 @dataclass(frozen=True)
 class Pilot:
-    """Results from the pilot's pixels.
+    """The results of the pilot fit.
 
     Attributes:
         means: (bins,) of the rising curve, over coarse bins.
@@ -64,8 +65,8 @@ def fit_pilot(
     *,
     least_error: float = STEADIEST,
 ) -> Pilot:
-    """Fit the pilot curve; its first pass uses the weights of Debevec & Malik, because there is no
-    curve yet."""
+    """Fit the pilot curve in four passes. The first uses the weights of Debevec & Malik, because a
+    noise model needs a curve."""
     x = bins.log_codes
     means, binned = x - x[bins.middle], bins.lookup[codes]
     count = int(classes.max()) + 1
@@ -107,8 +108,8 @@ def fit_pilot(
 
 
 def degrees_of_freedom(statistics: PairStatistics) -> float:
-    """Return the number of observations minus the number of pixels, the observations that determine
-    a curve."""
+    """Return the degrees of freedom: the number of observations minus one unknown irradiance for
+    each pixel. Raises InputError if there are none."""
     free = float(statistics.observations.sum() - statistics.pixels)
     if free <= 0:
         raise InputError(NO_CURVE)
@@ -116,7 +117,8 @@ def degrees_of_freedom(statistics: PairStatistics) -> float:
 
 
 def make_rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarray, " bins"]:
-    """Bin means made monotone, with at least a third of the slope of a linear response."""
+    """Make the bin means of a curve rise, with at least a third of the slope of a linear
+    response."""
     floor = bins.log_codes / SLOWEST
     return np.maximum.accumulate(means - floor) + floor
 
@@ -124,7 +126,7 @@ def make_rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.n
 def rebin(
     means: Float[np.ndarray, " bins"], bins: CodeBins, other: CodeBins
 ) -> Float[np.ndarray, " others"]:
-    """Bin means of a curve, interpolated to other bins."""
+    """Interpolate the bin means of a curve to other bins."""
     spline = CubicSpline(bins.log_codes, means)
     return spline(other.log_codes)
 
@@ -135,8 +137,9 @@ def fit_noise(
     log_t: Float[np.ndarray, " exposures"],
     means: Float[np.ndarray, " bins"],
 ) -> NoiseModel:
-    """The three variances of a class's noise model, by non-negative least squares of squared
-    residuals (clipped at three standard deviations) in cells of predicted log exposure."""
+    """Fit the three variances of a noise model to one class of pixels. The data are mean squared
+    residuals, clipped at three standard deviations, in cells of predicted log exposure; the fit is
+    non-negative least squares."""
     used = (seen.weights > 0) & of_class
     predicted = (seen.log_irradiance + log_t[:, None])[used]
     free = (1 - seen.weights / seen.total)[used]

@@ -1,11 +1,12 @@
-"""Properties of pixel positions: the slope and the activity of the scene around them, and groups
-with common errors.
+"""Properties of the scene around each pixel (steepness and activity), by which pixels are classed,
+and tiles of the picture.
 
-A misregistration of half a pixel causes an error of half the local slope of ln E. JPEG edges and
-moving leaves have similar errors. Such errors are not pixel noise, and steep places have far larger
-ones. Pixels are therefore divided into classes of steepness, each with its own noise model.
-Sharpening causes errors where the picture is busy, at peaks and at slopes (`flat_places.py`).
-Errors of neighbours are correlated: tiles of the picture are independent, and pixels are not.
+If an image is misregistered by half a pixel, ln E has an error of half its local slope. JPEG edges
+and moving leaves have similar errors. Such errors are far larger at steep places and are not pixel
+noise. Therefore pixels are divided into classes of steepness, each with its own noise model.
+Sharpening causes errors where the picture has detail, measured by the activity (`flat_places.py`).
+Errors of neighbouring pixels are correlated, so large tiles of the picture, not pixels, are treated
+as independent.
 """
 
 from dataclasses import dataclass
@@ -22,7 +23,8 @@ TILES = 16  # a power of two
 
 @dataclass(frozen=True)
 class Layout:
-    """The pixels of a scene's mask, in the order of `codes[:, mask]`.
+    """Steepness, activity and position of the pixels in a scene's mask, in the order of
+    `codes[:, mask]`.
 
     Attributes:
         steepness: (pixels,) squared slope of ln(code - black), per pixel squared.
@@ -38,7 +40,7 @@ class Layout:
     columns: Int[np.ndarray, " pixels"]
 
     def at(self, chosen: Integer[np.ndarray, " some"] | slice) -> "Layout":
-        """The layout of some of the pixels."""
+        """Return the layout of some of the pixels."""
         every = self.steepness, self.activity, self.rows, self.columns
         return Layout(*(column[chosen] for column in every))
 
@@ -50,12 +52,12 @@ def layout_of(
     black: float,
     clip: float,
 ) -> Layout:
-    """Steepness, activity and position of a plane's pixels.
+    """Compute steepness, activity and position of a plane's pixels.
 
-    The slope is a mean over exposures, weighted by Debevec & Malik's squared hat. It is taken
-    between the neighbours of a pixel, so that the pixel's own noise does not select its class. The
-    activity is the covariance of two successive exposures over the 24 surrounding pixels, which
-    contains no noise, averaged in the same way.
+    The squared slope is averaged over exposures with Debevec & Malik's hat, squared, as the weight.
+    The slope is the difference between a pixel's neighbours, so that the pixel's own noise does not
+    affect its class. The activity is the covariance between successive exposures over the 24
+    surrounding pixels, to which noise does not contribute, averaged in the same way.
 
     Args:
         codes: (exposures, h, w) DN.
@@ -90,14 +92,15 @@ def layout_of(
 
 
 def _around(image: np.ndarray) -> np.ndarray:
-    """Mean of the pixels around each."""
+    """Return the mean of the 24 pixels around each pixel."""
     return (REACH**2 * uniform_filter(image, REACH) - image) / (REACH**2 - 1)
 
 
 def equal_classes(
     values: Float[np.ndarray, " pixels"], counted: Bool[np.ndarray, " pixels"]
 ) -> Int[np.ndarray, " pixels"]:
-    """Return classes of steepness or activity, each with the same number of valid pixels."""
+    """Return the class of each pixel by steepness or activity; all classes contain the same number
+    of counted pixels."""
     edges = np.quantile(values[counted], np.arange(1, CLASSES) / CLASSES)
     return np.digitize(values, edges).astype(np.int32)
 
@@ -105,7 +108,7 @@ def equal_classes(
 def tiles_of(
     rows: Int[np.ndarray, " pixels"], columns: Int[np.ndarray, " pixels"]
 ) -> list[Int[np.ndarray, " tile"]]:
-    """Tiles of a picture: pixels halved repeatedly along the longer side."""
+    """Divide the pixels of a picture into 16 tiles, by repeated halving along the longer side."""
     tiles = [np.arange(len(rows))]
     while len(tiles) < TILES:
         tiles = [half for tile in tiles for half in _halves(tile, rows, columns)]

@@ -1,18 +1,18 @@
-"""One radiance map from an exposure stack with a known response.
+"""Merging of an exposure stack with a known response to one radiance map.
 
-Each observation is an exposure X_ij = exp(g(z_ij)) with the variance of the noise model; the
-maximum-likelihood radiance of a pixel is
+The code z_ij of pixel i in image j gives the exposure X_ij = exp(g(z_ij)), whose variance follows
+from the noise model. The maximum-likelihood radiance of a pixel is
 
     E_i = sum_j u_ij X_ij / t_j / sum_j u_ij,    u_ij = E_i^2 t_j^2 / Var(X_ij),
 
-with u at the predicted exposure, so that noise does not affect its own weight. Clipped codes are
-not used, nor codes within three standard deviations of clipping, nor noisy codes if there is a
-better exposure.
+where the weight u_ij is computed at the predicted exposure, so that it does not depend on the noise
+of X_ij. Codes that are clipped or within three standard deviations of clipping are not used. Noisy
+codes are used only if there is no better exposure.
 
 A pixel without such an observation uses all of its unclipped codes together, with coverage 0. Noise
-may reduce its code to black or below. Such a code counts as a negative exposure, X(black - d) =
--X(black + d), because the codes above black alone are only the upper half of the noise. The code 0,
-at which a camera clips noise, is only a bound, as a clipped code is.
+may reduce the code of such a pixel to black or below. Such a code counts as a negative exposure,
+X(black - d) = -X(black + d), because the codes above black alone are only the upper half of the
+noise. The code 0, at which a camera clips noise, gives only a bound, like a code clipped at white.
 
 Radiance is relative, per second, with g = 0 at mid-scale.
 """
@@ -52,8 +52,8 @@ def merge(
     *,
     signed: bool = True,
 ) -> RadianceMap:
-    """The radiance map of codes for given exposure times, which are taken as exact, because an
-    apparent shutter offset may be a slight misfit of the curve."""
+    """Merge codes to a radiance map. The exposure times are taken as exact, because an apparent
+    shutter offset may be a slight misfit of the curve."""
     flat = codes.reshape(len(exposures), -1)
     count = flat.shape[1]
     radiance, error = np.empty(count, np.float32), np.empty(count, np.float32)
@@ -88,7 +88,7 @@ def _merge(
 
 
 def exposure_of_codes(curve: ResponseCurve) -> Float[np.ndarray, " codes"]:
-    """X of every code: 0 at black and negative below it."""
+    """Return the exposure X of every code, 0 at black and negative below it."""
     bins = curve.bins
     away = np.arange(bins.full_scale + 1) - bins.black
     near, log_z = np.abs(away) > 0, np.log(bins.centres - bins.black)
@@ -103,8 +103,8 @@ def exposure_of_codes(curve: ResponseCurve) -> Float[np.ndarray, " codes"]:
 def _noise_radiance(
     codes: np.ndarray, times: np.ndarray, curve: ResponseCurve
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Radiance and relative error of pixels whose exposures are all within noise of black or
-    clipped."""
+    """Return radiance and relative error of pixels whose exposures are all either clipped or within
+    the noise of black."""
     table, t = exposure_of_codes(curve), times[:, None]
     x = table[codes]
     used = (codes > 0) & (codes < curve.bins.edges[-1])
@@ -132,6 +132,6 @@ def _noise_radiance(
 def _mean_radiance(
     weights: np.ndarray, times: np.ndarray, exposures: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted mean of X / t, and the sum of its weights."""
+    """Return the weighted mean of X / t, and the sum of its weights."""
     total = (weights * times).sum(axis=0)
     return (weights * exposures).sum(axis=0) / np.where(total > 0, total, 1), total

@@ -1,7 +1,9 @@
-"""Exposure stacks: one still scene at several exposure times, as planes of integer codes.
+"""Reading of exposure stacks: images of one still scene at several exposure times, as planes of
+integer codes.
 
-A plane is one colour channel or one site of a Bayer mosaic of one group of images. Codes stay the
-integers of the files (uint16): sixteen 8-bit colour images of 768 x 512 take 38 MB.
+A plane is one colour channel or one site of a Bayer mosaic of one group of images. Codes are kept
+as the integers of the files (uint16), so that sixteen 8-bit colour images of 768 x 512 pixels take
+38 MB.
 """
 
 import os
@@ -38,7 +40,7 @@ Codes = UInt16[np.ndarray, "exposures h w"]
 
 @dataclass(frozen=True)
 class Plane:
-    """One channel of one group of images.
+    """The codes of one channel of one group of images.
 
     Attributes:
         group: of the rig.
@@ -78,7 +80,7 @@ class Plane:
 
     @property
     def name(self) -> str:
-        """The label, or `grey` where there is none."""
+        """The label of the plane, or `grey` if it has none."""
         return self.label or "grey"
 
 
@@ -111,7 +113,7 @@ def read_exposure_stack(
     mask: Bool[np.ndarray, "h w"] | None = None,
     load: Load = read_image,
 ) -> ExposureStack:
-    """A rig's `[[exposure]]` images, group by group, split into planes.
+    """Read a rig's `[[exposure]]` images and split each group into planes.
 
     The black level of a channel or site is the stated one, else its mean in the `[[dark]]` frames,
     else the code of dark pixels that do not change with the exposure time. The clip level is the
@@ -155,7 +157,7 @@ def read_exposure_stack(
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
-    """A rig without the exposures whose metadata contradict it, with findings."""
+    """Return the rig without the exposures whose metadata contradict it, and findings on these."""
     groups = list(dict.fromkeys(entry.group for entry in rig.exposure))
     stated = [
         Stated(entry.file, rig.path(entry.file), entry.exposure, groups.index(entry.group))
@@ -171,7 +173,8 @@ def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
 def _without_odd_images(
     rig: Rig, entries: tuple[Exposure, ...], images: dict[str, np.ndarray], remarks: list[str]
 ) -> tuple[Exposure, ...]:
-    """The images of a stack that show one scene in the order of their exposures."""
+    """Return the exposures whose images show one still scene, with brightness in the order of
+    exposure times. Add findings on all others to `remarks`."""
     top, seen = rig.camera.at(rig.camera.sites[0]).clip_level, []
     for entry in entries:
         frame = images[entry.file]
@@ -205,7 +208,8 @@ def _without_odd_images(
 
 
 def _grid_of(converter: Converter) -> tuple[int, int]:
-    """Step and origin of whole codes; 1 and 0 if the numbers lie on no coarser grid."""
+    """Return step and origin of the grid of codes; 1 and 0 if the numbers lie on no coarser even
+    grid."""
     step = round(converter.step)
     even = converter.even and step > 1 and step == converter.step
     return (step, round(converter.origin)) if even else (1, 0)
@@ -313,8 +317,8 @@ def _planes(
 def floor_level(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera, *, step: int = 1
 ) -> float:
-    """Black level from pixels whose code changes by at most one step while the exposure grows at
-    least eightfold."""
+    """Estimate the black level from dark pixels whose code changes by at most one step while the
+    exposure grows at least eightfold; 0 if there are too few."""
     longer = np.flatnonzero(exposures >= LONGER * exposures[0])
     if not len(longer):
         return 0.0
@@ -339,7 +343,8 @@ def floor_level(
 
 
 def unchanged(codes: Codes, exposures: Float[np.ndarray, " exposures"]) -> Bool[np.ndarray, "h w"]:
-    """Whether a pixel has one number in all images, while the exposure grows at least eightfold."""
+    """Return a mask of pixels with the same code in all images, if these span a factor of at least
+    8 in exposure."""
     if exposures[-1] < LONGER * exposures[0]:
         return np.zeros(codes.shape[1:], bool)
     return (codes == codes[0]).all(axis=0)
@@ -348,8 +353,8 @@ def unchanged(codes: Codes, exposures: Float[np.ndarray, " exposures"]) -> Bool[
 def _painted(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], black: float, clip: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Whether a pixel does not see the scene: it is unchanged, and neither dark, where noise alone
-    may leave it so, nor clipped."""
+    """Return a mask of pixels that do not show the scene, such as overlays: unchanged, not clipped,
+    and too bright to be dark pixels."""
     lit = codes[0] > black + DIM * (clip - black)
     return unchanged(codes, exposures) & lit & (codes[0] < clip)
 
@@ -357,8 +362,9 @@ def _painted(
 def ceiling_level(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera, *, step: int = 1
 ) -> float:
-    """Clip level from pixels above half scale whose code changes by at most one step while the
-    exposure grows by at least 1.9: nearly the lowest of their codes, which vary between pixels."""
+    """Estimate the clip level from pixels above half scale whose code changes by at most one step
+    while the exposure grows by a factor of at least 1.9. It is a low quantile of their codes,
+    because these vary between pixels."""
     shorter = np.flatnonzero(exposures * BRIGHTER <= exposures[-1])
     if not len(shorter):
         return float(camera.full_scale)
@@ -397,8 +403,8 @@ def _scene_mask(
 
 
 def _black_levels(rig: Rig, load: Load) -> dict[str, float]:
-    """Mean of the dark frames in each channel, DN; None if the rig states the black level or has no
-    darks."""
+    """Return the mean of the dark frames by channel, DN; empty if the rig states the black level or
+    has no darks."""
     if rig.camera.black_level is not None or not rig.dark:
         return {}
     means = [read_stack(rig, entry.files, load=load).mean(axis=0) for entry in rig.dark]

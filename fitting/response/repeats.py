@@ -1,14 +1,14 @@
-"""Repeatability of a curve over tiles of the picture, and over exposures.
+"""Jackknife errors of a curve: its scatter over tiles of the picture, and over exposures.
 
-Both are jackknives. Without tile k the equations are the sums over the other tiles. Without
-exposure j the codes of a sample of pixels are counted again, because the mean of each pixel
-changes. With T fits,
+Both are jackknives. For the fit without tile k, the equations of the other tiles are added. For the
+fit without exposure j, the codes of a sample of pixels are counted again, because the mean of each
+pixel changes. With T fits,
 
     V = (T - 1) / T  sum_k (g_(k) - mean)(g_(k) - mean)^T.
 
-The jackknife over exposures also contains the noise of their pixels, which is subtracted (two-way
-clustering: Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011). The fits without an exposure
-also predict it, which is an independent test.
+The jackknife over exposures also contains pixel noise, which is subtracted (two-way clustering:
+Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011). The fit without an exposure also predicts
+that exposure, which is an independent test.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ FEWEST_PREDICTED = 30  # fewest pixels for the prediction error of a left-out ex
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The error of predicting exposures that the curve and the radiance did not use.
+    """The errors of predicting each exposure by a curve and a radiance that were fitted without it.
 
     Attributes:
         rms: DN, for each exposure; NaN where too few pixels can be predicted.
@@ -45,7 +45,7 @@ class HeldOut:
 
     @property
     def mean(self) -> float:
-        """Root of the mean square over exposures, DN."""
+        """Rms prediction error over all exposures, DN."""
         return float(np.sqrt(np.nanmean(self.rms**2)))
 
     @property
@@ -59,7 +59,8 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Repeats:
-    """Deviations of g at the centres of bins, scaled so that their products sum to a covariance.
+    """The jackknife deviations of g at the centres of bins, scaled so that their products sum to a
+    covariance.
 
     Attributes:
         departures: (fits, bins).
@@ -76,15 +77,15 @@ class Repeats:
     def beyond(
         self, explained: Float[np.ndarray, " bins"], lost: int
     ) -> tuple[Float[np.ndarray, " bins"], int]:
-        """Significant excess variance beyond the explained one, and its degrees of freedom: the
-        fits minus the lost parameters."""
+        """Return the variance in excess of `explained`, where it is significant, and its degrees of
+        freedom, the number of fits minus `lost`."""
         freedom = len(self.departures) - lost
         likely = chdtri(freedom, CHANCE) / freedom * explained
         return np.where(self.variance > likely, self.variance - explained, 0), freedom
 
 
 def tile_jackknife(found: Solution, bins: CodeBins) -> Repeats | None:
-    """The jackknife over tiles."""
+    """Fit the curve without each tile; return the deviations, or None if there is only one tile."""
     if len(found.equations) < 2:
         return None
     tiles, phi = found.equations, found.used.design_effect
@@ -108,7 +109,8 @@ def exposure_jackknife(
     bins: CodeBins,
     fraction: float,
 ) -> tuple[Repeats | None, HeldOut | None]:
-    """The jackknife over exposures, and the prediction of each exposure without it."""
+    """Fit the curve without each exposure; return the deviations, and the errors of predicting the
+    exposure left out."""
     if len(log_t) < FEWEST_PREDICTING:
         return None, None
 
@@ -141,9 +143,9 @@ def widen(
     tiles: Repeats | None,
     exposures: Repeats | None,
 ) -> tuple[Float[np.ndarray, "bins bins"], Float[np.ndarray, " bins"]]:
-    """A covariance widened to the observed scatter, with Satterthwaite's degrees of freedom. It
-    adds the scatter of tiles beyond their pixels, the scatter of exposures beyond pixels and
-    shutter, and the errors of the shutter (`shutter.py`)."""
+    """Return a covariance enlarged to the observed scatter, and Satterthwaite's degrees of freedom
+    for each bin. It includes the scatter of tiles beyond pixel noise, the scatter of exposures
+    beyond pixel noise and shutter errors, and the shutter errors themselves (`shutter.py`)."""
     parts = []
     if tiles is not None:
         parts.append(tiles.beyond(tiles.pixels, 1))
@@ -166,7 +168,8 @@ def _jackknife(fits: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """Variance of g at centres from a covariance of the right-hand side."""
+    """Return the variance of g at the centres of bins, from a covariance of the right-hand side of
+    the normal equations."""
     size = len(found.means)
     rows = bin_centre_curve(found.covariance[:size], bins)
     return np.maximum(np.sum((rows @ noise) * rows, axis=1), 0)
@@ -180,7 +183,7 @@ def _prediction_error(
     coarse: CodeBins,
     pilot: Pilot,
 ) -> float:
-    """Root mean square difference, DN, between exposure j's codes and their prediction from the
+    """Return the rms difference, DN, between the codes of exposure j and their prediction from the
     others."""
     kept = np.arange(len(log_t)) != j
     g = np.maximum.accumulate(fit.means) + 1e-9 * np.arange(len(fit.means))

@@ -1,4 +1,4 @@
-"""The report of a response calibration: estimates, findings, tables and figures."""
+"""The report on a response calibration: estimates, findings, tables and figures."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -21,7 +21,7 @@ UNKNOWN = 1e6  # error factor of a curve above which a code counts as unknown
 
 
 def section(calibration: ResponseCalibration) -> Section:
-    """The report section of a calibrated response."""
+    """Return the report section of a calibrated response."""
     estimates: list[Estimate] = []
     for channel, shape in zip(calibration.channels, shapes(calibration.channels), strict=True):
         estimates += _gamma_estimates(channel, shape)
@@ -49,7 +49,8 @@ def section(calibration: ResponseCalibration) -> Section:
 
 
 def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
-    """The complete curves, one row for each code and channel."""
+    """Return the columns of a table of the complete curves, with a row for each code and
+    channel."""
     curves = [channel.curve for channel in channels]
     labels = [channel.plane.name for channel in channels]
     log_exposure = np.concatenate([curve.log_exposure for curve in curves])
@@ -68,8 +69,8 @@ def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
 
 
 def _gamma_estimates(channel: ChannelResponse, shape: Shape) -> list[Estimate]:
-    """Gamma and the shutter error; neither if the response is not a pure gamma, because the misfit
-    would bias both."""
+    """Return the estimates of gamma and the shutter error. If the response is not a pure gamma,
+    give the reason instead, because the misfit would bias both."""
     if shape.pure:
         return [channel.gamma.gamma, channel.gamma.shutter_error]
     reason = (
@@ -141,7 +142,8 @@ def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
 
 
 def _exposure_at_code(curve: ResponseCurve, code: float) -> str | None:
-    """Exposure at a code, by linear interpolation in the logarithms above black."""
+    """Format the exposure at a code, by linear interpolation in the logarithms above black; None
+    outside the range of codes."""
     if not max(curve.bins.black, curve.bins.edges[0]) < code <= curve.bins.edges[-1]:
         return None
     place = np.log(code - curve.bins.black)

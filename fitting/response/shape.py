@@ -1,14 +1,15 @@
-"""Whether a response is a pure gamma, judged by the error of its curve.
+"""Test whether a response is a pure gamma, given the errors of its curve.
 
-Among hundreds of codes the largest departure is large by chance where the curve is uncertain. So
-the departures of all codes are tested together. d = P g is the residual of the measured curve after
-a straight line in ln (code - black) is removed, and P C P^T is its covariance. The largest of
+Among hundreds of codes, the largest deviation from a gamma may be large by chance. So the
+deviations of all codes are tested together. d = P g is the residual of the measured curve after a
+straight line in ln (code - black) is removed. If C is the covariance of g, that of d is P C P^T.
+The largest of
 
     |d_i| / sqrt((P C P^T)_ii + v_i^2)
 
 is compared with the largest of as many simulated Gaussian numbers with the same correlation. v_i,
 the variance of one pixel's ln X, is the size of second-order terms of the noise in a mean of
-logarithms. The response is not a pure gamma if a departure is significant and exceeds 5 %.
+logarithms. The response counts as not a pure gamma if a significant deviation exceeds 5 %.
 """
 
 from collections.abc import Sequence
@@ -32,7 +33,8 @@ SURELY_KNOWN = 1e-3  # standard error below which codes have equal weights
 
 @dataclass(frozen=True)
 class Shape:
-    """The deviation of a response from the best pure gamma, over the codes used for the verdict.
+    """The largest deviations of a response from the best pure gamma, over the codes that are
+    tested.
 
     Attributes:
         size: largest departure, in ln exposure; NaN where no code can be judged.
@@ -55,8 +57,8 @@ class Shape:
 
 
 def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
-    """Codes used for the verdict: between 5 and 95 % of the range, if the curve is known to 5 % and
-    pixels to 10 %."""
+    """Return a mask of the codes that are tested: between 5 and 95 % of the range, with an error of
+    the curve below 5 % and noise of a pixel below 10 %."""
     share = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] - curve.bins.black)
     central = (share > EDGES[0]) & (share < EDGES[1])
     known = (curve.standard_error < SURE) & (curve.pixel_noise < QUIET)
@@ -66,14 +68,15 @@ def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
 def largest_departure(
     curve: ResponseCurve, departure: Float[np.ndarray, " bins"]
 ) -> tuple[float, float]:
-    """The largest deviation among the codes used for the verdict."""
+    """Return the largest deviation among the tested codes, and its code."""
     return largest(curve, departure, judged_codes(curve))
 
 
 def largest(
     curve: ResponseCurve, departure: Float[np.ndarray, " bins"], counted: Bool[np.ndarray, " bins"]
 ) -> tuple[float, float]:
-    """The largest deviation among some codes."""
+    """Return the largest deviation among the codes `counted`, and its code; NaN if there are
+    none."""
     counted = counted & np.isfinite(departure)
     if not counted.any():
         return float("nan"), float("nan")
@@ -82,12 +85,14 @@ def largest(
 
 
 def error_of_departure(curve: ResponseCurve) -> Float[np.ndarray, " bins"]:
-    """Standard error of a deviation, including second-order terms of the noise."""
+    """Return the standard error of the deviation at each code, including second-order terms of the
+    noise."""
     return np.hypot(curve.standard_error, curve.pixel_noise**2)
 
 
 def shapes(channels: Sequence[ChannelResponse]) -> list[Shape]:
-    """The shape of each channel, from one common test."""
+    """Test the shape of each channel. The probability of a false finding is that of all channels
+    together."""
     chance = CHANCE / max(len(channels), 1)
     return [_shape(channel.curve, channel.gamma.departure, chance) for channel in channels]
 
@@ -111,8 +116,8 @@ def _shape(curve: ResponseCurve, departure: np.ndarray, chance: float) -> Shape:
 def _beyond_chance(
     curve: ResponseCurve, judged: np.ndarray, chance: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Codes with a significant deviation from a straight line, in a common test of all codes, and
-    the standard errors."""
+    """Return a mask of the codes with a significant deviation from a straight line, in a common
+    test of all, and the standard errors of the deviations."""
     log_z = np.log(curve.codes[judged] - curve.bins.black)
     line = np.stack([np.ones(len(judged)), log_z], axis=1)
     weight = np.maximum(curve.standard_error[judged], SURELY_KNOWN) ** -2

@@ -1,15 +1,16 @@
-"""The effect of errors of the exposure times, delta_j ~ N(0, tau^2), on a curve.
+"""The error of a response curve from errors of the exposure times, delta_j ~ N(0, tau^2).
 
-A common exponent of the times is indistinguishable from another curve. Its size, tau, follows from
-the visible errors. Few of the errors are visible. With three exposures only one is, and it may be
-small by chance although tau is large. The error of the curve is therefore a mixture over tau,
+If all times were raised to a common exponent, the images would be explained by another curve, so
+this error is invisible. Its expected size depends on tau, which the visible errors determine.
+However, few errors are visible. With three exposures only one is visible, and it may be small by
+chance although tau is large. Therefore the error of the curve is a mixture over a grid of tau,
 
     sum_k w_k N(0, v + r tau_k^2),    w_k ~ p(shown errors | tau_k) p(tau_k),
 
-where v is the variance from other sources and r = g^2 / sum (ln t - mean)^2. The variance at the
-most likely tau, with Student's t for the number of visible errors, has too low a coverage if these
-errors happen to be small. The mixture is represented by the Student's t with the same 68 and 95 %
-intervals.
+where v is the variance from other sources and r = g^2 / sum (ln t - mean)^2. Intervals from the
+most likely tau alone, by Student's t with the number of visible errors as degrees of freedom, would
+be too narrow if these errors happen to be small. The mixture is represented by the Student's t with
+the same 68 and 95 % intervals.
 """
 
 from dataclasses import dataclass
@@ -40,7 +41,8 @@ RATIOS = stdtrit(FREEDOMS, LEVELS[1]) / stdtrit(FREEDOMS, LEVELS[0])
 
 @dataclass(frozen=True)
 class Shutter:
-    """The common exponent of the times.
+    """The variance of a curve from the invisible error of the exposure times (their common
+    exponent), and the posterior of tau.
 
     Attributes:
         per_square: (bins,) variance of g per unit of tau^2.
@@ -61,8 +63,9 @@ class Shutter:
 
 
 def prior_of(shown: int, *, stated: float = 0.0) -> LogNormal:
-    """The prior on tau, or on the error in addition to a stated one. If no error is visible, the
-    prior alone determines the interval. It is then narrower, near the errors of real cameras."""
+    """Return the prior on tau. If an error is stated, it is the prior on the error in addition to
+    that. If no error is visible, the prior alone determines the interval. In that case a narrower
+    prior, near the errors of real cameras, is used."""
     if stated > STEADIEST:
         return LogNormal(median=BEYOND * stated, log_sd=BEYOND_LOG_SD)
     return SHUTTER_SHOWN if shown else SHUTTER_PRIOR
@@ -73,7 +76,7 @@ def tau_posterior(
     information: Float[np.ndarray, "shown shown"],
     known: float,
 ) -> tuple[Float[np.ndarray, " grid"], Float[np.ndarray, " grid"]]:
-    """The posterior of tau."""
+    """Return a grid of tau and its posterior weights, from the visible shutter errors."""
     low, high = TABULATED
     log_tau = np.linspace(np.log(low), np.log(high), GRID)
     tau = np.hypot(np.exp(log_tau), known)
@@ -94,8 +97,8 @@ def tau_posterior(
 def mix_over_tau(
     variance: Float[np.ndarray, " bins"], freedom: Float[np.ndarray, " bins"], shutter: Shutter
 ) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, " bins"]]:
-    """Squared scale and degrees of freedom of Student's t for the combined errors of a variance
-    from other sources and of the shutter, mixed over its tau."""
+    """Combine a variance from other sources with the shutter errors, mixed over tau. Return the
+    squared scale and the degrees of freedom of an equivalent Student's t at each bin."""
     parts = variance[:, None] + shutter.per_square[:, None] * shutter.tau**2
     some = np.where(parts > 0, parts, 1)  # none at mid-scale, where g = 0 by definition
     uncertain = np.where(variance > 0, variance, 1)[:, None]

@@ -1,20 +1,23 @@
-"""The most probable curve and shutter errors, from given statistics and a prior.
+"""Bayesian fit of the curve and the shutter errors to the code-pair statistics, with a smoothness
+prior.
 
 In the prior, the local exponent dg / d ln(z - black) is a random walk in the variable of
 `CodeBins.pace`, in which the 201 measured curves of Grossberg & Nayar (2003) have about constant
-roughness. A pure gamma has no cost. If black is uncertain by `black_sd`, the corresponding change
-of a gamma curve has the prior of that error only. The prior's strength and tau maximise the
-marginal likelihood (MacKay's fixed point, Neural Computation 4, 1992).
+roughness. A pure gamma, whose exponent is constant, has no prior cost. If the black level has the
+standard deviation `black_sd`, the change of a gamma curve by another black level costs only what
+that error costs. The precision of the prior and tau maximise the marginal likelihood (MacKay's
+fixed point, Neural Computation 4, 1992).
 
-Pixels with common errors count as fewer. With u_k the gradient of tile k's energy at the curve,
+Pixels with common errors contain less information than independent ones. With u_k the gradient of
+tile k's chi^2 / 2 at the fitted curve,
 
     phi = tr(C sum u_k u_k^T) / tr(C A) >= 1,    C = (A / phi + prior)^-1,
 
 is the factor (the design effect of survey sampling) by which A overstates the information. phi is
 at least the number of pixels over `COUNTED`, because the residual of the score's corrections is the
-same in all pixels. Without this limit, the evidence of many pixels mistakes the residual for
-roughness of the curve. With 700,000 pixels of simulated cameras the 95 % bands then contained .2 to
-.9 of the codes.
+same in all pixels. Without this limit, a fit to very many pixels would take this residual for
+roughness of the curve. For simulated cameras of 700,000 pixels, the 95 % bands then covered only .2
+to .9 of the codes.
 """
 
 from collections.abc import Sequence
@@ -55,7 +58,7 @@ class Hyperparameters:
 
 @dataclass(frozen=True)
 class Equations:
-    """Normal equations of (bin means of g, free shutter errors).
+    """The normal equations for the unknowns (bin means of g, visible shutter errors).
 
     Attributes:
         matrix: (unknowns, unknowns).
@@ -68,7 +71,8 @@ class Equations:
 
 @dataclass(frozen=True)
 class Solution:
-    """Posterior of (bin means of g, free shutter errors), and the hyperparameters it suggests.
+    """The Gaussian posterior of (bin means of g, visible shutter errors), and the hyperparameters
+    for the next round.
 
     Attributes:
         means: (bins,).
@@ -105,8 +109,8 @@ class Solution:
 
 
 def exponent_increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
-    """D of the prior energy smoothness |D g|^2 / 2: increments of the local exponent
-    dg / d ln(z - black), over square roots of the ticks of the bins' clock."""
+    """Return D of the prior energy smoothness |D g|^2 / 2: increments of the local exponent
+    dg / d ln(z - black), over the square roots of the steps of the variable of `CodeBins.pace`."""
     z, step = bins.centres, 1 / np.diff(bins.log_codes)
     clock = (z[2:] - z[:-2]) / 2 * bins.pace(z[1:-1])
     rows = np.arange(len(z) - 2)
@@ -117,8 +121,8 @@ def exponent_increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
 
 
 def shutter_basis(log_t: Float[np.ndarray, " exposures"]) -> Float[np.ndarray, "exposures free"]:
-    """Orthonormal basis of the visible shutter errors: those orthogonal to a common factor and to a
-    common exponent."""
+    """Return an orthonormal basis of the visible shutter errors, which are orthogonal to a common
+    factor and to a common exponent of the times."""
     absorbed = np.stack([np.ones_like(log_t), log_t], axis=1)
     return np.linalg.svd(absorbed)[0][:, 2:]
 
@@ -132,7 +136,9 @@ def solve(
     least_error: float = STEADIEST,
     rounds: int = 1,
 ) -> Solution:
-    """MacKay's fixed point: each hyperparameter becomes (well determined parameters) / (energy)."""
+    """Solve for the curve and the shutter errors, and update the hyperparameters by MacKay's fixed
+    point. Each precision becomes the number of well-determined parameters over their sum of
+    squares."""
     basis = shutter_basis(log_t)
     equations = tuple(equations_of(tile, log_t, basis) for tile in tiles)
     matrix = np.sum([tile.matrix for tile in equations], axis=0)
@@ -197,8 +203,8 @@ def solve(
 def _shift_by_black(
     bins: CodeBins, matrix: Float[np.ndarray, "bins bins"], right: Float[np.ndarray, " bins"]
 ) -> Float[np.ndarray, " bins"]:
-    """Return the change of the best gamma curve if black is a standard deviation lower; 0 if the
-    pixels contain no information on gamma."""
+    """Return the change of the best gamma curve if black is lower by one standard deviation; 0 if
+    the pixels contain no information on gamma."""
     column = bins.log_codes - bins.log_codes[bins.middle]
     known = column @ matrix @ column
     gamma = column @ right / known if known > 0 else 0.0
@@ -209,7 +215,7 @@ def _shift_by_black(
 def inverse(
     normal: Float[np.ndarray, "unknowns unknowns"], bins: CodeBins
 ) -> Float[np.ndarray, "unknowns unknowns"]:
-    """Inverse of a matrix of normal equations with g = 0 fixed at mid-scale."""
+    """Invert the matrix of normal equations, with g = 0 fixed at mid-scale."""
     held = normal.copy()
     held[bins.middle, bins.middle] += normal.trace() / len(bins.centres)
     try:
@@ -225,7 +231,7 @@ def equations_of(
     log_t: Float[np.ndarray, " exposures"],
     basis: Float[np.ndarray, "exposures free"],
 ) -> Equations:
-    """Normal equations of (bin means of g, free shutter errors)."""
+    """Return the normal equations of one set of pixels."""
     size = len(statistics.score) - len(log_t)
     curve, errors = slice(0, size), slice(size, None)
     mixed, times = statistics.matrix[curve, errors], statistics.matrix[errors, errors]
@@ -257,7 +263,7 @@ def _design_effect(
 def bin_centre_curve(
     means: Float[np.ndarray, " bins *more"], bins: CodeBins
 ) -> Float[np.ndarray, " bins *more"]:
-    """g at the centres of bins, 0 at mid-scale, from its means over the bins."""
+    """Convert the means of g over bins to values at the centres of the bins, 0 at mid-scale."""
     # Light is log-uniform across a bin, so the mean is that of g at the two ends. In u = ln (code -
     # black), the ends lie `half` from the mean of u, and the centre deviates slightly from it:
     # g(centre) = mean + g' (u(centre) - mean of u) - g'' half^2 / 2.
@@ -277,6 +283,7 @@ def _column(values: np.ndarray, like: np.ndarray) -> np.ndarray:
 
 
 def spread_of_times(exposures: Float[np.ndarray, " exposures"]) -> float:
-    """Return sum (ln t - mean)^2, which determines the precision of a common exponent."""
+    """Return sum (ln t - mean)^2 over the exposures, to which the precision of a common exponent is
+    proportional."""
     log_t = np.log(exposures)
     return float(np.sum((log_t - log_t.mean()) ** 2))

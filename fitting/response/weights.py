@@ -1,9 +1,9 @@
-"""The weights of observations, and their residuals under a curve.
+"""Weights of the observations (a pixel's code in one exposure), and their residuals under a curve.
 
 Weights come from a noise model, var(ln X) = relative + shot / X + read / X^2 + (width of the
-interval)^2 / 12, at the PREDICTED exposure X = E_i t_j. Observations are selected in the same way,
-because weights and selections that depend on the noisy code would bias the curve. Pixels of several
-classes (`places.py`) have a noise model each.
+interval)^2 / 12, at the PREDICTED exposure X = E_i t_j. Observations are also selected by the
+predicted exposure, because weights or selections that depend on the noisy code would bias the
+curve. Each class of pixels (`places.py`) has its own noise model.
 
 Codes are DN; log exposures are relative.
 """
@@ -29,7 +29,7 @@ MARGIN = 3.0  # standard deviations between a predicted exposure and unobserved 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Variance of ln X at relative exposure X: relative + shot / X + read / X^2.
+    """The variance of ln X at the relative exposure X: relative + shot / X + read / X^2.
 
     Attributes:
         relative: of the pixels' own gains.
@@ -45,15 +45,15 @@ class NoiseModel:
 def noise_variance(
     noise: NoiseModel, log_exposure: Float[np.ndarray, " points"]
 ) -> Float[np.ndarray, " points"]:
-    """Variance of the logarithm of an exposure because of noise."""
+    """Return the variance of a pixel's log exposure by noise."""
     inverse = np.exp(-log_exposure)
     return noise.relative + noise.shot * inverse + noise.read * inverse**2
 
 
 @dataclass(frozen=True)
 class WeightRule:
-    """Tables over a uniform grid of log exposure, with an empty cell at either end and one row for
-    each class of pixels.
+    """Tables of weights over a uniform grid of log exposure. They have one row for each class of
+    pixels and an empty cell at either end.
 
     Attributes:
         by_bin: (classes, bins) initial weight by observed code.
@@ -77,7 +77,8 @@ class WeightRule:
 
 @dataclass(frozen=True)
 class Observations:
-    """Linked pixels: those with at least two weights.
+    """The weights and residuals of the linked pixels, which are those with at least two positive
+    weights.
 
     Attributes:
         binned: (exposures, pixels) indices of bins.
@@ -99,8 +100,8 @@ class Observations:
 
 
 def hat_rule(bins: CodeBins, *, classes: int = 1) -> WeightRule:
-    """Weights by the observed code, highest at mid-scale and falling to both ends (Debevec &
-    Malik's hat, squared)."""
+    """Make weights that depend on the observed code, highest at mid-scale and falling to both ends
+    (Debevec & Malik's hat, squared)."""
     height = np.minimum(bins.centres - bins.black, bins.edges[-1] - bins.centres)
     hat = height / height.max()
     by_bin = np.where(hat > HAT_BRIM, (hat / HAT_DEVIATION) ** 2, 0)
@@ -113,7 +114,8 @@ def noise_rule(
     *,
     coarsest: float = np.inf,
 ) -> WeightRule:
-    """Weights by the predicted exposure under a curve and a noise model for each class."""
+    """Make weights that depend on the predicted exposure, from a curve and a noise model for each
+    class."""
     grid = np.linspace(means[0], means[-1], 4 * len(means))
     absent = np.zeros(len(means)), *(np.zeros(len(grid) + 2) for _ in range(4))
     rows = [absent if n is None else _class_tables(n, means, grid, coarsest) for n in noises]
@@ -122,7 +124,8 @@ def noise_rule(
 
 
 def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
-    """The largest rounding, in ln X, of codes used in a fit if no noise dithers it."""
+    """Return the largest rms rounding, in ln X, up to which codes are used in a fit if no noise
+    dithers the rounding."""
     # The rounding error of a code is the same in all pixels. It adds a ripple to the curve, with
     # the period of the exposures, which the exposures do not contradict. Linear 8-bit cameras with
     # little noise had half of their codes outside the band. Exposures far apart need all codes.
@@ -160,10 +163,10 @@ def _class_tables(
 def undithered_share(
     variance: Float[np.ndarray, " points"],
 ) -> Float[np.ndarray, " points"]:
-    """The covariance of the rounding error with the light under noise, relative to that without
-    noise.
+    """Return the covariance of the rounding error with the light, relative to that without noise.
 
-    A rounded x + n has an error u. If n is normal with variance s^2, in squares of the interval,
+    Let u be the error of rounding x + n, with light x and noise n. If n is normal with the variance
+    s^2, in squared rounding intervals,
 
         Cov(u, x) = -sum_k exp(-2 pi^2 k^2 s^2) / (2 pi^2 k^2),
 
@@ -184,7 +187,7 @@ def observe(
     *,
     screened: bool = True,
 ) -> Observations:
-    """Return weights and residuals of the linked pixels among the given pixels."""
+    """Compute weights and residuals; return those of linked pixels without outliers."""
     by_each, weights = means[binned] - log_t[:, None], weights_by_code(rule, binned, classes)
     cells = np.zeros_like(binned)
     if rule.weight is not None:
@@ -212,7 +215,7 @@ def weights_by_code(
     binned: Int[np.ndarray, "exposures pixels"],
     classes: Int[np.ndarray, " pixels"],
 ) -> Float[np.ndarray, "exposures pixels"]:
-    """Initial weights of observed codes."""
+    """Return the initial weights, by observed code."""
     rough = rule.by_bin.ravel()[np.maximum(binned, 0) + classes * rule.by_bin.shape[1]]
     return np.where(binned >= 0, rough, 0)
 
@@ -225,8 +228,8 @@ def predicted_weights(
     log_t: Float[np.ndarray, " exposures"],
     classes: Int[np.ndarray, " pixels"],
 ) -> tuple[Float[np.ndarray, "exposures pixels"], Int[np.ndarray, "exposures pixels"]]:
-    """Weights of a rule's table at the exposures that a pixel's weighted mean predicts, and their
-    cells."""
+    """Return the weights from a rule's table at the exposures that each pixel's weighted mean
+    predicts, and the cells of the table."""
     assert table is not None
     cells = cells_of(rule, weighted_mean(weights, by_each) + log_t[:, None], classes)
     return np.where(weights > 0, table.ravel()[cells], 0), cells
@@ -237,7 +240,8 @@ def cells_of(
     log_exposure: Float[np.ndarray, "*exposures pixels"],
     classes: Int[np.ndarray, " pixels"],
 ) -> Int[np.ndarray, "*exposures pixels"]:
-    """Flattened indices of the cells of a rule's tables that contain given log exposures."""
+    """Return the flattened indices of the cells of a rule's tables that contain these log
+    exposures."""
     assert rule.weight is not None
     count = rule.weight.shape[1]
     position = (log_exposure - rule.start) / rule.step + 1.5
