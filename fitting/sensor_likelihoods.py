@@ -1,10 +1,12 @@
-"""Likelihoods of a sensor: the prediction is light, the data are digital numbers.
+"""Likelihoods by a sensor model: the prediction is light, and the data are the sensor's digital
+numbers.
 
-`SensorNoise` takes mean and variance of a datum from the moments of the sensor. `SensorCounts`
-computes the probability of every code, for codes that are coarse relative to the noise and for few
-electrons. Its data are codes, or tables of how often each code occurs. Both have the interface of
-`inference.likelihoods`. Instead of a sensor, both also take its path in the problem's records
-("camera.sensor"). Fields of the sensor can then be fitted, too ("camera.sensor.gain").
+`SensorNoise` is Gaussian, with the sensor's mean and variance for each datum. `SensorCounts` uses
+the exact probability of every code, for codes that are coarse relative to the noise and for few
+electrons. The data of `SensorCounts` are codes, or tables of how often each code occurs. Both
+classes have the interface of `inference.likelihoods`. Instead of a sensor, both accept its path in
+the problem's records, such as "camera.sensor". Then fields of the sensor, such as
+"camera.sensor.gain", can be fitted, too.
 """
 
 from dataclasses import replace
@@ -41,10 +43,11 @@ ROUNDING = 0.5  # DN between a code and the ends of its interval
 
 
 class SensorNoise(eqx.Module):
-    """A datum is normal about the sensor's mean signal with the sensor's temporal variance.
+    """The Gaussian likelihood of a sensor: each datum is normal with the sensor's mean signal and
+    temporal variance.
 
-    Codes at an end of the ADC's range are censored. It does not include differences between pixels
-    (fixed pattern) or a full well.
+    Codes at either end of the ADC's range are treated as censored. Fixed pattern (differences
+    between pixels) and full well are not included.
 
     Attributes:
         sensor: record, or the path of one in the problem's records.
@@ -63,7 +66,7 @@ class SensorNoise(eqx.Module):
 
     @property
     def surrogate(self) -> "_VarianceOfData | None":
-        """Least squares with the variance at each datum, if the sensor is known."""
+        """The least-squares cost with the variance at each datum; None if the sensor is a path."""
         return None if isinstance(self.sensor, str) else _VarianceOfData(self.sensor)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
@@ -79,11 +82,11 @@ class SensorNoise(eqx.Module):
         return self._signal(prediction).log_density(self._mean(prediction), data)
 
     def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Numbers:
-        """Normal deviates of the data."""
+        """Return normal deviates of the data under the model."""
         return self._signal(prediction).residuals(self._mean(prediction), data, chance)
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Simulated data, rounded and clipped if there is an ADC."""
+        """Simulate data, rounded and clipped if the sensor has an ADC."""
         sensor, prediction = _record(self.sensor), jnp.asarray(prediction)
         analogue = _without(sensor, "bits")
         deviation = jnp.sqrt(signal_variance(analogue, prediction))  # without rounding
@@ -92,7 +95,7 @@ class SensorNoise(eqx.Module):
         return signal if bits is None else jnp.clip(jnp.round(signal), 0, largest_number(bits))
 
     def noise_sources(self, prediction: Array) -> dict[str, Array]:
-        """Variance of a datum by source.
+        """Return the variance of a datum, divided by noise source.
 
         Args:
             prediction: (..., bands) light.
@@ -122,17 +125,18 @@ class SensorNoise(eqx.Module):
 
 
 class _VarianceOfData(eqx.Module):
-    """Least squares with the variance at the light that would give each datum if the signal were
-    linear in light. A distant search then needs few steps. The variance at the prediction would
-    grow with the prediction and make any bright prediction likely."""
+    """A least-squares cost for distant starts of a search. Its variance is that at the light that
+    would give each datum if the signal were linear in light. With it, a search from a distant start
+    needs few steps. With the variance at the prediction instead, any very bright prediction would
+    seem likely."""
 
     sensor: Sensor
     least_squares = True
     surrogate = None
 
     def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Array:
-        """Return (data - prediction) / sd. For clipped data it is the distance of the prediction
-        from the end, if the prediction is inside."""
+        """Return (data - prediction) / sd. For a datum at an end of the range it is 0 if the
+        prediction lies beyond that end."""
         del chance
         light = _light("SensorNoise", prediction)
         dark, slope = jax.jvp(
@@ -155,7 +159,8 @@ _NOT_OF_A_PIXEL = ("brighter_fatter", "charge_transfer", "own", "mixing")  # eff
 
 
 class _Reading(NamedTuple):
-    """The read-out of each pixel: DN per electron, offset in DN, and noise in electrons rms."""
+    """The read-out of each pixel: gain in DN per electron, offset in DN, and noise in electrons
+    rms."""
 
     gain: Array
     offset: Array
@@ -163,18 +168,21 @@ class _Reading(NamedTuple):
 
 
 class SensorCounts(eqx.Module):
-    """The probability of every code: electrons counted, read out with noise, rounded and clipped.
+    """The exact likelihood of a sensor's codes: Poisson electrons, read out with Gaussian noise,
+    rounded and clipped. For mu expected electrons, gain K and read noise sigma (electrons), code c
+    has the probability
 
         P(c) = sum_n Poisson(n; mu) [Phi(z_n + 1 / (2 K sigma)) - Phi(z_n - 1 / (2 K sigma))],
         z_n  = (c - offset - K s(n)) / (K sigma)
 
-    It is exact at any read noise. Moments are not exact below a read noise of half a DN. Below a
-    read noise of one electron, the histogram has a peak for each electron, which moments do not
-    show. s(n) is n, or the sensor's nonlinearity. The light offset and the taps of the sensor are
-    included. The sensor needs shot noise, read noise and gain. It does not include differences
-    between pixels (fixed pattern) or a full well. Read noise is Gaussian. The sum covers the
-    electrons within `reach` of the largest terms, which lie between the mean and the code. The cost
-    grows with the read noise in electrons.
+    This is exact at any read noise. A likelihood by mean and variance is inexact below a read noise
+    of half a DN. Below a read noise of one electron, the histogram has a peak for each number of
+    electrons, which mean and variance do not show. s(n) is the sensor's nonlinearity, or n without
+    one. The sensor's light offset and taps are included. The sensor needs shot noise, read noise
+    and gain. Fixed pattern (differences between pixels) and full well are not included. The sum
+    covers the electron counts within `reach` of its largest term, which lies between the mean and
+    the count that corresponds to the code. The computing time grows with the read noise in
+    electrons.
 
     Attributes:
         sensor: record, or the path of one in the problem's records.
@@ -222,7 +230,7 @@ class SensorCounts(eqx.Module):
             _check_codes(np.asarray(plain_numbers("SensorCounts: codes", self.codes)))
 
     def check_data(self, data: Numbers) -> None:
-        """Refuse data that are neither codes nor counts of codes."""
+        """Raise InputError if the data are neither codes nor counts of codes."""
         known = np.asarray(data)
         if self.codes is None:
             _check_whole("the data", known)
@@ -241,14 +249,15 @@ class SensorCounts(eqx.Module):
             )
 
     def for_data(self, data: Numbers) -> "SensorCounts":
-        """Return the same likelihood, with the totals of these data for `draw`."""
+        """Return the likelihood with `totals` set to those of these data, if it needs them for
+        `draw`."""
         if self.codes is None or self.totals is not None:
             return self
         return replace(self, totals=jnp.sum(jnp.asarray(data), axis=-1, keepdims=True))
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """ln P of each code. For a table it is each count times ln P of its code, without the
-        multinomial coefficient, which does not depend on parameters.
+        """Return ln P of each code. For a table, return each count times ln P of its code. The
+        multinomial coefficient is omitted, because it does not depend on parameters.
 
         Args:
             prediction: (..., bands) light, as in `mean_photoelectrons`; for tables (..., codes).
@@ -263,9 +272,10 @@ class SensorCounts(eqx.Module):
         return jnp.where(data > 0, data * self._log_shares(prediction), 0)
 
     def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Numbers:
-        """Normal deviates of a random point in each code's interval of probability, from the
-        logarithm of the smaller tail, so that they are finite for any code. For a table, the
-        deviates of each count, which is binomial given the counts of smaller codes."""
+        """Return randomised quantile residuals: the normal deviate of a random point (`chance`) in
+        each code's interval of cumulative probability. They are computed from the logarithm of the
+        smaller tail, so that they are finite for any code. For a table, return such deviates of
+        each count, which is binomial given the counts of smaller codes."""
         data, prediction = jnp.asarray(data), jnp.asarray(prediction)
         if self.codes is not None:
             return _binomial_deviates(self._log_shares(prediction), data, chance)
@@ -286,7 +296,7 @@ class SensorCounts(eqx.Module):
         return jnp.where(lower < upper, deviate, -deviate)
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Simulated codes or tables; `InputError` for tables without `totals`."""
+        """Simulate codes or tables. Raises InputError for tables without `totals`."""
         if self.codes is not None:
             if self.totals is None:
                 raise InputError(
@@ -318,20 +328,20 @@ class SensorCounts(eqx.Module):
         return jnp.where(some, jnp.logaddexp(masses, jnp.where(some, beyond, 0)), masses)
 
     def _log_shares(self, prediction: Array) -> Array:
-        """ln of each code's share of a table."""
+        """Return ln of the share that each code has in its table."""
         prediction = jnp.asarray(prediction)
         codes = jnp.broadcast_to(jnp.asarray(self.codes, prediction.dtype), prediction.shape)
         chances = self._log_chances(prediction, codes)
         return chances - logsumexp(chances, axis=-1, keepdims=True)
 
     def _electrons(self, prediction: Array) -> Array:
-        """Mean number of counted electrons."""
+        """Return the expected number of electrons."""
         light = _light("SensorCounts", prediction)
         read = ("gain", "offset", "nonlinearity", "taps")
         return expected_signal(_without(_record(self.sensor), *read), light)
 
     def _read(self, mean: Array) -> _Reading:
-        """The read-out of each pixel, in the shape of the mean electrons."""
+        """Return the read-out of each pixel, in the shape of the mean electrons."""
         sensor, shape, dtype = _record(self.sensor), mean.shape, mean.dtype
         zero, one = jnp.zeros_like(mean), jnp.ones_like(mean)
         plain = _without(sensor, "offset", *(() if sensor.taps is None else ("taps.offset",)))
@@ -344,7 +354,7 @@ class SensorCounts(eqx.Module):
         return electrons if curve is None else signal_of_charge(curve, electrons)
 
     def _range(self) -> tuple[float, float | Array]:
-        """The codes of black and white, DN; infinite without an ADC."""
+        """Return the smallest and the largest code, DN; infinite without an ADC."""
         bits = _record(self.sensor).bits
         return (-np.inf, np.inf) if bits is None else (0.0, largest_number(bits))
 
@@ -355,8 +365,8 @@ class SensorCounts(eqx.Module):
         return data >= self._range()[1]
 
     def _counted(self, prediction: Array, data: Array) -> tuple[_Reading, Array, Array, Array]:
-        """The read-out of pixels, mean electrons (...), the electron counts about each code (...,
-        n) and ln of their probabilities."""
+        """Return the read-out of pixels, the mean electrons (...), the electron counts (..., n) to
+        sum over for each code, and ln of their probabilities."""
         mean = self._electrons(prediction)
         read = self._read(mean)
         centre = self._likeliest(*jax.lax.stop_gradient((read, mean, data)))
@@ -365,19 +375,20 @@ class SensorCounts(eqx.Module):
         return read, mean, counts, log_poisson(counts, jnp.maximum(mean, 1e-30)[..., None])
 
     def _nearest_count(self, read: _Reading, data: Array) -> Array:
-        """The electron count whose signal is nearest to a code."""
+        """Return the electron count whose signal is nearest to a code."""
         signal = (data - read.offset) / read.gain
         curve = _record(self.sensor).nonlinearity
         return jnp.round(signal if curve is None else charge_of_signal(curve, signal))
 
     def _likeliest(self, read: _Reading, mean: Array, data: Array) -> Array:
-        """The electron count that contributes most to each code, where the derivative of
+        """Return the electron count n that contributes most to the probability of each code. There
+        the derivative of
 
             n ln(mu) - ln(n!) - (s(n) - s_c)^2 / (2 sigma^2)
 
-        with respect to n changes sign. For the code of black it is at least that code's own count,
-        for white at most. The terms around it decrease at least as fast as the read noise
-        distribution.
+        with respect to n changes sign, with s_c the signal of the code. For the smallest code it is
+        at least the count nearest to the code, and for the largest code at most that. The terms on
+        either side decrease at least as fast as the distribution of read noise.
         """
         code, variance = self._nearest_count(read, data), jnp.square(read.noise)
         log_mean = jnp.log(jnp.maximum(mean, 1e-30))
@@ -402,13 +413,15 @@ class SensorCounts(eqx.Module):
         return jnp.maximum(jnp.where(self._is_white(data), jnp.minimum(peak, code), peak), 0)
 
     def _ends_beyond(self, read: _Reading, data: Array, counts: Array) -> tuple[Array, Array]:
-        """Whether all counts below the summed range are black, and all above it white."""
+        """Return two masks: whether all counts below the summed range give the smallest code, and
+        whether all above it give the largest."""
         code = self._nearest_count(*jax.lax.stop_gradient((read, data)))
         fewest, most = counts[..., 0], counts[..., -1]
         return self._is_black(data) & (fewest <= code), self._is_white(data) & (most >= code)
 
     def _ends(self, read: _Reading, data: Array, counts: Array) -> tuple[Array, Array]:
-        """The ends of each code's interval, in standard deviations from the noiseless signal."""
+        """Return the ends of each code's rounding interval, in standard deviations from the
+        noiseless signal."""
         gain, offset, rms = (part[..., None] for part in read)
         noise = gain * rms
         centre = data[..., None] - offset - gain * self._signal(counts)
@@ -418,8 +431,8 @@ class SensorCounts(eqx.Module):
 
 
 def _binomial_deviates(log_shares: Array, counts: Array, chance: Numbers) -> Numbers:
-    """Normal deviates of the counts in a table. Given the counts of smaller codes, each count is
-    binomial; the deviates are independent under the model."""
+    """Return normal deviates of the counts in a table. Given the counts of all smaller codes, a
+    count is binomial, so the deviates are independent under the model."""
     xp, special = numerics(log_shares, counts, chance)
     shares, counts = xp.exp(xp.asarray(log_shares)), xp.asarray(counts)
 
@@ -441,7 +454,8 @@ def _binomial_deviates(log_shares: Array, counts: Array, chance: Numbers) -> Num
 
 
 def _beyond(counts: Array, mean: Array) -> tuple[Array, Array]:
-    """ln of the probabilities of fewer and of more electrons than those summed, (..., n)."""
+    """Return ln of the probabilities that there are fewer, and that there are more, electrons than
+    the summed counts (..., n)."""
     mean = jnp.maximum(mean, 1e-30)
     fewer, _ = log_poisson_tails(jnp.maximum(counts[..., 0], 1), mean)
     _, more = log_poisson_tails(counts[..., -1] + 1, mean)
@@ -449,7 +463,8 @@ def _beyond(counts: Array, mean: Array) -> tuple[Array, Array]:
 
 
 def _light(likelihood: str, prediction: Array) -> Array:
-    """Return the prediction; refuse it if it is known and cannot be light."""
+    """Return the prediction as an array. Raises InputError if its values are known and cannot be
+    light."""
     if is_concrete(prediction):
         wrong = np.asarray(prediction)
         wrong = wrong[~((wrong >= 0) & (wrong < np.inf))]
@@ -462,7 +477,7 @@ def _light(likelihood: str, prediction: Array) -> Array:
 
 
 def _check_whole(what: str, known: np.ndarray) -> None:
-    """Refuse values that are not codes."""
+    """Raise InputError if values are not codes (whole numbers)."""
     wrong = known[np.isfinite(known) & (known != np.round(known))]
     if wrong.size:
         raise InputError(
@@ -472,7 +487,7 @@ def _check_whole(what: str, known: np.ndarray) -> None:
 
 
 def _check_codes(codes: np.ndarray) -> None:
-    """Refuse codes of a table that are not valid codes, or that occur twice."""
+    """Raise InputError if the codes of a table are not whole and finite, or if one occurs twice."""
     _check_whole("codes", codes)
     ordered = np.sort(np.atleast_1d(codes), axis=-1)
     twice = ordered[..., 1:][ordered[..., 1:] == ordered[..., :-1]]
@@ -484,8 +499,8 @@ def _check_codes(codes: np.ndarray) -> None:
 
 
 def _check_counts(sensor: Sensor, reach: int) -> None:
-    """Refuse a sensor without shot noise, a sensor whose pixels share charge, and a `reach` that is
-    too small."""
+    """Raise InputError for a sensor without shot noise, read noise or gain, for one whose pixels
+    share charge, and for a `reach` that is too small."""
     for name in ("shot_noise", "read_noise", "gain"):
         if getattr(sensor, name) is None:
             raise InputError(f"SensorCounts needs a sensor with {name}: or use SensorNoise.")
@@ -515,7 +530,8 @@ def _check_counts(sensor: Sensor, reach: int) -> None:
 
 
 def _least_slope(sensor: Sensor) -> float:
-    """The smallest slope of the curve from charge to signal over the codes of the converter."""
+    """Return the smallest slope of the curve from charge to signal, over the range of the
+    converter."""
     curve, bits = sensor.nonlinearity, sensor.bits
     if curve is None or bits is None:
         return 1.0
@@ -526,19 +542,19 @@ def _least_slope(sensor: Sensor) -> float:
 
 
 def _without(sensor: Sensor, *fields: str) -> Sensor:
-    """The sensor without some of its fields, which may differ between tables."""
+    """Return the sensor with some of its fields set to None."""
     parts = attrgetter(*fields)
     none = None if len(fields) == 1 else (None,) * len(fields)
     return eqx.tree_at(parts, sensor, none, is_leaf=lambda part: part is None)
 
 
 def _record(sensor: Sensor | str) -> Sensor:
-    """The sensor as a record; a problem has already replaced a path by it."""
+    """Narrow the type to a sensor, because a problem has already replaced a path by the record."""
     return cast(Sensor, sensor)
 
 
 def _log_interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln(Phi(high) - Phi(low)), computed in the tail of the interval without cancellation."""
+    """Return ln(Phi(high) - Phi(low)), computed without cancellation in either tail."""
     above = low > 0
     low, high = jnp.where(above, -high, low), jnp.where(above, -low, high)
     return log_ndtr(high) + log1mexp(log_ndtr(low) - log_ndtr(high))

@@ -1,2 +1,2 @@
-"""The output of a calibration: the section of its results, shown in a terminal, in a notebook or on
-a page."""
+"""The output of a calibration: a section with its results, shown in a terminal, in a notebook or on
+an HTML page."""

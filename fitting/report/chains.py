@@ -1,4 +1,4 @@
-"""The draws of a posterior, written as NetCDF and drawn as corner and trace plots."""
+"""Output of posterior draws: a NetCDF file, corner plots and trace plots."""
 
 import warnings
 from collections.abc import Mapping
@@ -27,7 +27,8 @@ LONGEST_TAIL = 0.75  # longest drawn tail beyond the 95 % interval, in widths of
 def corner_figure(
     posteriors: Mapping[str, Posterior], truth: Mapping[tuple[str, str], float]
 ) -> "Figure":
-    """Draw every pair of parameters with 68 and 95 % regions."""
+    """Draw the joint distribution of every pair of parameters, with 68 and 95 % regions. `truth`
+    marks true values by (parameter, channel)."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import ScalarFormatter
 
@@ -97,21 +98,24 @@ def corner_figure(
 
 
 def _label(parameter: Parameter, *, in_percent: bool) -> str:
-    """The axis label with the unit below the symbol, because panels are narrow."""
+    """Return the axis label of a parameter, with the unit below the symbol, because panels are
+    narrow."""
     axis = format_axis(parameter.symbol, "%" if in_percent else parameter.unit)
     return f"{'Δ' if in_percent else ''}{axis}".replace(" [", "\n[")
 
 
 def _relative(posteriors: Mapping[str, Posterior]) -> np.ndarray:
-    """Return whether each parameter is plotted in per cent. This needs several posteriors, and in
-    none of them may the parameter be near 0, such as a size with only an upper limit."""
+    """Return a mask of the parameters that are plotted in per cent of their medians. These are
+    parameters of several posteriors that are far from 0 in all of them, unlike a size with only an
+    upper limit."""
     ends = [np.quantile(one.samples, [0.025, 0.975], axis=0) for one in posteriors.values()]
     clear = [(low * high > 0) & (high - low < np.abs(low + high) / 2) for low, high in ends]
     return np.all(clear, axis=0) & (len(posteriors) > 1)
 
 
 def trace_figure(posterior: Posterior) -> "Figure":
-    """Paths of some chains after burn-in; a converged chain looks like stationary noise."""
+    """Draw the paths of some chains after burn-in; a converged chain looks like stationary
+    noise."""
     figure = trace(posterior.by_name)
     for axes, parameter in zip(figure.axes, posterior.space, strict=True):
         axes.set_ylabel(format_axis(parameter.symbol, parameter.unit), fontsize=9)
@@ -127,8 +131,8 @@ def write_chains(
     data: Mapping[str, Columns] | None = None,
 ) -> None:
     """Write the draws of every posterior to one NetCDF file in ArviZ' layout, with a dimension of
-    channels if there are several posteriors. Longer chains are cut to the last draws, as many as
-    the shortest chain has. A parameter that a channel lacks is NaN there."""
+    channels if there are several posteriors. All chains are cut to the last draws, as many as the
+    shortest has. A parameter that is missing in one channel is NaN for this channel."""
     import xarray
 
     first = next(iter(posteriors.values()))
@@ -181,9 +185,9 @@ def write_chains(
 
 
 def chain_pictures(section: Section) -> tuple[Picture, ...]:
-    """Make the corner plots of a section's posteriors, with equal parameters in one plot, and the
-    trace plots of sampled ones. Parameters that the data do not determine within the range of
-    floating-point numbers have no plot."""
+    """Return the corner plots of a section's posteriors, and the trace plots of those that were
+    sampled. Posteriors with the same parameters share a corner plot. A posterior whose draws are
+    not finite, because the data do not determine its parameters, has no corner plot."""
     alike: dict[tuple[str, ...], dict[str, Posterior]] = {}
     for group, posterior in section.posteriors.items():
         if not np.isfinite(posterior.samples).all():  # Laplace's draws of undetermined parameters

@@ -1,4 +1,4 @@
-"""Colours of figures that are distinguishable on white and on black."""
+"""Colours for figures that are distinguishable on white and on black."""
 
 RED, GREEN, BLUE = "#d1495b", "#2e9e5b", "#3b82c4"
 ORANGE, GREY = "tab:orange", "0.45"
@@ -14,8 +14,8 @@ OF_TAPS = "0.5", "tab:orange", "tab:purple", "tab:cyan"
 
 
 def colour_of(channel: str) -> str:
-    """The colour of a channel: red for `red tap 0,1`, and one for each tap if there are only
-    taps."""
+    """Return the colour in which a channel is drawn, such as red for `red tap 0,1`. If the channels
+    are only taps, each tap has its own colour."""
     colour, _, place = channel.partition("tap ")
     if colour:
         return OF_CHANNEL[colour.strip()]

@@ -1,4 +1,4 @@
-"""Results as tables and sentences on standard output."""
+"""Output of results as tables and sentences in a terminal."""
 
 import io
 import sys
@@ -19,12 +19,13 @@ PLAIN_WIDTH = 110  # columns if the output is not a terminal
 
 
 def output() -> Console:
-    """Standard output, with the width of the terminal, or a fixed width in a pipe."""
+    """Return a console on standard output, with the width of the terminal, or of 110 characters in
+    a pipe."""
     return Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, highlight=False)
 
 
 def print_section(console: Console, section: Section) -> None:
-    """The estimates of a calibration as tables, with its findings below."""
+    """Print the estimates and tables of a section, and its findings below."""
     console.print()
     if section.headline:
         console.print(f"[bold]{_escaped(section.headline)}", soft_wrap=not console.is_terminal)
@@ -45,7 +46,7 @@ def print_section(console: Console, section: Section) -> None:
 
 
 def section_text(section: Section) -> str:
-    """Estimates and findings of a calibration, as `print` shows them."""
+    """Return the estimates and findings of a section as text, for `print`."""
     plain = {"highlight": False, "color_system": None, "force_jupyter": False}
     console = Console(file=io.StringIO(), width=PLAIN_WIDTH, **plain)
     with console.capture() as printed:
@@ -54,8 +55,8 @@ def section_text(section: Section) -> str:
 
 
 def _sheet_table(title: str, found: Sheet, shown: slice) -> RichTable:
-    """Make a table with a row for each quantity, one block below the other, and the columns in
-    `shown`."""
+    """Make a table of estimates with a row for each quantity, divided into blocks, and with the
+    columns `shown`."""
     table = RichTable(title=_escaped(title), title_justify="left", title_style="bold")
     heads = ("quantity", *found.columns[shown], *(["apart"] if found.compares else []))
     for head in heads:
@@ -76,9 +77,9 @@ def _cell(cell: Cell) -> str:
 
 
 def plain_tables(content: Table, width: int) -> list[RichTable]:
-    """A results table with its caption below. A wide table is split into parts that each begin with
-    the columns of names. Cells wrap between words, and no word is cut if a part of a single column
-    fits."""
+    """Format a table of results, with its caption below. A table wider than `width` is split into
+    parts, which each begin with the columns that name the rows. Cells wrap between words; a word is
+    cut only if its column alone is wider than `width`."""
     rows = [[format_cell(cell) for cell in row] for row in content.rows]
     texts = [*zip(content.columns, *rows, strict=True)]
     least = [max(map(cell_len, " ".join(column).split()), default=0) for column in texts]
@@ -113,7 +114,7 @@ def plain_tables(content: Table, width: int) -> list[RichTable]:
 
 
 def _columns_of_names(content: Table) -> int:
-    """The number of columns that name a row: text columns among the first two."""
+    """Return how many columns name a row: 1 or 2 if the first columns are text, else 0."""
     is_text = [
         all(isinstance(cell, str) for cell in column) for column in zip(*content.rows, strict=True)
     ]
@@ -122,7 +123,8 @@ def _columns_of_names(content: Table) -> int:
 
 
 def _spare(chosen: Sequence[int], least: Sequence[int], width: int) -> int:
-    """Return the width that remains after the longest words of these columns and the frame."""
+    """Return the width left over after the longest words of these columns and the frame; negative
+    if they do not fit."""
     return width - sum(least[i] for i in chosen) - 3 * len(chosen) - 1
 
 

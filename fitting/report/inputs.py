@@ -1,4 +1,4 @@
-"""The images of a rig for a report: names, settings, sizes and thumbnails."""
+"""List of a rig's images for a report, with names, settings, sizes and thumbnails."""
 
 import base64
 import io
@@ -26,8 +26,8 @@ DISPLAY_GAMMA = 2.2
 def with_inputs(
     section: Section, rig: Rig, purpose: Purpose, *, fit_gamma: bool = False
 ) -> Section:
-    """Return a section with the images of its rig, and findings on the rig's keys that had no
-    effect."""
+    """Return a section with the images of its rig added, and with findings on keys of the rig that
+    had no effect."""
     idle = unused_keys(rig, section.kind, fit_gamma=fit_gamma)
     inputs = inputs_of(rig, purpose)
     region = rig.camera.region
@@ -38,7 +38,7 @@ def with_inputs(
 
 
 def inputs_of(rig: Rig, purpose: Purpose) -> tuple[Input, ...]:
-    """The images of a rig that a calibration uses."""
+    """Return the images of a rig that a calibration for this purpose uses."""
     entries = [
         entry
         for section in NEEDED[purpose]
@@ -84,7 +84,8 @@ def _setting(name: str, value: Any) -> str:
 
 
 def small_picture(rig: Rig, name: str) -> str | None:
-    """A thumbnail of an image of a rig."""
+    """Make a thumbnail of an image of a rig, as a base64-encoded PNG; None if the image cannot be
+    read."""
     import matplotlib.image
 
     try:
@@ -106,7 +107,7 @@ def small_picture(rig: Rig, name: str) -> str | None:
 
 
 def _block_means(image: np.ndarray, step: int, *, axis: int) -> np.ndarray:
-    """Means of blocks along an axis; the last block may be shorter."""
+    """Average blocks of `step` pixels along an axis; the last block may be shorter."""
     starts = np.arange(0, image.shape[axis], step)
     sizes = np.diff([*starts, image.shape[axis]])
     sums = np.add.reduceat(image, starts, axis=axis)

@@ -1,4 +1,4 @@
-"""Tables of the errors that a likelihood neglects."""
+"""The table of the errors that a likelihood neglects."""
 
 from collections.abc import Iterable
 from itertools import compress
@@ -10,7 +10,8 @@ NOTHING = 1e-6  # s.d. below which digits are meaningless
 
 
 def left_out_tables(channels: Iterable[tuple[str, tuple[LeftOut, ...]]]) -> tuple[Table, ...]:
-    """Errors that were too small to matter, with upper bounds on their effect."""
+    """Return a table of the errors that were too small to matter, with upper bounds on their
+    effect; empty if there are none."""
     rows = tuple(
         (name, own.name, own.size, own.bound if own.bound >= NOTHING else f"below {NOTHING:g}")
         for name, gone in channels

@@ -1,5 +1,4 @@
-"""The display of a calibration in notebooks and by `print`: estimates with intervals, and
-findings."""
+"""Display of a calibration in notebooks and by `print`: estimates with intervals, and findings."""
 
 from dataclasses import replace
 from functools import cached_property
@@ -16,8 +15,8 @@ from .sheet import Cell, sheet
 
 
 class ShownInNotebooks:
-    """A calibration whose display in notebooks and by `print` comes from the `section` module next
-    to its own."""
+    """A base class for calibrations that notebooks and `print` display by their report section,
+    from the module `section` in the same package."""
 
     @cached_property
     def section(self) -> Section:
@@ -41,13 +40,14 @@ def _section_of(calibration: ShownInNotebooks) -> Section:
 
 
 def _with_cost(section: Section) -> Section:
-    """The section with the error of the fit's approximations and the next settings."""
+    """Return the section with a finding on the errors of the fit's approximations and on settings
+    that reduce them."""
     cost = cost_in_words(section.posteriors.values(), np.nan, argument="sampling")
     return replace(section, findings=(*section.findings, cost)) if cost else section
 
 
 def section_html(section: Section) -> str:
-    """The estimates and findings of a section."""
+    """Return the estimates and findings of a section as HTML."""
     found = sheet(section)
     shown = [row for _, block in found.blocks for row in block]
     units = any(row.unit for row in shown)  # a section with gamma alone has no units
@@ -79,7 +79,7 @@ def _cell(cell: Cell) -> str:
 
 
 def _whole(text: str) -> str:
-    """Text without a line break inside."""
+    """Return the text as HTML that is never broken into lines."""
     return (
         f'<span style="white-space: nowrap">{escape(text)}</span>' if " " in text else escape(text)
     )

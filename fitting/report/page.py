@@ -1,6 +1,6 @@
-"""The files of a calibration: `report.html` (self-contained), `results.json`, and the posterior
-draws as NetCDF in ArviZ' layout. Everything is prepared first and written last, so that a failure
-leaves no incomplete file."""
+"""Writing of a calibration's files: `report.html` (self-contained), `results.json`, and the
+posterior draws as NetCDF in ArviZ' layout. Page and results are complete before the first file is
+written, so that a failure leaves no incomplete file."""
 
 import csv
 import json
@@ -32,12 +32,13 @@ PACKAGES = ("jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package and of the packages that compute a result."""
+    """Return the versions of this package and of the packages on which its results depend."""
     return {"jaxvision": __version__} | {name: version(name) for name in PACKAGES}
 
 
 def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any]) -> str:
-    """Results as JSON text: estimates with units and intervals, findings, tables, settings."""
+    """Return the results as JSON text: estimates with units and intervals, findings, tables and
+    settings."""
     parts = ("kind", "title", "estimates", "findings", "tables", "settings", "inputs")
     content = {
         "created": _now(),
@@ -50,7 +51,7 @@ def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any])
 
 
 def as_html(sections: Sequence[Section], *, title: str) -> str:
-    """The report as one HTML page with embedded figures."""
+    """Return the report as one HTML page with embedded figures."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -71,7 +72,8 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
 def write_report(
     folder: Path, sections: Sequence[Section], *, title: str, seed: int, settings: dict[str, Any]
 ) -> list[Path]:
-    """Write a report and the draws of its posteriors."""
+    """Write the report, the results, the posterior draws and the fitted records of some sections to
+    a folder; return the paths of all files."""
     page = as_html(sections, title=title)
     data = as_json(sections, seed=seed, settings=settings)
     written = []
@@ -99,7 +101,7 @@ def write_report(
 
 @dataclass(frozen=True)
 class _Drawn:
-    """A picture as HTML for the page."""
+    """A figure as SVG elements for the page."""
 
     title: str
     caption: str
@@ -108,7 +110,7 @@ class _Drawn:
 
     @property
     def is_wide(self) -> bool:
-        """Whether a figure is illegible at half a page."""
+        """Whether a figure needs the whole width of the page to be legible."""
         return sum(width for _, width in self.strips) > WIDE
 
 
@@ -131,7 +133,8 @@ def _now() -> str:
 
 
 def _finite(content: Any) -> Any:
-    """JSON without NaN: arrays become lists, non-finite numbers null."""
+    """Convert content to types that JSON can store: arrays become lists, and numbers that are not
+    finite become null."""
     match content:
         case Input():
             return {part: getattr(content, part) for part in ("files", "kind", "settings", "bytes")}

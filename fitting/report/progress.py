@@ -1,4 +1,4 @@
-"""Progress of a long command on standard error."""
+"""Progress display of long commands on standard error."""
 
 import logging
 import time
@@ -14,14 +14,15 @@ SILENT = 30.0  # s after which a step reports, without a terminal, that it is st
 
 
 class Reporter:
-    """Progress of a long command: named steps, each with an optional bar."""
+    """The progress display of a command, with named steps that each may have a bar."""
 
     def __init__(self, bars: progress.Progress) -> None:
         self._progress = bars
 
     @contextmanager
     def step(self, description: str) -> Iterator[Progress]:
-        """Show `description` while the block runs. Call the yielded function with (done, total)."""
+        """Show `description` while the block of the `with` statement runs. Within the block, call
+        the yielded function with (done, total) to advance the bar."""
         begun = printed = time.perf_counter()
         task = self._progress.add_task(description, total=None)
         terminal = self._progress.console.is_terminal
@@ -43,7 +44,8 @@ class Reporter:
 
 @contextmanager
 def reporting() -> Iterator[Reporter]:
-    """Progress on standard error; plain lines where that is not a terminal."""
+    """Show progress on standard error while the block runs, as plain lines if that is not a
+    terminal."""
     console = Console(stderr=True, highlight=False)
     columns = (
         progress.SpinnerColumn(),

@@ -21,7 +21,7 @@ Columns = dict[str, np.ndarray]  # arrays of equal length by column heading
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text or numbers with column heads.
+    """A table of a report: rows of text or numbers under column headings.
 
     Attributes:
         title: above it.
@@ -38,7 +38,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure that is drawn only on request.
+    """A figure of a report, drawn only when it is requested.
 
     Attributes:
         name: a word.
@@ -56,7 +56,7 @@ class Picture:
     is_whole: bool = False
 
     def drawn(self) -> "Figure":
-        """The figure, drawn with numbers in double precision."""
+        """Draw the figure, with numbers in double precision."""
         return double_precision(self.draw)()
 
     def __repr__(self) -> str:
@@ -65,7 +65,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Input:
-    """An image file, or several of one setting, that a calibration used.
+    """An input of a calibration: an image file, or several files of one setting.
 
     Attributes:
         files: names.
@@ -85,7 +85,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Section:
-    """The report of one calibration.
+    """The report of one calibration: estimates, findings, figures, tables, posteriors and settings.
 
     Attributes:
         kind: a word; chains are stored under it.
@@ -128,11 +128,11 @@ class Section:
     headline: str = ""
 
     def estimate(self, name: str, *, method: str = "", group: str = "") -> Estimate:
-        """The first estimate with a given name."""
+        """Return the first estimate with a given name and, if given, method and group."""
         return find(self.estimates, name, method=method, group=group)
 
     def figure(self, name: str) -> "Figure":
-        """A figure, drawn."""
+        """Draw the figure with a given name."""
         drawn = {picture.name: picture.drawn for picture in self.pictures}
         if name not in drawn:
             raise InputError(
@@ -142,13 +142,13 @@ class Section:
 
 
 def word_for_file(label: str) -> str:
-    """A label in the form that a file name allows."""
+    """Convert a label to a word for a file name."""
     return "_".join(label.lower().replace(",", " ").replace("-", "minus_").split())
 
 
 def section_of_part(section: Section, part: str) -> Section:
-    """The section of one site, tap or setting of a camera, named by its kind, title and estimates,
-    and without a camera file of its own."""
+    """Return the section of one site, tap or setting of a camera: `part` is added to its kind,
+    title and estimates, and it writes no camera file."""
     return replace(
         section,
         kind=f"{section.kind}_{word_for_file(part)}",
@@ -161,13 +161,14 @@ def section_of_part(section: Section, part: str) -> Section:
 
 
 def failed_section(kind: str, title: str, why: str, *, known: Sequence[str] = ()) -> Section:
-    """The section of a calibration that failed, with the reason and what is known without it."""
+    """Return the section of a calibration that failed, with the reason and with findings `known`
+    before it failed."""
     return Section(kind=kind, title=title, estimates=(), findings=(why, *known), failure=why)
 
 
 def describing_nothing(section: Section, headline: str, groups: Collection[str]) -> Section:
-    """Return a section for a model that does not describe the data of some groups: a headline says
-    so, these groups get no numbers, and no records are written."""
+    """Return a section for a model that does not describe the data of some groups. A headline
+    states this, the estimates of these groups are withheld, and no records are written."""
     why = "the model does not describe the data (see the first sentence)"
     return replace(
         section,

@@ -1,5 +1,5 @@
-"""Findings: a table of sentences with their conditions. Equal findings of several channels become
-one sentence."""
+"""Findings of a report, as a table of sentences with the conditions under which they are stated.
+Equal findings on several channels are combined to one sentence."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -17,7 +17,7 @@ _NUMBER = re.compile(r"(?<![\w.])[-+−]?\d[\d.,]*(?:e[-+]?\d+)?(?<![.,])")
 
 
 class Finding(NamedTuple):
-    """A sentence of a report.
+    """A sentence of a report with its condition.
 
     Attributes:
         key: name of the finding.
@@ -33,7 +33,7 @@ class Finding(NamedTuple):
 
 
 def said(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:
-    """The sentences of a table whose conditions a calibration meets."""
+    """Return the sentences of a table of findings whose conditions a calibration meets."""
     found = []
     for row in table:
         numbers = row.condition(calibration)

@@ -1,4 +1,5 @@
-"""Estimates as a table with one row for each quantity and its methods or channels in columns."""
+"""The table of a section's estimates, with a row for each quantity and a column for each method or
+channel."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -52,7 +53,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Sheet:
-    """All estimates of a section.
+    """The content of the table of a section's estimates.
 
     Attributes:
         columns: headings of the cells.
@@ -71,7 +72,7 @@ class Sheet:
 
 
 def sheet(section: Section) -> Sheet:
-    """The table of a section's estimates."""
+    """Arrange a section's estimates as a table."""
     found = section.estimates
     places = [(one.name, one.group) for one in found]
     several = len(set(places)) < len(places)
@@ -117,7 +118,7 @@ def _difference(pair: Sequence[Estimate | None]) -> str:
 
 
 def _methods(found: Sequence[Estimate]) -> str:
-    """The method of each channel."""
+    """Return a sentence that names the method of each channel."""
     by_method: dict[str, list[str]] = {}
     for one in found:
         if one.method:

@@ -1,11 +1,12 @@
-"""Results of chains that are too short."""
+"""Suppression of results from chains that are too short."""
 
 from ..inference.trust import convergence_in_words
 from .section import Section
 
 
 def without_short_chains(section: Section, *, kept: bool) -> Section:
-    """Return a section without the results of chains that are too short."""
+    """Return the section without estimates, and with the reason, if any of its chains is too
+    short."""
     short = [(group, one) for group, one in section.posteriors.items() if one.missing_steps]
     if not short:
         return section

@@ -1,5 +1,5 @@
-"""Keys of a rig that a calibration does not use, each with the reason. Every stated value is either
-used or listed here."""
+"""Findings on the keys of a rig that a calibration does not use, each with the reason. Every value
+that a rig states is either used or named in such a finding."""
 
 from collections.abc import Iterator
 
@@ -15,7 +15,7 @@ OF_PHOTONS = "pixel_pitch", "wavelength"
 
 
 def unused_keys(rig: Rig, kind: str, *, fit_gamma: bool = False) -> tuple[str, ...]:
-    """The keys of a rig that a calibration does not use."""
+    """Return sentences on the stated keys of a rig that a calibration of this kind does not use."""
     found = [*REASONS[kind](rig), *_sites(rig, kind)]
     if fit_gamma:
         found.append((_camera(GAMMA), "the encoding exponent was fitted"))
