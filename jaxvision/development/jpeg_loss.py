@@ -27,7 +27,15 @@ from jaxtyping import Array, Float, Int, Shaped
 from ..core._arguments import takes_numbers, warn_caller
 from ..core._loops.fusion import materialise
 from ..core._numerics import replace_gradient
-from ..core._types import Image, Scalar, as_float, as_relative, check_choice, is_known
+from ..core._types import (
+    Image,
+    Scalar,
+    as_float,
+    as_relative,
+    check_choice,
+    is_known,
+    refuse_codes,
+)
 from ..filters.padding import Picture
 from ..scene.developments import ROUNDINGS, SUBSAMPLINGS
 
@@ -88,9 +96,17 @@ def quantisation_tables(
         >>> print(luma[0].astype(int))
         [ 3  2  2  3  5  8 10 12]
     """
-    whole = _is_whole(rounding)
+    _warn_of_quality(quality)
+    return _tables(quality, _is_whole(rounding))
+
+
+def _warn_of_quality(quality: Scalar | float) -> None:
     if is_known(quality) and not 1 <= np.asarray(quality) <= 100:
         warn_caller(f"quality is a number from 1 to 100, got {quality:g}; the nearest is taken.")
+
+
+def _tables(quality: Scalar | float, whole: bool) -> tuple[Table, Table]:
+    """The divisors of `quantisation_tables`, whole numbers or not."""
     quality = jnp.clip(as_float(quality), 1, 100)
     low = quality < 50
     divisor = jnp.where(low, quality, 1)
@@ -105,7 +121,6 @@ def quantisation_tables(
 
 
 @takes_numbers
-@partial(jax.jit, static_argnames=("subsampling", "rounding"))
 def jpeg(
     picture: Picture,
     quality: Scalar | float,
@@ -127,7 +142,7 @@ def jpeg(
         The picture's shape, relative.
 
     Raises:
-        ValueError: for another choice, or other than one or three bands.
+        ValueError: for another choice, other than one or three bands, and codes.
 
     Example:
         >>> row = jnp.linspace(0.0, 1.0, 8)
@@ -142,14 +157,18 @@ def jpeg(
             f"picture must be (..., h, w, 1) or (..., h, w, 3) with at least one pixel, got shape "
             f"{picture.shape}."
         )
+    refuse_codes(picture)
     check_choice("subsampling", subsampling, SUBSAMPLINGS)
-    whole = _is_whole(rounding)
+    _warn_of_quality(quality)
+    return _jpeg(picture, quality, subsampling, _is_whole(rounding))
+
+
+@partial(jax.jit, static_argnames=("subsampling", "whole"))
+def _jpeg(picture: Image, quality: Scalar | float, subsampling: str, whole: bool) -> Image:
     dtype = picture.dtype
     if dtype.itemsize < 4:
         picture = picture.astype(jnp.float32)
-    luma_table, chroma_table = (
-        table.astype(picture.dtype) for table in quantisation_tables(quality, rounding=rounding)
-    )
+    luma_table, chroma_table = (table.astype(picture.dtype) for table in _tables(quality, whole))
     coded_chroma = _code if subsampling == "4:4:4" else _code_at_half_size
 
     def code_image(image: Float[Array, "h w bands"]) -> Float[Array, "h w bands"]:
@@ -238,9 +257,11 @@ def _halve(plane: Plane, whole: bool) -> Other:
 
 
 def _double(plane: Plane, whole: bool) -> Other:
-    """Double the size: each code is 9/16, 3/16, 3/16 and 1/16 of the four nearest codes
-    (jdsample.c).
+    """Double the size: each code is 9/16, 3/16, 3/16 and 1/16 of the four nearest codes, or is
+    repeated if there are at most two columns (jdsample.c).
     """
+    if plane.shape[1] <= 2:
+        return jnp.repeat(jnp.repeat(plane, 2, axis=0), 2, axis=1)
     wide = jnp.pad(plane, 1, mode="edge")
     height, width = plane.shape
     rows = [3 * wide[1:-1] + wide[:-2], 3 * wide[1:-1] + wide[2:]]

@@ -6,7 +6,7 @@ from jaxtyping import Array, UInt
 
 from ..colour_spaces import apply_matrix
 from ..core._arguments import takes_numbers
-from ..core._types import Image, Scalars
+from ..core._types import Image, Scalars, refuse_codes
 from ..filters import bilateral_filter, nonlocal_means_filter, unsharp_mask
 from ..scene import (
     Bilateral,
@@ -86,7 +86,7 @@ def to_integers(picture: Scalars, *, bits: int = 8) -> UInt[Array, "..."]:
         (...) codes, uint8 or uint16.
 
     Raises:
-        ValueError: for other bits.
+        ValueError: for other bits, and for numbers that are codes already.
 
     Example:
         >>> print(jv.to_integers(jnp.array([-0.1, 0.5, 2.0])))
@@ -95,6 +95,7 @@ def to_integers(picture: Scalars, *, bits: int = 8) -> UInt[Array, "..."]:
     dtypes = {8: jnp.uint8, 16: jnp.uint16}
     if bits not in dtypes:
         raise ValueError(f"bits must be 8 or 16, got {bits}.")
+    refuse_codes(picture)
     if picture.dtype.itemsize < 4:  # half precision is too small for the codes
         picture = picture.astype(jnp.float32)
     clipped = jnp.clip(jnp.where(jnp.isnan(picture), 0, picture), 0, 1)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, UInt
 
 from ..core._arguments import takes_numbers
-from ..core._types import Scalars, as_relative
+from ..core._types import Scalars, as_relative, refuse_codes
 from .linear import blend
 
 
@@ -22,11 +22,12 @@ def lookup(x: Scalars, table: Float[Array, " entries"]) -> Scalars:
         (...) in the table's unit.
 
     Raises:
-        ValueError: for fewer than two entries.
+        ValueError: for fewer than two entries, and for codes (`lookup_codes` is for integers).
     """
     if table.shape[0] < 2:
         raise ValueError(f"table must hold at least two entries, got {table.shape[0]}.")
-    lower, t = _cell(as_relative(x), table.shape[0])
+    refuse_codes(x := as_relative(x))
+    lower, t = _cell(x, table.shape[0])
     return blend(table[lower], table[lower + 1], t)
 
 
@@ -61,9 +62,9 @@ def lookup_3d(
         (..., channels) in the table's unit.
 
     Raises:
-        ValueError: for an axis of fewer than two entries, and for an image without three bands.
+        ValueError: for an axis of fewer than two entries, an image without three bands, and codes.
     """
-    image = as_relative(image)
+    refuse_codes(image := as_relative(image))
     if image.shape[-1:] != (3,):
         raise ValueError(f"image must have a last axis of 3, got shape {image.shape}.")
     if min(table.shape[:3]) < 2:

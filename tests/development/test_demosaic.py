@@ -190,6 +190,14 @@ def test_codes_are_taken_as_numbers():
     np.testing.assert_array_equal(demosaic(codes, bayer("RGGB")), demosaic(CODES, bayer("RGGB")))
 
 
+@pytest.mark.parametrize("method", ["bilinear", "malvar", "menon", "normalised"])
+def test_sums_of_codes_in_half_precision_do_not_overflow(method):
+    raw = np.full((6, 8), 30000, np.float16)  # four of them are beyond 65504
+    found = demosaic(raw, "RGGB", method=method)
+    assert found.dtype == np.float16
+    np.testing.assert_array_equal(found, np.float16(30000))
+
+
 def test_nan_stays_within_its_window():
     holed = CODES.copy()
     holed[7, 9] = np.nan

@@ -22,6 +22,7 @@ from jaxvision.development import (
 )
 from jaxvision.development.demosaicing import METHODS
 from jaxvision.filters import bilateral_filter, nonlocal_means_filter, unsharp_mask
+from jaxvision.point_ops import lookup, lookup_3d
 from jaxvision.sensor.colour_filters import bayer, mosaic
 
 RNG = np.random.default_rng(9)
@@ -381,6 +382,17 @@ def test_every_code_survives_a_round_trip():
 
 def test_a_record_names_the_methods_there_are():
     assert tuple(METHODS) == s.developments.DEMOSAICINGS
+
+
+def test_codes_that_are_no_relative_numbers_are_refused():
+    """Clipped at 1, they would all be white."""
+    with pytest.raises(ValueError, match="whole numbers up to 240: divide the codes"):
+        to_integers(np.arange(0.0, 255, 15))
+    codes = np.arange(0.0, 256, 15).reshape(6, 3)
+    for table in (jnp.linspace(0, 1, 4), jnp.zeros((2, 2, 2, 3))):
+        call = lookup if table.ndim == 1 else lookup_3d
+        with pytest.raises(ValueError, match="whole numbers up to 255: divide the codes"):
+            call(codes, table)
 
 
 def test_other_depths_are_refused():

@@ -95,6 +95,14 @@ def test_small_and_grey_pictures(shape, compressed):
     np.testing.assert_array_equal(ours if codes.ndim == 3 else ours[..., 0], truth)
 
 
+@pytest.mark.parametrize("shape", [(7, 1, 3), (17, 2, 3), (9, 4, 3), (5, 5, 3)])
+def test_pictures_of_few_columns(shape, compressed):
+    """libjpeg repeats chroma of up to two columns, without its triangle filter."""
+    codes = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+    truth = through_a_file(codes, 99)
+    np.testing.assert_array_equal(levels(compressed(relative(codes), jnp.float32(99))), truth)
+
+
 def test_opencv_reads_the_same(compressed):
     cv2 = pytest.importorskip("cv2")
     codes = PICTURES["photograph"]()
@@ -177,3 +185,5 @@ def test_refused_shapes_and_codes():
         jpeg(jnp.ones((8, 8, 2)), 75.0)
     with pytest.raises(ValueError, match="divide by 255"):
         jpeg(jnp.ones((8, 8, 3), jnp.uint8), 75.0)
+    with pytest.raises(ValueError, match="whole numbers up to 200: divide the codes"):
+        jpeg(jnp.full((8, 8, 3), 200.0), 75.0)
