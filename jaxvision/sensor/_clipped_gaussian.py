@@ -1,13 +1,14 @@
-"""Moments of a standard Gaussian variable Z that is clipped at one end or to a narrow window, with
-full precision even where the textbook forms subtract nearly equal numbers.
+"""Moments of a standard Gaussian variable Z that is clipped at one end or to a narrow window. They
+have full precision even where the textbook formulas subtract nearly equal numbers.
 
-With a = |t| and the density phi, the integrals of the tail are
+With a = |t| and the Gaussian density phi, the integrals of the tail are
 
     E[max(Z - a, 0)]   = phi(a) A(a) / (1 + a)^2
     E[max(Z - a, 0)^2] = phi(a) 2 B(a) / (1 + a)^3
 
-A and B vary between about 1 at 0 and 1 at infinity. They are Chebyshev expansions in (a - 4) / (a +
-4), computed with 60 digits and truncated below 1e-17. Their slopes have closed forms.
+The functions A and B vary between about 1 at a = 0 and 1 at infinity. They are Chebyshev expansions
+in (a - 4) / (a + 4), whose coefficients were computed with 60 digits and dropped below 1e-17. The
+derivatives of these moments have closed forms.
 """
 
 from math import factorial
@@ -90,7 +91,8 @@ _BEYOND = 100.0  # standard deviations, where the density is 0
 
 @jax.custom_jvp
 def tail_mean(t: Scalars) -> Scalars:
-    """Return E[max(Z + t, 0)], in standard deviations."""
+    """Return the mean E[max(Z + t, 0)] of a shifted Gaussian clipped at 0, in standard
+    deviations."""
     rare, _ = _rare(t)
     return jnp.where(t > 0, t + rare, rare)
 
@@ -102,7 +104,7 @@ def _tail_mean_jvp(primals, tangents):
 
 @jax.custom_jvp
 def tail_square(t: Scalars) -> Scalars:
-    """Return E[max(Z + t, 0)^2]."""
+    """Return the mean square E[max(Z + t, 0)^2] of a shifted Gaussian clipped at 0."""
     _, rare = _rare(t)
     return jnp.where(t > 0, 1 + t * t - rare, rare)
 
@@ -114,7 +116,7 @@ def _tail_square_jvp(primals, tangents):
 
 @jax.custom_jvp
 def tail_variance(t: Scalars) -> Scalars:
-    """Return Var[max(Z + t, 0)]."""
+    """Return the variance Var[max(Z + t, 0)] of a shifted Gaussian clipped at 0."""
     mean, square = _rare(t)
     rare = square - mean * mean
     return jnp.where(t > 0, 1 - 2 * ndtr(-jnp.abs(t)) + rare, rare)
@@ -127,7 +129,7 @@ def _tail_variance_jvp(primals, tangents):
 
 
 def _rare(t: Scalars) -> tuple[Scalars, Scalars]:
-    """Return E[max(Z - a, 0)] and E[max(Z - a, 0)^2] for a = |t|."""
+    """Return the tail integrals E[max(Z - a, 0)] and E[max(Z - a, 0)^2] for a = |t|."""
     a = jnp.minimum(jnp.abs(t), _BEYOND)
     at = (a - 4) / (a + 4)
     inverse = 1 / (1 + a)
@@ -136,22 +138,24 @@ def _rare(t: Scalars) -> tuple[Scalars, Scalars]:
 
 
 def density(a: Scalars) -> Scalars:
-    """Return exp(-a^2 / 2) / sqrt(2 pi), corrected for the rounding error of a^2."""
+    """Return the Gaussian density exp(-a^2 / 2) / sqrt(2 pi), corrected for the rounding error of
+    a^2."""
     square, one = a * a, jnp.ones_like(a)
     lost = jax.lax.stop_gradient(difference_of_products(a, a, square, one))
     return jnp.exp(-square / 2) * (1 - lost / 2) / float(np.sqrt(2 * np.pi))
 
 
 def is_narrow(width: Scalars, offset: Scalars) -> Bool[Array, "..."]:
-    """Whether `narrow_window_moments` is accurate for a window of this width and offset."""
+    """Return whether `narrow_window_moments` is accurate for a window of this width and offset."""
     return width * jnp.maximum(offset, 1) < (0.5 if width.dtype == jnp.float64 else 1.0)
 
 
 def narrow_window_moments(width: Scalars, offset: Scalars) -> tuple[Scalars, Scalars]:
-    """Return the mean and variance of u, the position of Z clipped to offset -+ width / 2, measured
-    from the lower end in widths. The window is narrow (`is_narrow`), with its middle m >= 0. E[u] =
-    int S du and E[u^2] = 2 int u S du, where the survival function S(m + x) is the series S(m) -
-    phi(m) (x - He_1(m) x^2 / 2! + He_2(m) x^3 / 3! - ...) with Hermite polynomials He."""
+    """Return the mean and variance of u, the position of the clipped variable Z in a window of this
+    `width` about `offset`; u is 0 at the lower end and 1 at the upper end. The window must be
+    narrow (`is_narrow`), and its middle m = offset >= 0. The moments are E[u] = int S du and E[u^2]
+    = 2 int u S du. The survival function S(m + x) is the series S(m) - phi(m) (x - He_1(m) x^2 / 2!
+    + He_2(m) x^3 / 3! - ...) with Hermite polynomials He."""
     m, half = offset, width / 2
     even, odd = jnp.ones_like(m), m  # He_{2k-2} and He_{2k-1}
     power, more, less = half, jnp.zeros_like(m), jnp.zeros_like(m)

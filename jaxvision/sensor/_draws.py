@@ -1,10 +1,11 @@
-"""Random numbers for pixels: a hash of the key, the pixel and the use, computed when it is needed.
+"""Random numbers for pixels, as a hash of the random key, the pixel and the purpose of the number.
 
-`jax.random` stores its bits before they are used, and XLA cannot fuse its loop over the rounds of
-threefry with other work. The unrolled hash takes half the time for a Gaussian draw in each of 12
-megapixels. The bits are those of Threefry-2x32-20 (Salmon et al., "Parallel Random Numbers: As Easy
-as 1, 2, 3", SC 2011). The draw of a pixel depends on the key, its position and its use, and not on
-the other effects of the sensor.
+`jax.random` stores its random bits in memory before they are used, because XLA cannot fuse its loop
+over the rounds of Threefry with other operations. The hash in this file is unrolled and fused, and
+draws Gaussian numbers for 12 megapixels in half the time. The random bits are those of
+Threefry-2x32-20 (Salmon et al., "Parallel Random Numbers: As Easy as 1, 2, 3", SC 2011). The number
+for a pixel depends on the key, the pixel's position and the purpose, and not on the other effects
+of the sensor.
 """
 
 from enum import IntEnum
@@ -27,7 +28,7 @@ _PARITY = 0x1BD11BDA
 
 
 class Frame(IntEnum):
-    """Uses whose draws are new in each frame."""
+    """Purposes of random numbers that are drawn anew in each frame."""
 
     SHOT = 0
     READ = 1
@@ -41,8 +42,8 @@ class Frame(IntEnum):
 
 
 class Die(IntEnum):
-    """Uses whose draws stay with a camera. They differ from the draws of a frame even under the
-    same key."""
+    """Purposes of random numbers that are fixed for a camera. These numbers differ from those of a
+    frame even under the same key."""
 
     PRNU = 8
     DSNU = 9
@@ -55,12 +56,13 @@ class Die(IntEnum):
 
 
 def subkey(key: Key | None, use: Frame | Die) -> Key:
-    """Return the key of one use; raise `ValueError` if there is no key to draw from."""
+    """Return the key for one purpose, derived from `key`. Raise `ValueError` if `key` is None."""
     return jax.random.fold_in(needed(key, use), int(use))
 
 
 def needed(key: Key | None, use: Frame | Die) -> Key:
-    """Return the key; raise `ValueError` if it is None."""
+    """Return the key, or raise `ValueError` if it is None, because a sensor effect needs random
+    numbers."""
     if key is None:
         name = "key" if isinstance(use, Frame) else "die_key"
         raise ValueError(f"{name} must be a random key, got None: this sensor draws from it.")
@@ -68,32 +70,34 @@ def needed(key: Key | None, use: Frame | Die) -> Key:
 
 
 def gaussian(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """Return standard Gaussian draws of this shape, no unit."""
+    """Return standard Gaussian random numbers of this shape, no unit."""
     return upper_quantile(words(key, use, shape), counting_dtype(dtype)).astype(dtype)
 
 
 def uniform(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """Return draws that are uniform in (0, 1] with full relative precision near 0, no unit. For a
-    dtype narrower than float32 they are float32, because the dtype would round them to 0 or 1."""
+    """Return random numbers that are uniform in (0, 1] with full relative precision near 0, no
+    unit. For a dtype narrower than float32 the result is float32, because the narrow dtype would
+    round it to 0 or 1."""
     return tail_probability(words(key, use, shape), counting_dtype(dtype))
 
 
 def counting_dtype(dtype: DTypeLike) -> jnp.dtype:
-    """Return the dtype in which random bits are counted, because 2^32 is beyond float16."""
+    """Return the dtype in which random bits are converted to numbers: `dtype`, or float32 if
+    `dtype` cannot represent 2^32."""
     return jnp.dtype(dtype if jnp.dtype(dtype).itemsize >= 4 else jnp.float32)
 
 
 def along_columns(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """Return a standard Gaussian draw for each column and band, (1, w, bands), no unit; frames of a
-    batch share it."""
+    """Return a standard Gaussian random number for each column and band, (1, w, bands), no unit.
+    All frames of a batch have the same numbers."""
     check_image(f"Noise by {use.name.lower()}", shape)
     ones = (1,) * (len(shape) - 2)
     return gaussian(key, use, shape[-2:], dtype).reshape(*ones, *shape[-2:])
 
 
 def along_rows(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """Return a standard Gaussian draw for each row and band, (h, 1, bands), no unit; frames of a
-    batch share it."""
+    """Return a standard Gaussian random number for each row and band, (h, 1, bands), no unit. All
+    frames of a batch have the same numbers."""
     check_image(f"Noise by {use.name.lower()}", shape)
     *batch, height, _, bands = shape
     ones = (1,) * len(batch)
@@ -101,13 +105,14 @@ def along_rows(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike
 
 
 def check_image(effect: str, shape: Shape) -> None:
-    """Raise `ValueError` if an effect between pixels, rows or columns is given no image."""
+    """Raise `ValueError` if `shape` is not that of an image, which an effect between pixels, rows
+    or columns needs."""
     if len(shape) < 3:
         raise ValueError(f"{effect} needs an image (..., h, w, bands), got shape {shape}.")
 
 
 def tail_probability(bits: Words, dtype: DTypeLike) -> Scalars:
-    """Return (bits + 1/2) / 2^32, which is never 0."""
+    """Return the probability (bits + 1/2) / 2^32 for random bits, which is never 0."""
     return (bits.astype(dtype) + jnp.asarray(0.5, dtype)) * jnp.asarray(2.0**-32, dtype)
 
 
@@ -138,8 +143,8 @@ _TAIL = (
 
 
 def upper_quantile(bits: Words, dtype: DTypeLike) -> Scalars:
-    """Return the z that a standard Gaussian exceeds with probability `tail_probability(bits)`. Its
-    error is 5e-7 up to |z| = 5.3 and 4e-4 up to 6.3, in every dtype."""
+    """Return the z that a standard Gaussian exceeds with probability `tail_probability(bits)`. The
+    error of z is 5e-7 up to |z| = 5.3 and 4e-4 up to 6.3, in every dtype."""
     centred, probability = from_middle(bits, dtype)
     w = -jnp.log(4 * probability * (1 - probability))
     centre = polynomial(_CENTRE, w - 2.5)
@@ -159,7 +164,8 @@ def from_middle(bits: Words, dtype: DTypeLike) -> tuple[Scalars, Scalars]:
 
 
 def words(key: Key | None, use: Frame | Die, shape: Shape) -> Words:
-    """Return 32 random bits for each entry of `shape`. Two uses share one hash of two words."""
+    """Return 32 random bits for each entry of `shape`. One hash yields two words, which serve two
+    purposes."""
     seed = seed_of(needed(key, use))
     place = jax.lax.iota(jnp.uint32, int(np.prod(shape))).reshape(shape)
     return threefry(seed, place, jnp.uint32(use // 2))[use % 2]
@@ -167,7 +173,8 @@ def words(key: Key | None, use: Frame | Die, shape: Shape) -> Words:
 
 @jax.jit
 def threefry(seed: UInt32[Array, "2"], first: Words, second: Words) -> tuple[Words, Words]:
-    """Encrypt the counter (first, second) by the block cipher Threefry-2x32 with 20 rounds."""
+    """Encrypt the counter (first, second) with the key `seed` by the block cipher Threefry-2x32
+    with 20 rounds."""
     keys = seed[0], seed[1], seed[0] ^ seed[1] ^ jnp.uint32(_PARITY)
     x, y = first + keys[0], jnp.broadcast_to(second + keys[1], first.shape)
     for i in range(5):

@@ -1,4 +1,4 @@
-"""Registry of sensor effects on charge: the functions for each record of `Sensor.own`,
+"""The registry of sensor effects on charge: the functions for the records in `Sensor.own`,
 `Sensor.mixing` and `Sensor.nonlinearity`."""
 
 from collections.abc import Callable
@@ -17,8 +17,8 @@ Curve = Callable[[Any, Scalars], Scalars]
 
 
 class Stage(NamedTuple):
-    """The functions that an effect has registered; `register` and `register_curve` describe the
-    functions."""
+    """The registered functions of an effect on charge, which `register` and `register_curve`
+    describe."""
 
     charge: Callable[[Key | None, Any, Scalars], Scalars]
     moments: Callable[[Any, Any], Any] | None
@@ -39,8 +39,8 @@ def register(
 ) -> None:
     """Register an effect on charge, for use in sensors, camera files and `effects`.
 
-    It acts on the charge of the pixels after full wells and charge transfer, and before the
-    read-out. In camera files it is a table `[[sensor.own]]` with its name as `kind`.
+    The effect acts on the charge of pixels after full wells and charge transfer, and before the
+    read-out. In camera files the effect is a table `[[sensor.own]]` with its name as `kind`.
 
     Args:
         effect: the class of the record.
@@ -73,8 +73,8 @@ def register_curve(
     """Register an effect that acts on each pixel separately, without random draws: a
     `Nonlinearity`.
 
-    Its moments follow from the derivatives of the curve, to second order in the noise for the mean
-    and to first order for the variance.
+    The moments after the effect follow from the derivatives of the curve. The mean is accurate to
+    second order in the noise, and the variance to first order.
 
     Args:
         effect: the class of the record.
@@ -108,7 +108,8 @@ def register_curve(
 
 
 def _moments_after_curve(curve: Callable[[Scalars], Scalars], moments: Any) -> Any:
-    """Return the mean g + g'' v / 2 and the variance g'^2 v after a curve g, for the variance v."""
+    """Return the moments after a curve g: the mean g + g'' v / 2 and the variance g'^2 v, where v
+    is the variance before the curve."""
     mean, one = moments.mean, jnp.ones_like(moments.mean)
 
     def slope(x: Scalars) -> Scalars:
@@ -121,7 +122,7 @@ def _moments_after_curve(curve: Callable[[Scalars], Scalars], moments: Any) -> A
 
 
 def stage_of(effect: SensorEffect) -> Stage:
-    """Return the functions that an effect has registered.
+    """Return the registered functions of an effect on charge.
 
     Args:
         effect: any registered effect.
@@ -144,13 +145,14 @@ def stage_of(effect: SensorEffect) -> Stage:
 
 
 def charge_effects(sensor: Sensor) -> tuple[SensorEffect, ...]:
-    """Return all effects on charge that the sensor has, in their order."""
+    """Return all effects on charge of a sensor, in the order in which they act."""
     last = (sensor.mixing, sensor.nonlinearity)
     return (*(sensor.own or ()), *(effect for effect in last if effect is not None))
 
 
 def affected(key: Key | None, effects: tuple[SensorEffect, ...], electrons: Scalars) -> Scalars:
-    """Return the electrons after all effects; each effect draws with its own key."""
+    """Return the electrons after all effects on charge, each of which draws with a different random
+    key."""
     for i, effect in enumerate(effects):
         own = None if key is None else jax.random.fold_in(key, 0x0E00 + i)
         electrons = stage_of(effect).charge(own, effect, electrons)
@@ -158,8 +160,8 @@ def affected(key: Key | None, effects: tuple[SensorEffect, ...], electrons: Scal
 
 
 def moments_after(effects: tuple[SensorEffect, ...], moments: Any) -> Any:
-    """Return mean and variance after all effects; raise `ValueError` for an effect without
-    registered moments."""
+    """Return mean and variance of the charge after all effects. Raise `ValueError` for an effect
+    without registered moments."""
     for effect in effects:
         own = stage_of(effect).moments
         if own is None:

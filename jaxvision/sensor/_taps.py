@@ -1,4 +1,4 @@
-"""Amplifiers (taps) and sites of a mosaic: the parameter of each pixel's tap."""
+"""Maps of parameters that differ between read-out amplifiers (taps) or sites of a mosaic."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +13,7 @@ from ._draws import Shape, check_image
 def tap_map(
     values: Float[Array, " taps"], taps: Taps, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
-    """Return a map of the pixels from one number for each tap."""
+    """Return a map that contains, for each pixel, the value of its tap."""
     check_image("Sensor.taps", shape)
     height, width = shape[-3:-1]
     tile = np.asarray(taps.pattern)
@@ -31,8 +31,8 @@ def tap_map(
 def factored(
     number: Scalars, taps: Taps | None, name: str, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
-    """Multiply a parameter of the sensor by the factor of each pixel's tap: () becomes (h, w,
-    1)."""
+    """Multiply a parameter of the sensor, (), by the factor of each pixel's tap. The result is (h,
+    w, 1), or the parameter itself without such factors."""
     factors = None if taps is None else getattr(taps, name)
     if taps is None or factors is None:
         return number

@@ -13,11 +13,13 @@ from .fixed_pattern import column_gains
 
 @takes_numbers
 def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None) -> Spectrum:
-    """Convert electrons to digital numbers: gain, offset, then rounding and clipping by the ADC.
+    """Convert electrons to digital numbers: apply gain and offset, then round and clip as the ADC
+    does.
 
-    Gradients pass through rounding as if it were the identity, and are 0 where the signal is
-    clipped. With Gaussian noise of s DN rms before rounding, the slope of the mean has an error of
-    at most 2 exp(-2 pi^2 s^2): 1.4 % at half a DN, 5e-9 at one. Without noise the true slope is 0.
+    Gradients treat rounding as the identity, and are 0 where the signal is clipped. With Gaussian
+    noise of s DN rms before rounding, the derivative of the mean has a relative error of at most 2
+    exp(-2 pi^2 s^2), which is 1.4 % for s = 0.5 and 5e-9 for s = 1. Without noise the true
+    derivative is 0.
 
     Args:
         sensor: of which `column_prnu`, `gain`, `offset`, `taps` and `bits` are used.
@@ -52,7 +54,7 @@ def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None)
 
 @takes_numbers
 def amplified(sensor: Sensor, electrons: Scalars) -> Scalars:
-    """Apply gain K and offset, in DN: K electrons + offset."""
+    """Return K electrons + offset in DN, where K is the gain."""
     gain = total_gain(sensor, shape=electrons.shape, dtype=electrons.dtype)
     signal = electrons if gain is None else electrons * gain
     if sensor.offset is not None:

@@ -1,19 +1,21 @@
 """The brighter-fatter effect: collected charge moves the borders of pixels during the exposure.
 
-Q denotes the electrons that a pixel holds, I the electrons that arrive over the exposure, K the
+Q is the number of electrons that a pixel holds, I the number that arrive over the exposure, K the
 kernel, * a convolution, and phi = K * Q. The current (I_p + I_q) (phi_p - phi_q) / 2 flows across
-the border of neighbours p and q, and
+the border of neighbours p and q. The charge of pixel p therefore changes as
 
     dQ_p / dt = I_p + sum over the four q of (I_p + I_q) (phi_q - phi_p) / 2,     t from 0 to 1.
 
-In uniform light, with a = Laplacian of K and mu = I, Poisson charges have the covariances
+Let a be the Laplacian of K, and mu = I the mean in uniform light. Poisson charges then have the
+covariances
 
     C(k) = (exp(2 a(k) mu) - 1) / (2 a(k)) = mu + a mu^2 + (2/3) (a*a) mu^3 + (1/3) (a*a*a) mu^4 ...
 
 as a function of the spatial frequency k: equation 20 of Astier et al. (A&A 629 A36, 2019) with b =
-0. The variance falls below mu by a term in a_00 mu^2, and the covariances of neighbours grow with
-mu^2. The sum of a is 0, so variance and covariances add up to mu. The effect also smooths a pattern
-of sensitivities of power spectrum p(k)^2, which becomes
+0. The variance is less than mu by a term in a_00 mu^2, and the covariances of neighbours grow with
+mu^2. The sum of a is 0, so the variance and all covariances of a pixel add up to mu. The effect
+also smooths a pattern of pixel sensitivities. If its power spectrum is p(k)^2, the power spectrum
+of the charges is
 
     p(k)^2 mu^2 ((exp(a(k) mu) - 1) / (a(k) mu))^2.
 """
@@ -94,7 +96,7 @@ def _gather_in_parts(
     shot_noise: ShotNoise | None,
     full_well: Scalar | None,
 ) -> Counts:
-    """Return the charges after the given number of steps of the exposure."""
+    """Return the charges after an exposure that is divided into `parts` steps."""
     arriving = electrons / parts
 
     def part(i: Array, held: Counts) -> Counts:
@@ -137,9 +139,9 @@ def area_changes(kernel: Quadrant) -> Float[Array, "_ _"]:
 def flat_covariances(area_change: Quadrant, electrons: Scalars) -> Float[Array, "..."]:
     """Return the covariances of neighbouring pixels in uniform light, for Poisson charges.
 
-    The closed form at the top of `jaxvision.sensor.brighter_fatter` is summed on a sensor of 32 x
-    32 pixels without borders, with 20 terms of its series. It is accurate to 1e-10 of mu up to sum
-    |a| mu = 2.
+    The series of the covariances in `jaxvision.sensor.brighter_fatter` is summed up to 20 terms, on
+    a periodic sensor of 32 x 32 pixels. The result has an error of at most 1e-10 mu if sum |a| mu
+    is at most 2.
 
     Args:
         area_change: (rows, columns) per electron, a at offsets of 0, 1, ... rows and columns, at
@@ -175,8 +177,8 @@ def flat_variance(effect: BrighterFatter, electrons: Scalars) -> Scalars:
 
 @takes_numbers
 def smoothed_pattern(effect: BrighterFatter, electrons: Scalars) -> Scalars:
-    """Return the factor, no unit, by which uniform light of `electrons` >= 0 reduces the variance
-    of sensitivities that are independent from pixel to pixel."""
+    """Return the factor, no unit, by which the brighter-fatter effect reduces the variance of
+    sensitivities that are independent from pixel to pixel, in uniform light of `electrons` >= 0."""
     size, terms = _series(area_changes(effect.kernel), _pattern_series)
     return polynomial([term[0, 0] for term in terms], _hold(size, electrons))
 
@@ -207,14 +209,15 @@ def _drift(arriving: Counts, potential: Counts) -> Counts:
 
 
 def _unfold(kernel: Quadrant) -> Float[Array, "_ _"]:
-    """Return the kernel at offsets of either sign."""
+    """Return the kernel at positive and negative offsets, given its values at offsets of 0, 1,
+    ..."""
     rows, columns = (np.abs(np.arange(1 - n, n)) for n in kernel.shape)
     return kernel[rows][:, columns]
 
 
 def _series(area_change: Quadrant, weight: Callable[[int], float]) -> tuple[Scalar, list[Quadrant]]:
-    """Return S = sum |a|, and the coefficients, in powers of S mu, highest first, of the sum over m
-    of weight(m) mu^m (a * ... * a) with m factors a."""
+    """Return S = sum |a|, and the coefficients of a power series in S mu, highest power first. The
+    series is the sum over m of weight(m) mu^m (a * ... * a), with m factors a."""
     rows, columns = area_change.shape
     if max(rows, columns) > PERIOD // 2:
         raise ValueError(
@@ -233,8 +236,8 @@ def _series(area_change: Quadrant, weight: Callable[[int], float]) -> tuple[Scal
 
 
 def _cosines(lags: int, dtype: DTypeLike) -> tuple[Array, Array]:
-    """Return the cosine transform from offsets 0, 1, ... to frequencies, (half a period, lags), and
-    the inverse transform, (lags, half a period)."""
+    """Return the matrix of the cosine transform from offsets 0, 1, ... to spatial frequencies,
+    (half a period, lags), and the matrix of its inverse, (lags, half a period)."""
     frequencies = np.arange(PERIOD // 2 + 1)
     cosines = np.cos(2 * np.pi * frequencies[:, None] * np.arange(lags) / PERIOD)
     weights = _copies(frequencies.size)
@@ -244,5 +247,6 @@ def _cosines(lags: int, dtype: DTypeLike) -> tuple[Array, Array]:
 
 
 def _copies(lags: int) -> Float[np.ndarray, " lags"]:
-    """Return the number of offsets with each magnitude: 1 for 0, else 2."""
+    """Return, for each magnitude of an offset, the number of offsets with this magnitude: 1 for 0,
+    else 2."""
     return np.where(np.arange(lags) == 0, 1.0, 2.0)

@@ -1,7 +1,7 @@
-"""Charge in a CCD: overfull wells, and charge that transfers leave behind.
+"""Charge in a CCD: blooming of full wells, and imperfect charge transfer.
 
-All quantities are electrons. The read-out is next to row 0, and the output of the serial register
-next to column 0. The packet of row i is therefore transferred i + 1 times.
+All quantities are in electrons. The serial register is next to row 0, and its output next to column
+0. The charge packet of row i is therefore transferred i + 1 times along its column.
 """
 
 from collections.abc import Callable
@@ -23,12 +23,13 @@ Shares = Float[Array, " size"]  # one share for the packet of each row, no unit
 
 @takes_numbers
 def bloomed(electrons: Counts, full_well: Scalar, blooming: Scalar) -> Counts:
-    """Return the electrons after overfull wells have spilled along their columns.
+    """Return the electrons after the charge above the full well has spilled along columns
+    (blooming).
 
     The share `blooming` of the charge above `full_well` spills, half up and half down the column.
-    Each further full well passes on the same share. The charge moves until it finds room or is
-    drained at the end of the column. Charge that moves down is placed first. With `blooming` = 1,
-    electrons are lost only at the ends of columns.
+    Each full well that the charge reaches passes on the same share. The charge moves until it
+    reaches a well with room, or is drained at the end of the column. Charge that moves down is
+    placed first. With `blooming` = 1, electrons are lost only at the ends of columns.
 
     Args:
         electrons: (..., h, w, bands) electrons.
@@ -60,8 +61,8 @@ def bloomed(electrons: Counts, full_well: Scalar, blooming: Scalar) -> Counts:
 def _flow(
     level: Counts, spilt: Counts, full_well: Scalar, blooming: Scalar, *, upwards: bool
 ) -> Counts:
-    """Fill each row from the previous one up to the full well; the excess and the row's own spill
-    flow on.
+    """Add to each row the charge that flows from the previous row, up to the full well. The share
+    `blooming` of the excess, and the charge that the row itself spills, flow on to the next row.
     """
 
     def row(coming, state):
@@ -80,15 +81,16 @@ def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
     """Return the electrons that are read after imperfect transfers along columns and the serial
     register.
 
-    Each transfer leaves the share eps of a packet to the next one. The expected share of the packet
-    of row i
+    Each transfer leaves the share eps of a packet behind, in the next packet. Of the packet of row
+    i, the expected share
 
         C(j, i) (1 - eps)^(i + 1) eps^(j - i)
 
-    is read in row j >= i. Packets are followed over `trail` rows. The last of these rows receives
-    all charge that falls at least as far behind, so charge is lost only behind the last row. The
-    lag is nearly a Poisson variable of mean eps i. At a mean of 0.3 rows, the share beyond 8 rows
-    is 4e-11. At 3 rows it is 4e-3, and a longer trail is needed.
+    is read in row j >= i. The charge of a packet is computed in `trail` rows behind it. The last of
+    these rows receives all charge that lags farther, so charge is lost only beyond the last row of
+    the image. The lag is approximately a Poisson variable with mean eps i. If the mean lag is 0.3
+    rows, the share that lags more than 8 rows is 4e-11. If it is 3 rows, this share is 4e-3, and a
+    longer trail is needed.
 
     Args:
         electrons: (..., h, w, bands) electrons per packet.
@@ -117,16 +119,18 @@ def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
 
 @takes_numbers
 def transfer_noise(key: Key | None, electrons: Counts, transfer: ChargeTransfer) -> Counts:
-    """Draw the random part of charge transfer, electrons. For packets of n electrons with shares p
-    it is Gaussian with variance sum n p (1 - p). The gradient of its mean square is unbiased if
-    packets hold electrons."""
+    """Draw the noise of charge transfer, in electrons: the deviation of the transferred charge from
+    its expectation. The noise is Gaussian with the variance sum n p (1 - p) over packets of n
+    electrons, of which the share p is expected in this pixel. The gradient of the mean square of
+    the noise is unbiased if packets are not empty."""
     draw = gaussian(key, Frame.TRANSFER, electrons.shape, electrons.dtype)
     return safe_sqrt(_random_variance(electrons, transfer)) * draw
 
 
 def _random_variance(electrons: Counts, transfer: ChargeTransfer) -> Counts:
-    """Return sum n p (1 - p), written as positive terms. With a share s of the serial register, p s
-    replaces p, and a term becomes n (p s (1 - s) + p (1 - p) s^2)."""
+    """Return the variance of the noise of charge transfer, sum n p (1 - p), as a sum of positive
+    terms. If the serial register transfers the share s, p is replaced by p s, and a term is written
+    as n (p s (1 - s) + p (1 - p) s^2)."""
     eps, serial, trail = transfer.inefficiency, transfer.serial_inefficiency, transfer.trail
     of_rows = _trailing(electrons, eps, trail, axis=-3, weight=_random)
     if serial is None:
@@ -150,14 +154,16 @@ def _random(share: Shares, rest: Shares) -> Shares:
 
 @takes_numbers
 def counted_variance(mean: Counts, variance: Counts, transfer: ChargeTransfer) -> Counts:
-    """Return the variance, electrons^2, of independently transferred electrons: sum n p (1 - p) +
-    var p^2 over packets with mean n, variance var and shares p."""
+    """Return the variance, electrons^2, of charge whose electrons are transferred independently. It
+    is sum(n p (1 - p) + var p^2) over packets with mean n and variance var, of which the share p is
+    expected in this pixel."""
     return _random_variance(mean, transfer) + transferred_variance(variance, transfer)
 
 
 @takes_numbers
 def transferred_variance(variance: Counts, transfer: ChargeTransfer) -> Counts:
-    """Return the variance of transferred electrons if each packet splits in fixed shares."""
+    """Return the variance of transferred charge, electrons^2, if each packet is divided in fixed
+    proportions."""
     read = _trailing(variance, transfer.inefficiency, transfer.trail, axis=-3, weight=_squared)
     if transfer.serial_inefficiency is None:
         return read
@@ -186,9 +192,9 @@ def _shares(
     inefficiency: Scalar, size: int, trail: int, like: Counts
 ) -> list[tuple[Shares, Shares]]:
     """Return, for each lag k, the share of the packet of row i that is read k rows later, and 1
-    minus this share. The recursion is C(i + k, k) / C(i + k - 1, k - 1) = (i + k) / k. The last lag
-    takes the remainder, but at least its own share, because the remainder is a difference that may
-    cancel."""
+    minus this share. Binomial coefficients are computed by C(i + k, k) / C(i + k - 1, k - 1) = (i +
+    k) / k. The last lag receives the remainder, but at least its own share, because the remainder
+    is a difference of nearly equal numbers."""
     row = jnp.arange(size, dtype=like.dtype)
     kept = (row + 1) * log1p(-inefficiency)
     shares = [jnp.exp(kept)]

@@ -1,9 +1,10 @@
-"""Colour filter arrays: which band each pixel of a mosaic sensor measures.
+"""Colour filter arrays, which define the band that each pixel of a mosaic sensor measures.
 
 A pattern is a tuple of rows of band indices, such as ((0, 1), (1, 2)) for red-green over
-green-blue. It is static and hashable. The tile is repeated from the first pixel of the picture down
-and to the right. The last tiles may be incomplete. Bands are 0, 1, ... without a gap, and each
-occurs in the tile. Pictures may have any unit. Any other pattern is a `ValueError`.
+green-blue. A pattern is static and hashable. The pattern is one tile, which is repeated from the
+first pixel of the picture down and to the right. The last tiles may be incomplete. The bands 0, 1,
+... must all occur in the tile, without a gap; any other pattern raises `ValueError`. Pictures may
+have any unit.
 """
 
 import jax.numpy as jnp
@@ -45,13 +46,15 @@ def as_pattern(pattern: Pattern | str) -> Pattern:
 
 
 def check_pattern(pattern: Pattern, *, bands: int | None = None, name: str = "pattern") -> None:
-    """Check that a pattern tiles the plane and contains all bands from 0 to its largest."""
+    """Raise `ValueError` unless a pattern tiles the plane and contains all bands from 0 to its
+    largest."""
     check_tile(name, pattern, bands=bands)
 
 
 def sites(pattern: Pattern | str, height: int, width: int) -> tuple[Bool[Array, "h w"], ...]:
-    """Return the mask of the pixels of each band. It is composed of masks of rows and columns, so
-    that a program does not store it for every pixel."""
+    """Return, for each band, the mask of the pixels that measure it. A mask is a combination of
+    masks of rows and of columns, so that a compiled program need not contain a constant for every
+    pixel."""
     pattern = as_pattern(pattern)
     check_pattern(pattern)
     tile = np.asarray(pattern)
@@ -70,7 +73,7 @@ def sites(pattern: Pattern | str, height: int, width: int) -> tuple[Bool[Array, 
 
 @takes_numbers
 def mosaic(image: Picture, pattern: Pattern | str) -> Mosaic:
-    """Return the picture that a sensor behind a colour filter array measures, one value per pixel.
+    """Return the picture that a sensor with a colour filter array measures, one value per pixel.
 
     Args:
         image: (..., h, w, bands) in any unit.

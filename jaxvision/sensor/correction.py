@@ -1,12 +1,15 @@
-"""Raw numbers back to light: undo the effects of the camera, and state the error of the result.
+"""Convert raw data back to light: undo the effects of the camera, and estimate the error of the
+result.
 
     light = (unmixed(g^-1((raw - black) / K)) - dark) / flat
 
-The error of a corrected frame is a sum of parts. Each part is an amplitude times standard Gaussian
-draws, which are independent for each pixel, row, column or frame, or the same in all pixels. If
-neighbours were unmixed, a small kernel spreads the part. Shot noise, read noise and rounding are
-new in each frame. Errors of master frames, unequal pixels and the uncertainty of the camera's
-parameters are the same in all frames. They cancel in part in the difference of two frames.
+Here g is the curve of the nonlinearity, and K the gain. The error of a corrected frame is a sum of
+parts. Each part is an amplitude times a standard Gaussian variable, which is independent for each
+pixel, row, column or frame, or the same in all pixels. If the correction inverts mixing or
+crosstalk between neighbours, the part is convolved with a small kernel. Shot noise, read noise and
+rounding errors are independent from frame to frame. The errors of master frames, differences
+between pixels and the uncertainty of the camera's parameters are the same in all frames, and partly
+cancel in the difference of two frames.
 """
 
 import warnings
@@ -64,7 +67,7 @@ UNITS = ("electrons", "photons", "irradiance")
 
 
 class Master(Shown):
-    """The mean of several frames.
+    """A master frame: the mean of several frames.
 
     Attributes:
         mean: (h, w, bands) DN.
@@ -83,7 +86,7 @@ class Master(Shown):
 
 
 class Masters(Shown):
-    """Frames for the correction of other frames with the same exposure time.
+    """Master frames for the correction of other frames with the same exposure time.
 
     Attributes:
         dark: frame without light, which shows black level, dark current and the offset of each
@@ -102,7 +105,7 @@ class Masters(Shown):
 
 
 class Part(Shown):
-    """A part of the error of a corrected frame.
+    """One part of the error of a corrected frame, such as its shot noise.
 
     Attributes:
         name: source of the error; persistent parts of one name have the same draws in all frames.
@@ -150,13 +153,14 @@ class Calibrated(Shown):
 
     @property
     def variance(self) -> Counts:
-        """The variance of the noise that is new in each frame, (..., h, w, bands): shot noise,
-        read-out noise and rounding."""
+        """The variance of the noise that is independent from frame to frame, (..., h, w, bands):
+        shot noise, read-out noise and rounding."""
         return self._sum(lambda part: not part.lasts)
 
     @property
     def total_variance(self) -> Counts:
-        """The variance of the total error of a pixel, (..., h, w, bands), the sum of all parts."""
+        """The variance of the total error of each pixel, (..., h, w, bands), summed over all
+        parts."""
         return self._sum(lambda part: True)
 
     @property
@@ -168,8 +172,9 @@ class Calibrated(Shown):
 
     def mean(self, where: Bool[Array, "h w"] | None = None) -> Moments:
         """Return the mean of the pixels where `where` is true, (..., bands) in the unit of the
-        image, and the variance of this mean. NaN pixels are left out, and errors that pixels share
-        are included. Warn of saturated pixels unless traced."""
+        image, and the variance of this mean. Pixels that are NaN are excluded, and errors common to
+        several pixels are included in the variance. Warn of saturated pixels, unless JAX traces the
+        frame."""
         kept = jnp.isfinite(self.image)
         if where is not None:
             kept = kept & _broadcast(jnp.asarray(where)[..., None], kept)
@@ -190,7 +195,7 @@ class Calibrated(Shown):
         return Moments(value, sum(variances, jnp.zeros_like(value)))
 
     def filtered(self, kernel: Kernel) -> "Calibrated":
-        """Return the frame after a convolution with border "mirror", and its covariances.
+        """Return the frame, and its error, after a convolution with mirrored borders.
 
         Args:
             kernel: (rows, columns) no unit.
@@ -203,7 +208,8 @@ class Calibrated(Shown):
         return Calibrated(convolve(self.image, kernel), tuple(parts), self.saturated)
 
     def __sub__(self, other: "Calibrated") -> "Calibrated":
-        """Return the difference of two frames of one camera. Errors that both share cancel."""
+        """Return the difference of two frames of one camera. Errors that are the same in both
+        frames cancel."""
         lasting = {part.name: part for part in other.parts if part.lasts}
         parts = [part for part in other.parts if not part.lasts]
         for part in self.parts:
@@ -221,7 +227,7 @@ class Calibrated(Shown):
 
 
 def _broadcast(picture: Array, frames: Counts) -> Array:
-    """Add leading axes to a picture, to as many axes as the frames have."""
+    """Add leading axes to a picture until it has as many axes as `frames`."""
     return picture.reshape(*(1,) * (frames.ndim - picture.ndim), *picture.shape)
 
 
@@ -230,14 +236,16 @@ def _blur(picture: Counts, kernel: Kernel | None) -> Counts:
 
 
 def _combine_kernels(first: Kernel | None, second: Kernel | None) -> Kernel | None:
-    """Return the kernel of two convolutions in sequence."""
+    """Return the kernel of two convolutions, one after the other; None stands for no
+    convolution."""
     if first is None or second is None:
         return second if first is None else first
     return convolve2d(first, second)
 
 
 def _variance(part: Part) -> Counts:
-    """Return the variance of each pixel; amplitudes count as constant over the kernel's reach."""
+    """Return the variance of each pixel due to one part of the error. The amplitude is assumed to
+    be constant over the kernel."""
     kernel = part.kernel
     if part.along in ("frame", "all") or kernel is None:
         return _blur(part.amplitude, kernel) ** 2
@@ -249,7 +257,8 @@ def _variance(part: Part) -> Counts:
 
 
 def _sum_variance(part: Part, weights: Counts) -> Scalars:
-    """Return the variance of a weighted sum over the pixels, (..., bands)."""
+    """Return the variance, (..., bands), of a weighted sum over the pixels due to one part of the
+    error."""
     back = weights if part.kernel is None else convolve(weights, part.kernel[::-1, ::-1])
     share = back * part.amplitude
     match part.along:
@@ -273,12 +282,13 @@ def correct(
     expected: Counts | None = None,
     unit: str = "electrons",
 ) -> Calibrated:
-    """Undo the effects of a camera: black level, gain, non-linearity, mixing, charge transfer,
-    brighter-fatter effect, dark current, flat field, crosstalk, smear and light offset.
+    """Convert raw data to photoelectrons, photons or irradiance. Black level, gain, nonlinearity,
+    mixing, charge transfer, brighter-fatter effect, dark current, flat field, crosstalk, smear and
+    light offset are undone.
 
-    Charge transfer and the brighter-fatter effect are undone to first order. Without a master, the
-    differences between pixels stay in the image. Their RMS, as given in the sensor, is a part of
-    the error. Banding counts as row noise.
+    Charge transfer and the brighter-fatter effect are undone to first order. Without master frames,
+    the differences between pixels remain in the image. The RMS of these differences, as given in
+    the sensor, is a part of the error. Banding is treated as row noise.
 
     Args:
         raw: (..., h, w, bands) DN; (..., h, w, 1) for a mosaic. Leading axes are frames.
@@ -354,7 +364,8 @@ def correct(
 
 
 def _find_saturated(sensor: Sensor, raw: Counts) -> Bool[Array, "..."] | None:
-    """Find pixels at the end of the ADC's range, or within the noise of a full well."""
+    """Return the mask of pixels at the upper end of the ADC's range, or within the noise below the
+    full well; None if the sensor has neither limit."""
     bad = None
     if sensor.bits is not None:
         bad = raw >= largest_number(sensor.bits)
@@ -366,8 +377,8 @@ def _find_saturated(sensor: Sensor, raw: Counts) -> Bool[Array, "..."] | None:
 
 
 def _find_ended(sensor: Sensor, flat: Master) -> Bool[Array, "..."]:
-    """Find pixels of a flat that may have been saturated in some frames: those within the noise of
-    the end of the range."""
+    """Return the mask of pixels of a flat that may have been saturated in some of the averaged
+    frames, because they are within the noise below the end of the range."""
     if sensor.bits is None:
         return jnp.zeros(flat.mean.shape, bool)
     top = largest_number(sensor.bits)
@@ -383,7 +394,7 @@ def _find_ended(sensor: Sensor, flat: Master) -> Bool[Array, "..."]:
 
 
 def _add_defects_of_flat(sensor: Sensor, masters: Masters) -> Masters:
-    """Add the pixels of a flat that are saturated or show only noise to the defects."""
+    """Add pixels to the defects whose flat is saturated, or too dim to be above the noise."""
     if masters.flat is None:
         return masters
     flat = _flat(sensor, masters, masters.flat.mean)
@@ -398,7 +409,8 @@ def _add_defects_of_flat(sensor: Sensor, masters: Masters) -> Masters:
 
 
 def _warn_of_raw(sensor: Sensor, raw: Counts, dark: Master | None) -> None:
-    """Warn if the mean of the raw numbers is below that without light by far more than noise."""
+    """Warn if the mean of the raw numbers is below that of a dark frame by much more than the
+    noise."""
     if not is_known(raw):
         return
     black = jnp.zeros(raw.shape[-3:], raw.dtype)
@@ -432,7 +444,7 @@ def _warn_of_dark(sensor: Sensor, dark: Master) -> None:
 
 
 def _times(x: Scalars, factor: Scalars | None) -> Scalars:
-    """Return a product in which an absent factor counts as 1."""
+    """Return x times the factor, or x itself if the factor is None."""
     return x if factor is None else x * factor
 
 
@@ -441,7 +453,8 @@ def _multiply(one: Scalars | None, other: Scalars | None) -> Scalars | None:
 
 
 def _image(sensor: Sensor, raw: Counts, masters: Masters, flat: Counts | None) -> Counts:
-    """Return the photoelectrons in a pixel of mean sensitivity."""
+    """Return the photoelectrons that a pixel of mean sensitivity would have collected in each
+    place."""
     light = _subtract_dark(sensor, _charge(sensor, raw, masters.dark))
     light = light if flat is None else light / _response(flat)
     if sensor.crosstalk is not None:
@@ -459,7 +472,8 @@ def _subtract_dark(sensor: Sensor, charge: Counts) -> Counts:
 
 
 def _light_offset(sensor: Sensor, like: Counts) -> Scalars | None:
-    """Return the photoelectrons of a light offset given in photons; None without one."""
+    """Return the light offset of a sensor in photoelectrons, or None if the sensor has no light
+    offset."""
     if sensor.light_offset is None or isinstance(sensor.light_offset, ShutterOffset):
         return None
     colours = sensor.colour_filter
@@ -468,7 +482,8 @@ def _light_offset(sensor: Sensor, like: Counts) -> Scalars | None:
 
 
 def _shutter(sensor: Sensor) -> Scalar | None:
-    """Return the nominal exposure time divided by that of the light; None if both are equal."""
+    """Return the nominal exposure time divided by the actual exposure time of the light; None if
+    both are equal."""
     if not isinstance(sensor.light_offset, ShutterOffset):
         return None
     assert sensor.exposure_time is not None
@@ -476,7 +491,8 @@ def _shutter(sensor: Sensor) -> Scalar | None:
 
 
 def _charge(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
-    """Return the electrons that a pixel held, from light and dark current."""
+    """Return the electrons that each pixel collected from light and dark current: nonlinearity,
+    mixing, charge transfer and the brighter-fatter effect are undone."""
     signal = _signal(sensor, raw, dark)
     charge = signal
     if sensor.nonlinearity is not None:
@@ -493,7 +509,8 @@ def _charge(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
 
 
 def _signal(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
-    """Return the electrons that a linear sensor would have read."""
+    """Return the signal of each pixel, in electrons, from raw numbers, black level and gain. The
+    nonlinearity is not yet undone."""
     gain = total_gain(sensor, shape=raw.shape, dtype=raw.dtype)
     if dark is not None:
         above = raw - _broadcast(dark.mean.astype(raw.dtype), raw)
@@ -515,7 +532,7 @@ def _response(flat: Counts) -> Counts:
 
 
 def _flat(sensor: Sensor, masters: Masters, raw: Counts) -> Counts | None:
-    """Return the photoelectrons in the flat, or None without a flat."""
+    """Return the photoelectrons in the flat master, or None without a flat."""
     if masters.flat is None:
         return None
     flat = _broadcast(masters.flat.mean.astype(raw.dtype), raw)
@@ -523,7 +540,7 @@ def _flat(sensor: Sensor, masters: Masters, raw: Counts) -> Counts | None:
 
 
 def _fill_masters(masters: Masters, defects: Bool[Array, "h w"]) -> Masters:
-    """Fill the defects of all masters."""
+    """Replace the defects of the dark and flat masters by means of their neighbours."""
 
     def filled(master: Master | None) -> Master | None:
         return master and replace(master, mean=_fill(master.mean, defects))
@@ -532,8 +549,8 @@ def _fill_masters(masters: Masters, defects: Bool[Array, "h w"]) -> Masters:
 
 
 def _fill(raw: Counts, defects: Bool[Array, "h w"]) -> Counts:
-    """Fill defects with the mean of the usable pixels within 5 x 5; if there are none, with the
-    mean of the frame."""
+    """Replace each defect by the mean of the usable pixels in the 5 x 5 pixels around it, or by the
+    mean of the frame if there are none."""
     good = jnp.broadcast_to(~_broadcast(defects[..., None], raw), raw.shape)
     around = jnp.ones((5, 5), raw.dtype)
     count = convolve(good.astype(raw.dtype), around)
@@ -543,7 +560,8 @@ def _fill(raw: Counts, defects: Bool[Array, "h w"]) -> Counts:
 
 
 def _parts(sensor: Sensor, raw: Counts, masters: Masters, expected: Counts | None) -> list[Part]:
-    """Return all parts of the error except those of the camera's parameters, electrons."""
+    """Return all parts of the error, in electrons, except those due to the uncertainty of the
+    camera's parameters."""
     of = {"shape": raw.shape, "dtype": raw.dtype}
     flat = _flat(sensor, masters, raw)
     response = None if flat is None else _response(flat)
@@ -631,7 +649,8 @@ def _slope(sensor: Sensor, charge: Counts) -> Counts:
 
 
 def _camera_parts(sensor: Sensor, draws: Sensor, image: Callable[[Sensor], Counts]) -> list[Part]:
-    """Return the derivatives of an image along the principal axes of its camera's draws."""
+    """Return the parts of an image's error due to the uncertainty of the camera: its change by one
+    standard deviation along each principal axis of the posterior draws."""
     leaves, tree = jax.tree.flatten(sensor)
     drawn = [np.asarray(x, float) for x in jax.tree.leaves(draws)]
     if jax.tree.structure(draws) != tree or any(
@@ -660,7 +679,7 @@ def _camera_parts(sensor: Sensor, draws: Sensor, image: Callable[[Sensor], Count
 
 
 def _scale(sensor: Sensor, unit: str, raw: Counts, masters: Masters) -> Scalars | None:
-    """Return the factor from photoelectrons to the unit; None for a factor of 1."""
+    """Return the factor that converts photoelectrons to `unit`; None for a factor of 1."""
     if unit == "electrons":
         return None
     several = sensor.quantum_efficiency is not None and sensor.quantum_efficiency.ndim > 0
@@ -688,14 +707,14 @@ def _scale(sensor: Sensor, unit: str, raw: Counts, masters: Masters) -> Scalars 
 
 
 def _cross(share: Scalar) -> Kernel:
-    """Return the kernel of crosstalk."""
+    """Return the 3 x 3 kernel of crosstalk, given the share that drifts to each neighbour."""
     around = jnp.asarray([[0, 1, 0], [1, 0, 1], [0, 1, 0]], share.dtype)
     middle = jnp.asarray([[0, 0, 0], [0, 1, 0], [0, 0, 0]], share.dtype)
     return share * around + (1 - 4 * share) * middle
 
 
 def _inverse(kernel: Kernel) -> Float[Array, "height width"]:
-    """Return the kernel that inverts another kernel, truncated at 8 pixels."""
+    """Return the kernel whose convolution inverts that of another kernel, truncated at 8 pixels."""
     rows, columns = kernel.shape
     wide = jnp.zeros((_PERIOD, _PERIOD), kernel.dtype).at[:rows, :columns].set(kernel)
     wide = jnp.roll(wide, (-(rows // 2), -(columns // 2)), (0, 1))

@@ -1,4 +1,4 @@
-"""Dark current, electrons per second and pixel, as a function of temperature in K."""
+"""The dark current of a pixel, in electrons per second, as a function of temperature in K."""
 
 import jax.numpy as jnp
 

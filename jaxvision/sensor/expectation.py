@@ -1,7 +1,9 @@
-"""Expectations over the draws of a pixel, with slopes with respect to the parameters of the draws.
+"""Expectations over random draws of a pixel, with unbiased derivatives with respect to the
+parameters of the distribution.
 
-A draw has no derivative, but an expectation has. There are three estimators of the slope of
-E[f(X)], each a mean over draws. For Poisson counts N, with respect to the mean m:
+A random draw has no derivative, but an expectation has. Three estimators of the derivative of
+E[f(X)] are available, each a mean over draws. For Poisson counts N, the derivative with respect to
+the mean m is estimated by:
 
     pathwise          f'(N) (1/2 + N / (2 m)), as `count` is differentiated: unbiased for
                       polynomials up to the second degree, not beyond (by 1/2 for N^3); blind to a
@@ -11,8 +13,8 @@ E[f(X)], each a mean over draws. For Poisson counts N, with respect to the mean 
                       for any f, also of a whole picture to one number; its variance grows like 1/m
                       in faint light, and with the number of pixels
 
-For a reading X = m + s Z with Gaussian noise, rounded and clipped by an ADC, with respect to m and
-s:
+For a reading X = m + s Z with Gaussian noise, which an ADC rounds and clips, the derivatives with
+respect to m and s are estimated by:
 
     pathwise          f'(X) and f'(X) Z: unbiased for a continuous f, including clipping; blind to
                       steps
@@ -21,16 +23,17 @@ s:
                       any f of each pixel alone
     score             (f(X) - b) Z / s and (f(X) - b) (Z^2 - 1) / s: unbiased for any f
 
-For a defect that a pixel has with chance p (B = 1; dead, hot or a trap), with respect to p:
+For a defect that a pixel has (B = 1; dead, hot or a trap) with probability p, else B = 0, the
+derivative with respect to p is estimated by:
 
     pathwise          0: a pixel has it or not
     measure_valued    f(1) - f(0): unbiased for any f of each pixel alone
     score             (f(B) - b) (B - p) / (p (1 - p)): unbiased for any f
 
-Expected images need no draw. `expected_signal`, `signal_variance` and `clipped_moments` have the
-slopes of their closed forms. Sources: Mohamed et al., "Monte Carlo Gradient Estimation in Machine
-Learning", JMLR 21 (2020); for the difference of counts, Last & Penrose, Lectures on the Poisson
-Process (2017), section 19.1.
+Means and variances of images need no draws: `expected_signal`, `signal_variance` and
+`clipped_moments` are closed forms with exact derivatives. Sources: Mohamed et al., "Monte Carlo
+Gradient Estimation in Machine Learning", JMLR 21 (2020); for the difference of counts, Last &
+Penrose, Lectures on the Poisson Process (2017), section 19.1.
 """
 
 from collections.abc import Callable
@@ -59,11 +62,11 @@ def expected_of_count(
     estimator: str = "measure_valued",
     draws: int = 2,
 ) -> Float[Array, "..."]:
-    """Return E[f(N)] for Poisson counts N, as the mean over draws. Its gradient is that of the
+    """Return E[f(N)] for Poisson counts N, as a mean over draws. The gradient is computed by the
     chosen estimator.
 
-    Variables that `function` captures get gradients, too. Second derivatives with respect to the
-    mean are not those of the expectation.
+    Variables that `function` captures have gradients, too. Second derivatives with respect to the
+    mean are wrong.
 
     Args:
         key: random key.
@@ -117,8 +120,8 @@ def expected_of_reading(
     estimator: str = "measure_valued",
     draws: int = 2,
 ) -> Float[Array, "..."]:
-    """Return E[f(X)] for readings X with Gaussian noise, as the mean over draws. Its gradient is
-    that of the chosen estimator. `function` may round and clip, as an ADC does.
+    """Return E[f(X)] for readings X with Gaussian noise, as a mean over draws. The gradient is
+    computed by the chosen estimator. `function` may round and clip, as an ADC does.
 
     Variables that `function` captures get gradients, too. Second derivatives are not those of the
     expectation.
@@ -171,7 +174,7 @@ def expected_of_reading(
 
 
 def _one_sided(key: Key, mean: Scalars) -> tuple[Scalars, Scalars]:
-    """Draw from Rayleigh's distribution, and from Maxwell's with a random sign."""
+    """Draw from the Rayleigh distribution, and from the Maxwell distribution with a random sign."""
     flat, deep, sign = jax.random.split(jax.random.fold_in(key, 1), 3)
     rayleigh = jnp.sqrt(jax.random.chisquare(flat, 2, shape=mean.shape, dtype=mean.dtype))
     maxwell = jnp.sqrt(jax.random.chisquare(deep, 3, shape=mean.shape, dtype=mean.dtype))
@@ -187,8 +190,8 @@ def expected_of_defect(
     estimator: str = "measure_valued",
     draws: int = 2,
 ) -> Float[Array, "..."]:
-    """Return E[f(B)] for pixels that have a defect (B = 1) with a given chance, else B = 0, as the
-    mean over draws. Its gradient is that of the chosen estimator.
+    """Return E[f(B)] for pixels that have a defect (B = 1) with a given probability, else B = 0, as
+    a mean over draws. The gradient is computed by the chosen estimator.
 
     Variables that `function` captures get gradients, too. Second derivatives are not those of the
     expectation.
@@ -261,14 +264,15 @@ def _values(
 def _score(
     values: Float[Array, "draws ..."], scores: Float[Array, "draws ..."]
 ) -> Float[Array, "..."]:
-    """Return the score estimator of the slope with respect to each pixel's parameter."""
+    """Return the score-function estimator of the derivative of the expectation with respect to each
+    pixel's parameter."""
     others = (values.sum(0, keepdims=True) - values) / (len(values) - 1)
     return jax.vmap(jnp.multiply)(values - others, scores).mean(0)
 
 
 def _attach_slopes(average: Scalars, *slopes: tuple[Scalars, Scalars]) -> Scalars:
-    """Return the average with the given slope as its derivative with respect to each parameter. For
-    a single average over all pixels, the contributions of the pixels add up."""
+    """Return the average, with a given derivative with respect to each parameter. If the average is
+    a single number for all pixels, the contributions of the pixels to its derivative are summed."""
     along = average
     for slope, parameter in slopes:
         change = jax.lax.stop_gradient(slope) * parameter

@@ -1,9 +1,10 @@
-"""Expected electrons from irradiance: photons, filters, quantum efficiency, the pixel's aperture.
+"""The expected electrons for a given irradiance: photons, filters, quantum efficiency, pixel
+aperture.
 
 Irradiance is in W m^-2, or in photons per second and pixel if the sensor has no
 `photon_conversion`. Photons and electrons are counted per pixel and exposure. Smear and crosstalk
-act before electrons are counted. Each electron moves independently, so charge from other pixels is
-Poisson-distributed, too, and only the expectation changes.
+act on the expectation, before electrons are counted. Each electron moves independently, so the
+electrons in each pixel remain Poisson-distributed.
 """
 
 from dataclasses import replace
@@ -40,9 +41,10 @@ print_by_name(globals(), "Light", "Counts")
 
 @takes_numbers
 def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) -> Spectrum:
-    """Return photons per second and pixel, lambda E A / (h c).
+    """Return the number of photons per second and pixel, lambda E A / (h c), for the irradiance E,
+    the wavelength lambda and the pixel area A.
 
-    Multiplied by the exposure time it is mu_p of EMVA 1288.
+    The rate times the exposure time is mu_p of EMVA 1288.
 
     Args:
         irradiance: (..., bands) W m^-2.
@@ -66,11 +68,11 @@ def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) 
 
 @takes_numbers
 def at_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -> Sensor:
-    """Return the sensor at another ISO setting, with a gain in proportion.
+    """Return the sensor at another ISO setting, with a gain in proportion to the ISO speed.
 
-    ISO 12232 rates a camera by the exposure H in lx s that just fills the range of its ADC: S = 78
-    / H. A gain twice as large halves H. Noise before the amplifier keeps its value in electrons, so
-    it grows in DN. The full well keeps its value in electrons.
+    ISO 12232 defines the speed S = 78 / H by the exposure H in lx s at which the ADC's range is
+    just full. Doubling the gain halves H. Noise before the amplifier keeps its value in electrons,
+    and therefore grows in DN. The full well keeps its value in electrons.
 
     Args:
         sensor: as at `base_iso`.
@@ -91,7 +93,8 @@ def at_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -
 
 @takes_numbers
 def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
-    """Return the expected photoelectrons of a pixel of mean sensitivity: eta mu_p.
+    """Return the expected photoelectrons of a pixel of mean sensitivity, eta mu_p, where eta is the
+    quantum efficiency and mu_p the number of photons.
 
     Args:
         sensor: its fields from `photon_conversion` to `exposure_time` are used, the light offset
@@ -131,7 +134,7 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
 
 
 def _free_dark(sensor: Sensor, photons: Spectrum) -> Counts:
-    """Return the photoelectrons behind all filters."""
+    """Return the photoelectrons that `photons` yield after all filters and the pixel's aperture."""
     electrons = photons
     if sensor.infrared_cut is not None:
         electrons = electrons * _band_values("Sensor.infrared_cut", sensor.infrared_cut, electrons)
@@ -208,7 +211,7 @@ def drifted(electrons: Counts, crosstalk: Scalars) -> Counts:
     """Return the electrons after crosstalk: each pixel gives a share to each of its four
     neighbours.
 
-    As much returns over the border of the image as leaves it, so no electrons are lost.
+    At the border of the image, as many electrons return as leave, so no electrons are lost.
 
     Args:
         electrons: (..., h, w, bands) electrons.
@@ -237,7 +240,8 @@ def drifted(electrons: Counts, crosstalk: Scalars) -> Counts:
 
 @takes_numbers
 def smeared(electrons: Counts, smear: Scalars) -> Counts:
-    """Return the electrons after the frame has been shifted along its columns under light.
+    """Return the electrons with the smear that a CCD collects while its frame is shifted along the
+    columns under light.
 
     Args:
         electrons: (..., h, w, bands) electrons.
@@ -261,8 +265,8 @@ def smeared(electrons: Counts, smear: Scalars) -> Counts:
 
 @takes_numbers
 def mean_dark(sensor: Sensor, like: Spectrum) -> Scalars:
-    """Return the expected dark electrons of a pixel in one exposure, mu_d, () in the dtype of
-    `like`; 0 without a dark current."""
+    """Return mu_d, the expected number of dark electrons of a pixel in one exposure, () in the
+    dtype of `like`; 0 without a dark current."""
     if sensor.dark_current is None:
         return jnp.zeros((), like.dtype)
     return over_exposure(sensor, dark_rate(sensor.dark_current))
@@ -270,8 +274,8 @@ def mean_dark(sensor: Sensor, like: Spectrum) -> Scalars:
 
 @takes_numbers
 def over_exposure(sensor: Sensor, rate: Scalars) -> Scalars:
-    """Return the electrons that a rate, e- s^-1, yields in one exposure; the rate itself without an
-    `exposure_time`."""
+    """Return the electrons that accumulate in one exposure at a given rate, e- s^-1. Without an
+    `exposure_time` the result is the rate itself."""
     return rate if sensor.exposure_time is None else rate * sensor.exposure_time
 
 
@@ -286,7 +290,7 @@ def _check_irradiance(irradiance: Spectrum) -> None:
 
 
 def _band_values(name: str, x: Scalars, like: Spectrum) -> Scalars:
-    """Return a scalar unchanged; broadcast one value per band over the pixels."""
+    """Return a scalar unchanged, or broadcast an array with one value per band over the pixels."""
     if x.ndim == 0:
         return x
     if x.shape != like.shape[-1:]:
@@ -298,7 +302,8 @@ def _band_values(name: str, x: Scalars, like: Spectrum) -> Scalars:
 
 
 def _rgb_advice(shape: tuple[int, ...], bands: int) -> str:
-    """Return advice for the error message if an RGB picture meets a sensor with other bands."""
+    """Return advice for the error message if an RGB picture is given to a sensor with another
+    number of bands."""
     if shape[-1:] != (3,) or bands == 3:
         return ""
     return (

@@ -1,8 +1,10 @@
-"""Fixed differences between the pixels of a camera, drawn from the key of its die.
+"""Fixed-pattern noise: differences between the pixels of a camera, drawn from the random key of its
+sensor chip (die).
 
-Every function returns an array that broadcasts against (..., h, w, bands) electrons. The functions
-for rows and columns need such an image. Sensitivities are relative, offsets in electrons, dark
-rates in e- s^-1. A function that draws raises `ValueError` if `die_key` is None.
+Every function returns an array that broadcasts against electrons of the shape (..., h, w, bands).
+Functions for rows and columns need this shape. Sensitivities are relative, offsets are in
+electrons, and dark rates in e- s^-1. If `die_key` is None, a function that needs random numbers
+raises `ValueError`.
 """
 
 import jax.numpy as jnp
@@ -33,8 +35,8 @@ def sensitivity(
     """Draw the response of each pixel relative to the mean pixel: max(1 + PRNU, 0), and 0 for dead
     pixels.
 
-    Whether a pixel is dead is drawn, so the gradient with respect to `dead_pixels` is 0.
-    `expected_signal` and `pattern_variance` have the gradient of an average die.
+    Whether a pixel is dead is a discrete draw, so the gradient with respect to `dead_pixels` is 0.
+    `expected_signal` and `pattern_variance` have the gradient of the average over dies.
 
     Args:
         die_key: random key of the individual sensor.
@@ -68,11 +70,13 @@ def sensitivity(
 def hot_rates(
     die_key: Key | None, hot_pixels: HotPixels, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
-    """Draw the excess dark current of each pixel: 0 in most, exponential in hot pixels.
+    """Draw the additional dark current of each pixel, which is 0 in most pixels and exponentially
+    distributed in hot pixels.
 
-    Dead and hot pixels are drawn from the two ends of one uniform number, so no pixel is both if
-    the two fractions add up to at most 1. The position of the number within its end sets the
-    excess, which begins at 0. Gradients with respect to fraction and rate are therefore unbiased.
+    A uniform random number selects dead pixels at one end of its range and hot pixels at the other.
+    No pixel is therefore both, if the two fractions add up to at most 1. The additional dark
+    current of a hot pixel is a continuous function of this number, which begins at 0. Gradients
+    with respect to fraction and rate are therefore unbiased.
 
     Args:
         die_key: random key of the individual sensor.
@@ -100,7 +104,7 @@ def hot_rates(
 def offsets(
     die_key: Key | None, sensor: Sensor, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars | None:
-    """Draw the offset of each pixel: the DSNU of pixels, columns and rows.
+    """Draw the offset of each pixel, the sum of the DSNU of pixels, columns and rows.
 
     Args:
         die_key: random key of the individual sensor.

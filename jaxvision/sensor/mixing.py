@@ -1,11 +1,11 @@
 """Mixing of counted electrons between neighbours: a linear filter after the shot noise.
 
-After a kernel w, independent pixels of variance v have
+After mixing with a kernel w, pixels that were independent with variance v have
 
     variance     v sum w^2
     covariance   v sum w(k) w(k + lag)
 
-The sum over all lags stays v, because w sums to 1.
+The sum of these over all lags is v, because the sum of w is 1.
 """
 
 from typing import Any
@@ -26,7 +26,8 @@ from .exposure import Counts
 
 @takes_numbers
 def mixed(electrons: Counts, mixing: Mixing) -> Counts:
-    """Return the electrons after mixing; electrons that leave over the image's border return.
+    """Return the electrons after mixing. At the border of the image, electrons that would leave
+    return.
 
     Args:
         electrons: (..., h, w, bands) electrons.
@@ -49,8 +50,8 @@ def mixed(electrons: Counts, mixing: Mixing) -> Counts:
 
 @takes_numbers
 def even_mixing(share: Scalar) -> Mixing:
-    """Return the mixing with four equal nearest neighbours that reduces a pixel's variance by a
-    given share.
+    """Return the `Mixing` with equal shares for the four nearest neighbours that reduces a pixel's
+    variance by a given fraction.
 
     Args:
         share: () of the variance, 1 - sum kernel^2, below 4/5, no unit.
@@ -70,8 +71,8 @@ def even_mixing(share: Scalar) -> Mixing:
 
 
 def _moments(mixing: Mixing, moments: Any) -> Any:
-    """Return the moments after mixing of independent pixels. Pixels beyond the border are taken to
-    have the same variance."""
+    """Return the moments of independent pixels after mixing. Pixels beyond the border are assumed
+    to have the same variance."""
     check_image("Sensor.mixing", moments.mean.shape)
     square = mixing.kernel.astype(moments.mean.dtype) ** 2
     return moments._replace(
@@ -80,8 +81,8 @@ def _moments(mixing: Mixing, moments: Any) -> Any:
 
 
 def _bound(ends: Ends[Mixing], electrons: float) -> tuple[float, float]:
-    """Bound the change of the mean and of its RMS by S = sum |w| over the neighbours, relative to
-    the largest charge."""
+    """Return bounds on the change by mixing, for charges of at most `electrons` RMS. The bounds
+    follow from S, the sum of |w| over the neighbours."""
     low, high = (np.asarray(end.kernel, float) for end in ends)
     largest = np.maximum(np.abs(low), np.abs(high))
     middle = tuple(size // 2 for size in largest.shape)

@@ -1,13 +1,14 @@
-"""Expectation and variance of raw data in closed form, without a random draw, in DN and DN^2.
+"""The mean and variance of raw data in closed form, without random draws, in DN and DN^2.
 
     mean     mu_y  = K (eta mu_p + mu_d) + offset
     variance var_y = K^2 (eta mu_p + mu_d + sigma_read^2) + 1/12      (temporal)
     pattern  s_y^2 = K^2 ((PRNU eta mu_p)^2 + DSNU^2)                 (from pixel to pixel)
 
-Every further source of the sensor adds its term. Differences between the pixels of a die (dead, hot
-and trapping pixels, columns) enter mean and temporal variance as averages over dies. Under the
-brighter-fatter effect, variances are those of uniform light at each pixel's mean. Blooming has no
-closed form and is neglected.
+K is the gain, eta mu_p the number of photoelectrons, and mu_d the number of dark electrons. Every
+further noise source of the sensor adds a term. Differences between the pixels of a die (dead, hot
+and trapping pixels, columns) enter mean and temporal variance as averages over dies. With the
+brighter-fatter effect, the variance of a pixel is that in uniform light of its mean. Blooming has
+no closed form and is neglected.
 """
 
 from dataclasses import replace
@@ -56,7 +57,7 @@ QUANTISATION_VARIANCE = 1 / 12  # DN^2, the variance of rounding to whole number
 
 
 class Moments(NamedTuple):
-    """Mean and variance of one quantity.
+    """The mean and variance of one random quantity.
 
     Attributes:
         mean: (...) in the unit of the quantity.
@@ -99,7 +100,8 @@ def signal_variance(sensor: Sensor, irradiance: Light) -> Counts:
 
         var_y = K^2 (eta mu_p + mu_d + sigma_read^2) + 1/12
 
-    Rounding adds 1/12 DN^2 once, which is accurate if the other noise exceeds about half a DN.
+    Rounding is taken to add 1/12 DN^2, which is accurate if the other noise exceeds about half a
+    DN.
 
     Args:
         sensor: the sensor.
@@ -119,12 +121,12 @@ def signal_variance(sensor: Sensor, irradiance: Light) -> Counts:
 
 @takes_numbers
 def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
-    """Return the variance, over the die, of the pixels' mean signals under uniform irradiance,
-    before clipping.
+    """Return the variance of the mean signals of a die's pixels under uniform irradiance, before
+    clipping (fixed-pattern noise).
 
         s_y^2 = K^2 ((PRNU eta mu_p)^2 + DSNU^2)
 
-    Columns and rows count like pixels.
+    Offsets of columns and rows are added in the same way as those of pixels.
 
     Args:
         sensor: the sensor.
@@ -185,9 +187,9 @@ def neighbour_covariances(
     and frames. At an offset of i rows and j columns the noise adds row_noise^2 if i = 0,
     column_noise^2 if j = 0, frame_noise^2, and (a^2 / 2) cos(2 pi i / period) of banding.
 
-    Charge transfer is assumed to leave packets independent, which is exact for Poisson packets.
-    Differences between pixels enter as averages over dies. Neighbours are assumed to have the same
-    tap.
+    Charge packets are assumed to be independent after charge transfer, which is exact for Poisson
+    packets. Differences between pixels enter as averages over dies. Neighbours are assumed to have
+    the same tap.
 
     Args:
         sensor: the sensor.
@@ -244,12 +246,13 @@ def neighbour_covariances(
 
 @takes_numbers
 def signal_to_noise(sensor: Sensor, irradiance: Light) -> Counts:
-    """Return the signal-to-noise ratio of one pixel: the signal above dark divided by the temporal
-    noise, before clipping.
+    """Return the signal-to-noise ratio of one pixel: the signal without its dark part, divided by
+    the temporal noise, before clipping.
 
         SNR = eta mu_p / sqrt(eta mu_p + mu_d + sigma_read^2 + 1 / (12 K^2))
 
-    `pattern_variance` has the differences between pixels, which a flat field removes.
+    Differences between pixels, which flat-field correction removes, are not included; see
+    `pattern_variance`.
 
     Args:
         sensor: the sensor.
@@ -279,12 +282,13 @@ def signal_to_noise(sensor: Sensor, irradiance: Light) -> Counts:
 def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
     """Return the mean and temporal variance of raw data clipped by a full well and the ADC's range.
 
-    Below 20 electrons the sum over Poisson counts is explicit, except with the brighter-fatter
-    effect, poor charge transfer, mixing, or unequal gains. Elsewhere the clipped variable is taken
-    as Gaussian, which is exact for Gaussian noise. For Poisson noise the error of the mean is less
-    than 0.07 times the noise's RMS divided by sqrt(electrons at the clipping level). Rounding is
-    exact for noise below 1 DN. For larger noise it adds 1/12 DN^2. The result is smooth in every
-    parameter of a noisy sensor, and its gradients fall to 0 beyond saturation.
+    Below 20 electrons, moments are summed over all Poisson counts, except with the brighter-fatter
+    effect, charge transfer inefficiency, mixing, or unequal gains. In all other cases the signal
+    before clipping is assumed to be Gaussian, which is exact for Gaussian noise. For Poisson noise,
+    the error of the mean is less than 0.07 times the noise's RMS divided by sqrt(electrons at the
+    clipping level). Rounding is exact for noise below 1 DN, and is taken to add 1/12 DN^2 for
+    larger noise. The result is smooth in every parameter of a noisy sensor, and its gradients fall
+    to 0 beyond saturation.
 
     Args:
         sensor: its `full_well` and `bits` clip.
@@ -367,7 +371,7 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
 def _one_end_moments(
     mean: Scalars, sigma: Scalars, clipped: Scalars, *, low: Scalar | None, high: Scalar | None
 ) -> tuple[Scalars, Scalars]:
-    """Return mean and variance of a Gaussian variable clipped at one end or not at all."""
+    """Return mean and variance of a Gaussian variable that is clipped at one end or at neither."""
     if low is not None:
         sign, end = 1, low
     elif high is not None:
@@ -383,8 +387,9 @@ def _both_ends_moments(
     mean: Scalars, sigma: Scalars, clipped: Scalars, low: Scalar, high: Scalar
 ) -> tuple[Scalars, Scalars]:
     """Return mean and variance of a Gaussian clipped to [low, high]. The clipped variable is low +
-    sigma (A - B), with A = max(Z + p, 0), B = max(Z - q, 0), and p, q the distances of the mean
-    from both ends divided by sigma. Noise much wider than the window has its own series."""
+    sigma (A - B), with A = max(Z + p, 0) and B = max(Z - q, 0). Z is a standard Gaussian variable,
+    and p and q are the distances of the mean from the two ends, divided by sigma. If sigma is much
+    larger than the window, a series is used instead."""
     p, q = _inside(mean, sigma, low, 1), _inside(mean, sigma, high, -1)
     moved = clipped + sigma * (tail_mean(_outside(p)) - tail_mean(_outside(q)))
     near, far = jnp.minimum(p, q), jnp.maximum(p, q)
@@ -408,19 +413,19 @@ def _both_ends_moments(
 
 
 def _inside(mean: Scalars, sigma: Scalars, end: Scalar, sign: int) -> Scalars:
-    """Return how far the mean lies inside an end, in standard deviations; `sign` is 1 for the low
-    end, -1 for the high end."""
+    """Return the distance of the mean from an end of the range, in standard deviations, positive
+    inside the range. `sign` is 1 for the low end, -1 for the high end."""
     clips = ~jnp.isinf(end)
     return jnp.where(clips, sign * (mean - jnp.where(clips, end, 0)) / sigma, _FAR)
 
 
 def _outside(inside: Scalars) -> Scalars:
-    """Return -|inside|, in standard deviations."""
+    """Return the negative absolute value of a distance in standard deviations, -|inside|."""
     return jnp.where(inside < 0, inside, -inside)
 
 
 def _charge(sensor: Sensor, irradiance: Light) -> Moments:
-    """Return the moments of the electrons in a pixel, before any well is full."""
+    """Return the moments of the electrons in a pixel, before clipping by the full well."""
     mean = expected_charge(sensor, irradiance)
     if sensor.dead_pixels is not None:
         mean = mean * (1 - sensor.dead_pixels)
@@ -438,7 +443,7 @@ def _charge(sensor: Sensor, irradiance: Light) -> Moments:
 
 
 def _read(sensor: Sensor, charge: Moments) -> Moments:
-    """Return the moments of the electrons that are read out."""
+    """Return the moments of the electrons after read-out noise is added."""
     mean, variance = _act(sensor, _passed_on(sensor, charge))
     if None not in (sensor.mixing, sensor.brighter_fatter, sensor.shot_noise):
         variance = variance * _repelled_share(sensor, charge.mean)
@@ -449,8 +454,8 @@ def _read(sensor: Sensor, charge: Moments) -> Moments:
 
 
 def _repelled_share(sensor: Sensor, mean: Scalars) -> Scalars:
-    """Return the variance after mixing for charges that repel each other, relative to independent
-    charges of the same variance. Repelling charges of neighbours are correlated."""
+    """Return the ratio of two variances after mixing: with charges that the brighter-fatter effect
+    correlates, and with independent charges of the same variance."""
     assert sensor.mixing is not None
     assert sensor.brighter_fatter is not None
     lit, kernel = mean > 0, sensor.mixing.kernel.astype(mean.dtype)
@@ -460,7 +465,8 @@ def _repelled_share(sensor: Sensor, mean: Scalars) -> Scalars:
 
 
 def _charge_moments(sensor: Sensor, irradiance: Light, reach: int) -> tuple[Scalars, Covariances]:
-    """Return the mean of the charges after mixing, and their covariances, electrons^2."""
+    """Return the mean of the charges after charge transfer and mixing, and their covariances,
+    electrons^2."""
     charge = _charge(sensor, irradiance)
     mean, variance = _passed_on(sensor, charge)
     size = reach + _farthest(sensor)
@@ -475,15 +481,15 @@ def _charge_moments(sensor: Sensor, irradiance: Light, reach: int) -> tuple[Scal
 
 
 def _offsets(reach: int, like: Scalars) -> tuple[Array, Array, Array]:
-    """Return whether each offset is 0, and its rows and columns, with axes for broadcasting."""
+    """Return the offsets of up to `reach` rows and columns, with axes for broadcasting: whether
+    each is (0, 0), its rows, and its columns."""
     along = np.indices((reach + 1, reach + 1)).reshape(2, *(1,) * like.ndim, reach + 1, reach + 1)
     rows, columns = (jnp.asarray(x, like.dtype) for x in along)
     return (rows == 0) & (columns == 0), rows, columns
 
 
 def _farthest(sensor: Sensor) -> int:
-    """Return the largest distance, in pixels, of two pixels that get electrons of the same third
-    pixel."""
+    """Return the largest distance, in pixels, at which mixing correlates two pixels."""
     return 0 if sensor.mixing is None else max(sensor.mixing.kernel.shape) - 1
 
 
@@ -498,7 +504,8 @@ def _repel(effect: BrighterFatter, electrons: Scalars, reach: int) -> Covariance
 def _mix(
     kernel: Float[Array, "rows columns"], found: Covariances, reach: int
 ) -> Float[Array, "... kept kept"]:
-    """Return the covariances after mixing, from those before it, which extend further."""
+    """Return the covariances after mixing up to an offset of `reach`, given the covariances before
+    mixing, which must extend farther."""
     shared = correlate2d(kernel, kernel, mode="full")  # sum w(k) w(k + lag)
     shared = (shared + shared[:, ::-1]) / 2
     lags = np.arange(reach + 1)
@@ -523,8 +530,8 @@ def _act(sensor: Sensor, charge: Moments) -> Moments:
 
 
 def _count_sum_moments(sensor: Sensor, mean: Scalars) -> Moments:
-    """Return the moments of the raw numbers for Poisson counts with a mean below FAINT, summed over
-    all counts below COUNTS."""
+    """Return the moments of the raw numbers for Poisson counts with a small mean (below FAINT), by
+    a sum over all counts below COUNTS."""
     about = _convert(sensor, _read(sensor, Moments(mean, jnp.zeros_like(mean)))).mean
     about = jax.lax.stop_gradient(about)
 
@@ -547,8 +554,9 @@ def _count_sum_moments(sensor: Sensor, mean: Scalars) -> Moments:
 
 
 def _convert(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> Moments:
-    """Return the moments of the numbers of the ADC, DN. Without noise, rounding counts as 1/12
-    DN^2, except for one known count of electrons, whose code is known."""
+    """Return the moments of the numbers of the ADC, in DN. Without noise, rounding is taken to add
+    1/12 DN^2, except for a single count of electrons (`of_one_count`), for which rounding is
+    exact."""
     if sensor.bits is None:
         return _signal(sensor, read)
     analogue = _signal(replace(sensor, bits=None), read)
@@ -562,9 +570,9 @@ def _convert(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> Mo
 
 
 def _round(analogue: Moments, fine: Bool[Array, "..."], high: Scalar) -> Moments:
-    """Return the moments of a signal with Gaussian noise below 1 DN RMS, rounded to whole numbers
-    from 0 to `high`. With P_c = P(x > c + 1/2), the mean is sum P_c and the mean square is sum (2 c
-    + 1) P_c."""
+    """Return the moments of a signal x with Gaussian noise below 1 DN RMS, rounded to whole numbers
+    from 0 to `high`. With P_c = P(x > c + 1/2), the mean is the sum of P_c over the numbers c, and
+    the mean square is the sum of (2 c + 1) P_c."""
     noisy = fine & (analogue.variance > 0)
     sigma = jnp.sqrt(jnp.where(noisy, analogue.variance, 1))
     base = jax.lax.stop_gradient(jnp.floor(analogue.mean)) - ROUNDED

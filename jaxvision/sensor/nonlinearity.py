@@ -1,8 +1,8 @@
-"""Curves from the charge of a pixel to its signal, their inverses and slopes. All quantities are in
-electrons. The signal is the charge that gives the same reading in a linear sensor with the same
-gain at 0.
+"""The nonlinearity of a sensor: curves from the charge of a pixel to its signal, with their
+inverses and slopes. All quantities are in electrons. The signal is defined as the charge that gives
+the same reading in a linear sensor with the same gain at 0.
 
-Every curve continues as a straight line beyond the charges at which it is known.
+Beyond the range of charges for which a curve is given, it continues as a straight line.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ _STEPS = 30  # steps of a search; bisection alone leaves 1e-9 of an interval, Ne
 
 @takes_numbers
 def signal_of_charge(nonlinearity: Nonlinearity, electrons: Scalars) -> Scalars:
-    """Return the signal for a charge.
+    """Return the signal of a nonlinear sensor for a charge.
 
     Args:
         nonlinearity: the curve.
@@ -52,7 +52,7 @@ def signal_of_charge(nonlinearity: Nonlinearity, electrons: Scalars) -> Scalars:
 
 @takes_numbers
 def charge_of_signal(nonlinearity: Nonlinearity, signal: Scalars) -> Scalars:
-    """Return the charge for a signal: the inverse of `signal_of_charge`.
+    """Return the charge that gives a signal, the inverse of `signal_of_charge`.
 
     Args:
         nonlinearity: the curve.
@@ -101,8 +101,9 @@ def _expand(effect: Compression, signal: Scalars) -> Scalars:
 
 
 def _slopes_of_compression(ends: Ends[Compression]) -> tuple[float, float]:
-    """Return the smallest and the largest slope 1 - 2 c u - 3 d u^2 over u in [0, 1]. They are at
-    u = 0, at u = 1 or at the vertex, and at an end of the ranges of c and d, because the slope is
+    """Return the smallest and the largest slope 1 - 2 c u - 3 d u^2 of a `Compression` with u in
+    [0, 1], over the ranges of its coefficients c and d. These extremes are at u = 0, at u = 1 or at
+    the vertex of the parabola. They are at the ends of the ranges of c and d, because the slope is
     linear in both."""
     found = []
     for c in (float(end.first) for end in ends):
@@ -119,15 +120,15 @@ register_curve(Compression, curve=_compress, slopes=_slopes_of_compression, inve
 
 
 def _interpolate(x: Scalars, inputs: Scalars, outputs: Scalars) -> Scalars:
-    """Interpolate linearly between the entries, and extrapolate linearly beyond them."""
+    """Interpolate linearly between the entries of a table, and extrapolate linearly beyond them."""
     k = jnp.clip(jnp.searchsorted(inputs, x, side="right") - 1, 0, inputs.shape[0] - 2)
     slopes = jnp.diff(outputs) / jnp.diff(inputs)
     return outputs[k] + slopes[k] * (x - inputs[k])
 
 
 def _chords(ends: Ends[Any]) -> tuple[float, float]:
-    """Return the smallest and the largest slope between two entries, with each entry at either end
-    of its range."""
+    """Return the smallest and the largest slope between adjacent entries of a table, with each
+    entry at either end of its range."""
     low, high = (np.asarray(end.signal, float) for end in ends)
     first, last = (np.asarray(end.electrons, float) for end in ends)
     shortest, longest = first[1:] - last[:-1], last[1:] - first[:-1]
@@ -165,9 +166,9 @@ def _smooth_inverse(curve: ResponseSpline, signal: Scalars) -> Scalars:
 
 
 def _slopes_of_spline(ends: Ends[ResponseSpline]) -> tuple[float, float]:
-    """Return the smallest and largest slope of the cubic segments, which is a parabola in each,
-    with extrema at an end or the vertex. If a parameter is free, they are 0 and three times the
-    largest slope of a chord."""
+    """Return the smallest and the largest slope of a spline. In each cubic segment the slope is a
+    parabola, with extrema at an end or at the vertex. If a parameter may vary, the result is 0 and
+    three times the largest slope between adjacent entries."""
     low = ends.low
     free = any(not np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, ends), strict=True))
     if free:
@@ -194,9 +195,9 @@ def _invert(
     low: Scalars,
     high: Scalars,
 ) -> Scalars:
-    """Find the charge between `low` and `high` at which a rising curve takes a value; beyond them
-    the curve is a straight line. The search takes Newton steps, or bisects if a step leaves the
-    bracket."""
+    """Find the charge at which an increasing curve has the value `signal`, between `low` and
+    `high`. Beyond these the curve is a straight line. The search takes Newton steps, or bisects if
+    a step would leave the bracket."""
     held, seen, low, high = jax.lax.stop_gradient((effect, signal, low, high))
     low, high = jnp.broadcast_to(low, seen.shape), jnp.broadcast_to(high, seen.shape)
 

@@ -1,9 +1,10 @@
-"""Raw data from irradiance, step by step. A step whose parameter is None is not traced.
+"""Simulate raw data from irradiance, stage by stage. A stage whose parameter is None is not traced.
 
-Functions act elementwise on arrays (..., bands) of any shape, so an image is one call and one loop
-over its pixels. Effects between pixels, rows or columns need an image (..., h, w, bands). Leading
-axes are more pixels of the same exposure. Each pixel has its own draws, and the draws of rows and
-columns are shared along these axes. For several frames of one die, use `vmap` over keys.
+The functions act elementwise on arrays (..., bands) of any shape, so that XLA computes an image in
+one loop over its pixels. Effects between pixels, rows or columns need an image (..., h, w, bands).
+Further leading axes are treated as more pixels of the same exposure: each pixel has its own random
+numbers, but those of rows and columns are the same along these axes. For several frames of one die,
+use `vmap` over keys.
 """
 
 import jax.numpy as jnp
@@ -28,15 +29,15 @@ def collect(
 ) -> Counts:
     """Draw the electrons read from each pixel in one exposure.
 
-    At each charge transfer, electrons are left behind at random. A Poisson packet thinned in this
-    way stays Poisson, so transfers act on the expectation before the count. If a full well clips
-    the packets or charges have repelled each other, transfers act on the charge itself, and the
-    noise of this random selection is added.
+    At each charge transfer, electrons are left behind at random. A Poisson packet that is thinned
+    in this way remains Poisson, so transfers are applied to the expectation, before electrons are
+    counted. If a full well clips the packets, or the brighter-fatter effect correlates them,
+    transfers are applied to the counted charge, and the noise of the random selection is added.
 
-    Gradients are those of the draw (see `count`). They are unbiased for means and mean squares,
-    except with a full well of w electrons that clips Poisson counts of mean m. Charge beyond the
-    well has no slope, and the slope of the mean is too small by (1 - m / w) P(N = w - 1) / 4, at
-    most 0.0007 for w = 100.
+    Gradients are those of the reparameterised draw (see `count`). For means and mean squares they
+    are unbiased, except if a full well of w electrons clips Poisson counts N of mean m. Charge
+    beyond the well has the derivative 0, and the derivative of the mean is too small by (1 - m / w)
+    P(N = w - 1) / 4, at most 0.0007 for w = 100.
 
     Args:
         key: random key of the frame, for everything that changes from frame to frame; may be None
@@ -111,8 +112,8 @@ def collect(
 
 
 def _surely_full(mean: Counts, full_well: Scalar) -> Counts:
-    """Limit the mean to the largest mean of `count` if this is at least twice the well. The well is
-    full with either mean."""
+    """Clip the mean to the largest mean that `count` accepts, if this is at least twice the full
+    well. The well is full with either mean."""
     return jnp.where(full_well <= MOST_ELECTRONS / 2, jnp.minimum(mean, MOST_ELECTRONS), mean)
 
 

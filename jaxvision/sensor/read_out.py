@@ -1,4 +1,4 @@
-"""Noise of the read-out, in electrons: of pixels, rows, columns and frames, and banding."""
+"""Read-out noise, in electrons: noise of pixels, rows, columns and frames, and banding."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +24,8 @@ from .dark import BOLTZMANN, ELEMENTARY_CHARGE
 
 
 def reset_noise_rms(reset: ResetNoise) -> Scalar:
-    """Return the reset (kTC) noise of a sense node: sqrt(k T C) / q.
+    """Return the reset (kTC) noise of a sense node, sqrt(k T C) / q, where k is the Boltzmann
+    constant, T the temperature, C the capacitance and q the elementary charge.
 
     Args:
         reset: capacitance and temperature of the sense node.
@@ -52,9 +53,9 @@ def read_out_noise(
 ) -> Scalars | None:
     """Draw the sum of all noise that the read-out of one frame adds.
 
-    Whether a pixel belongs to the tail or has a trap is drawn. Gradients with respect to
-    `tail_fraction` and the fraction of telegraph noise are therefore 0; `read_out_variance` has
-    gradients of the variance with respect to both.
+    Whether a reading belongs to the tail, and whether a pixel has a trap, are discrete draws.
+    Gradients with respect to `tail_fraction` and the fraction of telegraph noise are therefore 0.
+    `read_out_variance` has correct gradients with respect to both.
 
     Args:
         key: random key of the frame.
@@ -141,8 +142,8 @@ def read_out_variance(
 
 
 def _rms_of_each(key: Key | None, sensor: Sensor, shape: Shape, dtype: DTypeLike) -> Scalars | None:
-    """Return the RMS of reset and read noise as one Gaussian: their variances add, and one draw is
-    enough."""
+    """Return the RMS of the sum of reset and read noise in each pixel, which one Gaussian draw
+    replaces."""
     match sensor.read_noise:
         case HeavyTailedReadNoise(rms=rms, tail_rms=tail, tail_fraction=fraction):
             in_tail = uniform(key, Frame.READ_TAIL, shape, dtype) <= fraction
@@ -164,8 +165,8 @@ def _telegraph(
     shape: Shape,
     dtype: DTypeLike,
 ) -> Scalars:
-    """Draw the state of each trap after the read-out minus its state before, from two random
-    bits."""
+    """Draw the telegraph noise of each pixel: the state of its trap after the read-out minus the
+    state before, from two random bits."""
     trapped = uniform(die_key, Die.TRAP, shape, dtype) <= telegraph.fraction
     states = (words(key, Frame.TELEGRAPH, shape) >> 30).astype(jnp.int32)
     jump = (states >> 1) - (states & 1)
@@ -173,7 +174,7 @@ def _telegraph(
 
 
 def _hum(key: Key | None, banding: Banding, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """Draw an offset that oscillates over the rows with a random phase."""
+    """Draw the banding of a frame: an offset that is a sinusoid of the row, with a random phase."""
     check_image("Sensor.banding", shape)
     rows = jnp.arange(shape[-3], dtype=dtype).reshape(*(1,) * (len(shape) - 3), -1, 1, 1)
     phase = uniform(key, Frame.BANDING, (), dtype).astype(dtype)

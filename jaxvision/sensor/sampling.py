@@ -1,9 +1,9 @@
-"""The pixel's aperture: a square of width sqrt(fill factor) times the pitch, which averages
-irradiance.
+"""The pixel aperture, a square of width sqrt(fill factor) times the pitch, over which irradiance is
+averaged.
 
-Its MTF is a sinc in each direction. A narrow aperture passes more contrast above the Nyquist
-frequency, which appears as aliasing; a full aperture passes less. A microlens widens the aperture.
-Irradiance in W m^-2 or any other unit; frequencies in cycles per pixel pitch.
+The MTF of the aperture is a sinc in each direction. A narrow aperture transmits more contrast above
+the Nyquist frequency, which causes more aliasing. A microlens widens the aperture. Irradiance is in
+W m^-2 or any other unit; frequencies are in cycles per pixel pitch.
 """
 
 import jax
@@ -17,9 +17,9 @@ from ..scene import PixelAperture
 
 
 def light_share(aperture: PixelAperture) -> Scalar:
-    """Return the share of the light on a pixel that reaches its active area.
+    """Return the share of the light on a pixel that reaches the pixel's active area.
 
-    It is the fill factor, plus the share of the remaining light that the microlens collects.
+    This share is the fill factor, plus the part of the remaining light that the microlens collects.
 
     Args:
         aperture: fill factor and microlens.
@@ -42,7 +42,7 @@ def pixel_means(
 ) -> Float[Array, "*batch rows columns bands"]:
     """Return the mean irradiance over the active area of each pixel.
 
-    Each sample represents its cell of the pixel.
+    Each sample of irradiance is assumed to be uniform over its cell of the pixel.
 
     Args:
         irradiance: (..., h oversampling, w oversampling, bands) W m^-2, sampled
@@ -76,8 +76,8 @@ def pixel_means(
 
 @takes_numbers
 def aperture_mtf(aperture: PixelAperture, frequency: Scalars) -> Scalars:
-    """Return the contrast of a grating along rows or columns after the pixel's aperture,
-    sinc(width f).
+    """Return the contrast of a grating along rows or columns after the pixel aperture, sinc(width
+    f), where f is the frequency of the grating.
 
     Args:
         aperture: the pixel's aperture.
@@ -96,7 +96,7 @@ def aperture_mtf(aperture: PixelAperture, frequency: Scalars) -> Scalars:
 
 @jax.custom_jvp
 def _sinc(x: Scalars) -> Scalars:
-    """Return sin(pi x) / (pi x), accurate near its zeros."""
+    """Return sinc(x) = sin(pi x) / (pi x), accurate near its zeros."""
     least = smallest_divisor(x.dtype)
     away = jnp.maximum(jnp.abs(x), least / 2)
     sine, _ = sine_cosine(away / 2)
@@ -105,8 +105,9 @@ def _sinc(x: Scalars) -> Scalars:
 
 @_sinc.defjvp
 def _sinc_jvp(primals, tangents):
-    """Differentiate `_sinc`: (cos(pi x) - sinc(x)) / x. Near 0 this cancels, and is replaced by the
-    series -pi^2 x / 3 (1 - z / (2 5) (1 - z / (4 7) (...))) in z = (pi x)^2."""
+    """Differentiate `_sinc`. The derivative is (cos(pi x) - sinc(x)) / x. Near 0 the difference
+    cancels, and the derivative is computed by the series -pi^2 x / 3 (1 - z / (2 5) (1 - z / (4 7)
+    (...))) in z = (pi x)^2."""
     (x,), (change,) = primals, tangents
     size = jnp.abs(x)
     z = jnp.square(jnp.pi * jnp.minimum(size, 0.6))
@@ -120,7 +121,8 @@ def _sinc_jvp(primals, tangents):
 
 
 def _cell_weights(aperture: PixelAperture) -> Float[Array, " n"]:
-    """Return the share of the aperture's width in each cell across a pixel; they add up to 1."""
+    """Return the share of the aperture's width in each cell across a pixel; the shares add up to
+    1."""
     n = aperture.oversampling
     width = safe_sqrt(light_share(aperture))
     edges = jnp.linspace(-0.5, 0.5, n + 1, dtype=width.dtype)

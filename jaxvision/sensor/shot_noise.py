@@ -1,29 +1,32 @@
-"""Electron counts: Poisson draws, exact or by inversion, or Gaussian draws.
+"""Shot noise: electron counts as exact Poisson draws, fast Poisson draws by inversion, or Gaussian
+draws.
 
-Up to a mean of 10 both Poisson samplers sum the distribution. Above, the exact one uses rejection
-(Hörmann, "The transformed rejection method for generating Poisson random variables", Insurance:
-Mathematics and Economics 12 (1993), PTRS). It computes the probability of a count n from n - mu by
-Loader's form ("Fast and Accurate Computation of Binomial Probabilities", 2000), in which no term is
-larger than the result. The usual n ln mu - mu - ln n! loses 30 bits at a mean of 1e9.
-`jax.random.poisson` uses the usual form in float32, and its variance is wrong above a mean of 2e5.
+Up to a mean of 10, both Poisson samplers sum the distribution. Above 10, the exact sampler uses
+rejection (Hörmann, "The transformed rejection method for generating Poisson random variables",
+Insurance: Mathematics and Economics 12 (1993), PTRS). The log-probability of a count n is computed
+from n - mu in Loader's form ("Fast and Accurate Computation of Binomial Probabilities", 2000), in
+which no term is larger than the result. The usual form n ln mu - mu - ln n! loses 30 bits at a mean
+of mu = 1e9. `jax.random.poisson` uses the usual form in float32, so that its variance is wrong
+above a mean of 2e5.
 
-The fast sampler turns one uniform number into a count by the inverse of the Poisson distribution.
-Up to a mean of 10 the distribution is summed; above, its inverse is an expansion in z, the Gaussian
+The fast sampler maps one uniform number to a count by the inverse of the Poisson distribution. Up
+to a mean of 10 the distribution is summed. Above 10, the inverse is expanded in z, the Gaussian
 quantile of the same probability (Giles, "Algorithm 955: approximation of the inverse Poisson
 cumulative distribution function", ACM TOMS 42 (2016), Q_N2):
 
     x = mu + sqrt(mu) z + (1/3 + z^2/6) - (z/36 + z^3/72) / sqrt(mu)
         + (-8/405 + 7 z^2/810 + z^4/270) / mu,         N = floor(x)
 
-A count is differentiated along the draw, as if its deviation from the mean grew in proportion to
-the noise:
+For the derivative, the draw N at the mean m_0 is reparameterised: its deviation from the mean is
+assumed to scale with the standard deviation:
 
     N(m) = m + (N - m_0) sqrt(m / m_0),    dN/dm = 1/2 + N / (2 m)
 
-The expected slope is 1, and the expected slope of N^2 is 2 m + 1, so gradients of first and second
-moments are unbiased at every light level. The slope of N^3 is too large by 1/2 (of 3 m^2 + 6 m +
-1). The slope of one draw has the variance 1 / (4 m), so faint light needs many pixels. For expected
-images use `expected_signal` and `signal_variance`, whose gradients have no noise.
+The expected derivative of N is 1, and that of N^2 is 2 m + 1, so gradients of first and second
+moments are unbiased at every light level. The derivative of N^3, which is 3 m^2 + 6 m + 1, is
+overestimated by 1/2. The derivative of a single draw has the variance 1 / (4 m), so faint light
+needs an average over many pixels. For expected images use `expected_signal` and `signal_variance`,
+whose gradients have no noise.
 """
 
 import jax
@@ -58,15 +61,15 @@ SUMMED_COUNTS = 38  # P(N >= 38) is 4e-11 at a mean of 10, below the smallest un
 
 @takes_numbers
 def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
-    """Draw the electrons counted in each pixel.
+    """Draw the number of electrons counted in each pixel.
 
     With `PoissonShotNoise` the cumulative probabilities are accurate to 3e-6 at every mean up to
     2^31, also in float32. `FastPoissonShotNoise` differs from it in total variation by less than
-    2e-6 up to a mean of 10. Just above 10 the difference is 1.4e-4, and it falls to 2e-5 from 1000
-    on. The relative error of the mean is at most 1e-6, that of the variance 3e-4. In float32,
-    counts above 2^24 are rounded to the nearest number. Counts are differentiated along the draw,
-    with slope 1/2 + N / (2 mean). The slopes of first and second moments are unbiased, and the
-    slope's variance is 1 / (4 mean).
+    2e-6 up to a mean of 10. Just above 10 the difference is 1.4e-4, and it falls to 2e-5 for means
+    above 1000. The relative error of the mean is at most 1e-6, that of the variance 3e-4. In
+    float32, counts above 2^24 are rounded to the nearest representable number. The derivative of a
+    count N is 1/2 + N / (2 mean). Gradients of first and second moments are unbiased, and the
+    variance of the derivative is 1 / (4 mean).
 
     Args:
         key: random key of the frame.
@@ -107,7 +110,8 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
 
 
 def _check_countable(mean: Scalars) -> None:
-    """Raise `ValueError` for known means beyond the range of the Poisson draws."""
+    """Raise `ValueError` for means beyond the range of the Poisson draws; means that JAX traces are
+    not checked."""
     if is_known(mean) and (beyond := np.asarray(mean) > MOST_ELECTRONS).any():
         raise ValueError(
             f"mean must be at most {MOST_ELECTRONS:.0f} electrons for Poisson draws, got "
@@ -126,8 +130,9 @@ def _exact_poisson(key: Key, bits: Words, mean: Scalars) -> Scalars:
 
 @one_program
 def _rejection_draws(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scalars:
-    """Draw Poisson counts for means of at least 10. Proposals are distances from the mean's whole
-    part, tested in float32. Where `done`, the result is the whole part."""
+    """Draw Poisson counts for means of at least 10, by rejection. Proposals are differences from
+    the integer part of the mean, and are tested in float32. Where `done` is true, no count is
+    needed, and the result is the integer part of the mean."""
     seed = seed_of(key)
     place = jax.lax.iota(jnp.uint32, mean.size).reshape(mean.shape)
     whole = jnp.floor(mean)
@@ -166,14 +171,14 @@ def _accept(
     b: Scalars,
     inverse_alpha: Scalars,
 ) -> Bool[Array, "..."]:
-    """Whether a proposal is accepted; `bits` are its random bits."""
+    """Return whether a proposal of the rejection sampler is accepted, given its random bits."""
     height = tail_probability(bits, mean.dtype) * inverse_alpha / (a / (edge * edge) + b)
     return height <= _poisson_probability(steps - part, mean)
 
 
 def _poisson_probability(excess: Scalars, mean: Scalars) -> Scalars:
-    """Return P(N = mean + excess), from Loader's form for the next count: P(n) = P(n + 1) (n + 1) /
-    mean."""
+    """Return P(N = mean + excess) for a Poisson variable N, from Loader's form for the next count:
+    P(n) = P(n + 1) (n + 1) / mean."""
     n = jnp.maximum(mean + (excess + 1), 1)
     size = jnp.exp(-poisson_deviance(n, excess + 1, mean) - stirling_remainder(n))
     return size * jnp.sqrt(n / (2 * np.pi)) / mean
@@ -186,8 +191,9 @@ _ARCTANH = {4: [1 / k for k in (9, 7, 5, 3)], 8: [1 / k for k in range(17, 1, -2
 
 @takes_numbers
 def poisson_deviance(n: Scalars, excess: Scalars, mean: Scalars) -> Scalars:
-    """Return Loader's D_0 = n ln(n / mean) - excess, no unit, without cancellation, for counts n >=
-    1. `excess` = n - mean, electrons, must be more accurate than the computed difference."""
+    """Return Loader's deviance D_0 = n ln(n / mean) - excess, no unit, without cancellation, for
+    counts n >= 1. The argument `excess` = n - mean, in electrons, must be more accurate than the
+    difference of the rounded n and mean."""
     v = excess / (n + mean)
     square = v * v
     near = v * square * polynomial(_ARCTANH[8 if v.dtype == jnp.float64 else 4], square)
@@ -196,8 +202,8 @@ def poisson_deviance(n: Scalars, excess: Scalars, mean: Scalars) -> Scalars:
 
 @takes_numbers
 def stirling_remainder(n: Scalars) -> Scalars:
-    """Return ln n! - (n + 1/2) ln n + n - ln(2 pi) / 2, no unit, by its continued fraction. The
-    error is 1e-5 at n = 1 and 1e-13 for n >= 30."""
+    """Return the remainder of Stirling's formula, ln n! - (n + 1/2) ln n + n - ln(2 pi) / 2, no
+    unit, by a continued fraction. The error is 1e-5 at n = 1 and 1e-13 for n >= 30."""
     fraction = n
     for term in (22999 / 22737, 195 / 371, 53 / 210, 1 / 30):
         fraction = n + term / fraction
@@ -205,8 +211,8 @@ def stirling_remainder(n: Scalars) -> Scalars:
 
 
 def _inverse_poisson(bits: Words, mean: Scalars) -> Scalars:
-    """Return the count that a Poisson variable of this `mean` exceeds with a probability of at most
-    (bits + 1/2) / 2^32, from 32 uniform bits for each entry.
+    """Return the smallest count that a Poisson variable of this `mean` exceeds with a probability
+    of at most (bits + 1/2) / 2^32, from 32 uniform bits for each entry.
     """
     few = mean < SUMMED_MEAN
     many = jnp.where(few, SUMMED_MEAN, mean)
@@ -221,14 +227,16 @@ def _inverse_poisson(bits: Words, mean: Scalars) -> Scalars:
 
 
 def _differentiable_count(drawn: Scalars, mean: Scalars) -> Scalars:
-    """Return a count N with the slope 1/2 + N / (2 mean), or 1 without light."""
+    """Return a count N with the derivative 1/2 + N / (2 mean) with respect to the mean, or 1 if the
+    mean is 0."""
     slope = divide(drawn + mean, 2 * mean, ~(mean <= smallest_divisor(mean.dtype)), otherwise=1)
     return replace_gradient(jax.lax.stop_gradient(drawn), jax.lax.stop_gradient(slope) * mean)
 
 
 def _summed_inverse(probability: Scalars, mean: Scalars) -> Scalars:
-    """Return how many of P(N > 0), P(N > 1), ... exceed `probability`. Each is summed from its
-    small terms on, so that the probabilities of rare counts are accurate.
+    """Return how many of the tail probabilities P(N > 0), P(N > 1), ... of a Poisson variable N
+    exceed `probability`. Each tail is summed from its smallest term, so that the probabilities of
+    rare counts are accurate.
     """
     terms = [mean * jnp.exp(-mean)]
     for n in range(2, SUMMED_COUNTS):

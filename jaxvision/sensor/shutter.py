@@ -1,12 +1,13 @@
-"""The exposure of each row over time, and the average of a moving scene over each exposure.
+"""The exposure interval of each row, and the average of a moving scene over it.
 
-Times in s; weights have no unit. The time from the first row's opening to the last row's closing is
-divided into equal slots. The scene is evaluated in the middle of each slot, and a row weights each
-slot by the part of it within the row's own exposure. If a row's exposure covers a slot in part, the
-scene in the middle of this part is interpolated linearly between the middles of two slots. So a
-linear change is averaged exactly for every row. If slots are at least as long as an exposure, they
-begin earlier and end later, so that the middles of the first and last slot are those of the first
-and last row's exposure. A global shutter opens all rows at time 0.
+Times are in s; weights have no unit. The time from the start of the first row's exposure to the end
+of the last row's exposure is divided into equal slots. The scene is evaluated in the middle of each
+slot. The weight of a slot for a row is the part of the slot within the row's exposure. If this is
+not the whole slot, the scene in the middle of the part is interpolated linearly between the middles
+of two slots. A linear change of the scene is therefore averaged exactly for every row. If slots are
+at least as long as an exposure, they begin earlier and end later, so that the middles of the first
+and last slot are those of the first and last row's exposure. A global shutter exposes all rows from
+time 0 on.
 """
 
 from collections.abc import Callable
