@@ -1,15 +1,16 @@
-"""Resolution from the picture of a straight edge: its spread, the MTF and a point spread function.
+"""Measure the resolution from the picture of a straight edge: edge spread, MTF and point spread
+function.
 
-The edge lies at any angle in a picture of linear numbers. Every pixel enters at its own distance
-from the edge. Pixel values are not binned, interpolated or differentiated, and a colour plane of a
-mosaic needs no demosaicing. Lengths are in pixels, frequencies in cycles per pixel, across the
-edge.
+The edge may lie at any angle in a picture of linear numbers. Every pixel is used at its own
+distance from the edge. Pixel values are not binned, interpolated or differentiated, and a colour
+plane of a mosaic needs no demosaicing. Lengths are in pixels, and frequencies across the edge in
+cycles per pixel.
 
-A model fits the whole picture. Its blur is the convolution of the pixel's square aperture, a
-Gaussian or a uniform disc (defocus), and a known diffraction. The MTF is then measured without the
-model: the odd harmonics of a square wave with this edge are fitted to the residuals. Their
-amplitudes are linear in the pixel values, so they are unbiased at low signal, unlike the modulus of
-a noisy transform.
+First, a model of the edge is fitted to the whole picture. Its blur is the convolution of the
+pixel's square aperture, a Gaussian or a uniform disc (defocus), and a known diffraction. Then the
+MTF is measured without the model, by fitting the odd harmonics of a square wave with this edge to
+the residuals. The amplitudes of the harmonics are linear in the pixel values. They are therefore
+unbiased at low signal, unlike the modulus of a noisy Fourier transform.
 
 Source:
     ISO 12233:2017, annex D (slanted edge); Goodman, Introduction to Fourier Optics, section 6.4.
@@ -78,7 +79,7 @@ class Blur(NamedTuple):
 
 @dataclass(frozen=True)
 class Resolution:
-    """The sharpness measured on the picture of an edge.
+    """The resolution measured on the picture of an edge.
 
     Attributes:
         fit: of the model to the picture: its estimates, chi-square and findings.
@@ -109,13 +110,17 @@ class Resolution:
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
-        """Direction of the normal toward the bright side, place, levels, and width of the blur."""
+        """Return the direction of the normal toward the bright side, the edge's place, the levels
+        of both sides, and the width of the blur.
+        """
         return self.fit.estimates
 
     @property
     @double_precision
     def mtf50(self) -> Bands:
-        """Frequency where the model's MTF is 1/2, in cycles per pixel, with intervals."""
+        """Return the frequency at which the model's MTF is 1/2, in cycles per pixel, with
+        intervals.
+        """
         frequency = jnp.linspace(0, 2, 801)
         return self.fit.derived(
             lambda **at: _falls_to_half(frequency, self._transfer(frequency, at))
@@ -124,7 +129,9 @@ class Resolution:
     @property
     @double_precision
     def fwhm(self) -> Bands:
-        """Full width at half maximum of the model's line spread, in pixels, with intervals."""
+        """Return the full width at half maximum of the model's line spread, in pixels, with
+        intervals.
+        """
         most = 2 + 3 * float(self.fit.values["blur"]) + 2 * (self.blur.diffraction or 0)
         place = jnp.linspace(0, most, 801)
 
@@ -137,7 +144,7 @@ class Resolution:
 
     @double_precision
     def mtf(self, frequency: Any) -> Bands:
-        """The model's MTF, with intervals.
+        """Return the model's MTF at some frequencies, with intervals.
 
         Args:
             frequency: (...) cycles per pixel across the edge.
@@ -150,7 +157,8 @@ class Resolution:
 
     @double_precision
     def psf(self, size: int) -> Float[np.ndarray, "size size"]:
-        """The model's point spread function, pixel aperture included: share of light per pixel.
+        """Return the model's point spread function, including the pixel aperture: the fraction of
+        light in each pixel.
 
         Args:
             size: side in pixels, odd.
@@ -174,12 +182,12 @@ class Resolution:
         return spread / spread.sum()
 
     def _transfer(self, frequency: Array, at: Mapping[str, Any]) -> Array:
-        """OTF across the edge at a frequency."""
+        """Return the model's OTF across the edge."""
         return _transfer(frequency, at, self.blur)
 
     @double_precision
     def figure(self) -> "Figure":
-        """The edge spread and the MTF, measured and modelled."""
+        """Draw the edge spread and the MTF, as measured and by the model."""
         import matplotlib.pyplot as plt
 
         figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
@@ -284,7 +292,7 @@ def from_edge(
 
 
 class _Pixels:
-    """The valid pixels, their noise, and first estimates of the edge."""
+    """The valid pixels of a picture, their noise, and first estimates of the edge."""
 
     def __init__(self, picture: Float[np.ndarray, "h w"], angle: float, place: float) -> None:
         self.row, self.column = np.nonzero(np.isfinite(picture))
@@ -349,7 +357,9 @@ def _refuse_mosaic(
 
 
 def _correlated(noise: Float[np.ndarray, "h w"]) -> bool:
-    """Whether neighbouring pixels of the flat sides have correlated noise of sd 1."""
+    """Return whether the noise of neighbouring pixels on the flat sides, scaled to unit variance,
+    is correlated.
+    """
     for lag in (1, 2):  # lag 2 for a band measured at every second pixel
         products = [
             (noise[lag:] * noise[:-lag]).ravel(),
@@ -363,7 +373,7 @@ def _correlated(noise: Float[np.ndarray, "h w"]) -> bool:
 
 
 def _one_band(image: Any, sensor: jv.Sensor | None, band: int | None) -> Float[np.ndarray, "h w"]:
-    """The numbers of one band, NaN at pixels that do not measure it."""
+    """Return the numbers of one band, NaN at pixels that do not measure it."""
     picture = np.array(image, float)
     if picture.ndim not in (2, 3) or min(picture.shape[:2]) < _LEAST:
         raise InputError(
@@ -385,7 +395,7 @@ def _one_band(image: Any, sensor: jv.Sensor | None, band: int | None) -> Float[n
 
 
 def _refuse_clipped(picture: Float[np.ndarray, "h w"], sensor: jv.Sensor | None) -> None:
-    """Refuse numbers that pile up at an end of their range."""
+    """Refuse a picture many of whose numbers lie at an end of their range."""
     known = picture[np.isfinite(picture)]
     if known.size == 0:
         raise InputError("from_edge: no pixel of the image is a finite number.")
@@ -416,7 +426,9 @@ def _plateau(pixels: "_Pixels") -> Iterator[str]:
 
 
 def _first_line(picture: Float[np.ndarray, "h w"]) -> tuple[float, float]:
-    """Direction of the edge's normal toward the bright side in degrees, and its place in pixels."""
+    """Estimate the direction of the edge's normal toward the bright side, in degrees, and the
+    edge's place, in pixels.
+    """
     known = np.isfinite(picture)
     weight = ndimage.gaussian_filter(known.astype(float), 1.5)
     smooth = ndimage.gaussian_filter(np.where(known, picture, 0.0), 1.5) / np.maximum(weight, 1e-9)
@@ -461,7 +473,9 @@ def _problem(
 
 @cache
 def _model(kind: Blur, span: float) -> Callable[..., Array]:
-    """The picture of the edge; one function for equal settings, so that a fit compiles once."""
+    """Return the function that predicts the picture of the edge. Equal settings return the same
+    function, so that a fit compiles once.
+    """
 
     def predict(
         inputs: Mapping[str, Array],
@@ -486,7 +500,7 @@ def _model(kind: Blur, span: float) -> Callable[..., Array]:
 def _distance(
     inputs: Mapping[str, Any], turn: Any, place: Any, curvature: Any, xp: Any = np
 ) -> Any:
-    """Pixels from the edge, positive on the bright side."""
+    """Return the distances of pixels from the edge, positive on the bright side."""
     cosine, sine = xp.cos(turn), xp.sin(turn)
     along = cosine * inputs["y"] - sine * inputs["x"]
     return cosine * inputs["x"] + sine * inputs["y"] - place + curvature * along**2
@@ -495,7 +509,9 @@ def _distance(
 def _edge(
     distance: Float[Array, "..."], at: Mapping[str, Any], blur: Blur, span: float
 ) -> Float[Array, "..."]:
-    """Edge spread at a distance in pixels: 0 far on the dark side, 1 far on the bright one."""
+    """Return the edge spread at a distance in pixels: 0 far on the dark side, 1 far on the bright
+    one.
+    """
     if blur.diffraction is not None:  # odd harmonics of a square wave up to the cut-off frequency
         frequency = np.arange(1, 8 * span / blur.diffraction, 2) / (8 * span)
         height = _transfer(jnp.asarray(frequency), at, blur) / (4 * np.pi * span * frequency)
@@ -505,7 +521,7 @@ def _edge(
     width = jnp.sqrt(jnp.asarray(at["blur"]) ** 2 + _NARROWEST**2)
 
     def ramp(x: Array) -> Array:
-        """Double integral of the blur's edge spread."""
+        """Return the double integral of the blur's edge spread."""
         if blur.shape == "gaussian":
             z = x / width
             return width**2 / 2 * ((z**2 + 1) * norm.cdf(z) + z * norm.pdf(z))
@@ -521,7 +537,7 @@ def _edge(
 
 
 def _aperture(at: Mapping[str, Any]) -> tuple[Array, Array]:
-    """The two widths of a square pixel's trapezoidal line spread, in pixels."""
+    """Return the two widths, in pixels, of the trapezoid that a square pixel's line spread is."""
     turn = jnp.radians(jnp.asarray(at["angle"]))
     cosine, sine = jnp.abs(jnp.cos(turn)), jnp.abs(jnp.sin(turn))
     return jnp.maximum(cosine, _NARROWEST), jnp.maximum(sine, _NARROWEST)
@@ -530,7 +546,7 @@ def _aperture(at: Mapping[str, Any]) -> tuple[Array, Array]:
 def _transfer(
     frequency: Float[Array, "..."], at: Mapping[str, Any], blur: Blur
 ) -> Float[Array, "..."]:
-    """OTF of pixel, blur and diffraction across the edge."""
+    """Return the OTF of pixel, blur and diffraction across the edge."""
     wide, narrow = _aperture(at)
     aperture = jnp.sinc(frequency * wide) * jnp.sinc(frequency * narrow)
     return aperture * _blur_transfer(frequency, at, blur)
@@ -539,7 +555,7 @@ def _transfer(
 def _blur_transfer(
     frequency: Float[Array, "..."], at: Mapping[str, Any], blur: Blur
 ) -> Float[Array, "..."]:
-    """OTF without the pixel's aperture, the same in all directions."""
+    """Return the OTF without the pixel's aperture, which is the same in all directions."""
     phase = jnp.pi * at["blur"] * frequency
     if blur.shape == "gaussian":
         found = jnp.exp(-2 * phase**2)
@@ -560,7 +576,7 @@ def _falls_to_half(x: Float[Array, " n"], y: Float[Array, " n"]) -> Array:
 
 
 def _measured(found: Fit, pixels: _Pixels, blur: Blur, reach: float) -> Resolution:
-    """The edge spread and the transfer without the model."""
+    """Measure the edge spread and the transfer without the model."""
     best = {name: float(np.asarray(number)) for name, number in found.values.items()}
     distance = _distance(pixels.inputs, np.radians(best["angle"]), best["place"], best["curvature"])
     share = np.asarray(_edge(jnp.asarray(distance), best, blur, pixels.span))
@@ -597,8 +613,9 @@ def _free_transfer(
     reach: float,
     blocks: np.ndarray | None,
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Return frequencies and the correction of the transfer from the residuals; its covariance; and
-    the imaginary part with its covariance."""
+    """Fit the harmonics to the residuals. Return the frequencies with the correction of the
+    transfer, its covariance, and the imaginary part with its covariance.
+    """
     order = np.arange(1, 4 * reach * _FINEST, 2)
     while True:
         frequency = order / (4 * reach)
@@ -688,6 +705,6 @@ def _findings(
 
 
 def _p_value(values: np.ndarray, covariance: np.ndarray) -> float:
-    """Return the probability of values at least this far from 0 by chance."""
+    """Return the probability that chance gives values at least this far from 0."""
     chi2 = values @ np.linalg.pinv(covariance, hermitian=True) @ values
     return float(stats.chi2.sf(chi2, values.size))

@@ -1,8 +1,8 @@
-"""`rig.toml`, which describes each file of a calibration folder.
+"""Read `rig.toml`, which describes each file of a calibration folder.
 
-The schema below documents the format. Paths are relative to the rig file, or to its `root`, in
-which `${NAME}` is an environment variable. Everything is checked before any image is read. A
-mistake is an `InputError` that names the file, the entry and the remedy.
+The classes below document the format of the file. Paths in it are relative to the rig file, or to
+its `root`, in which `${NAME}` is an environment variable. The whole file is checked before any
+image is read. A mistake raises an `InputError` that names the file, the entry and the remedy.
 """
 
 import datetime
@@ -39,7 +39,7 @@ NEEDED: dict[Purpose, tuple[str, ...]] = {  # sections of a rig that each calibr
 
 
 def _quotient(text: Any) -> Any:
-    """A time such as "1/8" as a number; any other value unchanged."""
+    """Return a time such as "1/8" as a number; any other value unchanged."""
     try:
         return float(Fraction(text)) if isinstance(text, str) else text
     except (ValueError, ZeroDivisionError):
@@ -55,7 +55,7 @@ COLDEST = 100.0  # K, lowest sensor temperature; a smaller number is in degrees 
 
 
 def kelvin(temperature: float) -> float:
-    """A sensor temperature in K; other values are refused."""
+    """Return a sensor temperature in K, or refuse it if no sensor can be so cold."""
     if not temperature >= COLDEST:
         raise ValueError(
             f"{temperature:g} K is no temperature of a camera; give kelvin, 293.15 for 20 °C"
@@ -67,7 +67,7 @@ Kelvin = Annotated[Finite, AfterValidator(kelvin)]
 
 
 def _plain(value: Any) -> Any:
-    """An array as nested lists for a rig file; any other value unchanged."""
+    """Return an array as nested lists for a rig file; any other value unchanged."""
     of_a_file = (int, float, str, type(None))
     parts = value if isinstance(value, list | tuple) else [value]
     if all(isinstance(part, of_a_file) for part in parts):
@@ -119,10 +119,11 @@ MOSAIC_NAMES = {"R": ("red",), "G": ("green 1", "green 2"), "B": ("blue",)}
 
 
 class _Known(Entry):
-    """The stated values of a camera that are common to all sites.
+    """The stated values of a camera that are the same at all sites.
 
-    Without both gain and read_noise, a fit estimates the noise of its pixels from their residuals.
-    An `_sd` is the standard deviation of a stated number, which otherwise counts as exact.
+    Unless both gain and read_noise are stated, a fit estimates the noise of pixels from their
+    residuals. An `_sd` is the standard deviation of a stated number, which otherwise counts as
+    exact.
 
     Attributes:
         bits: ADC bits of the digital numbers in the files, 1 to 16; 12-bit data may lie in 16-bit
@@ -171,7 +172,7 @@ class _Known(Entry):
 
 
 class SiteCamera(_Known):
-    """The stated values of a camera at one of its sites, or at all equal sites.
+    """The stated values of a camera at one of its sites, or at all sites if they are equal.
 
     Attributes:
         black_level: DN without light.
@@ -194,13 +195,13 @@ class Camera(_Known):
     """`[camera]`: the known values of the camera. Leave unknown values out.
 
     Neighbouring pixels may differ in the colours of a mosaic (`pattern`), and in the amplifiers
-    that read them (`taps`). The pattern of both repeats after a cell whose rows and columns are the
-    least common multiples of 2 x 2 and `taps`. black_level, saturation, gain and read_noise are
-    each one number, or a list with one number for each site of this cell, in reading order from the
-    first pixel of the whole frame: `black_level = [480, 512, 512, 560]` for a mosaic. RGB images
-    take a list of three, or of three for each site. If each part of a frame has its own amplifier,
-    the order is that of the parts' cells put side by side: the first row of the left cell, then the
-    first row of the right one.
+    that read them (`taps`). Both repeat after a cell whose rows and columns are the least common
+    multiples of 2 x 2 and `taps`. black_level, saturation, gain and read_noise are each one number,
+    or a list with one number for each site of this cell, in reading order from the first pixel of
+    the whole frame: `black_level = [480, 512, 512, 560]` for a mosaic. RGB images take a list of
+    three, or of three for each site. If each part of a frame has its own amplifier, the order is
+    that of the parts' cells put side by side: the first row of the left cell, then the first row of
+    the right one.
 
     Attributes:
         black_level: DN without light.
@@ -275,18 +276,21 @@ class Camera(_Known):
 
     @property
     def in_parts(self) -> bool:
-        """Whether each amplifier reads a part of the frame."""
+        """Return whether each amplifier reads a part of the frame."""
         return isinstance(self.taps, str)
 
     @property
     def layout(self) -> tuple[int, int]:
-        """Rows and columns of sites: of the cell, or of the cells of all parts side by side if the
-        frame has parts."""
+        """Return the number of rows and columns of sites. They are those of the cell or, if the
+        frame has parts, of the cells of all parts side by side.
+        """
         (down, across), (rows, columns) = self.cell, PARTS.get(str(self.taps), (1, 1))
         return down * rows, across * columns
 
     def places(self, height: int, width: int) -> list[tuple[slice, slice]]:
-        """Rows and columns of each site, in the order of `sites`, within the region or frame."""
+        """Return the rows and columns of each site as slices, in the order of `sites`, within the
+        region or frame.
+        """
         parts, (top, left) = PARTS.get(str(self.taps), (1, 1)), (self.region or (0, 0))[:2]
 
         def lines(size: int, parts: int, period: int, first: int) -> list[slice]:
@@ -302,17 +306,19 @@ class Camera(_Known):
 
     @property
     def cell(self) -> tuple[int, int]:
-        """The period of the sites in rows and columns, within a part of the frame if it has parts;
-        (1, 1) without sites that repeat."""
+        """Return the period of the sites in rows and columns, within a part if the frame has parts;
+        (1, 1) if sites do not repeat.
+        """
         down, across = (1, 1) if self.taps is None or isinstance(self.taps, str) else self.taps
         return (math.lcm(down, 2), math.lcm(across, 2)) if self.pattern else (down, across)
 
     @property
     def sites(self) -> tuple[str, ...]:
-        """Names of the sites, in reading order: `grey`; `tap 0,1` (row and column in the cell) for
-        several taps; `tap top left` and the like for parts of a frame; `red`, `green 1`, `green 2`
-        and `blue` for a mosaic; and `red tap 0,2` or `red tap left` if several taps read a
-        colour."""
+        """Return the names of the sites, in reading order. The name is `grey` for a single site. It
+        is `tap 0,1` (row and column in the cell) for several taps, and `tap top left` and the like
+        for parts of a frame. For a mosaic it is `red`, `green 1`, `green 2` or `blue`, and `red tap
+        0,2` or `red tap left` if several taps read a colour.
+        """
         (rows, columns), (down, across) = self.layout, self.cell
         places = [(row, column) for row in range(rows) for column in range(columns)]
         if isinstance(self.taps, str):
@@ -331,7 +337,7 @@ class Camera(_Known):
         return tuple(o if alone else f"{o} {tap}" for o, tap in zip(own, taps, strict=True))
 
     def at(self, channel: str) -> SiteCamera:
-        """The known values of one site.
+        """Return the known values of one site.
 
         Args:
             channel: a name in `sites`; for RGB images also `red`, `green` or `blue`, before the
@@ -348,7 +354,7 @@ class Camera(_Known):
         return SiteCamera(**known)
 
     def channels(self, *, colour: bool) -> tuple[str, ...]:
-        """Names of the planes of one frame.
+        """Return the names of the planes of one frame.
 
         Args:
             colour: whether frames are RGB images.
@@ -375,9 +381,10 @@ class Camera(_Known):
 
 
 def _values_of_sensor(file: Path, stated: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The values in a sensor file, by the rig's key that they replace: lists for the taps of the
-    pattern and taps that the rig has `stated`. Standard deviations come from the draws in the file
-    next to it."""
+    """Return the values in a sensor file, by the rig's key that they replace. They are lists for
+    the taps of the pattern and taps that the rig has `stated`. Standard deviations come from the
+    draws in the file next to it.
+    """
     import numpy as np
 
     from jaxvision.files.cameras import read_sensor
@@ -436,10 +443,10 @@ def _mosaic_sites(pattern: str) -> tuple[tuple[str, str], tuple[str, str]]:
 
 
 class Level(Entry):
-    """The common keys of an entry of flats or darks.
+    """The keys that entries of flats and of darks share.
 
-    A rig may contain frames of several gains and temperatures. Then all entries state their gain
-    with the same key.
+    A rig may contain frames taken at several gains and temperatures. All its entries then state
+    their gain by the same key.
 
     Attributes:
         files: names.
@@ -587,7 +594,7 @@ class Geometry(Entry):
 
 
 class Rig(Entry):
-    """A whole rig file.
+    """The contents of a rig file.
 
     Attributes:
         folder: folder to which its paths are relative.
@@ -631,7 +638,7 @@ class Rig(Entry):
         return self
 
     def path(self, name: str) -> Path:
-        """The path of a file that the rig names."""
+        """Return the path of a file that the rig names."""
         return self.folder / os.path.expandvars(self.root) / name
 
 
@@ -694,7 +701,7 @@ def require_images(rig: Rig, purpose: Purpose) -> None:
 
 
 def _images(entry: Flat | Dark | Exposure | Light | Geometry) -> tuple[str, ...]:
-    """The files that an entry names."""
+    """Return the files that an entry names."""
     match entry:
         case Flat() | Dark():
             return entry.files

@@ -1,4 +1,6 @@
-"""A first `rig.toml` for a folder of images, from their names and metadata, without questions."""
+"""Write a first `rig.toml` for a folder of images from their names and metadata, without asking
+questions.
+"""
 
 import json
 import math
@@ -66,7 +68,7 @@ UNKNOWN_EXPOSURE = "# exposure = ?  # s"
 
 @dataclass
 class FoundRig:
-    """A rig as text, and a list of the unknown values.
+    """A rig as text, with sentences on missing values and on images that are in no entry.
 
     Attributes:
         text: TOML; missing entries are comments in it.
@@ -83,7 +85,7 @@ class FoundRig:
 
 @dataclass(frozen=True)
 class _Image:
-    """A file.
+    """An image file, with what its name and metadata say about it.
 
     Attributes:
         name: path relative to the folder.
@@ -102,7 +104,7 @@ class _Image:
 
 
 def write_rig(folder: Path) -> tuple[Path, FoundRig]:
-    """Write the rig of a folder into it."""
+    """Write the rig of a folder into the folder."""
     path = folder / RIG_FILE
     if path.exists():
         raise InputError(f"{path}: is there already; remove it to have it written anew.")
@@ -113,14 +115,14 @@ def write_rig(folder: Path) -> tuple[Path, FoundRig]:
 
 
 def rig_of(folder: Path) -> FoundRig:
-    """The rig of a folder of images, as text.
+    """Return the rig of a folder of images, as text.
 
     The kind of an image follows from a word in its path: dark or bias; flat or bright; light or
     lamp (an image named `normals` or `mask` then gives the shape). The other images are an exposure
     stack. IMAGETYP of a FITS header also distinguishes flats, darks and photographs. Times come
     from the metadata, or from names such as `flat_8ms` and `scene_1-8s`. Wavelengths in names, as
-    in `chart_450nm`, separate stacks. An EXR or HDR file next to images of whole numbers is left
-    out, and so are hidden files.
+    in `chart_450nm`, separate stacks. An EXR or HDR file next to images of integers is left out,
+    and so are hidden files.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; name the one that holds the images.")
@@ -181,14 +183,15 @@ def rig_of(folder: Path) -> FoundRig:
 
 
 def _natural(name: str) -> list[tuple[int, float | str]]:
-    """A sort key that orders numbers in names by value."""
+    """Return a sort key that orders numbers in names by value."""
     parts = re.split(r"(\d+)", name.lower())
     return [(0, float(part)) if part.isdigit() else (1, part) for part in parts]
 
 
 def _kind(name: str, said: str) -> tuple[str, str]:
-    """The kind of an image by its name and the IMAGETYP of its header, and a doubt, or "", if the
-    two disagree."""
+    """Return the kind of an image by its name and the IMAGETYP of its header. Also return a
+    sentence if the two disagree, otherwise "".
+    """
     words = {"dark": _DARK, "flat": _FLAT, "light": _LIGHT}
     named = next((kind for kind, word in words.items() if word.search(name)), "")
     kind = typed = next((kind for kind, word in _TYPES.items() if word.search(said)), "")
@@ -213,8 +216,10 @@ def _image(folder: Path, name: str, *, counted: bool) -> _Image:
 
 
 def _time_in(name: str, *, counted: bool) -> tuple[float | None, str]:
-    """Seconds in a name such as flat_8ms, or scene_1-8s for an eighth unless the numbers count
-    images, and the rest of the name."""
+    """Return the exposure in seconds that a name states, as in flat_8ms, and a sentence on a
+    doubtful reading. In scene_1-8s the time is an eighth of a second, unless the numbers count
+    images (`counted`).
+    """
     stem = Path(name).stem
     fraction = _FRACTION.search(stem)
     if fraction and fraction[1] != "1" and not counted:
@@ -228,7 +233,7 @@ def _time_in(name: str, *, counted: bool) -> tuple[float | None, str]:
 
 
 def _quoted(name: str) -> str:
-    """Text quoted for TOML."""
+    """Return text quoted for TOML."""
     return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -254,7 +259,7 @@ def _camera(folder: Path, images: Sequence[_Image], found: FoundRig) -> list[str
 
 
 def _levels_of_sites(said: Sequence[ImageSettings], *, one_pattern: bool) -> list[str]:
-    """The lines for black level and saturation: one number, or one for each site."""
+    """Return the lines for black level and saturation: one number, or one for each site."""
     lines = []
     for name in ("black_level", "saturation"):
         values = [np.atleast_1d(v) for one in said if (v := getattr(one, name)) is not None]
@@ -271,8 +276,9 @@ def _levels_of_sites(said: Sequence[ImageSettings], *, one_pattern: bool) -> lis
 def _refuse_apertures(
     photographs: Sequence[_Image], flats: Sequence[_Image], found: FoundRig
 ) -> None:
-    """Refuse images with different apertures, because exposures in seconds do not describe the
-    light."""
+    """Ask for images of one aperture if the apertures differ, because exposures in seconds then do
+    not describe the light.
+    """
     for kind, images in (("images", photographs), ("flats", flats)):
         numbers = sorted(
             {f"{one.settings.f_number:.3g}" for one in images if one.settings.f_number}, key=float
@@ -285,8 +291,10 @@ def _refuse_apertures(
 
 
 def _warmth(images: Sequence[_Image]) -> dict[str, float]:
-    """The temperature of each image by its name, K: the mean of its cluster, in which no gap
-    between neighbours exceeds `APART`; empty if there is only one cluster."""
+    """Return the temperature in K of each image by its name. It is the mean of a cluster of
+    temperatures, in which neighbours differ by at most `APART`. The result is empty if there is
+    only one cluster.
+    """
     known = sorted((i.settings.temperature, i.name) for i in images if i.settings.temperature)
     groups: list[list[tuple[float, str]]] = []
     for kelvin, name in known:
@@ -301,7 +309,7 @@ def _warmth(images: Sequence[_Image]) -> dict[str, float]:
 
 
 def _depth(folder: Path, images: Sequence[_Image], found: FoundRig) -> str:
-    """The line for `bits`, from the files or from the largest number in some of them."""
+    """Return the line for `bits`, from the files or from the largest number in some of them."""
     picks = np.unique(np.linspace(0, len(images) - 1, min(MOST_READ, len(images))).astype(int))
     read = [read_image(folder / images[i].name) for i in picks]
     saturations = [image.settings.saturation for image in images if image.settings.saturation]
@@ -337,8 +345,9 @@ def _levels(
     *,
     several_gains: bool,
 ) -> list[str]:
-    """Entries for flats or darks: images of one exposure, gain and temperature, whose names differ
-    only in the last number."""
+    """Return the entries for flats or darks. An entry has images of one exposure, gain and
+    temperature, whose names differ only in the last number.
+    """
     stems = {image.name: re.sub(r"[_-]?\d+$", "", Path(image.name).stem) for image in images}
     several = len(set(stems.values())) > 1
 
@@ -392,7 +401,9 @@ def _exposures(images: Sequence[_Image], found: FoundRig) -> list[str]:
 
 
 def _seconds(image: _Image) -> str:
-    """The line for the exposure: a fraction if EXIF has one, or if decimals would round."""
+    """Return the line for the exposure. It is a fraction if EXIF has one, or if decimals would be
+    rounded.
+    """
     if image.exposure is None:
         return UNKNOWN_EXPOSURE
     if image.exposure == 0:

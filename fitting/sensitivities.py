@@ -1,11 +1,12 @@
-"""Spectral sensitivities of a camera, its colour matrix and white balance, from patches or
-narrow-band light of known spectra.
+"""Estimate the spectral sensitivities of a camera, its colour matrix and white balance, from
+patches or narrow-band light of known spectra.
 
-A reading is linear in the sensitivity s of its channel: y = sum over bands of L s, with noise. The
-prior of s is a Gaussian process over wavelength (Matern 5/2) whose size and correlation length
-follow from the evidence, and s >= 0. Draws are optima of randomised problems, exact for a Gaussian
-posterior: the prior's mean and the readings are drawn, and non-negative least squares finds s.
-Each draw has a draw of size, length and noise, so that their errors are part of the intervals.
+A reading y is linear in the sensitivity s of its channel: y = sum over bands of L s, with L the
+spectrum of the light, plus noise. The prior of s >= 0 is a Gaussian process over wavelength (Matern
+5/2) whose size and correlation length maximise the evidence. A posterior draw is the optimum of a
+randomised problem: the prior's mean and the readings are drawn, and non-negative least squares
+finds s. This is exact for a Gaussian posterior. Each draw also uses its own draw of size, length
+and noise, so that the intervals include their errors.
 
 Source:
     Rasmussen & Williams, Gaussian Processes for Machine Learning, chapters 2 and 5; Bardsley &
@@ -45,7 +46,7 @@ _LOUDER = 1.3  # ratio of residuals to the stated noise from which a misfit is r
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Sensitivities of a camera's channels, as draws of their posterior.
+    """The spectral sensitivities of a camera's channels, as draws of their posterior.
 
     Attributes:
         wavelengths: (bands,) m.
@@ -67,11 +68,12 @@ class Sensitivities:
 
     @cached_property
     def curves(self) -> Bands:
-        """The sensitivities, (bands, channels), with intervals."""
+        """Return the sensitivities (bands, channels) with intervals."""
         return bands(self.draws)
 
     def readings(self, light: ArrayLike) -> Bands:
-        """Readings of light, (..., channels), with the errors of the sensitivities.
+        """Predict the camera's readings of light, with intervals from the errors of the
+        sensitivities.
 
         Args:
             light: (..., bands) as it was given to `from_patches`.
@@ -82,8 +84,8 @@ class Sensitivities:
         return bands(np.einsum("...b,dbc->d...c", self._light("light", light), self.draws))
 
     def white_balance(self, illuminant: ArrayLike) -> Bands:
-        """Factors on the channels that make all readings of white equal to the reading of the
-        second channel.
+        """Return the factors on the channels that make all readings of white equal to the reading
+        of the second channel.
 
         Args:
             illuminant: (bands,) spectrum of the light on a perfect white, relative.
@@ -96,8 +98,8 @@ class Sensitivities:
 
     @double_precision
     def matrix(self, illuminant: ArrayLike, *, reflectances: ArrayLike | None = None) -> Bands:
-        """The 3 x 3 matrix from readings to XYZ that is the least-squares optimum for a set of
-        reflectances and exact for white.
+        """Return the 3 x 3 matrix from readings to XYZ that has the least squared error for a set
+        of reflectances and is exact for white.
 
         Args:
             illuminant: (bands,) spectrum of the light on a perfect white, relative.
@@ -111,10 +113,11 @@ class Sensitivities:
 
     @double_precision
     def delta_e(self, illuminant: ArrayLike, *, reflectances: ArrayLike | None = None) -> Bands:
-        """CIEDE2000 difference between each reflectance and its colour from the camera.
+        """Return the CIEDE2000 difference between each reflectance and its colour from the camera.
 
-        The camera's colours use the mean matrix. The spread over draws comes from the errors of the
-        sensitivities. The mean also includes the error of the best matrix.
+        The camera's colours are computed with the mean matrix. The spread of the result over draws
+        is due to the errors of the sensitivities. The mean also includes the error that the best
+        matrix has.
 
         Args:
             illuminant: (bands,) spectrum of the light on a perfect white, relative.
@@ -139,7 +142,9 @@ class Sensitivities:
     def _scene(
         self, illuminant: ArrayLike, reflectances: ArrayLike | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Readings (draws, patches + 1, channels) and XYZ (patches + 1, 3), white last."""
+        """Return the camera's readings (draws, patches + 1, channels) and XYZ (patches + 1, 3) of
+        reflectances under a light, with white last.
+        """
         if len(self.channels) != 3:
             raise InputError(f"a matrix needs three channels, got {len(self.channels)}.")
         light, at = self._light("illuminant", illuminant), jnp.asarray(self.wavelengths)
@@ -180,7 +185,7 @@ class Sensitivities:
         return "\n".join((*rows, *self.findings))
 
     def figure(self) -> "Figure":
-        """The sensitivities with 68 % and 95 % bands.
+        """Draw the sensitivities with 68 % and 95 % bands.
 
         Returns:
             The figure, of matplotlib.
@@ -211,7 +216,7 @@ def from_patches(
     draws: int = 200,
     seed: int = 0,
 ) -> Sensitivities:
-    """Sensitivities of a camera from its readings of known spectra.
+    """Estimate the sensitivities of a camera from its readings of known spectra.
 
     The spectra may be those of a chart's patches (illuminant times reflectance), of narrow bands of
     light, or both. Readings are linear in the light, of one exposure, and without black level.
@@ -287,7 +292,9 @@ def from_patches(
 
 
 def _matrix(raw: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-    """(3, channels) least squares from readings to XYZ, exact for the last row, white."""
+    """Return the least-squares matrix (3, channels) from readings to XYZ that is exact for white,
+    the last row.
+    """
     inverse = np.linalg.inv(raw[:-1].T @ raw[:-1])
     free = (inverse @ raw[:-1].T @ xyz[:-1]).T
     white = inverse @ raw[-1]
@@ -295,7 +302,9 @@ def _matrix(raw: np.ndarray, xyz: np.ndarray) -> np.ndarray:
 
 
 class _Channel:
-    """One channel's readings, scaled to a largest of 1, with their evidence and draws."""
+    """The readings of one channel, scaled to a largest value of 1, with functions for the evidence
+    and for draws.
+    """
 
     def __init__(
         self, light: np.ndarray, y: np.ndarray, at: np.ndarray, sd: np.ndarray | None
@@ -314,7 +323,9 @@ class _Channel:
         self.apart = np.abs(at[:, None] - at)
 
     def prior(self, at: np.ndarray) -> np.ndarray:
-        """(bands, bands) covariance for logarithms of size, length and noise."""
+        """Return the prior covariance (bands, bands) at given logarithms of size, length and
+        noise.
+        """
         r = np.sqrt(3) * self.apart / np.exp(at[1])
         matern = (1 + r) * np.exp(-r)
         return np.exp(2 * at[0]) * (matern + 1e-8 * np.eye(len(r)))
@@ -332,7 +343,9 @@ class _Channel:
         return float(left @ left / 2 + np.log(np.diag(root)).sum() + prior / 2)
 
     def best(self) -> tuple[np.ndarray, np.ndarray]:
-        """The optimum of the evidence and its covariance."""
+        """Return the size, length and noise, as logarithms, that maximise the evidence, and their
+        covariance.
+        """
         low, high = self.bounds[2]
         loud = float(np.clip(np.log(0.02 / np.median(self.sd)), low, high))
         best = self._best_from(loud)
@@ -355,7 +368,9 @@ class _Channel:
         return best, ways @ np.diag(1 / np.maximum(sizes, 1.0)) @ ways.T  # at most a factor of e
 
     def _best_from(self, noise: float) -> OptimizeResult:
-        """The best optimum of searches that start with a logarithm of the noise."""
+        """Return the best optimum of several searches that start at a given logarithm of the
+        noise.
+        """
         starts = [np.array([0.0, np.log(length), noise]) for length in _STARTS]
         tries = [
             minimize(self.cost, start, bounds=self.bounds, method="L-BFGS-B") for start in starts
@@ -365,7 +380,7 @@ class _Channel:
     def draws(
         self, best: np.ndarray, spread: np.ndarray, count: int, rng: np.random.Generator
     ) -> np.ndarray:
-        """(draws, bands) non-negative."""
+        """Return non-negative posterior draws (draws, bands)."""
         low, high = np.array(self.bounds).T
         found = []
         for at in rng.multivariate_normal(best, spread, count):

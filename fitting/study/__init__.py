@@ -1,4 +1,4 @@
-"""Calibration of many folders, with the results in one table.
+"""Calibrate many folders, with the results in one table.
 
 outcomes   one folder: its calibration, report and stored result
 table      all folders as one xarray data set

@@ -1,5 +1,4 @@
-"""Comparison of cameras: unusual ones, the scatter between them, and drifts with date or
-temperature.
+"""Compare cameras: unusual ones, the scatter between them, and drifts with date or temperature.
 
 Sources:
     DerSimonian and Laird, "Meta-analysis in clinical trials", Controlled Clinical Trials 7 (1986):
@@ -25,7 +24,7 @@ YEAR = 365.25  # days
 
 @dataclass(frozen=True)
 class Compared:
-    """One quantity of one channel in all cameras that have it.
+    """The comparison of one quantity of one channel between all cameras that have it.
 
     Attributes:
         quantity: its name.
@@ -51,7 +50,8 @@ class Compared:
 
 @dataclass(frozen=True)
 class Drift:
-    """A line through a quantity of all cameras.
+    """The significant change of a quantity with date or temperature, as a line through the values
+    of all cameras.
 
     Attributes:
         quantity: its name.
@@ -69,7 +69,7 @@ class Drift:
 
 
 def compared(found: xr.Dataset) -> tuple[Compared, ...]:
-    """Compare every quantity with those of the other cameras."""
+    """Compare every quantity of each camera with those of the other cameras."""
     result = []
     for quantity, channel, unit, cameras, x, errors in _quantities(found):
         median = float(np.median(x))
@@ -86,7 +86,7 @@ def compared(found: xr.Dataset) -> tuple[Compared, ...]:
 
 
 def drifts(found: xr.Dataset) -> tuple[Drift, ...]:
-    """Quantities that change significantly with date or temperature."""
+    """Return the quantities that change significantly with date or temperature."""
     dates = [str(date) for date in found["date"].values]
     days = [datetime.date.fromisoformat(d).toordinal() / YEAR if d else np.nan for d in dates]
     axes = {"year": np.array(days), "K": found["temperature"].values}
@@ -105,8 +105,9 @@ Column = tuple[str, str, str, np.ndarray, np.ndarray, np.ndarray]
 
 
 def _quantities(found: xr.Dataset) -> Iterator[Column]:
-    """Name, channel, unit, cameras, values and standard errors of each quantity that at least two
-    cameras have."""
+    """Yield name, channel, unit, cameras, values and standard errors of each quantity that at least
+    two cameras have.
+    """
     cameras = found["camera"].values
     for i, quantity in enumerate(found["quantity"].values):
         for j, channel in enumerate(found["channel"].values):
@@ -120,7 +121,9 @@ def _quantities(found: xr.Dataset) -> Iterator[Column]:
 def _scatter(
     x: Float[np.ndarray, " cameras"], errors: Float[np.ndarray, " cameras"]
 ) -> tuple[float, bool]:
-    """Standard deviation beyond the errors, and whether it is significant."""
+    """Return the standard deviation between cameras beyond their errors, and whether it is
+    significant.
+    """
     weights = errors**-2
     mean = np.sum(weights * x) / np.sum(weights)
     excess, freedom = float(np.sum(weights * (x - mean) ** 2)), len(x) - 1
@@ -130,8 +133,9 @@ def _scatter(
 
 
 def _unlike(x: Float[np.ndarray, " cameras"], errors: Float[np.ndarray, " cameras"]) -> np.ndarray:
-    """The cameras that differ from the median by more than their error and the scatter of most
-    allow."""
+    """Return which cameras differ from the median by more than their own error and the scatter of
+    most cameras explain.
+    """
     if len(x) < FEWEST:
         return np.zeros(len(x), bool)
     away = x - np.median(x)
@@ -143,7 +147,9 @@ def _unlike(x: Float[np.ndarray, " cameras"], errors: Float[np.ndarray, " camera
 def _line(
     at: np.ndarray, x: np.ndarray, errors: np.ndarray, chance: float
 ) -> tuple[float, float] | None:
-    """Slope and its standard error from the scatter about the line, if it is significant."""
+    """Return the slope of a line and its standard error from the scatter about the line; None if
+    the slope is not significant.
+    """
     there = np.isfinite(at)
     at, x = at[there], x[there]
     if len(x) < FEWEST or np.ptp(at) == 0:

@@ -1,5 +1,6 @@
-"""One folder of a study: calibrated and reported like a single command, with the result stored next
-to the report for later runs."""
+"""Calibrate one folder of a study and write its report, like a single command. The result is stored
+next to the report for later runs.
+"""
 
 import hashlib
 import json
@@ -40,7 +41,7 @@ _COPIES = 4  # copies of the files: 50 MB of PNG (1536 x 1536 pixels) took .16 G
 
 @dataclass(frozen=True)
 class Outcome:
-    """The results of one folder in a study.
+    """The results of one folder of a study.
 
     Attributes:
         camera: name of the folder in the study.
@@ -61,7 +62,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Folder:
-    """One folder of a study.
+    """One folder of a study: its name, the paths of its rig and report, and the state of its files.
 
     Attributes:
         camera: its name in the study.
@@ -96,13 +97,15 @@ class Settings:
 
     @property
     def shown(self) -> str:
-        """Name of the file with a folder's results: the report, or the JSON file."""
+        """Return the name of the file that shows a folder's results: the report, or the JSON
+        file.
+        """
         return "report.html" if self.reports else RESULTS
 
 
 def digest_of(path: Path) -> str:
-    """Return a digest that identifies the data of a folder: from its rig file, and from names,
-    sizes and parts at the beginning, in the middle and at the end of all its images.
+    """Return a hash that identifies the data of a folder. It is computed from the rig file and, for
+    every image, from its name, its size, and parts at its beginning, middle and end.
     """
     rig = load_rig(path)
     found = hashlib.sha256(rig.model_dump_json(exclude={"folder"}).encode())
@@ -114,7 +117,9 @@ def digest_of(path: Path) -> str:
 
 
 def frames_of(path: Path) -> frozenset[str]:
-    """Fingerprints of the images of a folder, independent of names and the rest of the rig."""
+    """Return hashes of the images of a folder that do not depend on the images' names or on the
+    rig, except its region.
+    """
     rig = load_rig(path)
     region = repr(rig.camera.region).encode()
     files = (file for file in _images(rig) if file.is_file())
@@ -122,7 +127,9 @@ def frames_of(path: Path) -> frozenset[str]:
 
 
 def _excerpt(file: Path) -> bytes:
-    """Return the size of a file and three excerpts of it. Any two images differ there by noise."""
+    """Return the size of a file and three excerpts of it. Because of noise, no two images have
+    equal excerpts.
+    """
     size = file.stat().st_size
     parts = [f"{size}\n".encode()]
     try:
@@ -136,14 +143,16 @@ def _excerpt(file: Path) -> bytes:
 
 
 def changed_at(path: Path) -> int:
-    """The modification time of the newest image of a folder."""
+    """Return the modification time of the newest image of a folder."""
     return max(
         (file.stat().st_mtime_ns for file in _images(load_rig(path)) if file.exists()), default=0
     )
 
 
 def memory_of(path: Path) -> float:
-    """Memory for calibrating a folder, in bytes: its programs and several copies of its images."""
+    """Estimate the memory for calibrating a folder, in bytes: its programs and several copies of
+    its images.
+    """
     files = [file for file in _images(load_rig(path)) if file.exists()]
     return PROGRAMS + _LARGER + _COPIES * sum(file.stat().st_size for file in files)
 
@@ -155,7 +164,7 @@ def _images(rig: Rig) -> list[Path]:
 
 
 def key_of(settings: Settings, folder: Folder) -> dict[str, Any]:
-    """Everything that an outcome depends on."""
+    """Return everything that an outcome depends on."""
     return {
         **asdict(settings),
         "digest": folder.digest,
@@ -165,7 +174,9 @@ def key_of(settings: Settings, folder: Folder) -> dict[str, Any]:
 
 
 def remembered(settings: Settings, folder: Folder) -> Outcome | None:
-    """The result of an earlier run on the same data, or None; failed folders are tried again."""
+    """Return the result of an earlier run on the same data, or None. For a folder that failed the
+    result is None, so that it is tried again.
+    """
     try:
         found = json.loads((folder.out / REMEMBERED).read_text())
         outcome = _read(found["outcome"]) if found["key"] == key_of(settings, folder) else None
@@ -232,7 +243,7 @@ def _report(settings: Settings, folder: Folder, sections: list[Section]) -> None
 
 @contextmanager
 def _silent(description: str) -> Iterator[Progress]:
-    """A step without output. For many folders only the finished ones are reported."""
+    """Provide a step that prints nothing. For many folders only the finished ones are reported."""
     yield lambda done, total: None
 
 
@@ -247,7 +258,7 @@ def _remember(settings: Settings, folder: Folder, found: Outcome) -> None:
 
 
 def _python_numbers(value: Any) -> Any:
-    """NumPy numbers as Python numbers."""
+    """Convert NumPy numbers to Python numbers."""
     return np.asarray(value).tolist()
 
 

@@ -1,4 +1,4 @@
-"""The comparison of a study's cameras as one page with links to the reports."""
+"""Write the comparison of a study's cameras as one page with links to the reports."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -30,7 +30,7 @@ def page(
     *,
     shown: str = "report.html",
 ) -> str:
-    """The page as HTML with its figures inside, as SVG."""
+    """Return the page as HTML that contains its figures as SVG."""
     import jinja2
     from markupsafe import Markup
 
@@ -55,9 +55,10 @@ def page(
 
 
 def _unlike(quantities: Sequence[Compared]) -> dict[str, str]:
-    """The quantities in which each camera deviates from the others, largest ratio first.
+    """Return, for each camera, the quantities in which it deviates from the others, largest ratio
+    first.
 
-    One cause affects many quantities, so a few are named and the others counted.
+    One cause may affect many quantities, so a few are named and the others counted.
     """
     found: dict[str, list[tuple[float, str]]] = {}
     for one in quantities:
@@ -77,7 +78,9 @@ def _unlike(quantities: Sequence[Compared]) -> dict[str, str]:
 
 
 def _svg(one: Compared, found: xr.Dataset) -> str:
-    """Values with their 95 % intervals, smallest first, and the median."""
+    """Draw the values of a quantity with their 95 % intervals, smallest first, and the median, as
+    SVG.
+    """
     some = found.sel(quantity=one.quantity, channel=one.channel)
     some = some.isel(camera=np.isfinite(some["value"].values)).sortby("value")
     names, values = some["camera"].values, some["value"].values

@@ -1,4 +1,4 @@
-"""From the paths of many folders to their reports, one table and one page."""
+"""Run a study: from the paths of many folders to their reports, one table and one page."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ SHARED = 0.5  # share of common images above which two folders count as one came
 
 @dataclass(frozen=True)
 class Study:
-    """Many folders, calibrated with the same settings.
+    """The results of calibrating many folders with the same settings.
 
     Attributes:
         outcomes: one for each folder, in the given order.
@@ -54,8 +54,8 @@ def study(
     *,
     progress: Progress = lambda done, total: None,
 ) -> Study:
-    """Calibrate folders, on the workers of `jaxvision.cluster` if there are any. Results of an
-    earlier run of the same version on the same data are reused.
+    """Calibrate many folders, on the workers of `jaxvision.cluster` if there are any. Results of an
+    earlier run by the same version on the same data are reused.
 
     Args:
         paths: of rigs; workers use the same paths.
@@ -95,7 +95,9 @@ def study(
 
 
 def _copies(folders: Sequence[Folder]) -> dict[str, Outcome]:
-    """Find the folders with the same images as an earlier folder: both are one camera."""
+    """Return an outcome for each folder that has the same images as an earlier folder, because both
+    are the same camera.
+    """
     before: dict[str, frozenset[str]] = {}
     found = {}
     for folder in folders:
@@ -117,7 +119,9 @@ def _copies(folders: Sequence[Folder]) -> dict[str, Outcome]:
 
 
 def _named(paths: Sequence[Path], out: Path) -> list[Folder]:
-    """The folders by name. Unreadable folders are detected when they are processed."""
+    """Return the folders with their names. A folder that cannot be read is reported when it is
+    calibrated.
+    """
     if not paths:
         raise InputError("a study needs folders; name at least one.")
     if not any(path.exists() for path in paths):

@@ -1,5 +1,6 @@
-"""All folders of a study as one data set, with dimensions camera, channel and quantity, and values
-with intervals."""
+"""Collect all folders of a study in one data set with the dimensions camera, channel and quantity,
+and values with intervals.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,13 +17,13 @@ COLUMNS = ("value", "standard_error", "low_95", "high_95")
 
 
 def label(estimate: Estimate) -> str:
-    """The name of a quantity with its method of estimation."""
+    """Return the name of a quantity with its method of estimation."""
     name = estimate.name.replace("_", " ")
     return f"{name} ({estimate.method})" if estimate.method else name
 
 
 def table(outcomes: Sequence[Outcome]) -> xr.Dataset:
-    """The results of all folders."""
+    """Return the results of all folders as one data set."""
     found = {
         (outcome.camera, one.group, label(one)): one
         for outcome in outcomes
