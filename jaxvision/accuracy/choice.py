@@ -86,8 +86,8 @@ def choose(
 
     Args:
         curve: from `curve`, or the trials of `error_against_time`.
-        tolerance: relative, the largest error of a run with any seed.
-        seconds: s, the longest warm call.
+        tolerance: the largest relative error of a run with any seed.
+        seconds: the longest time of a warm call, s.
 
     Returns:
         The trial; `measured` states whether it was run or inferred from others.

@@ -59,11 +59,12 @@ def curve(
 
     Args:
         problem: the computation and its settings.
-        knob: the record, or its name, one of `KNOBS`.
-        settings: that replace those of the knob, cheapest first.
-        reference: exact result, in the problem's unit; None makes one.
-        seconds: s, time budget; settings that would exceed it are not run, and one that exceeds it
-            is stopped.
+        knob: the record of a setting, or its name, one of `KNOBS`.
+        settings: values to measure instead of those of the knob, cheapest first; None for those of
+            the knob.
+        reference: exact result, in the problem's unit; None computes one.
+        seconds: time budget, s; values that would exceed it are not run, and a call that exceeds it
+            is abandoned.
         seeds: largest number of seeds for a setting with random numbers.
         metrics: norms to record: "rms", "p99", "max" and for pictures "delta_e". The first one
             decides which setting is chosen.

@@ -32,10 +32,11 @@ def page(
     """Make the HTML page of the measured curves.
 
     Args:
-        problem: that has the knobs.
-        curves: of the knobs, error against time in s.
-        command: that repeats the measurement.
-        together: settings of all knobs at once, with or without a check run; None for curves alone.
+        problem: the problem whose settings were measured.
+        curves: error against time of its settings, in s.
+        command: the command that repeats the measurement.
+        together: combinations of all settings, with or without a check run; None to compute them
+            from the curves.
 
     Returns:
         HTML with the plots inside, as SVG.
@@ -93,11 +94,12 @@ def write_page(
     """Write the HTML page of the curves, and their numbers as JSON.
 
     Args:
-        folder: for the files; it is made if needed.
-        problem: that has the knobs.
-        curves: of the knobs, error against time in s.
-        command: that repeats the measurement.
-        together: settings of all knobs at once, with or without a check run; None for curves alone.
+        folder: the folder of the files; it is made if needed.
+        problem: the problem whose settings were measured.
+        curves: error against time of its settings, in s.
+        command: the command that repeats the measurement.
+        together: combinations of all settings, with or without a check run; None to compute them
+            from the curves.
 
     Returns:
         Paths of `accuracy.html` and `accuracy.json`. Each file is written as soon as its contents

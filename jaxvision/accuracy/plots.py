@@ -31,7 +31,7 @@ def plot(
     have no error: they equal the reference. The solid line is the Pareto front.
 
     Args:
-        curve: as `curve` returns it.
+        curve: measured errors and times, from `curve`.
         others: results of other programs (name, s, relative error), drawn as triangles.
         axes: matplotlib axes to draw on; None makes new ones.
 
@@ -107,7 +107,7 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
     """Draw the Pareto fronts of several settings of one problem in one plot.
 
     Args:
-        curves: of the knobs.
+        curves: measured errors and times, one curve for each setting.
         axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:

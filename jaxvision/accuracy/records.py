@@ -18,15 +18,15 @@ class Knob:
 
     Attributes:
         name: the name by which the knob is selected.
-        unit: of a setting.
+        unit: unit of the setting.
         about: what the setting approximates, in a few words.
-        settings: cheapest first.
-        reference: finer settings, coarsest first; the reference is computed with the finest one
-        that the time allows.
+        settings: values of the setting, cheapest first.
+        reference: finer values, coarsest first; the reference is computed with the finest one that
+            the time allows.
         order: theoretical exponent p of error ~ setting^p, such as -2 for a midpoint rule; None
             where no law is known.
-        law: "power": the error is a power of the setting; "geometric": it changes by a constant
-            factor with each unit of it.
+        law: "power": the error is a power of the setting; "geometric": the error changes by a
+            constant factor with each unit of the setting.
         random: whether the error depends on the seed. If not, the error is a bias, and results of
             one seed are compared with each other.
         whole: whether any whole number is a valid setting, not only those listed.
@@ -51,7 +51,7 @@ class Problem:
     """A computation as a function of its settings and of a random seed.
 
     Attributes:
-        name: for tables and plots.
+        name: name of the problem in tables and plots.
         prepare: function of the settings of all knobs by name. It returns a function from a seed to
             an array of numbers. It is called once for each setting, and that function may compile
             in its first call.
@@ -61,8 +61,8 @@ class Problem:
             mean square of the reference.
         developed: function from a result and the reference (which sets the exposure) to the Lab
             colours of the developed picture, (pixels, 3); None where there is no picture.
-        whole: time of the whole computation over the time of a call, for a problem that is only a
-            part of it.
+        whole: time of the whole computation divided by the time of a call, for a problem that
+            computes only a part.
         compiled: whether one compiled program serves all settings, so that no first call takes
             longer than others; otherwise every setting compiles its own program.
         about: sentences on the meaning of errors and times.
@@ -97,19 +97,20 @@ class Trial:
     """The measured error and time of one value of a setting.
 
     Attributes:
-        setting: the setting.
-        error: relative, root mean square over seeds, in the first requested norm.
-        error_low, error_high: relative interval: the error of a run with another seed lies in it in
-            95 of 100 cases, and below its upper end in 97.5. It includes the error of the
-            reference.
+        setting: the value of the setting.
+        error: relative error, root mean square over seeds, in the first requested norm.
+        error_low, error_high: interval of the relative error. The error of a run with another seed
+            lies in it in 95 of 100 cases, and below its upper end in 97.5. It includes the error of
+            the reference.
         seconds: median time of a warm call, s.
         seconds_low, seconds_high: quartiles of that time, s.
         first_seconds: time of the first call with tracing and compilation, s.
         seeds: number of seeds.
-        norms: every norm by name: "rms", "p99" and "max" relative, "delta_e" in units of L*.
-        hollow: whether the error is below three times that of the reference, and thus says little.
-        beside: whether an abandoned program was still running meanwhile, so that the time is too
-            long.
+        norms: the error in every norm by name: "rms", "p99" and "max" relative, "delta_e" in units
+            of L*.
+        hollow: whether the error is below three times that of the reference, and thus uncertain.
+        beside: whether an abandoned program was still running during the calls, so that the times
+            are too long.
         measured: False for a setting that was inferred from others by the order of the knob.
     """
 
@@ -134,8 +135,8 @@ class Reference:
     error.
 
     Attributes:
-        setting: the setting with which it was computed; None for a closed form or the caller's
-        reference.
+        setting: the setting with which the reference was computed; None for a closed form or the
+            caller's reference.
         error: relative error estimate of the reference; 0 for a closed form, inf where there is no
             estimate.
         how: source of the reference and its error: "closed form", "given", "other seeds", "twice as
@@ -155,7 +156,7 @@ class Order:
     Attributes:
         exponent: p of error ~ setting^p; for a geometric law, the logarithm of the factor by which
             the error changes with each unit of the setting.
-        low, high: its 95 % interval, infinite for two points.
+        low, high: ends of the 95 % interval of the exponent, infinite for two points.
         law: "power" or "geometric".
         points: number of fitted trials.
     """
@@ -189,8 +190,8 @@ class Curve:
     Attributes:
         problem: name of the problem.
         knob: the knob whose settings were measured.
-        trials: one for each setting that was run, cheapest first; empty where the time was too
-            short.
+        trials: one trial for each setting that was run, cheapest first; empty where the time was
+            too short.
         reference: the result from which the errors are measured.
         order: fitted order; None for fewer than two points.
         pareto: indices of the trials for which no other trial is better in both error and time.

@@ -43,7 +43,8 @@ class Digits:
     digits.
 
     Attributes:
-        digits: of each output, an array of its shape, at most 7.2; NaN where it is not finite.
+        digits: number of correct digits, at most 7.2, in arrays of the shapes of the outputs; NaN
+            where an output is not finite.
         operation: where an output lost more than one digit, the operation that lost the most of
             its operands' digits, and its line; "" elsewhere.
         lost: number of digits lost by that operation.
@@ -82,10 +83,10 @@ def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: 
     if the truncation error is large.
 
     Args:
-        function: of arrays to a pytree of arrays, as `jax.jit` takes it.
+        function: function from arrays to a pytree of arrays, which `jax.jit` can trace.
         arguments: pytrees of arrays; floating ones are rounded to float32.
         runs: number of runs with different random roundings, at least 2.
-        seed: of the roundings.
+        seed: seed of the random roundings.
 
     Returns:
         The digits of each output, and the operation that loses most.

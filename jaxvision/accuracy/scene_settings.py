@@ -48,12 +48,12 @@ class Chosen:
         effects: the reduced scene where the tolerance allows to omit effects, or None.
         promised: upper limit of the picture's relative root mean square error, for any seed.
         predicted_seconds: time of the whole picture with compilation, s.
-        checked: whether runs with fresh seeds against a finer picture have confirmed it; False if
-            the time was too short.
-        settings: of the knobs that were changed.
+        checked: whether runs with fresh seeds, compared with a finer picture, have confirmed the
+            error; False if the time was too short.
+        settings: chosen values of the settings that were changed, by name.
         unknown: knobs that keep their setting because the time was too short to estimate their
             errors; `promised` does not include these errors.
-        curves: of each knob; empty where the settings come from the cache.
+        curves: measured curves of each setting; empty where the choice comes from the cache.
     """
 
     render: RenderEntry
@@ -81,13 +81,13 @@ def measured(
 
     Args:
         source: the scene and its view.
-        settings: `[render]`.
-        names: of the knobs; None for all that change the picture.
+        settings: settings of `[render]`.
+        names: names of the settings to measure; None for all that change the picture.
         seconds: time budget, s.
         expand: as in `scene_problem`.
         metrics: as in `curve`.
         clock: function that returns seconds; None for the machine's clock.
-        problem: of the scene file, where it exists already.
+        problem: the problem of the scene file, where it exists already; None makes it.
 
     Returns:
         The problem and the curves.
@@ -125,8 +125,8 @@ def measured_together(
     time, check the best combinations by fresh runs.
 
     Args:
-        source: the scene and its view, with its `[render]`.
-        names: of the knobs; None for all that change the picture.
+        source: the scene and its view, with its settings of `[render]`.
+        names: names of the settings to measure; None for all that change the picture.
         seconds: time budget, s.
         metrics: as in `curve`.
         clock: function that returns seconds; None for the machine's clock.
@@ -180,7 +180,7 @@ def settings(
     given, only effects that provably change nothing are dropped.
 
     Args:
-        scene_file: from `read_scene`.
+        scene_file: the scene file, from `read_scene`.
         tolerance: relative root mean square error over the pixels, above 0.
         render_seconds: time limit of the whole render, s.
         seconds: time budget of the measurement, s.

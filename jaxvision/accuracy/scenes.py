@@ -48,7 +48,7 @@ def knobs_of(source: SceneFile, settings: RenderEntry) -> tuple[str, ...]:
 
     Args:
         source: the scene and its view.
-        settings: its integrator and rule.
+        settings: settings of `[render]`, of which the integrator and the rule are used.
 
     Returns:
         Names in `KNOBS`, the most influential first.
@@ -113,7 +113,7 @@ def scene_problem(
 
     Args:
         source: the scene and its view.
-        settings: of `[render]`; None for those of the file.
+        settings: settings of `[render]`; None for those of the file.
         expand: (all bands, bands) for a scene with fewer bands than requested, as in
             `effects.Pruned`, or None.
         probe: pixels along each side of the grid.

@@ -1,6 +1,6 @@
 """Run and time a problem within a time budget, the cheapest settings first. The time of the next
-setting is predicted from the growth of compile and run times so far. A call that takes much longer
-than the remaining time is abandoned."""
+setting is predicted from the growth of compile and run times so far. A call that exceeds the
+remaining time by more than a twentieth of the budget is abandoned."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -42,8 +42,8 @@ class Combination:
     combination.
 
     Attributes:
-        settings: by name of the knob.
-        error: relative, upper limit for any seed.
+        settings: values of the settings, by name.
+        error: upper limit of the relative error for any seed.
         seconds: time of a warm call, s.
         unknown: knobs that keep their setting because the time was too short to estimate their
             errors; `error` does not include these errors.
@@ -66,10 +66,11 @@ def combined(
     fronts. A deterministic approximation whose error is unknown keeps its value in `base`.
 
     Args:
-        curves: of one problem, one for each knob; each was measured with the others at `base`.
+        curves: measured curves of one problem, one for each setting; each was measured with the
+            others at `base`.
         base: settings of the other knobs during each measurement.
-        tolerance: relative, upper limit of the error for any seed.
-        seconds: time of a warm call, s.
+        tolerance: upper limit of the relative error for any seed.
+        seconds: upper limit of the time of a warm call, s.
 
     Returns:
         The combination.

@@ -34,9 +34,9 @@ def rows(
     """Return the rows of the table of measured curves, headings first.
 
     Args:
-        problem: that has the knobs.
-        curves: of the knobs.
-        together: from `all_together`; None for curves alone.
+        problem: the problem whose settings were measured.
+        curves: measured curves of its settings.
+        together: combinations from `all_together`; None to compute them from the curves.
 
     Returns:
         Rows of text: knob, order and, for each tolerance, setting and time in s.
@@ -99,8 +99,8 @@ def notes(curves: Sequence[Curve], *, together: Sequence[Together] = ()) -> list
     combinations that were not checked.
 
     Args:
-        curves: of the knobs.
-        together: settings of all of them.
+        curves: measured curves.
+        together: combinations of all settings, from `all_together`.
 
     Returns:
         The notes as sentences; errors are relative.

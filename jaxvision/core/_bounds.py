@@ -90,7 +90,7 @@ class Angles(NamedTuple):
     Attributes:
         off_mirror: rad, the smallest angle between the mirrored light direction and the viewer.
         cos_half: the largest cosine between the normal and the half vector.
-        cos_between: the smallest cosine between the viewer and the half vector, d.
+        cos_between: the smallest cosine between the viewer and the half vector.
         cos_i: the largest cosine of incidence.
         cos_o: (c, 1), the smallest cosine of the viewing angle.
         cos_o_most: (c, 1), the largest cosine of the viewing angle.
@@ -108,13 +108,13 @@ class Lobe(NamedTuple):
     """Bounds on the specular lobe of a material.
 
     Attributes:
-        spectrum: (bands,) or (1,), k_s.
+        spectrum: (bands,) or (1,), the specular reflectance k_s.
         most: function from angles to the largest f_r cos / k_s, (c, s) in sr^-1.
         size: the largest integral of f_r cos / k_s over all light directions, no unit.
         slope: sr^-1 rad^-1, the largest derivative of f_r cos / k_s with respect to the light
             direction above the horizon; None if unknown.
-        neutral: whether its shape is the same for all bands.
-        step: whether it jumps to 0 at the horizon instead of falling like the cosine.
+        neutral: whether the shape of the lobe is the same for all bands.
+        step: whether the lobe jumps to 0 at the horizon instead of falling like the cosine.
     """
 
     spectrum: np.ndarray
@@ -143,7 +143,7 @@ class Reflection(NamedTuple):
     """The suprema of the shading of one material.
 
     Attributes:
-        body: (bands,) sr^-1, sup of the diffuse part's f_r.
+        body: (bands,) sr^-1, the supremum of f_r of the diffuse part.
         lobe: bound of the specular lobe, or None.
         plain: (bands,) sr^-1, the largest difference between the body (without its share `grazing`)
             and a Lambertian BRDF of the same k_d; 0 for a Lambertian body.
@@ -200,7 +200,7 @@ class Source(NamedTuple):
         even: whether its radiance is the same in all directions.
         small: for a flat lamp both edges, (3,) m each, and a light without size at its centre that
             has the same flux.
-        share: largest flux of a sky, over 2 pi times `spectrum`, no unit.
+        share: largest flux of a sky divided by 2 pi times `spectrum`, no unit.
         why: "", or the reason why there is no bound.
     """
 

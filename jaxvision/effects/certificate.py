@@ -126,14 +126,14 @@ class Effect:
         bound: largest change of the result without the effect, in `unit`; inf where there is no
             bound.
         place: largest displacement in the image without the effect, pixels.
-        unit: of `bound`: that of the stage ("W m^-2 sr^-1", "W m^-2", "DN"), or that of the
+        unit: unit of `bound`: that of the stage ("W m^-2 sr^-1", "W m^-2", "DN"), or that of the
             certificate.
         rank: "exact": proved to change nothing; "bound": proved; "estimate": sampled, and not part
             of the proof.
         saves: share of a picture's computation that the effect takes, from a table of benchmarks; 0
             where it is removed together with another effect.
-        free: whether a fit may change it; then it is never removed.
-        rare: expected number of pixels that it changes by any amount.
+        free: whether a fit may change the effect; then it is never removed.
+        rare: expected number of pixels that the effect changes by any amount.
         seconds: time that the effect takes of a picture, s, as `inspect(..., time=True)` measured
             it on this machine; None if not measured.
     """
@@ -157,15 +157,15 @@ class Certificate:
     change.
 
     Attributes:
-        kept: the effects that remain, bounds in `unit`.
-        dropped: the removed effects in the order of removal, bounds in `unit`.
+        kept: the effects that remain, with bounds in `unit`.
+        dropped: the removed effects in the order of removal, with bounds in `unit`.
         total: proved bound of all removed effects together, in `unit`.
         estimated: estimate for the effects that were removed without proof, in `unit`.
         place: largest displacement in the image, pixels.
         tolerance: the allowed distance, in `unit`.
         unit: "relative", "DN" or "sigma".
         level: radiance that "relative" refers to, W m^-2 sr^-1; None for other units.
-        assumptions: of the bounds, one sentence each.
+        assumptions: assumptions of the bounds, one sentence each.
         rare: expected number of pixels that differ by any amount.
     """
 
@@ -202,10 +202,10 @@ class Pruned:
         scene: the reduced scene.
         camera: the reduced camera; a view where only a view was given.
         samples: `PixelSamples` for `render`, or None.
-        moments: number of moments of a motion to render.
+        moments: number of times at which a motion is rendered.
         expand: (bands, r) no unit; the radiance of all bands is that of the r bands of `scene`
             times its transpose. None where the bands are unchanged.
-        certificate: of the kept and removed effects.
+        certificate: certificate of the kept and removed effects.
         depth: number of segments of a path, or None for direct light.
         threshold: W m^-2 sr^-1 for `render`, which then leaves out lights that together
             contribute at most this radiance; None: all lights are used.

@@ -109,7 +109,7 @@ def inspect(
             in the field's unit; all bounds are valid over this whole range.
         samples: as in `capture`; a thin lens needs them for defocus.
         motion: as in `capture`, or None; it needs a camera whose sensor has an exposure time.
-        moments: of a motion, as in `capture`.
+        moments: number of times at which a motion is evaluated, as in `capture`.
         depth: number of segments of the longest path, as in `transport.Paths`; None for direct
             light, as in `render`.
         estimates: whether the contribution of long paths is also estimated, from a small picture.
@@ -120,7 +120,8 @@ def inspect(
         time: whether to measure the time of each effect too: with and without it, alternately, at
             most 256 pixels along each side. Each effect that changes the program needs a
             compilation.
-        advance: with `time`, called with (programs compiled, all programs).
+        advance: with `time`, a function that is called with the number of compiled programs and of
+            all programs.
 
     Returns:
         One `Effect` for each, its bound in the unit of its stage: W m^-2 sr^-1 for a scene, W m^-2
@@ -183,10 +184,10 @@ def prune(
     Args:
         scene, camera, free, samples, motion, moments, depth: as in `inspect`. Free fields are never
             removed.
-        tolerance: the record, or its text for `parse`. "relative" refers to `level` and keeps the
-            whole sensor; "DN" and "sigma" need a whole camera.
-        level: W m^-2 sr^-1 that "relative" refers to; None for the brightest pixel of a small
-            picture, which is rendered for it.
+        tolerance: the record, or its text for `parse`. "relative" refers to `level`, and no effect
+            of the sensor is dropped; "DN" and "sigma" need a whole camera.
+        level: radiance that "relative" refers to, W m^-2 sr^-1; None renders a small picture and
+            takes its brightest pixel.
         estimates: whether to remove effects by estimates too, which prove nothing; for long paths
             these come from a small picture.
         whole_paths, caustics: as in `inspect`.

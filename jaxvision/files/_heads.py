@@ -3,8 +3,9 @@ complete before libpng prints its own messages.
 
 A PNG file is a signature and chunks. Each chunk has a length, a type, content, and the CRC-32 of
 type and content (ISO/IEC 15948, section 5). A chunk whose type begins with a small letter is not
-needed to decode the picture. JPEG: ITU-T T.81, annex B; CIPA DC-007 (Multi-Picture Format); ISO
-21496-1 and Adobe's gain maps. TGA: Truevision, TGA File Format Specification 2.0, page 6.
+needed to decode the picture. Sources for JPEG: ITU-T T.81, annex B; CIPA DC-007 (Multi-Picture
+Format); ISO 21496-1 and Adobe's gain maps. Source for TGA: Truevision, TGA File Format
+Specification 2.0, page 6.
 """
 
 import struct

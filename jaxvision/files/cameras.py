@@ -105,8 +105,8 @@ def write_camera(
     """Write a camera to a TOML file; `read_camera` reads it back with exactly the same numbers.
 
     Args:
-        camera: for example the best fit.
-        file: ending in .toml; missing folders are created.
+        camera: the camera to write, for example the best fit.
+        file: path of the file, ending in .toml; missing folders are created.
         draws: the same camera with a leading axis of draws at every number; they are written to a
             file beside it, ending in .npz.
         about: comment on its origin.
@@ -168,8 +168,8 @@ def write_sensor(
     """Write a sensor to a TOML file; `read_sensor` reads it back with exactly the same numbers.
 
     Args:
-        sensor: for example the best fit.
-        file: ending in .toml; missing folders are created.
+        sensor: the sensor to write, for example the best fit.
+        file: path of the file, ending in .toml; missing folders are created.
         draws: the same sensor with a leading axis of draws at every number; they are written to a
             file beside it, ending in .npz.
         about: comment on its origin.

@@ -40,19 +40,20 @@ class ImageSettings:
     """The metadata of an image file; a value is None if the file does not state it.
 
     Attributes:
-        exposure: s.
+        exposure: exposure time, s.
         iso: ISO speed.
-        f_number: of the lens.
+        f_number: f-number of the lens.
         taken: date and time of the camera's clock.
-        temperature: K, of the sensor.
-        camera: make and model.
-        black_level: DN; of a mosaic whose sites differ, one for each in the order of `pattern`.
-        saturation: DN.
+        temperature: temperature of the sensor, K.
+        camera: make and model of the camera.
+        black_level: black level, DN; for a mosaic whose sites differ, one for each site in the
+            order of `pattern`.
+        saturation: saturation level, DN.
         pattern: phase of a Bayer mosaic, such as "RGGB", counted from the first pixel of the file.
-        bits: of the codes that `jaxvision.read_image` returns, from the file's depth: a 12-bit TIFF
-            has 12. The camera's ADC may have fewer, not more.
-        kind: IMAGETYP of FITS, such as "Flat Field".
-        gain: GAIN of FITS, setting of the amplifier in the camera's own unit.
+        bits: number of bits of the codes that `jaxvision.read_image` returns, from the file's
+            depth: a 12-bit TIFF has 12. The camera's ADC may have fewer, not more.
+        kind: value of IMAGETYP in a FITS file, such as "Flat Field".
+        gain: value of GAIN in a FITS file, the setting of the amplifier in the camera's own unit.
     """
 
     exposure: float | None = None

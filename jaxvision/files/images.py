@@ -125,8 +125,8 @@ def read_image(path: str | os.PathLike[str], *, part: int | str | None = None) -
     Args:
         path: a PNG, TIFF, JPEG, EXR, HDR, PGM, PPM, PFM, TGA or `.npy` file; DNG and other raw
             files with the `raw` extra, FITS with the `fits` extra.
-        part: of a file with several pictures, the one to read: its number, from 0, or the name of
-            an EXR part, an EXR layer or a FITS extension. None for the first picture.
+        part: the picture to read from a file with several: its number, from 0, or the name of an
+            EXR part, an EXR layer or a FITS extension. None for the first picture.
 
     Returns:
         (h, w) for one channel, else (h, w, channels): uint8 or uint16 codes for PNG, TIFF, JPEG,
@@ -596,8 +596,8 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
             of light from 0 to 1.7e38 with a shared exponent: steps of up to 1 % of a pixel's
             largest channel, so that a dark channel of a bright pixel keeps no digits).
         pixels: (h, w) or (h, w, channels), codes or any unit.
-        quality: of a JPEG, 1 to 100 on libjpeg's scale. Colour has half the resolution below 90,
-            and full resolution from 90 on.
+        quality: quality of a JPEG, 1 to 100 on libjpeg's scale. Colour has half the resolution
+            below 90, and full resolution from 90 on.
 
     Raises:
         InputError: for pixels that the format cannot hold, and for a file that cannot be written.
@@ -711,8 +711,9 @@ def write_exr(
         path: the file.
         blocks: (rows, w, channels) each, from the top down, in any unit.
         shape: (h, w, channels) of the picture.
-        channels: their names; a reader returns them in alphabetical order (except R, G, B, A).
-        attributes: of the file's header; a number of more than 32 bits becomes text.
+        channels: names of the channels; a reader returns them in alphabetical order (except R, G,
+            B, A).
+        attributes: attributes of the file's header; a number of more than 32 bits becomes text.
 
     Raises:
         InputError: if the file cannot be written, and for numbers that `as_float32` refuses.

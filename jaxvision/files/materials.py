@@ -62,8 +62,8 @@ def write_material(
     """Write a material to a TOML file; `read_material` reads it back with exactly the same numbers.
 
     Args:
-        material: for example the best fit.
-        file: ending in .toml; missing folders are created.
+        material: the material to write, for example the best fit.
+        file: path of the file, ending in .toml; missing folders are created.
         draws: the same material with a leading axis of draws at every number; they are written to a
             file beside it, ending in .npz.
 

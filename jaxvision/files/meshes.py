@@ -56,12 +56,12 @@ def read_mesh(
 
     Args:
         path: the file.
-        scale: m per unit of the file, 1 if it is in m; a warning says so if the file itself names
-            another unit.
+        scale: length of the file's unit, m; 1 if it is in m. A warning is given if the file itself
+            names another unit.
         rotation: (3, 3) no unit, rows are the file's axes in the world; None: the world's axes.
         position: (3,) m.
-        matrix: (3, 4) rows of an affine map of the file's points, as columns, to m in the world;
-            replaces scale, rotation and position. A map that mirrors the mesh does not turn it
+        matrix: (3, 4) rows of an affine map from the file's points, as columns, to m in the world.
+            It replaces scale, rotation and position. A map that mirrors the mesh does not turn it
             inside out.
         smooth: whether to use the file's normals at the vertices or, if it has none, the means of
             the adjacent triangles weighted by their angles; otherwise triangles are flat.

@@ -26,7 +26,7 @@ def read_raw(file: Path) -> np.ndarray:
     Nikon and Sony. LibRaw undoes the curve, so that the result is linear in the light.
 
     Args:
-        file: of a sensor with one colour per pixel, or none.
+        file: a raw file of a sensor with one colour per pixel, or with none.
 
     Returns:
         (h, w) uint16 DN, without the masked margins.
@@ -84,7 +84,7 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
 
     Args:
         file: the file. BZERO and BSCALE are applied; pixels of the value BLANK are NaN.
-        part: number or name of the HDU; None for the first with an image.
+        part: number or name of the HDU; None for the first HDU with an image.
 
     Returns:
         (h, w), or (h, w, channels) for a file with a third axis, in the type of the file; floating

@@ -52,10 +52,10 @@ def write_record(
     partial file.
 
     Args:
-        file: ending in .toml; missing folders are created.
+        file: path of the file, ending in .toml; missing folders are created.
         what: name of the kind of record for messages, such as `camera`.
-        tables: from `table_of`.
-        record: whose shapes the draws must match.
+        tables: the tables to write, from `table_of`.
+        record: the record whose shapes the draws must match.
         draws: the same record with a leading axis of draws at every number; None writes none.
 
     Raises:
@@ -167,9 +167,9 @@ class Reading(NamedTuple):
     Attributes:
         place: name of the file, for messages.
         kind: name of the kind of record ("camera"), for messages.
-        finite: whether every number must be finite; otherwise its record decides.
-        typed: reads values of further types: `typed(hint, where, value)` returns NotImplemented for
-            an unknown type.
+        finite: whether every number must be finite; otherwise the record of the number decides.
+        typed: function that reads values of further types: `typed(hint, where, value)` returns
+            NotImplemented for an unknown type.
     """
 
     place: str

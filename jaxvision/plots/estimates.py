@@ -60,9 +60,9 @@ def curve(
     Args:
         x: (n,) any unit.
         y: (n,) estimates, any unit.
-        band: lower and upper end of their interval, (n,) each, or None.
+        band: lower and upper end of the interval of y, (n,) each, or None.
         truth: (n,) true values in the unit of y, or None.
-        names: of x and y, with their units.
+        names: names of x and y, with their units.
         axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
@@ -109,13 +109,13 @@ def curves(
     """Plot several curves by name, in distinct colours.
 
     Args:
-        x: (n,) any unit, for all; or (n,) each, by the names of y.
+        x: (n,) in any unit for all curves; or (n,) for each curve, by the names of y.
         y: (n,) each, any unit, by name.
-        names: of x and y, with their units.
-        scales: of x and y, as matplotlib names them: "linear", "log", "symlog".
+        names: names of x and y, with their units.
+        scales: scales of x and y, as matplotlib names them: "linear", "log", "symlog".
         dots: names of the curves that are drawn as dots, such as measurements.
         dashed: names of the curves that are dashed, such as theory.
-        title: of the axes.
+        title: title of the axes.
         axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:

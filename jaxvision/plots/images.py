@@ -61,12 +61,12 @@ def pictures(
 
     Args:
         images: (h, w), (h, w, 1), or (h, w, 3) encoded for display, by title.
-        columns: of the figure; None for a single row.
+        columns: number of columns of the figure; None for a single row.
         limits: values of black and white; None for 0 and each image's own largest value.
         colours: matplotlib colour map for images of one band.
-        unit: of the values; images of one band have a colour bar if it is given, or if `limits` is
-            None.
-        inches: width of each.
+        unit: unit of the values; images of one band have a colour bar if it is given, or if
+            `limits` is None.
+        inches: width of each image, inches.
 
     Returns:
         The figure; values beyond the limits have the colour of the nearest limit.
@@ -117,11 +117,11 @@ def false_colour(
 
     Args:
         values: (h, w) or (h, w, 1), any unit.
-        unit: of the values.
+        unit: unit of the values.
         label: name of the quantity, such as "irradiance".
         logarithmic: whether the colour scale is logarithmic; values <= 0 then have the colour of
             the lowest.
-        limits: smallest and largest value of the scale; None for those of all finite values.
+        limits: smallest and largest value of the scale; None for the range of all finite values.
         axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:

@@ -28,11 +28,11 @@ def inspect(
     Args:
         image: (h, w) or (h, w, bands), DN or relative; 1 to 4 bands are grey, grey and alpha, RGB
             and RGBA.
-        row: index of the row for the scan line, from 0 at the top; None for that of `at`.
+        row: index of the row for the scan line, from 0 at the top; None for the row of `at`.
         at: (row, column) of the pixel whose neighbourhood is printed; None for the middle.
         white: the value from which a pixel counts as saturated, as for `summarise`.
-        title: of the figure.
-        names: of the bands; empty for those of `band_names`.
+        title: title of the figure.
+        names: names of the bands; empty for those of `band_names`.
 
     Returns:
         The figure.

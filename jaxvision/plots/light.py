@@ -37,7 +37,7 @@ def spectrum(
         wavelengths: (bands,) m, ascending.
         values: (bands,), or (bands, spectra), or spectra of (bands,) by name; three without names
             are red, green and blue.
-        unit: of the values.
+        unit: unit of the values.
         label: name of the quantity.
         axes: matplotlib axes to draw on; None makes new ones.
 
@@ -101,8 +101,9 @@ def lobe(
     highlights of any width have their full height.
 
     Args:
-        materials: one, or several by name.
-        incidence: rad from the normal, below pi / 2; the light comes from the left and is dotted.
+        materials: one material, or several by name.
+        incidence: angle of incidence from the normal, rad, below pi / 2; the light comes from the
+            left, and its direction is dotted.
         band: index of the band that is drawn.
         shape_only: whether each lobe is divided by its largest value.
         components: whether to draw also the diffuse and the specular term of each material that has

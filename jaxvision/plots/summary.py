@@ -15,12 +15,12 @@ class BandSummary:
     """Statistics of one channel over its finite values; the moments are NaN if there are none.
 
     Attributes:
-        name: of the channel.
-        minimum: DN or relative, as all values in this record.
-        maximum: in the same unit.
-        mean: in the same unit.
-        standard_deviation: in the same unit.
-        median: in the same unit.
+        name: name of the channel.
+        minimum: the smallest value, DN or relative, as all values in this record.
+        maximum: the largest value, in the same unit.
+        mean: the mean, in the same unit.
+        standard_deviation: the standard deviation, in the same unit.
+        median: the median, in the same unit.
         black: number of values <= 0.
         saturated: number of values >= white.
         nan: number of NaN.
@@ -68,7 +68,7 @@ def summarise(
         image: (h, w) or (h, w, bands), DN or relative.
         white: the value from which a pixel counts as saturated, in the image's unit. None takes the
             largest code of the integer type, or 1 for floating images.
-        names: of the channels; empty for those of `band_names`.
+        names: names of the channels; empty for those of `band_names`.
 
     Returns:
         One summary for each channel.

@@ -17,10 +17,12 @@ class Cost(NamedTuple):
     """The time of a render and its standard error.
 
     Attributes:
-        error: rms standard error of the pixels over the rms radiance; None for one ray per pixel.
-        seconds: time of all its pixels without compilation, s; on workers the sum of theirs.
+        error: rms standard error of the pixels divided by the rms radiance; None for one ray per
+            pixel.
+        seconds: time of all pixels of the picture without compilation, s; on workers the sum of
+            their times.
         compiling: time of tracing and compilation, s.
-        workers: number of processes that computed it; 0: this one alone.
+        workers: number of worker processes that computed the picture; 0: this process alone.
     """
 
     error: float | None

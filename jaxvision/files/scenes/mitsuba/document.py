@@ -52,11 +52,11 @@ class Node:
     an error.
 
     Attributes:
-        tag: "shape", "bsdf", ...
-        kind: Mitsuba's `type`.
-        label: its name in messages.
+        tag: the tag of the element, such as "shape" or "bsdf".
+        kind: the attribute `type` of the element.
+        label: the name of the object in messages.
         values: parameters by name.
-        parts: nested objects, each with its own name or that of its reference.
+        parts: nested objects, each with its own name or the name of its reference.
         old: whether the file is of a version before 2, with other defaults.
     """
 
