@@ -25,8 +25,8 @@ GALLERY = {  # the gallery's scripts by topic, in the order of the page
     " rolling_shutter",
     "Sensors and files": "noise photon_transfer blooming demosaicing jpeg",
     "Points and filters": "tone equalisation smoothing orientation borders",
-    "Compositing": "blue_screen pyramid_blend",
-    "Fitting and results": "own_fit sensitivities results",
+    "Compositing": "blue_screen hair_matte pyramid_blend",
+    "Fitting and results": "own_fit edge sensitivities results",
 }
 
 
