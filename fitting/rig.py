@@ -162,8 +162,9 @@ class _Known(Entry):
 
     @property
     def encoding(self) -> float | None:
-        """The encoding exponent gamma; None if it is not stated, or if the files are certainly
-        linear."""
+        """Return the encoding exponent gamma; None if it is not stated, or if the files are
+        certainly linear.
+        """
         return None if self.gamma == 1 and self.gamma_sd is None else self.gamma
 
     @property
@@ -381,9 +382,9 @@ class Camera(_Known):
 
 
 def _values_of_sensor(file: Path, stated: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the values in a sensor file, by the rig's key that they replace. They are lists for
-    the taps of the pattern and taps that the rig has `stated`. Standard deviations come from the
-    draws in the file next to it.
+    """Return the values in a sensor file, by the rig's key that they replace. The values are lists
+    if the rig has `stated` a pattern or taps. Standard deviations come from the draws in the file
+    next to it.
     """
     import numpy as np
 

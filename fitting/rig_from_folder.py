@@ -291,9 +291,9 @@ def _refuse_apertures(
 
 
 def _warmth(images: Sequence[_Image]) -> dict[str, float]:
-    """Return the temperature in K of each image by its name. It is the mean of a cluster of
-    temperatures, in which neighbours differ by at most `APART`. The result is empty if there is
-    only one cluster.
+    """Return the temperature in K of each image by its name. The temperature is the mean of a
+    cluster, in which neighbouring temperatures differ by at most `APART`. The result is empty if
+    there is only one cluster.
     """
     known = sorted((i.settings.temperature, i.name) for i in images if i.settings.temperature)
     groups: list[list[tuple[float, str]]] = []

@@ -343,8 +343,8 @@ class _Channel:
         return float(left @ left / 2 + np.log(np.diag(root)).sum() + prior / 2)
 
     def best(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the size, length and noise, as logarithms, that maximise the evidence, and their
-        covariance.
+        """Return the logarithms of the prior's size and length and of the noise that maximise the
+        evidence, and their covariance.
         """
         low, high = self.bounds[2]
         loud = float(np.clip(np.log(0.02 / np.median(self.sd)), low, high))

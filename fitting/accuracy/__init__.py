@@ -3,8 +3,8 @@
     knobs                 every approximation by name; those without a rig have an example
     noise response brdf   the problems of the three fits of a rig
     examples              the problems of the other approximations
-    chains                posteriors by Laplace, emcee and NUTS, and their lengths
-    rigs                  the fits of a rig, and the curves of their knobs
+    chains                posteriors by Laplace, emcee and NUTS, at several chain lengths
+    rigs                  the fits of a rig, and the curves of their settings
 
 The quantities compared are the ends and the middle of each parameter's interval, in standard errors
 of the fit without approximation. An error of 10 % is thus a tenth of a standard error.

@@ -55,8 +55,8 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         return np.array([float(np.asarray(sheet[name])) for name in names]) / errors
 
     def errors_of_linear(measured: PhotonTransfer, *, exact: bool | None = None) -> np.ndarray:
-        """Fit a linear camera with exact moments, approximate moments or (None) the moments that
-        the data require, and return the values of its data sheet.
+        """Fit a linear camera and return the values of its data sheet. `exact` chooses exact
+        moments or approximate ones; None chooses those that the data require.
         """
         usable, within = linear_levels(measured), ranges(measured)
         window = None if exact is False else needed_window(measured, usable)[0]

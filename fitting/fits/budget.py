@@ -1,8 +1,9 @@
 """Divide the variance of an estimated quantity among the sources of its uncertainty.
 
 The best fit is, to first order, linear in the data and in the means of the priors. Let C be the
-posterior covariance. Datum i has Fisher information F_i and variance v_i = sum_k v_ik, and a
-nuisance parameter has prior information P_m. A quantity of gradient g has the variance
+posterior covariance. Datum i has Fisher information F_i and variance v_i = sum_k v_ik, where v_ik
+is due to noise source k. Nuisance parameter m has prior information P_m. A quantity of gradient g
+has the variance
 
     g^T C g = sum_k g^T C (sum_i v_ik / v_i F_i) C g + sum_m g^T C P_m C g,
 

@@ -1,8 +1,8 @@
 """Reduce a problem to the effects of its scene and camera that are not negligible.
 
-`jaxvision.effects` bounds the change that each effect makes in a pixel's distribution, over the
-whole box of the fitted parameters. Effects below a tolerance are dropped from the records of scene
-and camera, so that neither the prediction nor the sensor's likelihood computes them. The new
+`jaxvision.effects` bounds the change that each effect makes in a pixel's distribution, over all
+allowed values of the fitted parameters. Effects below a tolerance are dropped from the records of
+scene and camera, so that neither the prediction nor the sensor's likelihood computes them. The new
 problem keeps the bounds as a certificate, which the report of a fit lists. For a target quantity,
 effects that hardly move its best estimate are dropped too.
 """
@@ -43,8 +43,8 @@ def called_for(
     """Drop the effects of a problem's scene and camera that no fit of it can detect.
 
     An error that all n data share does not average out, so each datum may change by at most the
-    tolerance over sqrt(n). To first order, no estimate then changes by more than the tolerance in
-    its standard deviations.
+    tolerance over sqrt(n). To first order, no estimate then changes by more than the tolerance
+    times its standard deviation.
 
     Args:
         problem: has one `Scene` and one `Camera` among its records, and `predict` must render them

@@ -157,8 +157,8 @@ class _FitOfPresent:
         return self.simulated
 
     def widths(self) -> np.ndarray | None:
-        """Return the standard deviations of the data that are not missing; None if one value holds
-        for all.
+        """Return the standard deviations of the data that are not missing; None if all data have
+        the same one.
         """
         width = getattr(self.likelihood, "sd", getattr(self.likelihood, "scale", None))
         if width is None or isinstance(width, str) or not np.ndim(width):

@@ -50,8 +50,8 @@ def without_effects(
     problem: Problem, *, samples: PixelSamples | None = None, depth: int | None = None
 ) -> tuple[dict[str, Effect], Callable[[Collection[str]], Problem | None]]:
     """Return the effects that can be dropped from a problem's records, by name, and a function that
-    takes some of these names and returns the problem without those effects. It returns None if a
-    parameter needs one of the effects or if they cannot be dropped together.
+    takes some of these names and returns the problem without those effects. The function returns
+    None if a parameter needs one of the effects or if they cannot be dropped together.
     """
     seen, camera = named_record(problem, Scene), named_record(problem, Camera)
     records = records_of(problem)

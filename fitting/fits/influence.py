@@ -5,8 +5,8 @@ maximum moves from the optimum v by
 
     -H'^-1 (grad L'(v) - grad L(v)) = H^-1 J^T W (change of the prediction) + ...,
 
-where H and H' are the negative Hessians, J is the Jacobian of the prediction and W the weights of
-the data. Each further step is smaller by about the same factor q, so the steps that are not
+where H and H' are the Hessians of L and L', J is the Jacobian of the prediction and W the weights
+of the data. Each further step is smaller by about the same factor q, so the steps that are not
 computed sum to at most q / (1 - q) times the last one. The bound is the shift by all computed steps
 plus this remainder. If the steps do not contract, a search from the optimum finds the mode without
 the effect.

@@ -76,7 +76,9 @@ class FitMap:
 
     @property
     def converged(self) -> Bool[np.ndarray, "..."]:
-        """(*map) whether the fit is a maximum that describes the pixel's data."""
+        """Return, for each pixel, whether the fit is a maximum that describes the pixel's data,
+        (*map).
+        """
         return self.state == 0
 
     def to_xarray(self) -> Any:

@@ -5,8 +5,8 @@ Let F be a prior's distribution function and Phi that of N(0, 1). On the scale g
 prior is N(0, 1). A prior density that decreases from its lower end is half a normal density on the
 scale g = Phi^-1((1 + F(x)) / 2). Let H be the curvature of the log posterior at its mode, u the
 unconstrained parameters, h the contribution of prior i to H_ii, and V = (H^-1)_ii. Without that
-prior the variance is c = V / (1 - h V). The mode moves by c dL/du_i with L the log density of prior
-i, because at the mode the slopes of the prior and of all other terms cancel. At the moved mode,
+prior the variance is c = V / (1 - h V). The mode moves by c dL/du_i, where L is the log density of
+all other terms. At the mode its slope is minus that of the prior. With g taken at the moved mode,
 prior and other information differ by z standard deviations:
 
     z = g / sqrt(1 + c (dg/du)^2).

@@ -132,7 +132,7 @@ class Fit:
     def records(self, name: str, *, draws: int = 200) -> Any:
         """Return posterior draws of a record: the record with a leading axis at every number.
 
-        `jax.vmap` over it propagates the uncertainty through any function of the record.
+        `jax.vmap` over the result propagates the uncertainty through any function of the record.
         `jaxvision.write_camera(fit.record("camera"), file, draws=fit.records("camera"))` stores it.
 
         Args:
@@ -158,7 +158,7 @@ class Fit:
         """Return the posterior of some parameters, with its correlations, as a prior for another
         problem.
 
-        The density is Gaussian on the unconstrained scale. It is Student's t if the standard errors
+        The density is Gaussian on the unconstrained scale, or Student's t if the standard errors
         were estimated from few groups. Intervals that were widened for a misfit stay wide. The
         other parameters of the earlier fit are marginalised. The new problem must have new data,
         because data used in both fits would count twice.

@@ -54,8 +54,8 @@ def _correlated(sums: np.ndarray, places: np.ndarray) -> bool:
 
 
 def _halved(places: np.ndarray, parts: int) -> np.ndarray:
-    """Divide positions into regions of equally many: cut along the longest axis into halves, and
-    each half again. Return each position's region.
+    """Divide positions into regions that contain equally many. The positions are cut into halves
+    along their longest axis, and each half is cut again. Return the region of each position.
     """
     if parts == 1:
         return np.zeros(len(places), int)

@@ -218,9 +218,9 @@ def image_geometry(
 def pixels_at(
     observation: Photographs, channel: int, light: int, values: Values, form: Form
 ) -> tuple[Float[np.ndarray, " pixels"], Bool[np.ndarray, " pixels"]]:
-    """Return (pixels,) expected DN in one image, and the mask of pixels away from both ends of the
-    scale and from the partly lit outline. A pixel is in the mask by its expected number, or by a
-    measured number that is at least twice as far from both ends.
+    """Return the expected DN of the pixels in one image, and a mask of pixels away from both ends
+    of the scale and from the partly lit outline, (pixels,) each. A pixel is in the mask by its
+    expected number, or by a measured number that is at least twice as far from both ends.
     """
     white, (geometry, weights) = observation.white, _points(observation, channel, light)
     found = _pixel_moments(values, form, geometry, jnp.asarray(white), weights)

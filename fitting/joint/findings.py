@@ -153,7 +153,9 @@ def hiding_pixels(of: OfChannel) -> tuple[UnequalPixels, bool] | None:
 
 
 def _shadows(of: OfChannel) -> Numbers | None:
-    """The light in attached shadows, by which the fit lets the black level vary."""
+    """Report light in attached shadows, which the fit includes in the uncertainty of the black
+    level.
+    """
     observation, fit = of[0].observation, of[1]
     channel = observation.channels.index(fit.channel)
     black, sd = given_black_level(observation, channel)

@@ -269,7 +269,7 @@ def widened(robust: Robustness, halves: Halves) -> Robustness:
 
 def degrees_of_freedom(fit: JointFit, covariance: Matrix) -> Vector | None:
     """Return the degrees of freedom (P,) of the parameters' variances, which are uncertain because
-    the scales of errors are fitted. They are infinite for the scales themselves. Return None if no
+    the scales of errors are fitted. For the scales themselves they are infinite. Return None if no
     scale is fitted.
     """
     labels = names(fit.space)

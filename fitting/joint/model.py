@@ -14,11 +14,11 @@ such an error. The error is marginalised (`marginal`), so only its scale s is a 
 
     light_scatter      X (1 + s u)                      strength of the light, exposure
     direction_scatter  X + (s u_1 - t_1) dX/dt_1 + (s u_2 - t_2) dX/dt_2
-                                                        direction of the light, about angles t
-                                                        across it, at which X is taken
-    stray_scatter      X + s E u                        light that comes another way
+                                                        direction of the light; X is taken at its
+                                                        rotations t
+    stray_scatter      X + s E u                        stray light
     prnu               X (1 + s g)                      gain of a pixel
-    misfit             rho sqrt(W_0 D P / n) DN, of each cell in each image, of its own
+    misfit             rho sqrt(W_0 D P / n) DN, independent for each cell in each image
 
 Here u and g are N(0, 1), and E is the irradiance. The misfit allows for a surface that the model
 does not describe. It grows like photon noise, so that neither shadows nor highlights dominate. rho
@@ -132,7 +132,8 @@ def parameters(
 
 def black_level(observation: Photographs, channel: int) -> tuple[float, float | None]:
     """Return the black level and its standard deviation, from the rig, from the darks, or from
-    both, weighted by their precisions.
+    both, weighted by their precisions. The standard deviation includes the light in attached
+    shadows.
     """
     black, sd = given_black_level(observation, channel)
     glow = light_in_shadows(replace(observation, black=black), channel)
@@ -140,7 +141,9 @@ def black_level(observation: Photographs, channel: int) -> tuple[float, float | 
 
 
 def given_black_level(observation: Photographs, channel: int) -> tuple[float, float | None]:
-    """The black level and its standard deviation, without the attached shadows."""
+    """Return the black level and its standard deviation as the rig and the darks give them, without
+    the light in attached shadows.
+    """
     black, sd = observation.black, observation.camera.black_sd
     stated = observation.camera.black_level is not None
     levels = None if observation.levels is None else observation.levels[channel]

@@ -147,8 +147,8 @@ def surface(
 
 
 def centre_of(values: Float[np.ndarray, "*of 3"], lens: Lens) -> Float[np.ndarray, "*of 3"]:
-    """Return the position of the ball's centre in units of its radius. It is relative to the lens
-    or, in an orthographic view, to the axis.
+    """Return the position of the ball's centre in units of its radius. The position is relative to
+    the lens or, in an orthographic view, to the axis.
     """
     column, row, radius = np.moveaxis(np.asarray(values, float), -1, 0)
     if lens.focal_length is not None:

@@ -5,9 +5,9 @@ A wrong intensity of a light, another exposure of its image and a drifting lamp 
 whole. Room light and a wrong black level add the same offset to all readings. With few lights a
 pixel has only one or two residuals, which cannot determine these errors. The residuals of all
 pixels can: the factors of the lights, or the offset, minimise the sum of squares, with g of each
-pixel as a nuisance parameter (variable projection; Golub & Pereyra, Inverse Problems 19, 2003).
-Their errors come from a jackknife over parts of the image, which disagree if the surface is not
-Lambertian.
+pixel as a nuisance parameter (variable projection; Golub & Pereyra, Inverse Problems 19, 2003). The
+errors of these factors or of the offset come from a jackknife over parts of the image, which
+disagree if the surface is not Lambertian.
 """
 
 from dataclasses import dataclass, replace
@@ -91,7 +91,9 @@ def by_lights(
     covariance: Float[np.ndarray, "lights 4 lights 4"],
 ) -> Matrices:
     """Return the covariance of g from errors of the lights' directions and logarithms of
-    intensities: dg = -M^-1 sum w r (E dl.g + r.g d ln E), r = E l."""
+    intensities. With the weights w of the readings, the normal matrix M and r = E l, dg = -M^-1 sum
+    w r (E dl.g + r.g d ln E).
+    """
     flat = covariance.reshape(4 * len(rows), -1)
     sizes, axes = np.linalg.eigh(flat)
     seen = sizes > ROUNDED * sizes[-1]

@@ -201,7 +201,7 @@ class _Search:
 
     @cached_property
     def coarse(self) -> Array:
-        """Return the columns of the first grid."""
+        """Return f_r of unit amplitude for the shapes of the first grid."""
         return self.columns(first_knots(*self.range))
 
     def at(
@@ -224,8 +224,8 @@ class _Search:
         weights: np.ndarray,
         window: tuple[float, float] = (-np.inf, np.inf),
     ) -> tuple[np.ndarray, np.ndarray, float | None]:
-        """Return the amplitudes and the shape of weighted least squares, with the log shape inside
-        a window.
+        """Fit amplitudes and shape by weighted least squares, with the log shape inside a
+        window.
         """
         y, w = jnp.asarray(values), jnp.asarray(weights)
         ones = jnp.ones((1, len(values)), y.dtype)

@@ -175,7 +175,7 @@ def from_samples(
     fitted.
 
     Samples with a direction in the horizon are dropped. Negative values are kept as noise about
-    zero. `weights`: (n,), relative weights of the samples. `source` is named in messages.
+    zero. `weights` are relative weights (n,) of the samples. `source` is named in messages.
     """
     theta_i, theta_o = (np.asarray(x, np.float64) for x in (samples.theta_i, samples.theta_o))
     values = np.asarray(samples.values, np.float64)

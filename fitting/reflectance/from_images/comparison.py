@@ -70,8 +70,8 @@ class Difference:
 def difference(one: ModelScore, other: ModelScore) -> Difference:
     """Return the difference of the relative RMS of two models, paired by light.
 
-    Its error is infinite without held-out lights. A difference below a millionth of the errors is 0
-    with an error of 0.
+    The error of the difference is infinite without held-out lights. A difference below a millionth
+    of the errors is 0 with an error of 0.
     """
     if one.by_light is None or other.by_light is None or len(one.by_light) < 2:
         return Difference((one.predicted_error or 0.0) - (other.predicted_error or 0.0))

@@ -371,9 +371,9 @@ def cells_of(observation: Photographs, selection: Selection, *, width: float = 1
 def average(samples: Samples, grouping: Grouping, *, exact_at: Prediction | None = None) -> Samples:
     """Average the unsaturated samples of each cell, weighted by their inverse variances.
 
-    `exact_at` is the prediction of the samples at a vector. With it, the cells predict the mean of
-    their pixels exactly at that vector. An empty cell has an enormous standard deviation, so that
-    all channels have the same number of cells.
+    If `exact_at`, the prediction of the samples at a vector, is given, the cells predict the mean
+    of their pixels exactly at that vector. An empty cell has an enormous standard deviation, so
+    that all channels have the same number of cells.
     """
     weight = inverse_deviation(samples) ** 2
     total = np.bincount(grouping.cell, weight, grouping.count)
@@ -415,8 +415,8 @@ def with_offset(samples: Samples, exact: Prediction) -> Samples:
 def saturated_only(samples: Samples) -> Samples | None:
     """Return the saturated samples alone; None if there are none.
 
-    Their number is padded to a power of two, so that channels share a compiled program. Padding
-    samples count as unsaturated, with an enormous standard deviation.
+    The number of samples is padded to a power of two, so that channels share a compiled program.
+    Padding samples count as unsaturated, with an enormous standard deviation.
     """
     if samples.saturated is None or not bool(np.any(samples.saturated)):
         return None

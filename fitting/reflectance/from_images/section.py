@@ -106,8 +106,8 @@ def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:
 def determined_estimates(
     posterior: Posterior, channel: str, reasons: dict[str, str]
 ) -> list[Estimate]:
-    """Return the estimates of one channel. Parameters with a reason against it, or that the data
-    bound on one side only, get no numbers.
+    """Return the estimates of one channel. A parameter has no number if `reasons` states why, or if
+    the data bound the parameter on one side only.
     """
     if posterior.endless:
         one_sided = "the data bound it on one side only (see the findings)"
