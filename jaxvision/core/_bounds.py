@@ -144,19 +144,19 @@ class Reflection(NamedTuple):
 
     Attributes:
         body: (bands,) sr^-1, the supremum of f_r of the diffuse part.
-        lobe: bound of the specular lobe, or None.
-        plain: (bands,) sr^-1, the largest difference between the body (without its share `grazing`)
-            and a Lambertian BRDF of the same k_d; 0 for a Lambertian body.
+        lobe: bounds on the specular lobe, or None.
+        plain: (bands,) sr^-1, the largest difference between the diffuse part (without its share
+            `grazing`) and a Lambertian BRDF of the same k_d; 0 for a Lambertian surface.
         mirror: (bands,) or (1,), reflectance of a mirror, or None.
         why: "", or the reason why there is no bound; then `body` is inf.
         grazing: share of `body` that bounds f_r cos(theta_i) instead of f_r, so that it does not
             vanish toward the horizon.
-        rough: field whose removal makes the body Lambertian, and the name of that simplification;
-            or None.
+        rough: field whose removal makes the diffuse part Lambertian, and the name of that
+            simplification; or None.
         facets: for a lobe with an interface, the smallest reflectance over bands and angles, and
             the lobe of facets with reflectance 1; or None.
         indices: the smallest and the largest refractive index of a transparent body, or None.
-        angular: whether the angular dependence of the body differs between bands.
+        angular: whether the angular dependence of the diffuse part differs between bands.
     """
 
     body: np.ndarray

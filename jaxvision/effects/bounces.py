@@ -4,15 +4,16 @@ One more path segment applies an operator T to the largest radiance L_j of each 
 
     T_i L = rho_i sum_j F_ij L_j + s_i sum_j G_ij L_j + m_i max L
 
-Here rho, s and m are the reflectances of the body, of the lobe, and of a mirror or glass, which may
-show the brightest radiance of the scene. F_ij is the largest share of the light on the body of i
-that can come from j. F_ij is at most 1, at most (R / d)^2 for the bounding ball of j with radius R
-at distance d from i, and 0 if i is flat and j entirely behind it. A lobe may point toward j, which
-subtends a solid angle of at most 2 pi (R / d)^2. Its share is G_ij = min(1, g_i F_ij) with g_i = 2
-pi sup(f_r cos) / s_i. The shares of one surface sum to at most 1, and the bound assigns them to the
-brightest surfaces first. A path of emitted light has one segment, and a path of light that one
-surface reflects from a lamp has two. The bound is sharp in open scenes with dark surfaces. In a
-bright closed room the bound is far too large, so that the long paths are kept.
+Here rho, s and m are the reflectances of the diffuse part, of the specular lobe, and of a mirror or
+glass, which may show the brightest radiance of the scene. F_ij is the largest share of the light on
+the diffuse part of i that can come from j. F_ij is at most 1, at most (R / d)^2 for the bounding
+ball of j with radius R at distance d from i, and 0 if i is flat and j entirely behind it. A lobe
+may point toward j, which subtends a solid angle of at most 2 pi (R / d)^2. Its share is G_ij =
+min(1, g_i F_ij) with g_i = 2 pi sup(f_r cos) / s_i. The shares of one surface sum to at most 1, and
+the bound assigns them to the brightest surfaces first. A path of emitted light has one segment, and
+a path of light that one surface reflects from a lamp has two. The bound is sharp in open scenes
+with dark surfaces. In a bright closed room the bound is far too large, so that the long paths are
+kept.
 """
 
 from collections.abc import Sequence
@@ -37,9 +38,9 @@ _MOST = 400  # segments after which a sum that has not converged has no bound
 
 
 def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
-    """Return rows of possible simplifications by path length, "bounces", shortest paths first. The
-    row of each length n bounds the radiance of all longer paths, in W m^-2 sr^-1. There are no rows
-    for direct light (`depth` None)."""
+    """Return a `Row` "bounces" for limiting paths to each of several lengths, shortest paths first.
+    The `Row` of a length n bounds the radiance of all longer paths, in W m^-2 sr^-1. The result is
+    empty for direct light (`depth` None)."""
     if depth is None:
         return ()
     onward, wanted = Onward(sums, depth), shorter(depth)
@@ -64,7 +65,7 @@ def shorter(depth: int) -> list[int]:
 
 
 def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = "") -> Row:
-    """Return the row for rendering paths of at most `pieces` instead of `depth` segments. The
+    """Return the `Row` for rendering paths of at most `pieces` instead of `depth` segments. The
     omitted paths add at most `amount`, (bands,) W m^-2 sr^-1. This is proved if `assumes` is "",
     otherwise an estimate."""
     why, estimated = f"paths of at most {pieces} segments", bool(assumes)
@@ -145,15 +146,15 @@ class Onward:
         return found
 
     def of_body(self, i: int) -> np.ndarray:
-        """Bound the mean radiance, (bands,) W m^-2 sr^-1, that arrives at the body of surface i
-        from other surfaces."""
+        """Bound the mean radiance, (bands,) W m^-2 sr^-1, that arrives at the diffuse part of
+        surface i from other surfaces."""
         if self.depth is None:
             return self.arriving[i]
         return gathered(self.transport.factors[i : i + 1], self.arriving)[0]
 
     def of_lobe(self, i: int) -> np.ndarray:
-        """Bound the mean radiance, (bands,) W m^-2 sr^-1, that arrives at the lobe of surface i
-        from other surfaces."""
+        """Bound the mean radiance, (bands,) W m^-2 sr^-1, that arrives at the specular lobe of
+        surface i from other surfaces."""
         if self.depth is None:
             return self.arriving[i]
         return gathered(self.transport.of_lobes[i : i + 1], self.arriving)[0]

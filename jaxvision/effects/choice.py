@@ -28,7 +28,7 @@ _TRIES = 64  # largest number of thresholds, each at most half of the previous o
 
 @dataclass(frozen=True)
 class Chain:
-    """The rows of all effects, from the scene to the raw data, and the factors that convert their
+    """The `Row` of every effect, from the scene to the raw data, and the factors that convert their
     bounds to one unit."""
 
     rows: tuple[Row, ...]  # of all effects
@@ -69,7 +69,7 @@ class Choice:
         self.allowed = goal.value / 2 if many else goal.value
 
     def bound(self, row: Row) -> float:
-        """Return the bound of an effect's row in the unit of the tolerance."""
+        """Return the bound of the `Row` of an effect in the unit of the tolerance."""
         chain, gone = self.chain, frozenset(row.name for row in self.gone)
         value = np.atleast_1d(row.amount if row.after is None else row.after(gone))
         if not value.any():
@@ -140,7 +140,7 @@ class Choice:
         return cost > 0, cost / sum(row.saves for row in party)
 
     def _try(self, party: tuple[Row, ...]) -> bool:
-        """Drop all rows of a group if the tolerance allows it, and return whether it does."""
+        """Drop all effects of a group if the tolerance allows it, and return whether it does."""
         gone = {row.name for row in self.gone}
         rows = [row for row in party if row.part_of not in gone]
         allowed = all(

@@ -195,7 +195,7 @@ def lipschitz(development: Development | None) -> Factor:
 
 
 def development_stage(development: Ends[Development | None]) -> tuple[Row, ...]:
-    """Return a row for each step of a development, with bounds in DN of the raw data. Only steps
+    """Return a `Row` for each step of a development, with bounds in DN of the raw data. Only steps
     that change nothing can be dropped."""
     low, high = development
     if low is None or high is None:

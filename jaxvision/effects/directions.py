@@ -4,9 +4,9 @@ sr^-1.
 Matte surfaces, emitters and lamps of uniform radiance look the same from all directions. A point in
 focus on them therefore looks the same through every part of the lens. The radiance of a specular
 lobe changes by at most its slope times the angle that the lens subtends, and by at most its largest
-value. The radiance of a body that is not Lambertian changes by at most twice its difference from a
-Lambertian body, and by at most its whole value. A mirror or glass shows different objects through
-each part of the lens: there is no bound.
+value. The radiance of a diffuse part that is not Lambertian changes by at most twice its difference
+from a Lambertian surface, and by at most its whole value. A mirror or glass shows different objects
+through each part of the lens: there is no bound.
 """
 
 import numpy as np
@@ -51,8 +51,8 @@ def lens_spread_bound(sums: Sums, onward: Onward) -> np.ndarray:
 
 
 def _plain(sums: Sums) -> np.ndarray:
-    """Return the difference of each body from a Lambertian one, (n, bands) sr^-1
-    (`Reflection.plain`)."""
+    """Return the difference of each surface's diffuse part from a Lambertian surface, (n, bands)
+    sr^-1 (`Reflection.plain`)."""
     bands = sums.spectrum.shape[1]
     return np.array([np.broadcast_to(own.plain, bands) for own in sums.reflections])
 

@@ -20,8 +20,8 @@ from .unmet import unmet_rows, with_owners
 def scene_rows(
     scene: Ends[Scene], view: Ends[View], sensor: Sensor, method: Method
 ) -> tuple[tuple[Row, ...], Arriving]:
-    """Return the rows of all effects of a scene, over the range of its free parameters, and a bound
-    on the light at the camera.
+    """Return a `Row` for every effect of a scene, over the range of its free parameters, and a
+    bound on the light at the camera.
 
     If the scene moves, the sensor's exposure time and shutter determine the times, in s, of the
     bounds. A moving scene keeps its lights and bands, because the motion may refer to them by
@@ -60,13 +60,13 @@ def scene_rows(
 
 
 def _uncut(row: Row) -> Row:
-    """Mark a row of long paths as one that cannot be dropped."""
+    """Mark the `Row` for long paths as one that cannot be dropped."""
     why = "the integrator follows paths to their end, so they cannot be shortened"
     return replace(row, why=why, drop=None, saves=0.0)
 
 
 def _ladder_order(row: Row) -> float:
-    """Return the sort key that puts the rows of path lengths last, from short to long paths."""
+    """Return the sort key that puts each `Row` of a path length last, from short to long paths."""
     return -row.saves if row.ladder == "bounces" else -2.0
 
 
@@ -81,8 +81,8 @@ def _moved(
 
 
 def _unique_rows(moments: Sequence[Sequence[Row]]) -> Iterator[Row]:
-    """Return the row of each effect once, with its largest bound over all times. An object that the
-    motion adds or removes is never dropped."""
+    """Return the `Row` of each effect once, with its largest bound over all times. An object that
+    the motion adds or removes is never dropped."""
     found: dict[str, list[Row]] = {}
     for rows in moments:
         for row in rows:

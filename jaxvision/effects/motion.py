@@ -50,8 +50,8 @@ def motion_stage(
     sensor: Ends[Sensor],
     moments: int | None,
 ) -> tuple[Row, ...]:
-    """Return the rows "motion" and "sensor.shutter", if there are any. They compare the scene at
-    rest with the scene at `moments` times of the exposure, over the range of the free
+    """Return a `Row` "motion" and a `Row` "sensor.shutter", if there are any. They compare the
+    scene at rest with the scene at `moments` times of the exposure, over the range of the free
     parameters."""
     shutter = sensor.high.shutter
     if motion is None:

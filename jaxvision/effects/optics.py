@@ -34,8 +34,8 @@ _SHARES = 2e-5  # accuracy of the shares of `airy_kernel`
 def optics_stage(
     view: Ends[View], arriving: Arriving, *, samples: Any = None, oversampling: int = 1
 ) -> tuple[tuple[Row, ...], OnSensor]:
-    """Return a row for each part of a view, and the largest irradiance and gain on the sensor. The
-    lens is evaluated on a grid that is finer than the pixels by `oversampling`."""
+    """Return a `Row` for each part of a view, and the largest irradiance and gain on the sensor.
+    The lens is evaluated on a grid that is finer than the pixels by `oversampling`."""
     radiance = np.asarray(arriving.radiance, float)
     grids = _Grids(view, oversampling)
     opening = grids.opening
@@ -289,8 +289,8 @@ def stretch(view: Pinhole | ThinLens, steepest: float) -> float:
 
 
 def _defocus_row(view: Ends[View], grids: _Grids, arriving: Arriving, radiance: np.ndarray) -> Row:
-    """Return the row for replacing a lens by a pinhole with the same sensor distance and gain. The
-    replacement displaces light that is out of focus. It changes the brightness of a point whose
+    """Return the `Row` for replacing a lens by a pinhole with the same sensor distance and gain.
+    The replacement displaces light that is out of focus. It changes the brightness of a point whose
     radiance differs between parts of the lens."""
     lens = view.high
     assert isinstance(lens, ThinLens)
@@ -330,7 +330,7 @@ def _to_pinhole(draft: Draft) -> Draft:
 
 
 def _row(name: str, amount: np.ndarray, place: float, why: str) -> Row:
-    """Return the row of a part of the lens that is dropped by setting its field to None."""
+    """Return the `Row` of a part of the lens that is dropped by setting its field to None."""
     drop = setting(f"camera.view.{name}")
     return Row(f"view.{name}", amount, why, drop, unit=IRRADIANCE, place=place, saves=0.3)
 

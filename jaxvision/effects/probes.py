@@ -28,9 +28,9 @@ ASSUMED = "Each further segment of a path beyond the probed ones reduces its lig
 
 
 def probed_rows(scene: Scene, view: View, depth: int | None) -> tuple[Row, ...]:
-    """Return rows "bounces" like those of `bounces.bounce_rows`, but with rank "estimate", for each
-    path length in `bounces.shorter`. Free parameters are at their upper ends. There are no rows for
-    direct light (`depth` None), or for paths that are too short to estimate."""
+    """Return a `Row` "bounces", like those of `bounces.bounce_rows` but with rank "estimate", for
+    each path length in `bounces.shorter`. Free parameters are at their upper ends. The result is
+    empty for direct light (`depth` None), or for paths that are too short to estimate."""
     n = min(_SETTLED, (depth or 0) - 2)
     if depth is None or n < DIRECT:
         return ()

@@ -32,7 +32,7 @@ _probe = jax.jit(render, compiler_options=QUICKLY)
 
 
 def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
-    """Return the rows of all effects from the scene to the developed picture. For a view without a
+    """Return a `Row` for every effect from the scene to the developed picture. For a view without a
     sensor, return only those of the scene and the lens."""
     view, sensor = camera.of("view"), camera.of("sensor")
     rows, arriving = scene_rows(scene, view, sensor.high, method)
@@ -50,8 +50,8 @@ def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
 
 
 def _chain_of(scene: Scene, camera: Camera, free: Box | None, method: Method) -> Chain:
-    """Return the rows of all effects. If a number is not finite or a map rotates normals, no row
-    has a bound."""
+    """Return a `Row` for every effect. If a number is not finite or a map rotates normals, none has
+    a bound."""
     refuse_tracers(scene, camera)
     depth = method.depth
     if depth is not None and (depth < 1 or depth != int(depth)):
@@ -332,7 +332,7 @@ def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> boo
 
 
 def _kept_with(row: Row, names: tuple[str, ...], reason: str) -> Row:
-    """Mark the row of an effect with one of these names as one that cannot be dropped."""
+    """Mark the `Row` of an effect with one of these names as one that cannot be dropped."""
     if row.drop is None or not row.name.startswith(names):
         return row
     return replace(row, drop=None, why=f"{row.why}; {reason}".removeprefix("; "))

@@ -1,9 +1,9 @@
 """Bound the change of radiance by each effect of a scene.
 
-Each function has the name of an effect and returns its row. A bound is the supremum over all cells
-that a pixel may see. A bound ignores effects that only remove light, so that it is valid for every
-scene between the full and the pruned one. Radiance is in W m^-2 sr^-1, lengths in m; computed in
-NumPy float64.
+Each function has the name of an effect and returns its `Row`. A bound is the supremum over all
+cells that a pixel may see. A bound ignores effects that only remove light, so that it is valid for
+every scene between the full and the pruned one. Radiance is in W m^-2 sr^-1, lengths in m; computed
+in NumPy float64.
 """
 
 from collections.abc import Callable, Iterator
@@ -44,7 +44,7 @@ _OWN = 0.02  # the same for every other effect
 def scene_stage(
     scene: Ends[Scene], view: Ends[View], *, depth: int | None = None, caustics: bool = False
 ) -> tuple[tuple[Row, ...], Arriving, Sums]:
-    """Return the rows of all effects of a scene over the range of its free parameters, a bound on
+    """Return a `Row` for every effect of a scene over the range of its free parameters, a bound on
     the light at the camera, in W m^-2 sr^-1, and the suprema from which both follow.
 
     `depth` is the largest number of path segments, or None for direct light, as in `render`. With
@@ -293,7 +293,7 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def roughness(sums: Sums, onward: Onward, i: int) -> Row:
-    """Bound the difference between a rough or measured body and a Lambertian one."""
+    """Bound the difference between a rough or measured diffuse part and a Lambertian surface."""
     reflection, material = sums.reflections[i], sums.surfaces[i].low.material
     plain = np.broadcast_to(reflection.plain, sums.k_body.shape[1:])
     grazing = times(np.array(reflection.grazing), sums.k_body[i])
@@ -321,8 +321,8 @@ def _unbent(surface: Surface) -> Surface:
 
 def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
     """Bound the change if a map is replaced by its mean. A map of k_d or k_s changes the light of
-    the body or the lobe by at most the relative range of the map, if that light is proportional to
-    it. Any other map changes at most all light that the surface reflects."""
+    the diffuse part or the specular lobe by at most the relative range of the map, if that light is
+    proportional to it. Any other map changes at most all light that the surface reflects."""
     own, material = sums.reflections[i], sums.surfaces[i].of("material")
     bands, field = sums.k_body.shape[1], place.removeprefix("material.")
     of_body = of_lobe = np.ones(bands)

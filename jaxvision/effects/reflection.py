@@ -1,9 +1,9 @@
 """Bound the light that each type of material reflects.
 
-The shading f_r cos is a body, at most `body` times the cosine, plus a lobe, which is bounded by a
-function of the angles of a cell. A material type states these bounds in `register`. A type without
-bounds is unbounded, and effects that depend on it are kept. Values have no unit, except those in
-sr^-1.
+The shading f_r cos is that of a diffuse part, at most `body` times the cosine, plus that of a
+specular lobe, which is bounded by a function of the angles of a cell. A material type states these
+bounds in `register`. A type without bounds is unbounded, and effects that depend on it are kept.
+Values have no unit, except those in sr^-1.
 """
 
 from typing import Any

@@ -19,7 +19,7 @@ _COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sq
 
 
 def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
-    """Return the row for replacing the rays of a pixel, which extend to its corners, by one ray.
+    """Return the `Row` for replacing the rays of a pixel, which extend to its corners, by one ray.
     The one ray passes through the pixel's centre. `radiance`, (bands,) W m^-2 sr^-1, is the largest
     in the picture. The blur of the lens must have been dropped before."""
     nothing, why = np.zeros_like(radiance), "a pixel's rays reach its corners"
@@ -31,8 +31,8 @@ def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
 def oversampling_row(
     view: Ends[View], opening: float, radiance: np.ndarray, oversampling: int
 ) -> Row:
-    """Return the row for replacing all samples of a pixel aperture by one at the pixel's centre. No
-    sample is farther from the centre than the corners, and the cos^4 falloff changes by at most
+    """Return the `Row` for replacing all samples of a pixel aperture by one at the pixel's centre.
+    No sample is farther from the centre than the corners, and the cos^4 falloff changes by at most
     1.04 times the slope. `opening` is the largest gain, in W m^-2 per W m^-2 sr^-1. Parts of the
     view that act between pixels must have been dropped before."""
     reach = _MIDDLE * (1 - 1 / oversampling)

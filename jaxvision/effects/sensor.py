@@ -58,7 +58,7 @@ _ASSUMES = {
 def sensor_stage(
     sensor: Ends[Sensor], irradiance: np.ndarray, *, shape: tuple[int, int]
 ) -> tuple[tuple[Row, ...], Response]:
-    """Return the rows of a sensor's effects, and its response to a change of light."""
+    """Return a `Row` for each effect of a sensor, and its response to a change of light."""
     light = np.asarray(irradiance, float)
     arriving = jax.ShapeDtypeStruct((*shape, *light.shape), jnp.result_type(float))
     jax.eval_shape(lambda seen: mean_photoelectrons(sensor.high, seen), arriving)
@@ -115,7 +115,7 @@ def _response(pixel: Pixel, change: np.ndarray) -> float:
 def _row(
     name: str, bound: BoundOf, pixel: Callable[[Gone], Pixel], drop: Drop | None, **more: Any
 ) -> Row:
-    """Return the row of an effect. Its bound is computed for the sensor without the effects that
+    """Return the `Row` of an effect. Its bound is computed for the sensor without the effects that
     were dropped before."""
 
     def after(gone: Gone) -> float:
@@ -128,8 +128,8 @@ def _row(
 
 
 def _field(name: str, bound: BoundOf, sensor: Ends[Sensor], pixel: Callable[[Gone], Pixel]) -> Row:
-    """Return the row of one sensor field. Dropping it sets the field to None, and also the factors
-    of the taps on it."""
+    """Return the `Row` of one sensor field. Dropping it sets the field to None, and also the
+    factors of the taps on it."""
     identity = _is_identity(name, sensor)
 
     def drop(draft: Draft) -> Draft:
@@ -154,7 +154,7 @@ def _unchanged(_: Pixel) -> Bound:
 
 
 def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Row:
-    """Return the row of an external effect, with the bound that the effect states."""
+    """Return the `Row` of an external effect, with the bound that the effect states."""
 
     def bound(pixel: Pixel) -> Bound:
         dn, kind = clean(pixel.behind_own * pixel.moved_by(ends)), type(ends.low).__name__
@@ -170,7 +170,7 @@ def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Ro
 def _faster(
     name: str, bound: BoundOf, kind: type[ShotNoise], pixel: Callable[[Gone], Pixel]
 ) -> Row:
-    """Return the row for replacing the shot noise by a faster counting method."""
+    """Return the `Row` for replacing the shot noise by a faster counting method."""
     field, drop = f"sensor.shot_noise.{name}", setting("camera.sensor.shot_noise", to=kind())
     others = {"sensor.shot_noise", "sensor.shot_noise.exact", "sensor.shot_noise.whole"} - {field}
     return _row(field, bound, pixel, drop, saves=0.25, instead_of=frozenset(others))

@@ -27,8 +27,8 @@ _ROUNDING = 1e-15  # relative rounding error of each term, and so of each pixel,
 
 
 def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
-    """Return the rows "bands", which reduce the number of bands, the fewest bands first. At most
-    one of these rows is dropped. Their bounds are in W m^-2 sr^-1."""
+    """Return a `Row` "bands" for each of several smaller numbers of bands, the fewest bands first.
+    At most one of them is dropped. The bounds are in W m^-2 sr^-1."""
     bands = sums.own.shape[1]
     if bands == 1:
         return ()

@@ -1,5 +1,5 @@
-"""The interface of the stages of a camera: each returns rows, which consist of an effect, its bound
-and a way to drop it.
+"""The interface of the stages of a camera: each returns `Row` records, which consist of an effect,
+its bound and a way to drop it.
 
 Light passes scene -> optics -> sensor -> development, and each stage returns the data that the next
 one needs. All numbers are NumPy float64, computed outside `jit`.
@@ -117,7 +117,7 @@ class Row:
 
 
 def unproved(row: Row, why: str) -> Row:
-    """Return a row without a bound, so that its effect is kept, with the reason."""
+    """Return a `Row` without a bound, so that its effect is kept, with the reason."""
     amount = row.amount + np.inf
     return replace(row, why=why, amount=amount, estimated=False, after=None, drop=None)
 

@@ -227,8 +227,9 @@ def _geometry(
     cells: Cells,
     eye: Eye,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute `body`, `lobe` and `facing` of `Sums` for one light and the given lobes. The supremum
-    of E f_r cos / k_d is that of E cos, plus that of E for the share `grazing` of the body."""
+    """Compute `body`, `lobe` and `facing` of `Sums` for one light and the given lobes. The
+    supremum of E f_r cos / k_d is that of E cos, plus that of E for the share `grazing` of the
+    diffuse part."""
     grazing = np.array([own.grazing for own in reflections])[cells.surface]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         arrived = arriving(source, cells, nearest[cells.surface])

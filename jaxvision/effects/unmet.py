@@ -27,7 +27,7 @@ _LEVEL = 1e-9
 
 
 def unmet_rows(scene: Ends[Scene], sums: Sums) -> Iterator[Row]:
-    """Yield a row of bound 0 W m^-2 sr^-1 for each surface that no ray of direct light meets,
+    """Yield a `Row` of bound 0 W m^-2 sr^-1 for each surface that no ray of direct light meets,
     unless no surface is met at all."""
     low, never = scene.low, unmet(sums.surfaces, sums.sources, sums.eye, scene.low.occluders)
     if never.all():
@@ -43,8 +43,8 @@ def unmet_rows(scene: Ends[Scene], sums: Sums) -> Iterator[Row]:
 
 
 def with_owners(rows: Iterable[Row], owners: Iterable[Row]) -> Iterator[Row]:
-    """Yield the rows again, where a row of a surface that has its own row in `owners` is marked as
-    a part of it."""
+    """Yield every `Row` again. A `Row` for a part of a surface that has its own `Row` in `owners`
+    is marked as a part of that."""
     names = {row.name for row in owners}
     for row in rows:
         owner = row.name.partition(".")[0]
