@@ -74,7 +74,7 @@ class Converter:
 
     @property
     def rounding(self) -> float:
-        """Variance of rounding, DN^2."""
+        """Variance of the rounding error, DN^2."""
         if not self.step:
             return 0.0
         # A signal meets wide steps (1 + d) more often than narrow ones (1 - d): the mean of w^3.
@@ -84,7 +84,8 @@ class Converter:
 
     @property
     def _whole(self) -> bool:
-        """Whether the numbers were rounded only once."""
+        """Whether the numbers were rounded only once, by the converter and not again by
+        software."""
         return (self.even and self.step < 1) or (self.even and self.step == round(self.step))
 
 
@@ -161,7 +162,7 @@ class Codes:
         return True if np.count_nonzero(self._whole) >= FEWEST_WHOLE else None
 
     def __add__(self, other: "Codes") -> "Codes":
-        """Return the counts of two sets of frames together."""
+        """Add the counts of two sets of frames."""
         octaves = self._by_noise.keys() | other._by_noise.keys()
         none = np.zeros(0, np.int64)
         return Codes(
@@ -235,7 +236,6 @@ def converter_in_words(converter: Converter, full_scale: float | None) -> list[s
 
 
 def _sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Add two arrays of counts by code that may differ in length; both begin at code 0."""
     small, large = sorted((one, other), key=len)
     found = large.copy()
     found[: small.size] += small

@@ -112,7 +112,7 @@ class SensorNoise(eqx.Module):
         return {"photons": whole - read - rounding, "read noise": read, "rounding": rounding}
 
     def _mean(self, prediction: Array) -> Array:
-        """Signal before clipping, DN."""
+        """Return the expected signal before clipping, DN."""
         return expected_signal(_record(self.sensor), _light("SensorNoise", prediction))
 
     def _signal(self, prediction: Array) -> Censored:
@@ -315,7 +315,7 @@ class SensorCounts(eqx.Module):
         return jnp.clip(codes, *self._range())
 
     def _log_chances(self, prediction: Array, data: Array) -> Array:
-        """ln P of codes."""
+        """Return ln of the probability of each code."""
         read, mean, counts, log_count = self._counted(prediction, data)
         low, high = self._ends(read, data, counts)
         masses = logsumexp(log_count + _log_interval(low, high), axis=-1)

@@ -2,11 +2,11 @@
 
 For one fit, u is the cumulative probability of the true value in its posterior. If the posteriors
 are right, u is uniform between 0 and 1 over many simulations. An interval of probability q contains
-the true value if |u - 1/2| < q / 2; z = Phi^-1(u) is standard normal. The ranks in simulation-based
-calibration (Talts et al. 2018) are u in whole steps. Kolmogorov's test limits the largest distance
-of the cumulative distribution of u from the diagonal. If the posteriors are right, the sum of z^2
-over the fits has a chi-square distribution. This test needs the fewest fits to detect standard
-errors that are too small or too large.
+the true value if |u - 1/2| < q / 2. The normal deviate of u is z = Phi^-1(u). The ranks in
+simulation-based calibration (Talts et al. 2018) are u in whole steps. Kolmogorov's test compares
+the largest distance of the cumulative distribution of u from the diagonal with that by chance. If
+the posteriors are right, the sum of z^2 over the fits has a chi-square distribution. This test
+needs the fewest fits to detect standard errors that are too small or too large.
 """
 
 import warnings

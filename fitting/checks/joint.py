@@ -19,7 +19,7 @@ BLACK, BLACK_SD = 64.0, 0.5  # DN: black level, and its standard deviation in th
 
 @dataclass(frozen=True)
 class Lab:
-    """The simulated laboratory.
+    """A simulated laboratory: a glossy sphere, its lights and an uncalibrated camera.
 
     Attributes:
         sphere: with its lights and their errors; the fit is given the standard deviations of these

@@ -22,7 +22,7 @@ from .simulations import simulated
 
 @dataclass(frozen=True)
 class Check:
-    """Coverage of the intervals of a fit, parameter by parameter. Print it.
+    """Coverage of the intervals of a fit, parameter by parameter. `print` shows it as text.
 
     Attributes:
         coverage: of every free number.

@@ -28,7 +28,7 @@ LEAF, LEAVES, FLUTTER = 16, 5, 4  # leaves: size in pixels, number, motion in pi
 
 @dataclass(frozen=True)
 class Stack:
-    """A simulated stack.
+    """A simulated exposure stack.
 
     Attributes:
         times: exposures, s.

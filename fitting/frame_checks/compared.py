@@ -178,5 +178,5 @@ def scaled_to_one_mean(frames: Sequence[FrameSample], black: float | None) -> li
 
 
 def rms(field: np.ndarray) -> float:
-    """Root mean square."""
+    """Return the root mean square of an array."""
     return float(np.sqrt(np.mean(field**2)))

@@ -1,4 +1,4 @@
-"""Photon transfer: gain, noise and linearity of a camera."""
+"""Calibration of a camera's gain, noise and linearity by photon transfer."""
 
 from jaxvision.core.lazy_names import names_of
 

@@ -1,6 +1,6 @@
 """Estimates of a camera's brighter-fatter effect and of the linear mixing of neighbouring pixels.
 
-a_ij is the relative change of a pixel's area per electron in the pixel i rows and j columns away
+Each electron in a pixel changes the area of the pixel i rows and j columns away by the share a_ij
 (Astier et al. 2019). The variances and covariances together give a_00, the covariances give the
 a_ij of the neighbours, and all of them give the kernel of a sensor. For linear mixing after charge
 collection, the likelihood gives the share of the variance that a pixel loses, and the covariances

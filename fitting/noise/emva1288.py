@@ -248,8 +248,8 @@ def evaluate(
     shared: SharedNoise | None = None,
     figures: Callable[[Statistics, PhotonTransfer, Ranges], Sheet] = sheet,
 ) -> Evaluation:
-    """Compute the sheet with standard errors by the delta method. `figures` selects the release of
-    the standard."""
+    """Compute a sheet with standard errors by the delta method. `figures` is the function for a
+    release of the standard."""
     stats = statistics(measurement, within.saturation)
     values = figures(stats, measurement, within)
     bright, dark, factors = _sampling(stats, measurement, within, values["system_gain"], shared)

@@ -140,7 +140,7 @@ def responsivity_figure(calibration: NoiseCalibration) -> "Figure":
 
 
 def signal_to_noise_figure(calibration: NoiseCalibration) -> "Figure":
-    """SNR against light, log-log."""
+    """Draw the signal-to-noise ratio against light, on logarithmic axes."""
     from matplotlib.figure import Figure
 
     measurement = calibration.measurement

@@ -191,8 +191,8 @@ def _two_converters(below: bool, calibration: NoiseCalibration) -> bool:
 
 
 def _linear(fits: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding on the fit of a linear camera; None unless its success is
-    that of `fits`."""
+    """Return the numbers for the finding that a linear camera explains the measurement (`fits`), or
+    does not; None if that finding does not apply."""
     if calibration.likelihood is None:
         return None
     linear, chosen = calibration.linear, calibration.chosen
@@ -258,8 +258,8 @@ def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | Non
 
 def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
     """Return the numbers for the finding that darks with another black level than the flats would
-    resemble the light offset. The difference in black level, DN, is the offset times the
-    responsivity."""
+    have the same effect as the light offset. This difference in black level, DN, is the offset
+    times the responsivity."""
     shifted = _light_offset(True, calibration) or _light_offset(False, calibration)
     if not shifted or not _linear(False, calibration):
         return None

@@ -93,7 +93,7 @@ class SquareSums:
         self._sums: dict[str, np.ndarray] = {}
 
     def add(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
-        """Add the deviation of a further frame from the first, without the shift of its mean."""
+        """Add a frame's deviation from the first frame, without the shift of its mean."""
         for name, square in self._of.items():
             self._sums[name] = self._sums.get(name, 0.0) + weight * square(deviation)
 
@@ -109,7 +109,7 @@ LEAST_FLICKER = 1e-5  # share of a pixel's variance below which lamp flicker is 
 
 
 class Unlit(NamedTuple):
-    """A level without light."""
+    """Mean and temporal variance of the darks of a light level."""
 
     mean: float  # DN
     variance: float  # temporal variance, DN^2

@@ -40,7 +40,7 @@ BESIDE = 0.1  # largest distance of the knee from the gap between the levels, re
 
 
 class Knee(NamedTuple):
-    """Where a response bends."""
+    """The knee of a response with two slopes."""
 
     level: int  # index of the first level above the knee
     slope: float  # r, the slope above the knee over the slope below it
@@ -98,7 +98,7 @@ class SharedVariance(eqx.Module):
 
 
 class Levels(eqx.Module):
-    """Statistics of the frames taken at each level of light.
+    """Statistics of the frames at each level of light (or at each exposure of darks).
 
     Attributes:
         light: (levels,) photons per pixel and exposure, 0 in the dark.
@@ -194,7 +194,7 @@ class CodeTables(eqx.Module):
 
 
 class PhotonTransfer(eqx.Module):
-    """A photon transfer measurement.
+    """A photon transfer measurement: the statistics of flats and darks at several levels.
 
     Attributes:
         bright: levels with light, in the order of their light.

@@ -8,15 +8,18 @@
     h(x)           = x (1 - c_1 x / X - c_2 (x / X)^2)
     V(mu)          = mu, or (1 - kappa) C_00(mu)
 
-K is DN per electron and R is DN per photon, both at zero signal. The means determine R a hundred
-times better than the variances determine K, so these two are hardly correlated, unlike K and the
-efficiency R / K. mu_p: photons per pixel; t: s. h: a compression behind the gain, with X the
-brightest level's signal. q: step of the converter, DN; q^2 / 12: rounding, counted once. Read noise
-is added behind the compression. C_00: the variance of a pixel whose charges repel each other
-(Astier 2019, `jaxvision.sensor.flat_covariances`). Its a_00 = -beta K / X, so to first order beta
-is the relative loss of variance at the brightest level. The other a_ij are proportional to the
-measured covariances. kappa is the relative loss of a pixel's signal variance by linear mixing with
-its neighbours. Repulsion and mixing do not change the noise of sums over many pixels.
+K is the gain in DN per electron and R the responsivity in DN per photon, both at zero signal. mu_p
+is the light in photons per pixel, delta the light offset, D the dark current and t the exposure in
+s. The means determine R a hundred times better than the variances determine K, so R and K are
+hardly correlated, unlike K and the efficiency R / K.
+
+h is a compression behind the gain, and X the signal of the brightest level. Read noise sigma_d is
+added behind the compression. q is the step of the converter, whose rounding has the variance
+q^2 / 12. C_00 is the variance of a pixel whose charges repel each other (Astier 2019,
+`jaxvision.sensor.flat_covariances`). Its a_00 = -beta K / X, so to first order beta is the relative
+loss of variance at the brightest level. The other a_ij are proportional to the measured
+covariances. kappa is the relative loss of a pixel's signal variance by linear mixing with its
+neighbours. Repulsion and mixing do not change the noise of sums over many pixels.
 
 The observed mean of L frames of n pixels is Normal with variance s^2 / (n L). Given the mean, the
 observed variance has a Gamma distribution. The degrees of freedom of that distribution follow from

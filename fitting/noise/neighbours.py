@@ -33,7 +33,7 @@ Lags = Float[np.ndarray, "lags lags"]
 
 
 class NeighbourData(eqx.Module):
-    """The data on neighbouring pixels for a fit."""
+    """The covariances of neighbouring pixels as inputs of the likelihood."""
 
     variance_terms: Float[Array, " terms"]  # C_00 / mu in powers of a_00 mu, the highest first
     # sum of all covariances with other pixels less that of the darks, DN^2; 0 for the darks; None

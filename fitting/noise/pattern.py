@@ -95,7 +95,7 @@ class PatternVariance:
 
 
 def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
-    """Return the spatial variance that temporal noise does not explain.
+    """Return the spatial variance of each level beyond that by temporal noise.
 
     Args:
         levels: that have a `spatial_variance`.

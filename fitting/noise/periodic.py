@@ -92,7 +92,6 @@ def _cell_sums(plane: np.ndarray) -> np.ndarray:
 
 
 def _quotient(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Divide sums by counts; NaN where the count is 0."""
     return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
 
 

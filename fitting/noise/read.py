@@ -484,7 +484,7 @@ def _level(
 
 
 class _Unreadable(InputError):
-    """A frame's file is not an image."""
+    """The error for a frame whose file is not an image."""
 
 
 def _plane(rig: Rig, name: str, channel: str, load: Load) -> np.ndarray:

@@ -1,17 +1,16 @@
 """Least-squares lines over levels, sampling errors, chi-square tests, and intervals of variances.
 
-An interval is needed for a variance that is the sum of parts, some known from few degrees of
-freedom.
+A variance may be the sum of parts, some known from few degrees of freedom. Part i (of pixels, rows
+or columns) has the variance V_i, whose estimate has a chi-square distribution with nu_i degrees of
+freedom; for w columns nu_i is w - 1. For small nu_i, intervals that are symmetric in the logarithm
+or the square root are wrong. With V = sum V_i and a standard error sigma from temporal noise, the
+quantile at probability p is
 
-Part i (of pixels, rows or columns) has variance V_i, whose estimate has nu_i degrees of freedom;
-for w columns these are w - 1. The estimate of a part has a chi-square distribution. For small nu_i,
-intervals that are symmetric in its logarithm or its square root are wrong. With V = sum V_i and an
-error sigma from temporal noise, the quantile at p is
+    V + sqrt(S) for p > 1/2,    V - sqrt(S) for p < 1/2,
+    S = sum (nu_i / q_i - 1)^2 V_i^2 + z^2 sigma^2,
 
-    V +- sqrt(sum (nu_i / q_i - 1)^2 V_i^2 + z^2 sigma^2),    plus for p > 1/2
-
-where q_i is the chi-square that nu_i degrees exceed with probability p, and z the Gaussian quantile
-at p (Graybill and Wang, J. Am. Stat. Assoc. 75, 869, 1980).
+where q_i is the value that a chi-square with nu_i degrees of freedom exceeds with probability p,
+and z the Gaussian quantile at p (Graybill and Wang, J. Am. Stat. Assoc. 75, 869, 1980).
 """
 
 from collections.abc import Sequence

@@ -125,7 +125,7 @@ class Numbers(eqx.Module):
 
     @property
     def top(self) -> np.ndarray:
-        """X, DN."""
+        """The signal X of the brightest level, DN."""
         return self.about.top
 
     def of(self, name: str) -> Float[np.ndarray, " draws"]:
@@ -133,7 +133,7 @@ class Numbers(eqx.Module):
         return self.natural[:, self.about.labels.index(name)]
 
     def having(self, draws: dict[str, Float[np.ndarray, " draws"]]) -> "Numbers":
-        """Return the numbers with these parameters replaced."""
+        """Return the record with the values of these parameters replaced."""
         natural = self.natural.copy()
         for name, values in draws.items():
             natural[:, self.about.labels.index(name)] = values

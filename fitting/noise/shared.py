@@ -53,7 +53,7 @@ class Found:
 
     @property
     def deviation(self) -> float:
-        """Standard deviation, DN."""
+        """Square root of the variance, DN; 0 if the estimate is negative."""
         return float(np.sqrt(max(self.variance, 0.0)))
 
 

@@ -168,7 +168,7 @@ class LikelihoodFit:
 
     @property
     def space(self) -> ParameterSpace:
-        """The P parameters."""
+        """The P fitted parameters."""
         return tuple(one for one in self.problem.space if one.name not in self.without)
 
     @property
@@ -214,7 +214,7 @@ class LikelihoodFit:
 
 
 def observations(problem: Problem) -> int:
-    """The number of observations."""
+    """Return the number of known data, over all levels and quantities."""
     assert problem.present is not None
     return int(np.sum(problem.present))
 

@@ -11,8 +11,8 @@ normal density and Q its tail probability:
 
     a = s (phi(z) - z Q(z)),    b + 2 m a + a^2,    b = s^2 ((1 + z^2) Q(z) - z phi(z)).
 
-Both errors are systematic, the same in all frames, and count as an effect that the likelihood may
-neglect (`negligible`).
+Both errors are systematic and the same in all frames. If they are too small to matter
+(`negligible`), the usual moments are used.
 """
 
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""List of a rig's images for a report, with names, settings, sizes and thumbnails."""
+"""The list of a rig's images in a report, with names, settings, sizes and thumbnails."""
 
 import base64
 import io

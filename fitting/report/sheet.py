@@ -17,7 +17,7 @@ from .section import Section
 
 @dataclass(frozen=True)
 class Cell:
-    """One estimate.
+    """The text of one estimate in the table.
 
     Attributes:
         value: with its standard error; a dash where there is none.
@@ -32,7 +32,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """One quantity.
+    """The text of one quantity, a row of the table.
 
     Attributes:
         name: in words.

@@ -10,7 +10,7 @@ MAX_BINS = 512  # 8- and 9-bit codes have a bin each
 
 @dataclass(frozen=True)
 class CodeBins:
-    """Intervals of codes.
+    """The bins of codes in which a response curve is represented.
 
     Attributes:
         edges: DN, ascending, halfway between codes.

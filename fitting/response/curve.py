@@ -84,7 +84,7 @@ DOUBTFUL = 0.5  # error of the slope from its correction, as a share of the rela
 
 @dataclass(frozen=True)
 class ResponseCurve:
-    """g with its errors.
+    """A fitted response curve: the log exposure g of every code, with errors.
 
     Attributes:
         bins: of the codes.

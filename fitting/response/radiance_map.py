@@ -31,7 +31,7 @@ REWEIGHTED = 3  # iterations that weight a mostly noisy pixel by its own estimat
 
 @dataclass(frozen=True)
 class RadianceMap:
-    """A merged map.
+    """A radiance map merged from several exposures.
 
     Attributes:
         radiance: relative, per second; noise can make it negative in dark pixels.

@@ -86,7 +86,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class ExposureStack:
-    """All planes of a rig.
+    """An exposure stack: the planes of all channels and groups of images of a rig.
 
     Attributes:
         planes: in the order of the groups.

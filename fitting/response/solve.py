@@ -100,7 +100,7 @@ class Solution:
 
     @property
     def delta(self) -> Float[np.ndarray, " exposures"]:
-        """Shutter errors."""
+        """The shutter errors delta of the exposures, in ln t."""
         return self.basis @ self.free
 
     @property

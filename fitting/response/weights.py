@@ -251,6 +251,6 @@ def cells_of(
 def weighted_mean(
     weights: Float[np.ndarray, "exposures pixels"], values: Float[np.ndarray, "exposures pixels"]
 ) -> Float[np.ndarray, " pixels"]:
-    """Mean over exposures."""
+    """Return the weighted mean over exposures for each pixel."""
     total = weights.sum(axis=0)
     return (weights * values).sum(axis=0) / np.where(total > 0, total, 1)

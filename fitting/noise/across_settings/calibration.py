@@ -37,7 +37,7 @@ ALIKE = 0.1  # relative deviation of settings up to which one value with a large
 
 @dataclass(frozen=True)
 class Pooled:
-    """An average over settings."""
+    """The weighted average of a quantity over settings, with a test of their agreement."""
 
     settings: tuple[int, ...]  # indices of the pooled settings
     value: float  # full well, e-; for a pattern its variance, e-^2 or relative

@@ -85,8 +85,8 @@ def _signed(one: OwnDeviation, scale: float = 100) -> str:
 
 
 def _misfit(beyond: bool, calibration: CameraCalibration) -> Numbers | None:
-    """Return the numbers for the finding on the chi-square of the fit; None unless its significance
-    is that of `beyond`."""
+    """Return the numbers for the finding that the misfit of the joint fit is significant
+    (`beyond`), or is not; None if that finding does not apply."""
     fit = calibration.fit
     if (fit.fit.noise > 1) != beyond:
         return None
@@ -100,8 +100,8 @@ def _misfit(beyond: bool, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
-    """Return the numbers for the finding on proportionality between measured and stated gains; None
-    unless the test's result is `holds`."""
+    """Return the numbers for the finding that measured gains are proportional to stated gains
+    (`holds`), or are not; None if that finding does not apply."""
     found = proportional_gain(calibration.fit)
     if found is None or (found[1] >= MISFIT) != holds:
         return None

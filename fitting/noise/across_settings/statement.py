@@ -198,7 +198,7 @@ class SharedFit:
 
     @property
     def vector(self) -> Float[np.ndarray, " parameters"]:
-        """(P,) unconstrained."""
+        """(P,) parameters of the best fit on the unconstrained scale."""
         return self.fit.optimum.vector
 
     @property

@@ -319,7 +319,7 @@ class _Fit:
         return self._unrestricted(self._columns, self._logs) - self._unrestricted(columns, logs)
 
     def take(self, one: Candidate, gain: float) -> Missing:
-        """Add an effect and update the noise of the frames."""
+        """Add an effect to the fit, and update the noise of the frames that it changes."""
         self._taken.append(one)
         for _ in range(REFINEMENTS):
             self._take_noise()

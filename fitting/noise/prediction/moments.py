@@ -63,7 +63,7 @@ class Expected:
 
     @property
     def signal(self) -> Float[np.ndarray, " levels"]:
-        """Approximate DN above black."""
+        """Approximate signal above black, DN."""
         return self.step * self.electrons
 
     @property

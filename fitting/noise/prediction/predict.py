@@ -253,8 +253,8 @@ def compared(
     camera: tuple[Sensor, Sensor | None],
     kept_out: Bool[np.ndarray, " levels"] | None,
 ) -> Comparison:
-    """Compare a calibration's own frames with a sensor that was fitted to all levels, or
-    (`kept_out`) without some; these are then compared."""
+    """Compare a calibration's own frames with a sensor that was fitted to all levels. If the sensor
+    was fitted without the levels `kept_out`, compare only these."""
     own = {"shown": kept_out, "fitted": kept_out is None, **scatters(calibration)}
     return compare(*camera, calibration.measurement, calibration.usable, **own)
 

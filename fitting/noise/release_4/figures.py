@@ -131,7 +131,7 @@ def _deviations(splits: tuple[Split, ...], part: str) -> np.ndarray:
 
 
 def signal_to_noise_figure(sheet: Release4) -> "Figure":
-    """SNR over light, log-log."""
+    """Draw the signal-to-noise ratios over light, on logarithmic axes."""
     from matplotlib.figure import Figure
 
     general, measurement = sheet.general, sheet.stacks.measurement

@@ -68,7 +68,7 @@ class Release4(ShownInNotebooks):
 
     @property
     def gain(self) -> float:
-        """K, DN/e-."""
+        """The system gain K, DN/e-."""
         return float(self.linear.values["system_gain"])
 
 
