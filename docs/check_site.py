@@ -1,9 +1,9 @@
 """Open each page of the built site in Chromium and report faults.
 
 `python docs/check_site.py [--whole] [SITE]` (by default docs/_build) opens each page at three
-widths, and dark on a laptop. The many pages of the reference are opened on a phone and a laptop
-only. With --whole each page is opened in all six ways. The script prints these faults and exits
-with 1:
+window widths in the light theme, and at a laptop's width in the dark theme. The many pages of the
+reference are opened at the widths of a phone and a laptop only. With --whole each page is opened at
+all widths in both themes. The script prints these faults and exits with 1:
 
 - errors in the console
 - bodies wider than the window
@@ -12,8 +12,8 @@ with 1:
 - links to pages or anchors that do not exist
 - a search that does not find PhongBRDF
 
-It needs the extra `pages`, and Chromium, whose path is in the variable CHROMIUM. It asks no other
-host for anything.
+It needs the extra `pages`, and Chromium, whose path is in the environment variable CHROMIUM. The
+pages are served and loaded from this machine only.
 """
 
 import functools
@@ -58,17 +58,17 @@ class Quiet(SimpleHTTPRequestHandler):
 
 
 def pages(site):
-    """All pages except the theme's own templates."""
+    """Return all pages except the theme's templates."""
     return [page for page in sorted(site.rglob("*.html")) if "_static" not in page.parts]
 
 
 def places(page):
-    """The anchors of a page."""
+    """Return the anchors of a page, the targets of links."""
     return set(re.findall(r'\b(?:id|name)="([^"]+)"', page.read_text("utf-8")))
 
 
 def dead_links(site):
-    """(page, link) for links inside the site that lead nowhere."""
+    """Yield (page, link) for links inside the site whose page or anchor does not exist."""
     known = {page: places(page) for page in pages(site)}
     for page in known:
         for link in set(re.findall(r'<a\b[^>]*\bhref="([^"]+)"', page.read_text("utf-8"))):
@@ -83,7 +83,7 @@ def dead_links(site):
 
 
 def opened(browser, site, root, *, whole):
-    """The faults of each page, one sentence each."""
+    """Open the pages and yield their faults, one sentence each."""
     window = browser.new_page()
     window.route("**/*", lambda r: r.continue_() if r.request.url.startswith(root) else r.abort())
     errors = []

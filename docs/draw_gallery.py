@@ -1,4 +1,4 @@
-"""Draws each picture of the gallery beside its script: `python docs/draw_gallery.py [NAME ...]`."""
+"""Draw each picture of the gallery next to its script: `python docs/draw_gallery.py [NAME ...]`."""
 
 import runpy
 import sys
@@ -30,7 +30,7 @@ STYLE = {
 
 
 def draw(script: Path, folder: Path) -> Path:
-    """Runs one script and writes its figure to a folder, as a PNG named after the script."""
+    """Run one script and write its figure to a folder, as a PNG named after the script."""
     with jax.enable_x64(False), plt.rc_context(STYLE):  # as a user starts
         runpy.run_path(str(script))
         picture = folder / f"{script.stem}.png"

@@ -21,8 +21,9 @@ from jaxvision.scene import AmbientLight
 
 
 def kinds_of(word, tables, beside=None):
-    """The tables of one place in a file: the key that selects the kind, the function that makes its
-    record, and its keys."""
+    """The tables that may occur at one place in a file: the key that selects the type of table, the
+    function that makes its record, and its keys.
+    """
     more = {} if beside is None else keys_of(beside)
     return [
         (f'{word} = "{name}"', make, {word: Key(str, MISSING, f'"{name}".')} | more | keys)
@@ -65,7 +66,7 @@ SAID = re.compile(r"^(\w+): (.*?)(?=\n\w+: |\Z)", re.DOTALL | re.MULTILINE)
 
 
 def key_pages(folder):
-    """Writes the tables that `write_a_scene_file.md` and `describe_a_rig.md` include."""
+    """Write the tables of keys that `write_a_scene_file.md` and `describe_a_rig.md` include."""
     write(folder / "_scene_keys.md", tables(SCENE))
     write(folder / "_rig_keys.md", tables(RIG))
 
@@ -80,15 +81,16 @@ def tables(parts):
 
 
 def models_of(hint) -> list[type[BaseModel]]:
-    """The kinds of table that may occur in one place."""
+    """Return the types of table that may occur at one place in a file."""
     if isinstance(hint, type) and issubclass(hint, BaseModel):
         return [hint]
     return [model for part in get_args(hint) for model in models_of(part)]
 
 
 def read(model: type[BaseModel]):
-    """A declared model in the same form as the tables of records: its keys, which all kinds
-    have."""
+    """Return a declared model in the same form as the tables of records, with the keys that all
+    types have.
+    """
     said = described(model)
     keys = {
         name: Key(
@@ -124,7 +126,9 @@ def table_of(heading, make, keys):
 
 
 def described(model) -> dict[str, str]:
-    """The description of each key, from the docstrings of a model and of its base classes."""
+    """Return the description of each key, from the docstrings of a model and of its base
+    classes.
+    """
     found: dict[str, str] = {}
     for one in reversed(model.__mro__):
         doc = inspect.cleandoc(one.__dict__.get("__doc__") or "")
@@ -147,7 +151,7 @@ def shown(default: Any) -> str:
 
 
 def words_of(hint) -> tuple[str, ...]:
-    """The words that a key accepts."""
+    """Return the words that a key accepts as values."""
     if get_origin(hint) is Annotated:
         return words_of(get_args(hint)[0])
     literals = [one for one in members_of(hint) if get_origin(one) is Literal]

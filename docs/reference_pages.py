@@ -1,7 +1,6 @@
-"""The reference, generated from the packages: one page per module and per submodule.
-
-Every public name has one entry, under the shortest name by which it is imported. Other names of the
-same thing, and names without their package, lead to that entry.
+"""Generates the pages of the reference from the packages: one page per module and per submodule.
+Every public name has one entry, under the shortest path by which it can be imported. Links to other
+names of the same object, and names without their package, lead to that entry.
 """
 
 import importlib
@@ -50,7 +49,7 @@ SENTENCE_END = re.compile(
 
 
 def public_modules(package):
-    """The package and its public modules, except command lines."""
+    """Return the package and its public modules, except modules of command lines."""
     yield package
     for _, name, _ in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
         if not re.search(r"\._|\.cli$", name):
@@ -58,13 +57,13 @@ def public_modules(package):
 
 
 def home(value):
-    """The module that defines a function or a class; None for anything else."""
+    """Return the module that defines a function or a class, and None for other objects."""
     inner = inspect.unwrap(value) if callable(value) else value
     return inner.__module__ if inspect.isfunction(inner) or inspect.isclass(inner) else None
 
 
 def entries(package):
-    """{name of the entry: function or class} for each public object of a package."""
+    """Return {name of the entry: function or class} for each public object of a package."""
     names = defaultdict(list)
     for module in public_modules(package):
         exported = getattr(module, "__all__", ())
@@ -80,19 +79,19 @@ def entries(package):
 
 
 def is_data(name, value, exported):
-    """Whether a package exports a value that is neither function, class nor module."""
+    """Return whether a package exports a value that is neither function, class nor module."""
     return name in exported and not inspect.ismodule(value) and not name.startswith("_")
 
 
 def page_of(name, value):
-    """The page of an object: the package or module, just below the root, that defines it."""
+    """Return the page of an object: the package or module, just below the root, that defines it."""
     parts = (home(value) or name).split(".")
     below = parts[1] if len(parts) > 1 else BASICS
     return f"{parts[0]}.{BASICS if below == 'core' else below}"
 
 
 def summary(thing):
-    """The first sentence of a docstring, or the definition of a type alias."""
+    """Return the first sentence of a docstring, or the definition of a type alias."""
     text = inspect.getdoc(thing) or ""
     if alias := re.fullmatch(r"\w+ = (.*)", text):  # by the name that types print themselves by
         return f"`{plain_type(alias[1])}`"
@@ -101,8 +100,9 @@ def summary(thing):
 
 
 def exported(names):
-    """The names that a package lists in `__all__`, or that are in a module just below the root
-    without a list: those that users import."""
+    """Return the names that users import: those in the `__all__` of a package, or those of a module
+    just below the root that has no `__all__`.
+    """
     found = set()
     for name in names:
         module = importlib.import_module(name.rpartition(".")[0])
@@ -118,7 +118,7 @@ def directive(name, value):
 
 
 def reference_pages(folder):
-    """One page for the exports of each module, and one for each of its submodules."""
+    """Write one page for the exported names of each module, and one for each of its submodules."""
     folder.mkdir(exist_ok=True)
     pages = defaultdict(dict)
     for package in ROOTS:
@@ -156,13 +156,15 @@ def headed(title, rule):
 
 
 def line_of(module):
-    """The link to the page of a module, with the first sentence of its docstring."""
+    """Return a link to the page of a module, with the first sentence of its docstring."""
     said = escaped(summary(importlib.import_module(module)))
     return f"* :doc:`{module} </reference/{module}>`{': ' if said else ''}{said}"
 
 
 def submodule_page(page, submodule, own):
-    """A page next to the contents, which would be too long with it."""
+    """Return the separate page of a submodule, without which the page of its module would be too
+    long.
+    """
     text = [":orphan:", ":nosearch:", "", *headed(submodule, "=")]
     text += explained(inspect.getdoc(importlib.import_module(submodule)) or "")
     text += [f"A part of :doc:`{page} </reference/{page}>`, whose page has what users import.", ""]
@@ -170,8 +172,9 @@ def submodule_page(page, submodule, own):
 
 
 def root_page(package, pages):
-    """The names of a package itself, such as `jaxvision.Sphere`, by topic: one line per name with a
-    link to the entry on its module's page."""
+    """Return the page of a root package, which lists its names, such as `jaxvision.Sphere`, by
+    topic: one line per name, with a link to the entry on the page of its module.
+    """
     places = {id(value): name for found in pages.values() for name, value in found.items()}
     names = {topic: [] for topic in TOPICS}
     for name in sorted(package.__all__, key=str.lower):
@@ -190,7 +193,7 @@ def root_page(package, pages):
 
 
 def topic_of(value):
-    """The topic of `TOPICS` for the innermost module around a value's definition."""
+    """Return the topic in `TOPICS` of the innermost module that contains a value's definition."""
     topics = {
         f"jaxvision.{name}": topic for topic, names in TOPICS.items() for name in names.split()
     }
@@ -201,14 +204,16 @@ def topic_of(value):
 
 
 def group_of(page):
-    """The group of `GROUPS` for a page of the reference."""
+    """Return the group in `GROUPS` to which a page of the reference belongs."""
     package, _, name = page.partition(".")
     groups = (group for group, names in GROUPS.items() if name in names.split())
     return "Fitting" if package == "fitting" else next(groups, "Machinery")
 
 
 def grouped(pages):
-    """Lists of modules by `GROUPS`, each with the first sentence of its docstring."""
+    """Return lists of modules for the `GROUPS`, each module with the first sentence of its
+    docstring.
+    """
     lists = {group: [] for group in GROUPS}
     for page in sorted(pages, key=lambda page: page.endswith(f".{BASICS}")):
         if page.endswith(f".{BASICS}"):

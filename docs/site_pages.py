@@ -1,5 +1,5 @@
 """Pages that are generated before the site is built: the reference, the gallery and the notebooks.
-It also has the changes to Sphinx's input."""
+This module also contains the hooks that change Sphinx's input."""
 
 import ast
 import importlib
@@ -31,14 +31,16 @@ GALLERY = {  # the gallery's scripts by topic, in the order of the page
 
 
 def notebook_pages(folder):
-    """The notebooks, which lie outside the site's folder."""
+    """Copy the notebooks, which are outside the site's folder, into it."""
     folder.mkdir(exist_ok=True)
     for notebook in (HERE.parent / "notebooks").glob("*.ipynb"):
         write(folder / notebook.name, notebook.read_text())
 
 
 def gallery_pages(folder):
-    """A page for each script of the gallery, with the picture above the code, and a page of all."""
+    """Write a page for each script of the gallery, with the picture above the code, and a front
+    page with all pictures.
+    """
     order = [name for names in GALLERY.values() for name in names.split()]
     assert sorted(order) == sorted(script.stem for script in folder.glob("*.py"))
     text = f"# Gallery\n\n{len(order)} pictures, each with the script that drew it.\n\n"
@@ -53,7 +55,7 @@ def gallery_pages(folder):
 
 
 def gallery_page(script):
-    """Writes the page of one script; returns its card on the gallery's front page."""
+    """Write the page of one script, and return its card for the gallery's front page."""
     title, text = ast.get_docstring(ast.parse(script.read_text())).split("\n\n", 1)
     page = f"# {title}\n\n{text}\n\n"
     page += f"```{{image}} {script.stem}.png\n:alt: {title}\n:class: dark-light\n```\n\n"
@@ -66,12 +68,14 @@ def gallery_page(script):
 
 
 def after_docstring(script):
-    """The number of the first line of code."""
+    """Return the number of the first line of code after a script's docstring."""
     return ast.parse(script.read_text()).body[1].lineno
 
 
 def write_types(app, what, name, thing, options, lines):
-    """Types such as `Float[Array, "*picture bands"]` in napoleon's text on attributes."""
+    """Write types such as `Float[Array, "*picture bands"]` readably in napoleon's text on
+    attributes.
+    """
     names = names_where(thing)
     for i, line in enumerate(lines):
         if head := re.match(r"\s*:vartype \w+: ", line):
@@ -80,13 +84,13 @@ def write_types(app, what, name, thing, options, lines):
 
 
 def names_where(thing):
-    """The names in the module that defines an object."""
+    """Return the names in the module that defines an object."""
     module = sys.modules.get(getattr(inspect.unwrap(thing), "__module__", None) or "")
     return vars(module) if module else {}
 
 
 def skip_member(app, what, name, thing, skip, options):
-    """The fields of a named tuple. The tuple's docstring explains them."""
+    """Skip the fields of a named tuple, which the tuple's docstring explains."""
     return True if (inspect.getdoc(thing) or "").startswith("Alias for field") else None
 
 
@@ -103,12 +107,12 @@ def escape_docstring(app, what, name, thing, options, lines):
 
 
 def errors_of(code):
-    """The label of a row in the table of errors, from the name in its first cell."""
+    """Return the label of a row in the table of errors, from the name in its first cell."""
     return "errors-of-" + re.match(r"[\w.]+", code)[0].replace(".", "-").replace("_", "-")
 
 
 def rows_of_errors(entry_of):
-    """{name of an entry: the label of its row in the table of errors}."""
+    """Return {name of an entry: the label of its row in the table of errors}."""
     table = (HERE / "errors.md").read_text()
     names = re.findall(r"^\| `([\w.]+)", table, flags=re.MULTILINE)
     entries = {entry_of(f"jaxvision.{name}") or entry_of(name): errors_of(name) for name in names}
@@ -135,15 +139,16 @@ def label_errors(app, doctree):
 
 
 def short_types(app, domain, kind, content):
-    """Types as code writes them in autodoc's text on arguments and results."""
+    """Write types as in source code in autodoc's text on arguments and results."""
     for name, types in app.env.current_document.autodoc_annotations.items():
         names = names_where(pydoc.locate(name)) if types else {}
         types.update({key: plain_type(text, names, app.entry) for key, text in types.items()})
 
 
 def read_doctree(app, doctree):
-    """Let names in tables break after a dot or an underscore, and join consecutive curves into one
-    grid."""
+    """Let names in tables break after a dot or an underscore, and join consecutive plots of curves
+    into one grid.
+    """
     for cell in doctree.findall(nodes.entry):
         for code in [*cell.findall(nodes.literal)]:
             for text in [*code.findall(nodes.Text)]:
@@ -179,8 +184,9 @@ class Entry(PyXRefRole):
 
 
 def find_entry(app, env, node, content):
-    """The entry for another name of the same object: as another package exports it, or without the
-    package."""
+    """Find the entry for another name of the same object: the name under which another package
+    exports it, or the name without the package.
+    """
     if node.get("refdomain") != "py":
         return None
     target = node["reftarget"]

@@ -17,7 +17,7 @@ def write(file, text):
 
 
 def escaped(text):
-    """Plain text with code in backticks, as in docstrings, converted to reStructuredText."""
+    """Convert plain text with code in backticks, as in docstrings, to reStructuredText."""
     bullet, text = re.match(r"(\s*(?:\* )?)(.*)", text, flags=re.DOTALL).groups()
     parts = re.split(r"(`[^`]*`)", text)
     plain = [re.sub(r"([*|\\]|_(?!\w))", r"\\\1", part) for part in parts[::2]]
@@ -26,8 +26,9 @@ def escaped(text):
 
 
 def explained(docstring):
-    """A module's docstring: formulas and tables, which are indented, unchanged, and a heading such
-    as "Source:" before its text."""
+    """Convert a module's docstring to reStructuredText: indented formulas and tables stay
+    unchanged, and a heading such as "Source:" is put before its text.
+    """
     text = []
     for block in re.split(r"\n\s*\n", docstring):
         lines = block.splitlines()
@@ -49,8 +50,10 @@ def explained(docstring):
 
 
 def plain_type(text, names=None, entry_of=lambda value: None):
-    """A type as code writes it, `Float[Array, "levels"]` or `float`. A type with an entry has its
-    name, and other aliases their definition.
+    """Return a type as source code writes it, such as `Float[Array, "levels"]` or `float`.
+
+    A type that has an entry in the reference is written by its name, and any other alias by its
+    definition.
 
     Args:
         text: as the type prints itself.
@@ -74,7 +77,7 @@ def plain_type(text, names=None, entry_of=lambda value: None):
 
 
 def without_checks(text):
-    """`Annotated[X, ...]` as X, anywhere in a type."""
+    """Replace `Annotated[X, ...]` by X, anywhere in a type."""
     while found := re.search(r"(?:~?typing\.|~)?\bAnnotated\[", text):
         depth, parts = 0, [found.end()]
         for at, letter in enumerate(text[found.end() :], found.end()):

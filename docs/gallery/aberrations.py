@@ -1,7 +1,8 @@
 """Aberrations
 
-A star through a lens at f/8: the Airy pattern, and a fifth of a wave (rms) of four aberrations.
-Each picture has its own scale, the share of light in its brightest pixel.
+The image of a star through a lens at f/8: the Airy pattern, and the patterns with four aberrations
+of a fifth of a wave (RMS). Each picture is scaled to its brightest pixel, whose share of the light
+is given.
 """
 
 import matplotlib.pyplot as plt

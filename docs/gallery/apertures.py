@@ -1,7 +1,7 @@
 """The shape of a point out of focus
 
-A point of light takes the shape of the aperture: a disc, five and eight blades, and the ring of a
-lens with a mirror in its middle.
+A point of light out of focus has the shape of the aperture: a disc, polygons of five and eight
+blades, and the ring of a mirror lens.
 """
 
 import matplotlib.pyplot as plt

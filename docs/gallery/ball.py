@@ -1,7 +1,7 @@
 """A ball under three lamps
 
-Phong's shading of a sphere: body, highlight and ambient light, each a number of three bands. All of
-them can be differentiated.
+A sphere shaded by Phong's model, with body, highlight and ambient light in three bands. The picture
+can be differentiated with respect to each of them.
 """
 
 import matplotlib.pyplot as plt

@@ -1,6 +1,7 @@
 """The colours of black bodies
 
-Planck's law, converted by the CIE observer to sRGB, from the glow of a candle to a blue star.
+Spectra by Planck's law, converted to sRGB by the CIE observer, from the glow of a candle to a blue
+star.
 """
 
 import jax

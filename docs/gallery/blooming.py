@@ -1,7 +1,7 @@
 """Overfull wells of a CCD
 
-A lamp 25 times as bright as a well can hold, next to lit windows. Charge spills along the columns
-(blooming), is collected during the transfer (smear), or is left behind by it.
+A lamp that generates 25 times the charge of a full well, next to lit windows. Charge spills along
+the columns (blooming), is collected during the transfer (smear), or is left behind by the transfer.
 """
 
 from dataclasses import replace

@@ -1,6 +1,6 @@
 """What lies beyond the border
 
-The eight borders of every filter, which define the continuation of a picture.
+The eight borders of every filter, which define how a picture continues outside.
 """
 
 import jax.numpy as jnp

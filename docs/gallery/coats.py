@@ -1,8 +1,8 @@
 """What rough and coated surfaces do with light
 
-The light that a white surface returns, by view. Single reflections by rough facets lose some, a
-bright body under a lobe that takes nothing from it returns too much, and EON, multiple scattering
-and a coat return all.
+The share of the light that a white surface returns, as a function of the viewing angle. Rough
+facets with single reflections lose light. A white body that is not attenuated by the lobe above it
+returns too much. EON, multiple scattering and a coat return all light.
 """
 
 import jax

@@ -1,8 +1,8 @@
 """The Cornell box, path traced
 
-The shipped scene by 256 paths per pixel of up to eight segments. The exposure puts 95 % of the
-pixels below 0.8 of white, as in the previews of `jaxvision render`. `Traced` also contains the
-standard error of each pixel.
+The shipped scene, rendered with 256 paths per pixel of up to eight segments. The exposure puts 95 %
+of the pixels below 0.8 of white, as in the previews of `jaxvision render`. The result, a `Traced`,
+also contains the standard error of each pixel.
 """
 
 from functools import partial

@@ -1,7 +1,7 @@
 """A clear, a hazy and an overcast day
 
 The CIE's skies 12, 8 and 1 with the same light on level ground, and the sun as a disc on the clear
-and the hazy day. A pole throws a shadow with a penumbra, and only the sky lights it.
+and the hazy day. The shadow of a pole has a penumbra and is lit by the sky only.
 """
 
 import jax

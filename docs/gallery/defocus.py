@@ -1,7 +1,7 @@
 """Three balls through a thin lens
 
-Rays start all over the lens of 50 mm at f/1.4, focused at 2 m. The near and the far ball are
-blurred by the circle of confusion.
+Rays pass through all points of the aperture of a 50 mm lens at f/1.4, focused at 2 m. The near and
+the far ball are blurred by the circle of confusion.
 """
 
 import jax

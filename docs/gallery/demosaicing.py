@@ -1,7 +1,7 @@
 """A mosaic and three ways back
 
-Each pixel keeps one colour. Bilinear interpolation leaves coloured seams at edges; Malvar's and
-Menon's methods use the other colours as a guide.
+Each pixel of a mosaic measures one colour. Bilinear interpolation causes coloured fringes at edges;
+Malvar's and Menon's methods reduce them by using the other colours.
 """
 
 import jax.numpy as jnp

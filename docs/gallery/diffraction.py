@@ -1,7 +1,7 @@
 """An Airy pattern on pixels
 
-The image of a point through a lens of f/16 on pixels of 2 µm: the mean of the pattern over each
-pixel and band. Red light spreads further than blue.
+The image of a point through a lens at f/16 on pixels of 2 µm: the mean of the Airy pattern over
+each pixel, for each band. Red light spreads further than blue.
 """
 
 import jax.numpy as jnp

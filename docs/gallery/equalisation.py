@@ -1,7 +1,7 @@
 """Equalisation, whole and local
 
-Codes are mapped by their own cumulative distribution, of the whole picture and of 8 x 8 tiles with
-a contrast limit (CLAHE). Both equal OpenCV's except for single levels.
+Codes are mapped by the cumulative distribution of the whole picture, or of each of 8 x 8 tiles with
+a contrast limit (CLAHE). Both results equal OpenCV's except for differences of one level.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Glass and mirror
 
-At glass each ray splits into a reflected and a refracted one by Fresnel's equations, and at a
-mirror it continues: a tree of at most 16 rays per pixel.
+At glass each ray splits into a reflected and a refracted ray by Fresnel's equations, and at a
+mirror it is reflected. Each pixel has a tree of at most 16 rays.
 """
 
 from functools import partial

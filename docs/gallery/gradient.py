@@ -1,6 +1,6 @@
 """How a picture depends on a lamp
 
-The derivative of each pixel with respect to the lamp's position, by forward differentiation through
+The derivative of each pixel with respect to the lamp's position, by forward-mode differentiation of
 the renderer. Red becomes brighter, and blue darker, as the lamp moves to the right (x), up (y) or
 towards the viewer (z).
 """

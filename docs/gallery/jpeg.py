@@ -1,7 +1,7 @@
 """What JPEG loses
 
-The library's JPEG equals libjpeg's, level for level, and can be differentiated. Quality 10 and
-the difference to the original, four times as strong.
+The library's JPEG gives the same pixel values as libjpeg, and can be differentiated. The pictures
+show quality 10, and the difference from the original multiplied by four.
 """
 
 import jax.numpy as jnp

@@ -1,8 +1,8 @@
 """Lamps as sold
 
-A wall lit by a spot, by a point of a measured distribution, and by the same light from a long
-opening, which is what its photometric file describes. A file is read by
-`jv.files.read_luminaire`.
+A wall lit by a spot light, by a point light with a measured angular distribution, and by the same
+distribution from a long luminous opening, as its photometric file describes it. Photometric files
+are read by `jv.files.read_luminaire`.
 """
 
 import jax

@@ -1,8 +1,8 @@
 """Three lobes of one material
 
-The same light at 60 degrees is reflected by three lobes: Phong's, Blinn's with four times the
-exponent, which is equal in this plane, and GGX facets with Fresnel's law, which also shine at
-grazing angles. Each is drawn relative to its largest value.
+Three lobes reflect the same light, incident at 60 degrees. The lobes are Phong's, Blinn's with four
+times the exponent, which is nearly equal in this plane, and GGX facets with Fresnel's law, which
+are bright at grazing angles, too. Each lobe is drawn relative to its largest value.
 """
 
 import jax

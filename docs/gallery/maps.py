@@ -1,7 +1,7 @@
 """Maps of a material, averaged over pixels
 
-A checkered floor with one ray for each pixel. At points, far tiles make patterns that are not
-there. Averaged over the footprint of the pixel, they become grey.
+A checkered floor with one ray for each pixel. If the map is sampled at points, distant tiles cause
+false patterns (aliasing). If it is averaged over the footprint of the pixel, they become grey.
 """
 
 import jax

@@ -1,7 +1,7 @@
 """The same scene in less and less light
 
-Raw numbers of one sensor, each picture scaled to its own mean. At 3 photons per pixel the shot
-noise is stronger than the scene.
+Raw numbers of one sensor at decreasing light; each picture is scaled to its mean. At 3 photons per
+pixel the shot noise is stronger than the scene.
 """
 
 import jax

@@ -1,7 +1,8 @@
 """Edges and their directions
 
-Freeman and Adelson's steerable filters: a quadrature pair at every angle from a few convolutions.
-Colour is direction, and brightness is the energy there.
+Freeman and Adelson's steerable filters give the response of a quadrature pair at every angle from a
+few convolutions. Colour shows the dominant direction at each pixel, and brightness the energy in
+that direction.
 """
 
 import jax.numpy as jnp

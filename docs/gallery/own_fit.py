@@ -1,7 +1,8 @@
 """Where was the lamp?
 
-A noisy picture of a matte ball determines the lamp's position, with errors. The plot shows the
-posterior of two of its coordinates by Laplace's approximation (68 and 95 % regions) and the truth.
+The lamp's position is estimated, with its uncertainty, from a noisy picture of a matte ball. The
+plot shows the posterior of two coordinates by Laplace's approximation (68 and 95 % regions) and the
+true position.
 """
 
 import jax

@@ -1,8 +1,8 @@
 """A photon transfer curve
 
-Pairs of frames of an even field at 24 levels. The variance grows with the mean, and the slope is
-the gain, 0.25 DN per electron. In the dark only read noise and rounding remain. Where the well is
-full, all pixels have the same charge and only read noise is left.
+Pairs of frames of a uniform field at 24 light levels. The variance increases with the mean, and the
+slope is the gain, 0.25 DN per electron. In the dark only read noise and rounding contribute. At the
+full well all pixels have the same charge, and only read noise remains.
 """
 
 import jax

@@ -1,6 +1,6 @@
 """Two pictures joined without a seam
 
-Burt and Adelson's blend: each level of a Laplacian pyramid is joined over a width in proportion to
+Burt and Adelson's method blends each level of the Laplacian pyramids over a width proportional to
 its scale.
 """
 

@@ -1,7 +1,8 @@
 """The same box by radiosity
 
-Patches of 6 cm, closed-form form factors where nothing is in between, and a sum over the patches at
-each pixel. There is no noise, and one solution serves every view.
+The patches measure 6 cm. Form factors are closed forms between patches with nothing in between, and
+each pixel sums over the patches. The picture has no noise, and one solution can be used for every
+view.
 """
 
 import jax

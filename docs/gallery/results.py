@@ -1,7 +1,7 @@
 """Results, drawn
 
 Six of the plots of `jaxvision.plots`: a picture, a false-colour map with its unit, a histogram,
-spectra, lobes, and a curve with its band and the truth.
+spectra, lobes, and a curve with its uncertainty band and the true curve.
 """
 
 import jax.numpy as jnp

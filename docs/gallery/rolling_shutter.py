@@ -1,7 +1,7 @@
 """A turning blade under a rolling shutter
 
 Rows are exposed one after another, 0.1 ms apart, while the blade turns 40 times per second. The
-scene is a function of time, which the camera evaluates when each group of rows is exposed.
+scene is a function of time, which the camera evaluates for the exposure of each group of rows.
 """
 
 from dataclasses import replace

@@ -1,7 +1,7 @@
 """Spectral sensitivities from a chart
 
-What 24 patches under daylight, with noise of half a per cent, tell of a camera: the true curves
-(dashed) and the intervals of 68 % and 95 % in which they are found.
+Spectral sensitivities estimated from readings of 24 patches under daylight, with noise of half a
+per cent. The plot shows the true curves (dashed) and the 68 % and 95 % intervals.
 """
 
 import jax.numpy as jnp

@@ -1,7 +1,7 @@
 """Body and highlight separated
 
-Shafer's dichromatic model: the colours of a plastic ball lie in the plane of its own colour and the
-lamp's, and each pixel is a sum of both parts.
+In Shafer's dichromatic model, the colours of a plastic ball lie in the plane spanned by the body's
+colour and the lamp's colour. Each pixel is separated into these two parts.
 """
 
 import jax.numpy as jnp

@@ -1,7 +1,7 @@
 """A blur that varies
 
-The width of the Gaussian grows with the distance from the face. No convolution does this; here each
-pixel interpolates in a bank of 12 blurs.
+The width of the Gaussian increases with the distance from the face. A convolution cannot do this.
+Here each pixel is interpolated between 12 blurred pictures.
 """
 
 import jax.numpy as jnp

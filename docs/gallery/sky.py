@@ -1,7 +1,7 @@
 """A ball under a sky
 
-An environment map is the only light. Every glossy reflection is a mean over directions drawn from
-the sky and from the lobe together (the balance heuristic), with 64 rays per pixel.
+An environment map is the only light. Each glossy reflection is computed from 64 rays per pixel, in
+directions drawn both from the sky and from the lobe, weighted by the balance heuristic.
 """
 
 import jax

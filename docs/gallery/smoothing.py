@@ -1,7 +1,8 @@
 """Smoothing that keeps edges, and one that does not
 
-Gaussian noise and a few dead pixels. The Gaussian blurs both together with the edges, the median
-removes the dead pixels, and the bilateral filter keeps the edges but also the dead pixels.
+A picture with Gaussian noise and a few dead pixels. The Gaussian filter blurs noise, dead pixels
+and edges alike, the median removes the dead pixels, and the bilateral filter keeps the edges but
+also the dead pixels.
 """
 
 import jax

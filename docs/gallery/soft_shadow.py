@@ -1,6 +1,6 @@
 """A soft shadow
 
-A rectangular lamp above a ball, with 16 x 16 shadow rays from each point to the lamp.
+A rectangular lamp lights a ball, with 16 x 16 shadow rays from each point to the lamp.
 """
 
 import jax.numpy as jnp

@@ -1,7 +1,7 @@
 """A high range on a screen
 
-A cup in a patch of sun a hundred times as bright as the shade, shown clipped, with Reinhard's curve
-and with a filmic curve.
+A cup in a patch of sunlight a hundred times as bright as the shade. The picture is shown clipped,
+with Reinhard's curve and with a filmic curve.
 """
 
 import jax.numpy as jnp

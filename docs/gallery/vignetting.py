@@ -1,7 +1,7 @@
 """Light falls off towards the corners
 
-A lens of 8 mm at f/2, with the fourth power of the cosine alone and with a rim in front, which cuts
-the pupil of oblique rays.
+Pictures through an 8 mm lens at f/2, with the cos⁴ law alone, and with a rim in front of the lens
+that blocks part of the pupil for oblique rays.
 """
 
 from dataclasses import replace

@@ -174,13 +174,13 @@ for mattes.
 
 - **How it was measured.** Calls of jaxvision and of the peer alternate in one process,
   and times are medians. Compilation is not included, except in the rows about new
-  processes. All is in float32, and the same tests compare the results. Both keep freed
-  memory (`jaxvision.keep_memory`).
+  processes. All programs compute in float32, and the benchmarks also compare the results.
+  Both programs keep freed memory for reuse (`jaxvision.keep_memory`).
 - **How to read it.** "Times as fast" above 1 means that jaxvision is faster. Read the
   ratios, not the milliseconds, because both programs shared the machine with other
-  work. "Equal error" compares time multiplied by squared error.
+  work. Rows with "equal error" compare time multiplied by squared error.
 - **Not covered**: GPUs ([decisions](decisions.md) has some), the first compilation of
-  single functions, and programs without a peer, such as fits.
+  single functions, and jobs without a peer, such as fits.
 
 {lines}
 
