@@ -213,7 +213,7 @@ def _distance(law: Law, coarse: Any, fine: Any) -> float:
 
 def _bias_of_last(ratio: float, before: float, after: float) -> float:
     """Return the remaining error after two steps in the same direction, relative to the last step.
-    `ratio` is the first step over the last."""
+    `ratio` is the first step divided by the last step."""
     rate = _bias_rate(ratio, before, after)
     return float(min(1 / np.expm1(rate * after), MOST_TAIL)) if rate > 0 else MOST_TAIL
 
@@ -228,7 +228,7 @@ def _bias_rate(ratio: float, before: float, after: float) -> float:
 
 def _chance_of_last(ratio: float, before: float, after: float) -> float:
     """Return the remaining error after two steps of random direction, relative to the last step.
-    `ratio` is the first step over the last."""
+    `ratio` is the first step divided by the last step."""
     if ratio <= 1:
         return 1.0
     law = lambda k: (np.exp(2 * k * before) + 1) / (1 + np.exp(-2 * k * after))  # noqa: E731

@@ -173,7 +173,7 @@ def combine_and_check(
 ) -> tuple[Combination, bool]:
     """Choose the best combination, check it by runs with fresh seeds, and choose again if the check
     fails. Return the combination with its error and time, and whether there was time to check it.
-    Raise `InputError` if none meets the limit."""
+    Raise `InputError` if no combination meets the limit."""
     now = clock or time.perf_counter
     until = now() + seconds
     aim, within, off, slow = wanted, allowed, 1.0, 1.0

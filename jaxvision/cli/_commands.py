@@ -473,7 +473,8 @@ def _finite_or_null(values: dict[str, Any]) -> dict[str, Any]:
 
 def _prepare() -> None:
     """Enable the cache of compiled programs and double precision. Histograms of 16-bit and
-    floating-point images need double precision. Importing the package does neither."""
+    floating-point images need double precision. Importing the package enables neither the cache nor
+    double precision."""
     keep_programs()
     import jax
 

@@ -67,9 +67,9 @@ def pixels_of(
 
 def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
     """Return a function that takes a seed, and optionally another seed for the positions of rays
-    within pixels, and returns a function that computes pixels. The latter takes rows, columns and
-    the index of the first sample, and for paths optionally another depth. The radiance, in W m^-2
-    sr^-1, has the dtype of the scene. Everything is compiled once."""
+    within pixels, and returns a function that computes pixels. The function that computes pixels
+    takes rows, columns and the index of the first sample, and for paths optionally another depth.
+    The radiance, in W m^-2 sr^-1, has the dtype of the scene. Everything is compiled once."""
     traces = _seeded_traces_of(source, settings)
 
     def seeded(seed: int, within_pixels: int | None = None) -> Computed:
@@ -270,9 +270,9 @@ def _along(settings: RenderEntry) -> RaysOf:
 
 
 def _solve_radiosity(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
-    """Divide the scene into patches, and return two functions. The first solves the exchange of
-    light between patches for a random key, before the first pixel. The second computes radiance
-    along rays from that solution."""
+    """Divide the scene into patches, and return two functions. The first function solves the
+    exchange of light between patches for a random key, before the first pixel. The second function
+    computes radiance along rays from that solution."""
     with _refusals_in_words(source):
         scene = source.scene
         whole = float(patches_of(scene, plan_patches(scene, size=np.inf, split=1)).area.sum())

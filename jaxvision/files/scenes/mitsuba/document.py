@@ -152,7 +152,8 @@ class Node:
 
 def root_of(file: Path) -> Node:
     """Return the `<scene>` of a file of Mitsuba 0.5 or later, with the names that version 2
-    introduced. Raise `InputError` for another file, and for a missing reference."""
+    introduced. Raise `InputError` for a file that is not a Mitsuba scene, and for a missing
+    reference."""
     root = _parse(file)
     if root.tag != "scene":
         raise InputError(f"begins with <{root.tag}>; a scene of Mitsuba begins with <scene>.")
@@ -325,8 +326,8 @@ class _Reader:
 
 
 def _alike(value: Any, otherwise: Any) -> bool:
-    """Return whether two values have the same shape. A transform is not a point, although both are
-    arrays."""
+    """Return whether two values have the same shape. A transform and a point, for example, are both
+    arrays, but of different shapes."""
     return not isinstance(otherwise, np.ndarray) or np.shape(value) == otherwise.shape
 
 
