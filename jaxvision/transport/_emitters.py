@@ -1,11 +1,12 @@
-"""Emitters (lights and emissive surfaces), which a path finds by next-event estimation or by
-hitting them.
+"""Emitters (lights and emissive surfaces), and the weights of the two ways in which a path finds
+them: next-event estimation and BRDF sampling.
 
-Next-event estimation picks one emitter uniformly, and a direction toward it. BRDF sampling may hit
-an emitter by chance. Both estimate the same integral, in which lights block nothing: shadow rays
-and paths pass through them. Only a ray from the camera, directly or via mirrors and glass, stops at
-the nearest light. An emissive surface blocks rays. Radiance in W m^-2 sr^-1, lengths
-in m, densities in sr^-1. For ONE point or ray; the caller vmaps.
+Next-event estimation picks one emitter uniformly, and a direction toward it. A direction drawn by
+BRDF sampling may hit an emitter by chance. Both estimate the same integral, in which lights do not
+block other light: shadow rays and paths pass through them. Only a ray from the camera, directly or
+via mirrors and glass, stops at the nearest light. An emissive surface blocks rays. Radiance is in W
+m^-2 sr^-1, lengths are in m, densities in sr^-1. All functions are for one point or ray; use
+`jax.vmap` for many.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,8 +46,8 @@ LARGEST = 256  # arrays of at most so many numbers are indexed by each ray
 
 
 class Emissive(eqx.Module):
-    """An emissive surface. `two_sided`: () whether it also emits from its back. `size`: () m, as
-    `Hit.size`."""
+    """A surface that emits light. `two_sided` is () and tells whether the back emits too. `size` is
+    () in m, as in `Hit.size`."""
 
     shape: Shape
     emission: Colour
@@ -55,10 +56,11 @@ class Emissive(eqx.Module):
 
 
 class Toward(eqx.Module):
-    """A direction toward an emitter. `distance`: () m, inf for an infinitely distant emitter.
-    `clear`: () m, the part of the distance that must be unoccluded; it ends before an emissive
-    surface, by the rounding error of its position. `irradiance`: (bands,) radiance over density, W
-    m^-2, on a surface facing it. `density`: () sr^-1, inf for a light at one place."""
+    """A sampled direction toward an emitter, with its light. `distance` is () in m, inf for an
+    emitter at infinity. `clear` is the part of the distance, () in m, that must be unoccluded; it
+    ends slightly before an emissive surface, by the rounding error of the surface's position.
+    `irradiance` is the radiance divided by the density, (bands,) W m^-2. `density` is that of the
+    direction, () sr^-1, or inf for a light without size."""
 
     direction: Vec
     distance: Scalar
@@ -68,13 +70,13 @@ class Toward(eqx.Module):
 
 
 class Emitters(eqx.Module):
-    """The emitters of a scene, sorted once. `groups`: the emitters that can be sampled, stacked by
-    structure. `members`: static, indices of the emitters of each group. `lights`: lights that a ray
-    can intersect.
-    `emission`: (surfaces, bands) W m^-2 sr^-1 of each surface; None without emissive surfaces.
-    `area`: (surfaces,) m^2, inf for an infinite surface. `two_sided`: (surfaces,). `count`: static,
-    the number of emitters that can be sampled. `endless`: static, whether an infinite surface is
-    emissive."""
+    """The emitters of a scene, prepared once for all paths. `groups` contains the emitters that can
+    be sampled, stacked by structure; `members` (static) contains the indices of the emitters of
+    each group. `lights` are the lights that a ray can intersect. `emission`, (surfaces, bands) W
+    m^-2 sr^-1, is that of each surface, or None if no surface emits. `area`, (surfaces,) m^2, is
+    inf for an infinite surface. `two_sided`, (surfaces,), tells whether both sides of a surface
+    emit. `count` (static) is the number of emitters that can be sampled. `endless` (static) tells
+    whether an infinite surface emits."""
 
     groups: tuple[Light | Emissive, ...]
     lights: tuple[Light, ...]
@@ -87,7 +89,8 @@ class Emitters(eqx.Module):
 
 
 def emitters_of(scene: Scene) -> Emitters:
-    """Return the emitters of a scene: lights, then emissive surfaces of finite area; no unit."""
+    """Return the emitters of a scene, indexed without unit: first lights, then emissive surfaces of
+    finite area."""
     surfaces = scene.surfaces
     two_sided = jnp.asarray([surface.two_sided for surface in surfaces])
     shining = {i: s.emission for i, s in enumerate(surfaces) if s.emission is not None}
@@ -122,8 +125,9 @@ def emitters_of(scene: Scene) -> Emitters:
 
 
 def toward_emitter(emitters: Emitters, point: Vec, u: Float[Array, "3"]) -> Toward:
-    """Select one emitter by u_2, and a direction toward it from `point`, m, by u_0 and u_1, all
-    uniform in [0, 1). The irradiance, W m^-2, estimates the sum over all emitters."""
+    """Draw one emitter by u_2, and a direction toward it from `point`, m, by u_0 and u_1, all
+    uniform in [0, 1). The irradiance of the result, W m^-2, is an unbiased estimate of the sum over
+    all emitters."""
 
     def toward(emitter: Light | Emissive) -> Toward:
         if isinstance(emitter, Emissive):
@@ -136,7 +140,7 @@ def toward_emitter(emitters: Emitters, point: Vec, u: Float[Array, "3"]) -> Towa
 
 
 def apply_to_drawn(emitters: Emitters, u: Scalar, function: Callable[[Any], Tree]) -> Tree:
-    """Apply `function` to the emitter that `u`, uniform in [0, 1), selects."""
+    """Draw one emitter by `u`, uniform in [0, 1), and return `function` of this emitter."""
     count = emitters.count
     index = jnp.minimum((u * count).astype(jnp.int32), count - 1)
     found = call_member(emitters.members, emitters.groups, index, function)
@@ -160,8 +164,9 @@ def _toward(arriving: Incident, density: Scalar) -> Toward:
 
 
 def _toward_surface(emitter: Emissive, point: Vec, u: Float[Array, "2"]) -> Toward:
-    """Return a direction toward a point of an emissive surface. The point has density 1 / area of
-    the shape, which d^2 / cos converts to a density per solid angle."""
+    """Return a direction toward a random point of an emissive surface. The point is uniform over
+    the area A. The density of the direction is d^2 / (A cos(theta)), where d is the distance and
+    theta the angle to the surface's normal."""
     place, whole = point_on(emitter.shape, u), surface_area(emitter.shape)
     toward = place.point - point
     distance = safe_sqrt(dot(toward, toward))
@@ -190,9 +195,10 @@ def toward_each(
     shine: Callable[[Toward], Colour],
     bands: int,
 ) -> Colour:
-    """Sum `shine` over all emitters, seen from `point`, m. `shine` maps one direction toward an
-    emitter to (bands,) W m^-2 sr^-1. Each emitter is sampled by its rule, and its irradiances
-    include the weights of the rule."""
+    """Return the sum of `shine` over the samples of all emitters, as seen from `point`, m. `shine`
+    computes the reflected radiance, (bands,) W m^-2 sr^-1, for one direction toward an emitter.
+    Each emitter is sampled by its own rule, and the irradiances of the samples include the weights
+    of the rule."""
     dtype = point.x.dtype
 
     def of_emitter(
@@ -235,12 +241,14 @@ def shining_ahead(
     strategy: Strategy,
     bands: int,
 ) -> tuple[Bands, Bool[Array, ""]]:
-    """Return the emitted radiance that a ray hits, W m^-2 sr^-1, and whether it ends at a light.
+    """Return the emitted radiance of the emitters that a ray hits, W m^-2 sr^-1, and whether the
+    ray ends at a light.
 
-    `surface`, `distance`, `cosine`: the number of the surface (-1: none), its distance in m, and
-    the cosine between its outward normal and the reversed ray. `density`: sr^-1 of the ray's
-    direction, inf for a ray from the camera. `absorption`: (bands,) m^-1 of the surrounding body,
-    or None. Emitters that next-event estimation can sample are weighted by the `strategy`.
+    `surface` is the index of the surface that the ray hits (-1 for none), `distance` its distance
+    in m, and `cosine` that of the angle between its outward normal and the reversed ray. `density`
+    is that of the ray's direction in sr^-1, or inf for a ray from the camera. `absorption` is that
+    of the surrounding body, (bands,) m^-1, or None. Emitters that next-event estimation can sample
+    are weighted according to `strategy`.
     """
     looks = jnp.isinf(density)
     left = split_bands(transmitted(absorption, distance), bands)
@@ -279,8 +287,8 @@ def shining_ahead(
 def _shining_surface(
     emitters: Emitters, surface: Int[Array, ""], distance: Scalar, cosine: Scalar
 ) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether a ray meets an emissive side of a surface, and the density, sr^-1, with which light
-    sampling would have drawn this direction."""
+    """Return whether a ray hits an emissive side of a surface, and the density, sr^-1, with which
+    light sampling would have drawn the direction of the ray."""
     assert emitters.area is not None  # given if any surface emits
     met = jnp.maximum(surface, 0)
     facing = jnp.where(emitters.two_sided[met], jnp.abs(cosine), cosine)
@@ -291,16 +299,17 @@ def _shining_surface(
 
 
 def transmitted(absorption: Colour | None, distance: Scalar) -> Colour:
-    """Return the transmittance of a body over a distance, m, no unit. `absorption`: (bands,) m^-1,
-    or None. An infinite distance counts as no loss."""
+    """Return the transmittance of a body over a distance in m, no unit. `absorption` is (bands,)
+    m^-1, or None for a clear body. For an infinite distance the transmittance is 1."""
     if absorption is None:
         return jnp.ones_like(distance)[None]
     return jnp.exp(-absorption * jnp.where(jnp.isinf(distance), 0, distance))
 
 
 def chance_weight(strategy: Strategy, by_chance: Scalar, on_purpose: Scalar) -> Scalar:
-    """Return the weight, no unit, of a direction drawn by BRDF sampling. `by_chance`, `on_purpose`:
-    its densities, sr^-1, under BRDF and light sampling. It and `purpose_weight` sum to 1."""
+    """Return the weight, no unit, of a direction drawn by BRDF sampling. `by_chance` and
+    `on_purpose` are the densities of the direction, sr^-1, under BRDF and light sampling. This
+    weight and `purpose_weight` sum to 1."""
     match strategy:
         case "lights":  # only emitters that light sampling cannot draw
             return jnp.where(jnp.isinf(by_chance) | (on_purpose <= 0), 1, 0).astype(by_chance.dtype)
@@ -310,9 +319,9 @@ def chance_weight(strategy: Strategy, by_chance: Scalar, on_purpose: Scalar) -> 
 
 
 def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar | None) -> Scalar:
-    """Return the weight, no unit, of a direction drawn by light sampling. `on_purpose`,
-    `by_chance`: its densities, sr^-1, under light and BRDF sampling. A light without size has
-    density inf, because only light sampling finds it."""
+    """Return the weight, no unit, of a direction drawn by light sampling. `on_purpose` and
+    `by_chance` are the densities of the direction, sr^-1, under light and BRDF sampling. For a
+    light without size `on_purpose` is inf, because only light sampling finds it."""
     match strategy:
         case "lights":
             return jnp.ones_like(on_purpose)
@@ -323,9 +332,9 @@ def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar | N
 
 
 def _heuristic(strategy: Strategy, own: Scalar, other: Scalar) -> Scalar:
-    """Return p / (p + q), or p^2 / (p^2 + q^2), with p = `own` and q = `other` (Veach and Guibas,
-    SIGGRAPH 1995). The form 1 / (1 + (q / p)^n) does not overflow. Gradients treat it as a
-    constant."""
+    """Return the weight of multiple importance sampling for densities p = `own` and q = `other`: p
+    / (p + q) or p^2 / (p^2 + q^2) (Veach and Guibas, SIGGRAPH 1995). Both are computed as 1 / (1 +
+    (q / p)^n), which does not overflow. Gradients treat the weight as a constant."""
     own, other = jax.lax.stop_gradient((own, other))
     ratio = divide(other, own, otherwise=jnp.inf)
     return 1 / (1 + (ratio if strategy == "balance" else ratio * ratio))

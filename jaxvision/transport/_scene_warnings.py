@@ -1,8 +1,8 @@
 """Warn of scenes whose interreflections cannot be computed correctly, because a material reflects
 more than it receives or rounding deforms a shape.
 
-A `diffuse` above 1 / pi is accepted for a single reflection, because a fit may use any unit of
-light. With several reflections it is wrong in every unit.
+A `diffuse` coefficient above 1 / pi is accepted for a single reflection, because a fit may use an
+arbitrary unit of light. With several reflections such a coefficient is wrong in every unit.
 """
 
 from typing import Any
@@ -24,8 +24,9 @@ _ROUNDING = 1e-4  # allows for rounding of an albedo of 1, and for errors of its
 
 
 def warn_of_scene(scene: Scene) -> None:
-    """Warn of a shape that rounding deforms at its position, or of the first surface that reflects
-    more light than it receives along its normal. Only known numbers are checked."""
+    """Warn of shapes that are so far from the origin that rounding deforms them, and of the first
+    surface that reflects more light than it receives along its normal. Numbers that JAX traces are
+    not checked."""
     warn_if_coarse(*(surface.shape for surface in scene.surfaces))
     for i, surface in enumerate(scene.surfaces):
         if not all(map(is_known, jax.tree.leaves(surface.material))):
@@ -42,8 +43,8 @@ def warn_of_scene(scene: Scene) -> None:
 
 
 def _reflected(material: Material) -> float:
-    """Return the largest albedo of any band along the normal, or an upper bound of it if the bound
-    is at most 1."""
+    """Return the largest albedo of any band for a view along the normal. If a fast upper bound on
+    it is at most 1, return this bound instead."""
     found = suprema(Ends(material, material))
     most = np.pi * found.body
     if found.lobe is not None:

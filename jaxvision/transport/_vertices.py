@@ -1,16 +1,19 @@
-"""Vertices of a path: the surface that a ray hits, and the direction in which it continues.
+"""The vertices of a path: the surface that a ray hits, and the direction in which the path
+continues.
 
-Directions are unit and point away from the surface: `back` is the direction in which the ray came.
-Paths from the eye and paths from a source use the same vertices. Only the factor of a reflection
-differs, as `carries` selects. With S the material's shading (f_r cos(theta_i) for a BRDF), it is
+Directions are unit vectors that point away from the surface; `back` points to where the ray came
+from. Paths from the eye and paths from a light are computed alike, except for the factor of a
+reflection, which `carries` selects. S being the material's shading (f_r cos(theta_i) for a BRDF),
+the factor is
 
     radiance   S(wi = onward, wo = back)
     light      S(wi = back, wo = onward) cos(onward) / cos(back)
 
-with cosines about the geometric normal, not an interpolated one (Veach, "Robust Monte Carlo Methods
-for Light Transport Simulation", 1997, section 5.3). If the two normals disagree about the side of a
-direction, the geometric one decides: nothing is reflected into the surface, and mirrors and glass
-use its own normal. Lengths in m, densities in sr^-1. For ONE ray; the caller vmaps.
+where the cosines are relative to the geometric normal, not to an interpolated one (Veach, "Robust
+Monte Carlo Methods for Light Transport Simulation", 1997, section 5.3). If the two normals disagree
+about the side of a direction, the geometric normal is used. Light is then never reflected into the
+surface, and mirrors and glass use the geometric normal. Lengths are in m, densities in sr^-1. All
+functions are for one ray; use `jax.vmap` for many.
 """
 
 import equinox as eqx
@@ -49,13 +52,14 @@ SEARCHED = "searched"
 
 
 class Surfaces(eqx.Module):
-    """The surfaces of a scene, sorted once. `materials`: stacked by structure. `members`: static,
-    indices of the surfaces of each stack. `turns`: (surfaces,) whether the normal is flipped toward
-    the viewer. `filled`: (surfaces,) whether the surface bounds a body, as glass does.
-    `absorption`: (surfaces, bands) m^-1 of the body behind each surface, or None if all bodies are
-    clear. `bodies`, `body_numbers`: each body separately, and the index of its surface; empty if
-    all are clear. `varied`: the surfaces with maps, or None. `splits`: static, whether a ray splits
-    in two at some surface."""
+    """The surfaces of a scene, prepared once for all rays. `materials` are stacked by structure;
+    `members` (static) contains the indices of the surfaces of each stack. `turns`, (surfaces,),
+    tells whether the normal is flipped toward the viewer. `filled`, (surfaces,), tells whether the
+    surface bounds a body, as glass does. `absorption`, (surfaces, bands) m^-1, is that of the body
+    behind each surface, or None if all bodies are clear. `bodies` and `body_numbers` contain the
+    shape of each body and the index of its surface; they are empty if all bodies are clear.
+    `varied` contains the surfaces with maps, or is None. `splits` (static) tells whether a ray
+    splits in two at some surface."""
 
     shapes: Sorted
     materials: tuple[Material, ...]
@@ -70,8 +74,9 @@ class Surfaces(eqx.Module):
 
 
 class Met(eqx.Module):
-    """The first surface on a ray. `surface`: () its index, -1 for none. `hit`: the intersection, in
-    m. `patch`: the place where maps are evaluated; None in a scene without maps."""
+    """The first surface that a ray hits. `surface`, (), is its index, or -1 if there is none. `hit`
+    is the intersection, in m. `patch` is the place where maps are evaluated, or None in a scene
+    without maps."""
 
     surface: Int[Array, ""]
     hit: Hit
@@ -79,8 +84,9 @@ class Met(eqx.Module):
 
 
 class Onward(eqx.Module):
-    """The continuation of a path. `direction`: unit. `weight`: (bands,), the reflection factor
-    divided by the density, no unit. `density`: () sr^-1, inf at a mirror or glass."""
+    """The continuation of a path. `direction` is a unit vector. `weight`, (bands,), is the
+    reflection factor divided by the density, no unit. `density` is that of the direction, () sr^-1,
+    or inf at a mirror or glass."""
 
     direction: Vec
     weight: Bands
@@ -88,9 +94,9 @@ class Onward(eqx.Module):
 
 
 class Vertex(eqx.Module):
-    """The result of one vertex. `shaded`: (bands,), sr^-1, the shading for the requested direction.
-    `density`: () sr^-1, with which BRDF sampling would draw that direction; None if no weight needs
-    it. `onward`: the actual continuation."""
+    """The result of shading one vertex. `shaded`, (bands,) sr^-1, is the shading for the requested
+    direction. `density`, () sr^-1, is that with which BRDF sampling would draw the requested
+    direction, or None if no weight needs it. `onward` is the continuation of the path."""
 
     shaded: Bands
     density: Scalar | None
@@ -98,7 +104,7 @@ class Vertex(eqx.Module):
 
 
 def surfaces_of(scene: Scene) -> Surfaces:
-    """Sort the surfaces of a scene once for all rays; lengths in m."""
+    """Prepare the surfaces of a scene for many rays; lengths in m."""
     materials = [surface.material for surface in scene.surfaces]
     filled = [is_body(material) for material in materials]
     absorptions = [brdf.absorption(material) for material in materials]
@@ -123,7 +129,7 @@ def surfaces_of(scene: Scene) -> Surfaces:
 
 
 def _splits(material: Material) -> bool:
-    """Whether a ray may continue in two directions from the material."""
+    """Return whether a ray may continue in two directions from a material, as it does at glass."""
     if not is_delta(material):
         return False
     up = jnp.zeros(3, common_dtype(material))
@@ -131,7 +137,8 @@ def _splits(material: Material) -> bool:
 
 
 def meet(surfaces: Surfaces, ray: Ray) -> Met:
-    """Return the first surface that a ray meets, in m; gradients reach only this shape."""
+    """Return the first surface that a ray hits, in m. Gradients are with respect to this shape
+    alone."""
     encounter = checkpoint_name(searched(nearest_shape, ray, surfaces.shapes), SEARCHED)
     hit, patch = fuse(hit_shape(ray, surfaces.shapes, encounter)), None
     if surfaces.varied is not None:
@@ -140,13 +147,13 @@ def meet(surfaces: Surfaces, ray: Ray) -> Met:
 
 
 def _here(material: Material, met: Met) -> Material:
-    """Return a material with its maps evaluated at the point that the ray met."""
+    """Return a material with its maps evaluated at the point that the ray hit."""
     return material if met.patch is None else at_patch(material, met.patch)
 
 
 def hidden(surfaces: Surfaces, met: Met, direction: Vec, distance: Scalar) -> Bool[Array, ""]:
-    """Whether a surface blocks the ray from the point `met` in a unit direction, up to a distance
-    in m."""
+    """Return whether a surface blocks the ray from the hit `met` in a unit direction, up to a
+    distance in m."""
     hit = met.hit
     way = hit.point, hit.normal, direction, distance
     blocked = searched(occluded, *way, surfaces.shapes, size=hit.size)
@@ -164,12 +171,13 @@ def vertex(
     bands: int,
     weighed: bool = True,
 ) -> Vertex:
-    """Shade the surface toward `asked`, and draw the continuation of the path by `u`, uniform in
-    [0, 1). `back`, `asked`: unit, world. All is 0 if the surface is seen from behind.
+    """Return the shading of the surface for the direction `asked`, and a continuation of the path
+    drawn by `u`, uniform in [0, 1). `back` and `asked` are unit vectors in the world. All results
+    are 0 if the surface is seen from behind.
 
-    Gradients treat the drawn direction and its density as constants. This is right for every
-    parameter of a material, although a changed parameter would draw another direction. `weighed`:
-    static; if False, the density toward `asked` is not computed and is None.
+    Gradients treat the drawn direction and its density as constants. They are unbiased for every
+    parameter of a material, although another value of the parameter would lead to another
+    direction. If `weighed` (static) is False, the density of `asked` is not computed and is None.
     """
     frame, viewer, light, flat = _seen_from(surfaces, met, back, asked)
     chosen = None
@@ -193,8 +201,9 @@ def vertex(
 
 
 def shaded_toward(surfaces: Surfaces, met: Met, back: Vec, asked: Vec, *, bands: int) -> Colour:
-    """Return the shading S(wi = asked, wo = back) at the surface that was met, (bands,) sr^-1; 0
-    for mirrors, for glass, and for a surface seen from behind. `back`, `asked`: unit, world."""
+    """Return the shading S(wi = asked, wo = back) of the surface that a ray hit, (bands,) sr^-1; 0
+    for mirrors, for glass, and for a surface seen from behind. `back` and `asked` are unit vectors
+    in the world."""
     _, viewer, light, flat = _seen_from(surfaces, met, back, asked)
     seen = (viewer.z > 0) & (_height(viewer, flat) > 0) & (_height(light, flat) > 0)
     shaded = jnp.zeros(bands, back.x.dtype)
@@ -207,8 +216,9 @@ def shaded_toward(surfaces: Surfaces, met: Met, back: Vec, asked: Vec, *, bands:
 
 
 class Branches(eqx.Module):
-    """The two continuations at a mirror or glass. `mirrored`, `refracted`: unit, world. The weights
-    are (bands,), no unit, and 0 for a continuation that does not exist."""
+    """The two continuations of a ray at a mirror or glass. `mirrored` and `refracted` are unit
+    vectors in the world. The weights are (bands,), no unit, and 0 for a continuation that does not
+    exist."""
 
     mirrored: Vec
     refracted: Vec
@@ -217,8 +227,8 @@ class Branches(eqx.Module):
 
 
 def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches:
-    """Return the reflected and the refracted continuation of a ray at the surface that it met.
-    `back`: unit, world, against the ray."""
+    """Return the reflected and the refracted continuation of a ray at the surface that it hit.
+    `back` is the unit vector in the world against the ray."""
     frame, viewer, _, flat = _seen_from(surfaces, met, back, back)
     mirrored = refracted = jnp.zeros(bands, back.x.dtype)
     up = down = viewer
@@ -237,7 +247,7 @@ def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches
 def _seen_from(
     surfaces: Surfaces, met: Met, back: Vec, asked: Vec
 ) -> tuple[Frame, Vec, Vec, Vec | None]:
-    """Return the frame about the shading normal, then `back`, `asked` and the geometric normal in
+    """Return the local frame of the shading normal, and `back`, `asked` and the geometric normal in
     this frame. The normals of a two-sided surface are flipped toward the viewer. The geometric
     normal is None if it equals the shading normal."""
     hit = met.hit
@@ -269,7 +279,7 @@ def _vertex(
     bands: int,
     weighed: bool,
 ) -> Vertex:
-    """Do what `vertex` does, in the local frame and for one material."""
+    """Compute the result of `vertex` in the local frame, for one material."""
     zero, everywhere = jnp.zeros_like(back.z), jnp.full_like(back.z, jnp.inf)
     if is_delta(material):
         onward, weight = draw_way(_specular(material, back, flat), u[2], carries=carries)
@@ -311,8 +321,9 @@ def _transfer(
 
 
 def _specular(material: Material, back: Vec, flat: Vec | None) -> Specular:
-    """Return the continuations at a mirror or glass, local. The geometric normal replaces the
-    shading normal if that would put a continuation on the wrong side of the surface."""
+    """Return the continuations of a ray at a mirror or glass, in the local frame. If the shading
+    normal would put a continuation on the wrong side of the surface, the geometric normal is used
+    instead."""
     ways = brdf.specular(material, back)
     if flat is None:
         return ways
@@ -331,15 +342,15 @@ def _specular(material: Material, back: Vec, flat: Vec | None) -> Specular:
 
 def leave(met: Met, ray: Ray, direction: Vec, goes: Bool[Array, ""]) -> Ray:
     """Return the ray that continues from a hit along a unit direction. Where `goes` is False the
-    path has ended and keeps its old ray, so that its hits stay finite."""
+    path has ended, and the old ray is returned, so that later intersections remain finite."""
     hit = met.hit
     origin = offset_origin(hit.point, hit.normal, direction, size=hit.size)
     return Ray(where(goes, origin, ray.origin), where(goes, direction, ray.direction))
 
 
 def absorption_around(surfaces: Surfaces, ray: Ray, *, bands: int) -> Colour | None:
-    """Return the absorption, (bands,) m^-1, of the innermost glass body around a ray's origin. It
-    is 0 outside all bodies, and None if no body absorbs."""
+    """Return the absorption, (bands,) m^-1, of the innermost glass body around a ray's origin. The
+    absorption is 0 outside all bodies, and None if no body absorbs."""
     if surfaces.absorption is None:
         return None
     around, ray = jnp.zeros(bands, ray.origin.x.dtype), jax.lax.stop_gradient(ray)
@@ -356,9 +367,10 @@ def absorption_after(
     surfaces: Surfaces, met: Met, came: Vec, onward: Ray, before: Colour | None
 ) -> Colour | None:
     """Return the absorption, (bands,) m^-1, of the body that contains a path after a vertex. The
-    path `came` along one unit direction and continues `onward` along another. It is in the glass
-    that it has entered, or in the surroundings of the glass that it has left, otherwise in the same
-    body as `before`. None if no body absorbs."""
+    path arrives along the unit direction `came` and continues along the ray `onward`. If the path
+    enters glass at the vertex, the result is the absorption of the glass. If it leaves glass, the
+    result is the absorption of the surroundings. Otherwise the result is `before`. It is None if no
+    body absorbs."""
     if surfaces.absorption is None or before is None:
         return None
     surface = jnp.maximum(met.surface, 0)
@@ -371,7 +383,7 @@ def absorption_after(
 
 
 class World(eqx.Module):
-    """A scene prepared for tracing."""
+    """A scene prepared for path tracing: its surfaces, its emitters, and the number of bands."""
 
     surfaces: Surfaces
     emitters: Emitters
@@ -379,7 +391,7 @@ class World(eqx.Module):
 
 
 def world_of(scene: Scene) -> World:
-    """Prepare a scene for tracing; lengths in m."""
+    """Prepare a scene for path tracing; lengths in m."""
     surfaces, emitters = surfaces_of(scene), emitters_of(scene)
     emissions = [surface.emission for surface in scene.surfaces if surface.emission is not None]
     materials = [surface.material for surface in scene.surfaces]

@@ -1,12 +1,13 @@
-"""Light tracing: random walks from the emitters to the camera.
+"""Light tracing: random paths from the emitters to the camera.
 
-Flux leaves an emitter and is reflected by surfaces. At each surface the light toward the camera's
-pinhole is added to the pixel that sees it (Arvo, "Backward Ray Tracing", SIGGRAPH 1986 course 12;
-Veach, 1997, section 10.3). Light tracing finds caustics efficiently: light that mirrors and glass
-focus on another surface, which a path from the eye finds about once in a million. A lamp may be a
-point. Light tracing cannot find light that mirrors and glass send directly to the pinhole, because
-only one direction reaches it. So mirrors and glass are black in the picture; `paths` shows them.
-Radiance in W m^-2 sr^-1, flux in W, lengths in m.
+A path begins at an emitter with some flux, and is reflected by surfaces. At each surface, the light
+that is reflected to the camera is added to the pixel that sees this point (Arvo, "Backward Ray
+Tracing", SIGGRAPH 1986 course 12; Veach, 1997, section 10.3). Light tracing finds caustics
+efficiently. A caustic is light that mirrors and glass focus on another surface; a path from the eye
+finds it about once in a million times. Lamps may be points. Light tracing cannot find light that
+mirrors and glass send directly to the camera, because only a single direction leads there. Mirrors
+and glass are therefore black in the picture; `paths` shows them. Radiance is in W m^-2 sr^-1, flux
+in W, lengths are in m.
 """
 
 import equinox as eqx
@@ -47,11 +48,12 @@ from .paths import Paths, path_traced
 
 
 class _Arrival(eqx.Module):
-    """The view of a vertex from the camera.
+    """The contribution of a path's vertex to the picture.
 
-    `toward`: unit, to the camera. `distance`: () m. `row`, `column`: () pixels, fractional.
-    `response`: () m^-2, radiance of the pixel for unit flux and a reflection of 1 sr^-1; 0 for a
-    vertex behind the camera.
+    `toward` is the unit vector from the vertex to the camera, and `distance` that to the camera, ()
+    m. `row` and `column` are the position in the picture, () in pixels. `response`, () m^-2, is the
+    radiance of the pixel for a flux of 1 W and a reflection of 1 sr^-1; it is 0 for a vertex behind
+    the camera.
     """
 
     toward: Vec
@@ -65,12 +67,12 @@ class _Arrival(eqx.Module):
 def light_traced(
     key: Key, scene: Scene, view: View, *, paths: int, depth: int = 6, samples: int = 16
 ) -> Traced:
-    """Render the radiance picture by paths from the emitters.
+    """Render the radiance picture of a scene by random paths from the emitters.
 
-    Mirrors and glass are black, and so is everything that the camera sees in or through them:
-    `transport.missing_light` names it.
+    Mirrors and glass are black, and so is everything that the camera sees in or through them.
+    `transport.missing_light` lists this missing light.
 
-    The random numbers of a path depend on the key and its own number.
+    The random numbers of a path depend only on the key and the index of the path.
 
     Args:
         key: random key.
@@ -117,7 +119,8 @@ def light_traced(
 def _with_sources(
     key: Key, scene: Scene, view: View, seen: Traced, paths: int, depth: int
 ) -> Traced:
-    """Add the light of the paths to `seen`, the picture of visible emitters."""
+    """Trace all paths from the emitters, and add their light to `seen`, the picture of visible
+    emitters."""
     world = world_of(scene)
     ball = ball_around([surface.shape for surface in scene.surfaces])
     seed = seed_of(jax.random.fold_in(key, 1))
@@ -150,7 +153,8 @@ def _with_sources(
 def _light_path(
     world: World, ball: Ball | None, view: View, stream: Stream, depth: int
 ) -> tuple[Int[Array, " pieces"], Float[Array, "pieces bands"]]:
-    """Return the pixel index and the radiance for each vertex of one path."""
+    """Return, for each vertex of one path, the index of the pixel that sees it and the radiance
+    that it adds."""
     dtype = view.pixel_pitch.dtype
     start, more = uniforms(stream, 0, dtype), uniforms(stream, 1, dtype)
     light = _emitted(world.emitters, ball, jnp.append(start, more[0]))
@@ -201,13 +205,14 @@ def _light_path(
 
 
 def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
-    """Return the pixel in which a camera sees a point, m, through the point of its lens that `u`,
+    """Return the pixel in which a camera sees a point, m, through the point of the lens that `u`,
     uniform in [0, 1), selects.
 
-    Let dw = p^2 cos^3(theta) / z^2 be the solid angle of a pixel of side p on a plane z behind the
-    pinhole. A vertex at distance d reflects unit flux to the pinhole as the irradiance f_r
-    cos(theta_r) / d^2. The pixel's radiance is its mean over dw, f_r cos(theta_r) / (d^2 dw). This
-    function inverts `optics.view_ray`, and a lens needs the same uniform numbers in both.
+    The solid angle of a pixel with side p, on a plane at the distance z behind the pinhole, is dw =
+    p^2 cos^3(theta) / z^2. A vertex at the distance d with a flux of 1 W causes the irradiance f_r
+    cos(theta_r) / d^2 at the pinhole. The radiance of the pixel is this irradiance divided by dw.
+    The function is the inverse of `optics.view_ray`; for a lens both must be given the same uniform
+    numbers.
     """
     right, down, forward = (as_vec(axis) for axis in view.rotation)
     rows, columns = view.resolution
@@ -245,8 +250,8 @@ def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
 
 def _emitted(emitters: Emitters, around: Ball | None, u: Float[Array, "5"]) -> Emitted:
     """Draw a ray from one emitter, which u_4 selects. u_0 and u_1 give the ray's origin, and u_2
-    and u_3 its direction, all uniform in [0, 1). Its flux, W, estimates that of all emitters.
-    `around`: a sphere around the scene."""
+    and u_3 its direction, all uniform in [0, 1). The flux of the ray, W, is an unbiased estimate of
+    the flux of all emitters. `around` is a sphere around the scene."""
 
     def ray(emitter: Light | Emissive) -> Emitted:
         if isinstance(emitter, Emissive):

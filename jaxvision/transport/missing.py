@@ -1,8 +1,8 @@
-"""Sentences about light that an integrator cannot find.
+"""Messages about the light of a scene that an integrator cannot find.
 
-Each integrator finds these paths, written from the lamp to the eye. L is a lamp with a size, P a
-lamp without (a point or a direction), D a surface with a BRDF, S a mirror or glass, and E the eye.
-S* means any number of S, and S+ one or more.
+The table lists the paths that each integrator finds, written from the lamp to the eye. L is a lamp
+with a size, P a lamp without size (a point or a direction), D a surface with a BRDF, S a mirror or
+glass, and E the eye. S* stands for any number of S, and S+ for one or more.
 
     direct      L D E, P D E, L E, L S E if S is an opaque mirror, and ambient light; glass is black
                 and casts shadows
@@ -11,8 +11,8 @@ S* means any number of S, and S+ one or more.
     light       all paths whose last surface is a D, and L E
     radiosity   all paths of D alone; it refuses S
 
-So no integrator finds P S+ D S+ E: a point lamp behind a window, seen by a camera through the same
-window.
+No integrator finds P S+ D S+ E, for example a surface behind a window that a point lamp
+illuminates, and a camera sees, through the window.
 """
 
 from collections.abc import Sequence
@@ -73,13 +73,14 @@ def missing_light(
     surfaces: Sequence[str] | None = None,
     lights: Sequence[str] | None = None,
 ) -> list[str]:
-    """Return one sentence for each kind of light of a scene that an integrator neglects.
+    """Return a message for each kind of light in a scene that an integrator neglects.
 
-    `path` misses light of lamps without a size (points, directions) via mirrors and glass. `direct`
-    and `rays` miss light that mirrors and glass cast onto other surfaces, and `light` misses
-    mirrors and glass themselves. A quadrature may miss the sun of an environment between its
-    directions, and a narrow lobe between its samples of a lamp. `path` finds the light that such a
-    lobe casts onto other surfaces only by chance. Only `direct` adds ambient light.
+    `path` misses light from lamps without size (points, directions) that reaches a surface via
+    mirrors and glass. `direct` and `rays` miss light that mirrors and glass cast onto other
+    surfaces, and `light` misses mirrors and glass themselves. Quadrature may miss the sun of an
+    environment that falls between its directions, and a narrow lobe that falls between its samples
+    of a lamp. `path` finds the light that such a lobe casts onto other surfaces only by chance.
+    Only `direct` adds ambient light.
 
     The positions of mirrors and glass are not checked, so the named light may be small.
     Interreflections between matt surfaces, which `direct` and `rays` neglect by definition, are not
@@ -202,7 +203,8 @@ def missing_light(
 
 
 def _cure(placed: Sequence[str], sized: Sequence[str]) -> str:
-    """Return the advice about light that mirrors and glass cast onto other surfaces."""
+    """Return the advice that ends a message about light that mirrors and glass cast onto other
+    surfaces."""
     if not placed:
         return "Set integrator = 'path', which has it."
     of_sized = f"For that of {_list(sized)} set integrator = 'path'. " if sized else ""
@@ -227,8 +229,8 @@ def _emits(surface: Surface) -> bool:
 def _between_directions(
     name: str, light: EnvironmentMap, rule: Quadrature, integrator: Integrator
 ) -> list[str]:
-    """Return a sentence if a quadrature finds far too little or too much light of an
-    environment."""
+    """Return a message if a quadrature finds far too little or too much light of an environment,
+    else an empty list."""
     if (wrong := found_by_quadrature(light, rule)) is None:
         return []
     cures = "" if integrator == "rays" else "rule = 'balanced' or 'monte_carlo', or "
@@ -245,8 +247,8 @@ def _too_narrow(
     own: Sequence[tuple[str, Surface]],
     integrator: Integrator,
 ) -> list[str]:
-    """Return a sentence for each surface whose lobe is narrower than the spacing of a quadrature's
-    samples."""
+    """Return a message for each surface whose specular lobe is narrower than the spacing of a
+    quadrature's samples."""
     found = []
     for surface_name, surface in own:
         width = min(_lobe(surface.material))
@@ -271,11 +273,12 @@ def _too_narrow(
 
 
 def _lobe(material: Material) -> tuple[float, float]:
-    """Return the widths of the narrowest lobe, rad, in both directions; pi if it is broad or
-    unknown.
+    """Return the widths of a material's narrowest lobe, rad, along both tangents; pi if the lobe is
+    broad or its width is unknown.
 
-    The width of a facet lobe is 2 alpha. Any other lobe has the width of the facet lobe with the
-    same half maximum. The lobe of measured data is searched in the data.
+    The width of a microfacet lobe with roughness alpha is 2 alpha. The width of any other lobe is
+    that of the microfacet lobe with the same width at half maximum. In measured data, the lobe is
+    located numerically.
     """
     if any(True for _ in maps_of(material)):
         return min(_lobe(replace_maps(material, end)) for end in ENDS)
@@ -300,8 +303,9 @@ def _lobe(material: Material) -> tuple[float, float]:
 
 
 def _lobe_of_table(material: Material) -> tuple[float, float]:
-    """Return the widths of `_lobe` for measured data, from the half maximum about the mirror
-    direction of light at 0.6 rad. A lobe that reflects less than a hundredth counts as broad."""
+    """Return the widths of `_lobe` for measured data, from the half maximum around the mirror
+    direction of light at 0.6 rad. A lobe that reflects less than a hundredth of the light is
+    treated as broad."""
     away = np.concatenate([[0], np.geomspace(1e-4, 1, 80)])
     light = np.array([-np.sin(0.6), 0, np.cos(0.6)])
     along = np.stack([np.sin(0.6 - away), 0 * away, np.cos(0.6 - away)], -1)
@@ -320,8 +324,8 @@ def _lobe_of_table(material: Material) -> tuple[float, float]:
 
 
 def _angle(light: RectangleLight, shape: Shape) -> float:
-    """Return the angle, rad, of the longer side of a lamp as seen from the middle of a surface, or
-    from half the surface's depth if that is farther."""
+    """Return the angle, rad, that the longer side of a lamp subtends at the middle of a surface.
+    The distance is at least half the smallest extent of the surface."""
     middle = _parallelogram(light).mean(axis=0)
     if isinstance(shape, Plane):
         away = float(_heights(shape, middle))
@@ -339,8 +343,8 @@ def _rarely_in_lobe(
     own: Sequence[tuple[str, Surface]],
     samples: int | None,
 ) -> list[str]:
-    """Return a sentence for each surface whose lobe sends light in directions that paths rarely
-    sample."""
+    """Return a message for each surface whose lobe casts light on other surfaces in directions that
+    paths rarely sample."""
     matt = [surface for _, surface in own if not is_delta(surface.material)]
     found = []
     for name, surface in own:
@@ -359,7 +363,7 @@ def _rarely_in_lobe(
 
 
 def _rare(light: str, faces: str, chance: float, samples: int | None) -> str:
-    """Return the sentence about light that a path meets only with a small probability `chance`."""
+    """Return the message about light that a path hits only with a small probability `chance`."""
     shown = "Few samples show noise or nothing, and errors that are too small."
     if samples is not None:
         meets = -np.expm1(samples * np.log1p(-chance))
@@ -381,7 +385,7 @@ def _rarely_found(
     faces: str,
     samples: int | None,
 ) -> list[str]:
-    """Return a sentence for each lamp with a size that paths via mirrors and glass rarely hit."""
+    """Return a message for each lamp with a size that paths via mirrors and glass rarely hit."""
     matt = [surface for _, surface in own if not is_delta(surface.material)]
     chances = [
         (name, _chance(light, matt)) for name, light in zip(lamps, scene.lights, strict=True)
@@ -395,7 +399,8 @@ def _rarely_found(
 
 
 def _chance(light: Light, matt: Sequence[Surface]) -> float:
-    """Return the largest share of paths from a matt surface that hit a light; 1 if unknown."""
+    """Return an estimate of the largest share of paths from a matt surface that hit a light; 1 if
+    unknown."""
     match light:
         case RectangleLight():
             area = float(np.linalg.norm(np.cross(light.edge_u, light.edge_v)))
@@ -413,8 +418,9 @@ def _chance(light: Light, matt: Sequence[Surface]) -> float:
 
 
 def _share(area: float, corners: np.ndarray, matt: Sequence[Surface]) -> float:
-    """Return area / (pi d^2), at most 1. d is the distance between the bounding box of the corners
-    and that of the nearest matt surface."""
+    """Return the share of directions from a matt surface that hit a lamp, area / (pi d^2), at most
+    1. d is the distance between the bounding box of the lamp's corners and that of the nearest matt
+    surface."""
     nearest = np.inf
     low, high = corners.min(axis=0), corners.max(axis=0)
     for surface in matt:
@@ -438,13 +444,13 @@ def _heights(plane: Plane, points: np.ndarray) -> np.ndarray:
 
 
 def _parallelogram(sided: Quad | RectangleLight) -> np.ndarray:
-    """(4, 3) m, the corners of a shape or a lamp."""
+    """Return the corners of a quad or a rectangular lamp, (4, 3) m."""
     corner, u, v = (np.asarray(x, float) for x in (sided.corner, sided.edge_u, sided.edge_v))
     return np.stack([corner, corner + u, corner + v, corner + u + v])
 
 
 def _corners(shape: Shape) -> np.ndarray:
-    """(n, 3) m, points whose bounding box contains a shape; none for a plane."""
+    """Return points whose bounding box contains a shape, (n, 3) m; no points for a plane."""
     match shape:
         case Plane():
             return np.zeros((0, 3))
@@ -474,8 +480,8 @@ def _open_edges(surface: Surface) -> int:
 def _cut_short(
     integrator: Integrator, depth: int, faces: str, before: np.ndarray, behind: np.ndarray
 ) -> list[str]:
-    """Return a warning if successive mirrors and glass surfaces need more path segments than
-    `depth` allows."""
+    """Return a message if a view through successive mirrors and glass surfaces needs more path
+    segments than `depth` allows."""
     match integrator:
         case "path":  # to the surface, to the lamp, and one segment for each face between
             needed = before + 2 + np.where(behind >= 0, behind, 0)
@@ -511,9 +517,9 @@ def _grid(view: View) -> tuple[Array, Array]:
 def _counted(
     scene: Scene, view: View, rows: Float[Array, " n"], columns: Float[Array, " n"]
 ) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
-    """Return, for each pixel, the number of mirror and glass faces that its ray meets before
-    another surface, and the largest number of glass faces on the straight line from that surface to
-    a lamp (-1 if every lamp is hidden)."""
+    """Return two numbers for each pixel. The first is the number of mirror and glass faces that its
+    ray hits before another surface. The second is the largest number of glass faces on the straight
+    line from that surface to a lamp, or -1 if every lamp is hidden."""
     surfaces = surfaces_of(scene)
     turning = jnp.asarray([is_delta(surface.material) for surface in scene.surfaces])
     glass = jnp.asarray([is_body(surface.material) for surface in scene.surfaces])
@@ -548,9 +554,10 @@ def _counted(
 def _followed(
     surfaces: Surfaces, ray: Ray, distance: Array, through: Array, *, bent: bool
 ) -> tuple[Ray, Array, Int[Array, ""]]:
-    """Follow a ray through successive surfaces of `through`, within a distance in m. It takes the
-    brighter continuation if `bent`, otherwise it goes straight on. Return the last ray, the
-    remaining distance, and the number of surfaces passed."""
+    """Follow a ray through successive surfaces for which `through` is true, within a distance in m.
+    If `bent`, the ray continues in the brighter of the mirrored and the refracted direction,
+    otherwise straight on. Return the last ray, the remaining distance, and the number of surfaces
+    passed."""
 
     def step(state: tuple[Ray, Array, Array], _: None) -> tuple[tuple[Ray, Array, Array], None]:
         ray, left, count = state

@@ -1,20 +1,22 @@
-"""Path tracing: radiance along a ray as a mean over random walks from the eye to the emitters.
+"""Path tracing: the radiance along a ray as a mean over random paths from the eye to the emitters.
 
     L = L_e + integral over directions of L S(wi, wo)              (Kajiya, SIGGRAPH 1986)
 
 At every surface one emitter is sampled (next-event estimation), and one direction is drawn from the
-material. If both find the same light, their weights sum to 1 (Veach and Guibas, SIGGRAPH 1995). The
-result is unbiased except for two kinds of light. Paths longer than `depth` are missing. Light from
-points and directions that reaches a surface through mirrors or glass is missing, because neither
-strategy finds it; `light_paths` includes it, and `missing` names it for a scene. The random numbers
-of a sample depend only on its pixel and its number (`_random`), so a picture does not depend on the
-division into blocks. `Scene.ambient` is a substitute for interreflections and is not added.
-Radiance in W m^-2 sr^-1, lengths in m.
+material. If both can find the same light, they are weighted so that the weights sum to 1 (Veach and
+Guibas, SIGGRAPH 1995). The result is unbiased except for two kinds of light. Paths with more than
+`depth` segments are omitted. Light from points and directions that reaches a surface via mirrors or
+glass is missing, because neither way of sampling finds it. `light_paths` includes such light, and
+`missing` lists it for a scene. The random numbers of a sample depend only on the key, the pixel and
+the sample's index (`_random`), so a picture does not depend on the division into blocks.
+`Scene.ambient` is a substitute for interreflections and is not added. Radiance is in W m^-2 sr^-1,
+lengths are in m.
 
-Reverse-mode gradients exist for emission, reflectances, roughnesses, indices, the lights and the
-shapes. They neglect moving edges of shadows and outlines, where the picture is discontinuous. Under
-"lights" the gradient by the position of a lamp neglects its shadows only. The other strategies also
-neglect the lamp's own outline.
+Reverse-mode gradients exist with respect to emission, reflectances, roughnesses, indices of
+refraction, the lights and the shapes. These gradients neglect moving edges of shadows and outlines,
+where the picture is discontinuous. With the strategy "lights", the gradient with respect to the
+position of a lamp neglects only the edges of shadows. The other strategies also neglect the outline
+of the lamp itself.
 """
 
 import dataclasses
@@ -66,7 +68,7 @@ _KEPT = 8
 
 
 class Paths(Shown):
-    """The settings of path tracing; all static.
+    """The settings of path tracing, all of which are static.
 
     Attributes:
         samples: paths of each pixel, >= 1; the error falls as 1 / sqrt(samples).
@@ -124,7 +126,7 @@ class _Path(eqx.Module):
 
 @one_program
 def path_sample(scene: Scene, ray: Ray, stream: Stream, *, method: Paths) -> Colour:
-    """Compute the radiance of ONE random path.
+    """Compute the radiance along a ray from a single random path.
 
     Args:
         scene: any scene; `Scene.ambient` is not added.
@@ -146,9 +148,9 @@ def _walk(
     depth: Array | None = None,
     of_each: Callable[[Callable[..., Any]], Callable[..., Any]] = lambda function: function,
 ) -> tuple[Scalars, ...]:
-    """Compute the radiance of one path. With `jax.vmap` as `of_each`, compute one path for each ray
-    and pixel of arrays; `vmap` of the whole loop would trace its body several times to find the
-    batched values."""
+    """Compute the radiance of one path. If `of_each` is `jax.vmap`, compute one path for each ray
+    and pixel of arrays. A `vmap` of the whole loop would trace its body several times, to determine
+    which values are batched."""
     method = _simplest(world, method)
 
     def begun(ray: Ray, pixel: Word) -> _Path:
@@ -196,23 +198,24 @@ def _walk(
 
 
 def _simplest(world: World, method: Paths) -> Paths:
-    """Return the simplest sufficient method: if no ray can hit an emitter, every weight is 1 and
-    densities are not needed."""
+    """Return the settings with the simplest strategy that gives the same result. If no ray can hit
+    an emitter, every weight is 1 and densities are not needed."""
     if world.emitters.lights or world.emitters.emission is not None:
         return method
     return dataclasses.replace(method, strategy="lights")
 
 
 def _has_chance_only(world: World) -> bool:
-    """Whether some light is found by BRDF sampling only: via a mirror or glass, or from an emissive
-    plane, whose infinite area cannot be sampled."""
+    """Return whether some light is found by BRDF sampling only: light via a mirror or glass, or
+    from an emissive plane, whose infinite area cannot be sampled."""
     met_by_mirrors = world.emitters.lights or world.emitters.emission is not None
     mirrors = any(map(is_delta, world.surfaces.materials))
     return bool(met_by_mirrors and mirrors) or world.emitters.endless
 
 
 def _look(world: World, path: _Path, method: Paths) -> tuple[_Path, Met]:
-    """Add the emission that the path's ray hits. Return the path and the surface that it hits."""
+    """Add the emission that the current ray of a path hits. Return the path, and the surface that
+    the ray hits."""
     met = meet(world.surfaces, path.ray)
     found, ends = shining_ahead(
         world.emitters,
@@ -321,7 +324,8 @@ def _path_radiance(key: Key, scene: Scene, ray: Ray, method: Paths) -> Traced:
 
 
 def path_along(scene: Scene, method: Paths, *, depth: Array | None = None) -> Along:
-    """Return the function that computes one path for each ray of `photograph`.
+    """Return a function that computes one path for each ray of a block, in the form that
+    `photograph` calls.
 
     Args:
         scene: any scene; `Scene.ambient` is not added.
@@ -388,9 +392,10 @@ def _traced_pixels(
 def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
     """Render the radiance picture by path tracing.
 
-    Light of points and directions that mirrors or glass cast onto other surfaces is missing, and no
-    error estimate shows it: `transport.missing_light` names it. Derivatives with respect to
-    positions neglect moving edges, like those of `render` without `edges`.
+    Light from points and directions that mirrors or glass cast onto other surfaces is missing, and
+    the standard error does not include it. `transport.missing_light` lists this missing light.
+    Derivatives with respect to positions neglect moving edges, like those of `render` without
+    `edges`.
 
     Args:
         key: random key.

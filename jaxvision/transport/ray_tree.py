@@ -1,15 +1,16 @@
-"""Deterministic ray tracing of direct light, including its views in mirrors and through glass.
+"""Deterministic ray tracing of directly lit surfaces, also as seen in mirrors and through glass.
 
 Source: Whitted, "An Improved Illumination Model for Shaded Display", CACM 23(6) (1980). A ray
-splits in two at glass, so the tree has up to 2^n rays after n surfaces, most of which carry almost
-no light. Here pending rays are stored in a pool, and the ray with the largest weight is traced
-next. So the `rays` rays of largest weight are traced, at any depth. The rays that remain in the
-pool count as black. Caustics and light between diffuse surfaces are missing; `paths` and
-`light_paths` include them. Radiance in W m^-2 sr^-1, lengths in m.
+splits in two at glass, so the tree of rays has up to 2^n rays after n surfaces, most of which carry
+almost no light. Pending rays are therefore stored in a pool, and the ray with the largest weight is
+traced next. In this way the `rays` rays of largest weight are traced, at any depth. Rays that
+remain in the pool add no radiance. Caustics and light between diffuse surfaces are missing; `paths`
+and `light_paths` include them. Radiance is in W m^-2 sr^-1, lengths are in m.
 
-Each traced ray costs one intersection, and one shadow ray for each node of each light (order^2 for
-a rectangle, twice that for an environment). Most pixels trace one ray, and pixels that see a mirror
-or glass up to `rays`. Finished trees are skipped, a block at a time.
+For each traced ray, the cost is one intersection, and one shadow ray for each node of each light
+(order^2 nodes for a rectangle, twice that number for an environment). Most pixels trace one ray;
+pixels that see a mirror or glass trace up to `rays`. Trees without pending rays are skipped, a
+block at a time.
 """
 
 import equinox as eqx
@@ -50,8 +51,9 @@ _BLOCK = 512  # rays that are traced, or skipped, together
 
 
 class _Tree(eqx.Module):
-    """The pool of pending rays: origins, directions, absorption of the surroundings (None if
-    nothing absorbs) and weights; and the radiance found so far."""
+    """The tree of rays of one pixel: the pool of pending rays, with their origins, directions,
+    weights and the absorption of their surroundings (None if nothing absorbs), and the radiance
+    found so far."""
 
     origin: Float[Array, "slots 3"]
     direction: Float[Array, "slots 3"]
@@ -101,8 +103,8 @@ def ray_tree_radiance(
 def ray_tree_radiances(
     scene: Scene, along: Ray, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
 ) -> Float[Array, "n bands"]:
-    """Return `ray_tree_radiance` for many rays; faster than ray by ray if few rays meet mirrors or
-    glass.
+    """Return `ray_tree_radiance` for many rays. This is faster than ray by ray if few rays hit
+    mirrors or glass.
 
     Args:
         scene, rays, rule: as in `ray_tree_radiance`.
@@ -134,15 +136,15 @@ def ray_tree_radiances(
 
 
 def _block(rays: int) -> int:
-    """Return the number of rays that are traced, or skipped, together."""
+    """Return the number of trees in a block, which are traced or skipped together."""
     return min(at_a_time(_BLOCK), -(-rays // _BLOCK) * _BLOCK)
 
 
 def _follow_living(
     world: World, rules: Rules, k: Array, forest: _Tree, numbers: Array
 ) -> tuple[_Tree, Array]:
-    """Trace one pending ray of each tree. Trees with pending rays come first, so that the blocks
-    after them are skipped. `numbers`: the original position of each tree."""
+    """Trace one pending ray of each tree. Trees with pending rays are sorted to the front, so that
+    the blocks behind them are skipped. `numbers` contains the original position of each tree."""
     alive = (forest.weight > 0).any(axis=(1, 2))
     order = jnp.argsort(~alive)
 
@@ -160,7 +162,8 @@ def _follow_living(
 
 
 def _followed(world: World, rays: int) -> int:
-    """Return the largest number of rays of a tree: 1 if the scene has no mirror and no glass."""
+    """Return the largest number of rays of a tree: `rays`, or 1 if the scene has no mirror and no
+    glass."""
     check_count("rays", rays, 1)
     return rays if any(map(is_delta, world.surfaces.materials)) else 1
 
@@ -179,7 +182,7 @@ def _rules(scene: Scene, world: World, rule: Quadrature) -> Rules:
 
 
 def _planted(world: World, ray: Ray, rays: int) -> _Tree:
-    """Return a tree with one ray, and empty slots for further rays."""
+    """Return a tree with one pending ray, and empty slots in the pool for further rays."""
     slots = rays + 1 if world.surfaces.splits else 1
     dtype = ray.origin.x.dtype
     dark = jnp.zeros((slots, world.bands), dtype)
@@ -194,7 +197,8 @@ def _planted(world: World, ray: Ray, rays: int) -> _Tree:
 
 
 def _follow(world: World, rules: Rules, k: Array, tree: _Tree) -> _Tree:
-    """Trace the pending ray of largest weight, as the tree's `k`-th ray. Return the new tree."""
+    """Trace the pending ray of largest weight, which is ray number `k` of the tree. Return the new
+    tree."""
     slots, dtype = len(tree.weight), tree.weight.dtype
     next_one = jnp.argmax(jax.lax.stop_gradient(tree.weight).max(axis=1))
     ray = Ray(tree.origin[next_one], tree.direction[next_one])
@@ -240,7 +244,8 @@ def _put(tree: _Tree, slot: Array, ray: Ray, weight: Colour, absorption: Colour 
 
 
 def _direct(world: World, met: Met, back: Vec, absorption: Colour | None, rules: Rules) -> Colour:
-    """Return the direct light from all emitters, with shadows."""
+    """Return the radiance that a surface reflects of the direct light from all emitters, with
+    shadows."""
 
     def shine(toward: Toward) -> Colour:
         shaded = shaded_toward(world.surfaces, met, back, toward.direction, bands=world.bands)
@@ -252,7 +257,8 @@ def _direct(world: World, met: Met, back: Vec, absorption: Colour | None, rules:
 
 
 def ray_tree_along(scene: Scene, *, rays: int, rule: Quadrature = DEFAULT_RULE) -> Along:
-    """Return `ray_tree_radiances` as a function of the rays of `photograph`.
+    """Return `ray_tree_radiances` as a function of a block of rays, in the form that `photograph`
+    calls.
 
     Args:
         scene, rays, rule: as in `ray_tree_radiance`.
@@ -274,8 +280,8 @@ def ray_traced(
 ) -> Image:
     """Render the radiance picture by ray trees.
 
-    Light that mirrors and glass send to other surfaces is missing, so objects behind a window are
-    dark: `transport.missing_light` names it.
+    Light that mirrors and glass cast onto other surfaces is missing, so objects behind a window are
+    dark. `transport.missing_light` lists this missing light.
 
     Args:
         scene: any scene; `Scene.ambient` is not added.

@@ -1,4 +1,5 @@
-"""Radiosity: diffuse surfaces divided into patches, and the light that they exchange.
+"""Radiosity: the light that diffuse surfaces exchange, computed on a division of the surfaces into
+patches.
 
 plan = plan_patches(scene, size=0.1)          chooses the number of patches, outside `jit`
 table = form_factor_table(scene, plan)        form factors, computed once for fixed geometry

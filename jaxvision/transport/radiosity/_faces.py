@@ -1,7 +1,9 @@
-"""The map from the unit square to the parts of each shape, and its inverse; lengths in m.
+"""The map from the unit square to each part of a shape (such as the side of a box), and its
+inverse; lengths in m.
 
-Quads and box sides are mapped by their edges, a disc by radius and angle, a sphere by polar angle
-and azimuth, and a triangle by collapsing one side of the square to its first vertex.
+The coordinates (u, v) of the square are positions along the edges for a quad or the side of a box,
+radius and angle for a disc, and polar angle and azimuth for a sphere. For a triangle, one side of
+the square is mapped to the first vertex.
 """
 
 from collections.abc import Sequence
@@ -42,7 +44,7 @@ def lengths(shape: Shape) -> list[tuple[float, float]]:
 
 
 def face_point(shape: Shape, part: int, u: Scalars, v: Scalars) -> Vec:
-    """Return the point, m, of a shape's part at (u, v) in the unit square. `u` and `v`
+    """Return the point, m, on a part of a shape at (u, v) in the unit square. `u` and `v`
     broadcast."""
     u, v = jnp.broadcast_arrays(u, v)
     match shape:
@@ -76,7 +78,7 @@ def side(shape: Quad | Box, part: int) -> tuple[Array, Array, Array]:
 
 
 def _half_sides(box: Box) -> list[Vec]:
-    """Return half of each side of a box as a vector, m."""
+    """Return the vectors, m, from the centre of a box to the middles of its three sides."""
     axes = jnp.eye(3, dtype=box.centre.dtype) if box.rotation is None else box.rotation
     return [as_vec(axes[k] * box.half_extents[k]) for k in range(3)]
 
@@ -84,8 +86,9 @@ def _half_sides(box: Box) -> list[Vec]:
 def face_place(
     shape: Shape, point: Vec, primitive: Int[Array, ""] | None
 ) -> tuple[Int[Array, ""], Scalar, Scalar]:
-    """Return (part, u, v) of a point of a shape, m: the inverse of `face_point`. `primitive`: the
-    triangle of a mesh. A point that rounding has moved off the surface is projected onto it."""
+    """Return (part, u, v) for a point of a shape, m, the inverse of `face_point`. `primitive` is
+    the triangle of a mesh. A point that is not exactly on the surface because of rounding is
+    projected onto it."""
     none = jnp.zeros((), jnp.int32)
     match shape:
         case Quad():
@@ -130,7 +133,7 @@ def _turn(x: Scalar, y: Scalar) -> Scalar:
 
 
 def _edge_coordinates(inside: Vec, u: Vec3, v: Vec3) -> tuple[Scalar, Scalar]:
-    """Return the coordinates of a point, in [0, 1], along two edges."""
+    """Return the coordinates in [0, 1] of a point in a parallelogram along its edges u and v."""
     area = cross(u, v)
     square = dot(area, area)
     inverse = reciprocal(square)

@@ -1,4 +1,5 @@
-"""The division of faces into cells: numbers, borders and neighbours. Nothing here has a unit."""
+"""The division of faces into grids of cells: the indices, borders and neighbours of the cells. All
+quantities in this file are dimensionless."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from ...core._types import Scalar, check_count
 
 
 class Face(NamedTuple):
-    """One side of a surface, and its grid of cells.
+    """One face of a surface, with its grid of cells.
 
     Attributes:
         surface: number of the surface in its scene.
@@ -35,7 +36,7 @@ class Face(NamedTuple):
 
 
 class Plan(Shown):
-    """The division of the surfaces of a scene.
+    """The division of the surfaces of a scene into patches and elements.
 
     Attributes:
         faces: all faces, surface by surface; static.
@@ -54,8 +55,8 @@ class Plan(Shown):
 
 
 def offsets_of(plan: Plan, *, split: int = 1) -> np.ndarray:
-    """Return the index of each face's first cell if every patch has split^2 cells, followed by the
-    total number of cells: (faces + 1,) whole numbers, no unit."""
+    """Return the index of the first cell of each face, followed by the total number of cells:
+    (faces + 1,) whole numbers, no unit. Every patch has split^2 cells."""
     sizes = [face.rows * face.columns * split**2 for face in plan.faces]
     return np.cumsum([0, *sizes])
 
@@ -71,14 +72,15 @@ def parents_of(plan: Plan) -> np.ndarray:
 
 
 def parents_in(face: Face, split: int) -> np.ndarray:
-    """For each grid cell of one face, return the index of its patch, counted from the face's first
+    """Return, for each grid cell of one face, the index of its patch, relative to the face's first
     patch."""
     rows, columns = (np.arange(count * split) // split for count in (face.rows, face.columns))
     return (rows[:, None] * face.columns + columns).reshape(-1)
 
 
 def refined(plan: Plan, split: int) -> Plan:
-    """Return the plan whose patches are the elements of `plan`. Each has split^2 elements."""
+    """Return a finer plan, whose patches are the elements of `plan`, and in which each patch has
+    split^2 elements."""
     faces = [
         face._replace(rows=face.rows * plan.split, columns=face.columns * plan.split)
         for face in plan.faces
@@ -87,8 +89,8 @@ def refined(plan: Plan, split: int) -> Plan:
 
 
 def surfaces_of(plan: Plan, *, split: int = 1) -> np.ndarray:
-    """Return the index of each cell's surface if every patch has split^2 cells, (cells,), no
-    unit."""
+    """Return the index of the surface of each cell, (cells,), no unit. Every patch has split^2
+    cells."""
     return np.repeat([face.surface for face in plan.faces], np.diff(offsets_of(plan, split=split)))
 
 
@@ -102,13 +104,14 @@ def borders(count: int, graded: bool) -> np.ndarray:
 def around_place(
     plan: Plan, covered: Bool[Array, " elements"], face: Int[Array, ""], u: Scalar, v: Scalar
 ) -> tuple[Int[Array, " 4"], Float[Array, " 4"]]:
-    """Return the element at a position (u, v) of a face and three neighbours, with their bilinear
-    weights, no unit. The weights sum to 1, or to 0 if all four elements are covered.
+    """Return four elements around a position (u, v) of a face, with weights for bilinear
+    interpolation, no unit: the element that contains the position, and three neighbours. The
+    weights sum to 1, or to 0 if all four elements are covered.
 
-    The neighbours are those nearest to the position. If these are `covered`, or the face ends, the
-    opposite neighbours are used and the weights extrapolate by at most half a cell. The cells of
-    discs and spheres continue around the axis. If the position's own element is covered, the
-    uncovered neighbours share its weight.
+    The neighbours on the side nearer to the position are used. If these are `covered`, or the face
+    ends there, the neighbours on the opposite side are used, and the weights extrapolate by at most
+    half a cell. The cells of discs and spheres continue around the axis. If the element at the
+    position is covered, its weight is divided among the uncovered neighbours.
     """
     firsts = offsets_of(plan, split=plan.split)[:-1]
     counts = [(f.rows * plan.split, f.columns * plan.split) for f in plan.faces]
@@ -129,7 +132,8 @@ def around_place(
     def neighbour(
         share: Scalar, barred: Callable[[Int[Array, ""]], Bool[Array, ""]]
     ) -> tuple[Int[Array, ""], Scalar]:
-        """Return the step to the neighbouring cell, and the weight of that cell."""
+        """Return the step (1 or -1) to the neighbouring cell along one axis, and the weight of that
+        cell."""
         step = jnp.where(share < 0, -1, 1)
         ahead, behind = barred(step), barred(-step)
         away = jnp.where(behind, 0, -jnp.abs(share))

@@ -1,4 +1,4 @@
-"""The form factor from a point to a near or a far polygon. For ONE pair; lengths in m."""
+"""The form factor from a surface element to a polygon, near or far, for one pair; lengths in m."""
 
 from collections.abc import Iterable, Sequence
 from typing import TypeVar
@@ -22,7 +22,8 @@ FAR = 5.0
 
 
 def is_far(point: Vec, corners: Polygon, *, reach: float = FAR) -> Bool[Array, ""]:
-    """Whether the point is farther from the polygon, corners in m, than `reach` polygon sizes."""
+    """Return whether a point is farther from a polygon (corners in m) than `reach` times the
+    polygon's size."""
     a, b, c, d = (corner - point for corner in corners)
     four, one, other = a + b + c + d, c - a, d - b
     square = jnp.maximum(dot(one, one), dot(other, other)) / 2
@@ -30,7 +31,8 @@ def is_far(point: Vec, corners: Polygon, *, reach: float = FAR) -> Bool[Array, "
 
 
 def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
-    """Return the form factor of `point_to_polygon` by the contour integral alone; lengths in m."""
+    """Return the form factor of `point_to_polygon` by the contour integral, accurate for near
+    polygons; lengths in m."""
     around = [corner - point for corner in corners]
     scale = 1 / largest_coordinate(around)
     around = fuse([corner * scale for corner in around])
@@ -44,8 +46,8 @@ def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
 
 def far_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     """Return the form factor of `point_to_polygon` by 2 x 2 Gauss-Legendre nodes on the bilinear
-    patch of the corners, m. The relative error is about .03 (s / d)^4 for a polygon of size s at
-    distance d."""
+    patch between the corners, m, accurate for far polygons. The relative error is about .03 (s /
+    d)^4 for a polygon of size s at distance d."""
     total = jnp.zeros_like(point.x)
     for s, t, weight in square_places(2, total.dtype):
         place, area = polygon_point(corners, s, t)
@@ -57,8 +59,8 @@ def far_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
 
 
 def polygon_point(corners: Polygon, s: Scalar, t: Scalar) -> tuple[Vec, Vec]:
-    """Return the point, m, of the bilinear patch of the corners at (s, t) in the unit square, and
-    the patch's vector area there per unit area of the square, m^2."""
+    """Return the point, m, at (s, t) in the unit square of the bilinear patch between four corners,
+    and the vector area of the patch there per unit area of the square, m^2."""
     a, b, c, d = corners
     twist = (c - d) - (b - a)
     along, across = (b - a) + t * twist, (d - a) + s * twist

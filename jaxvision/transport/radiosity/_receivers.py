@@ -1,7 +1,8 @@
-"""The parts of a plan's elements that receive light, because no other body covers them.
+"""The parts of a plan's elements that receive light, because they are not inside another body.
 
-Each element is divided once more, into parts. Its direct irradiance is the mean over its parts, so
-that an element with a shadow edge gets its lit share. Lengths in m.
+Each element is divided further into parts. The direct irradiance of an element is the mean over its
+parts, so that an element that a shadow edge crosses receives light in proportion to its lit area.
+Lengths are in m.
 """
 
 import equinox as eqx
@@ -22,8 +23,9 @@ _LEAST = 1e-3  # fraction of an element's area, far smaller than a part
 
 
 class Receivers(eqx.Module):
-    """The patches of a plan, their elements and parts. Covered elements and parts have no area. A
-    partly covered element has the area of its uncovered part, and its centre is uncovered."""
+    """The patches of a plan, their elements, and the parts of the elements. An element or part that
+    is covered by another body has the area 0. A partly covered element has the area of its
+    uncovered parts, and its centre is moved to an uncovered point."""
 
     patches: Patches
     elements: Patches
@@ -32,7 +34,7 @@ class Receivers(eqx.Module):
 
 def receivers_of(scene: Scene, plan: Plan, shapes: Sorted) -> Receivers:
     """Return the patches of a plan, their elements, and the parts of the elements; lengths in m.
-    `shapes`: the shapes of the scene."""
+    `shapes` are the sorted shapes of the scene."""
     splits = (1, plan.split, plan.split * _PARTS)
     patches, elements, parts = patches_at(scene, plan, splits)
     covered = _covered(scene, parts, shapes)
@@ -60,13 +62,13 @@ def receivers_of(scene: Scene, plan: Plan, shapes: Sorted) -> Receivers:
 def mean_of_parts(
     values: Float[Array, "parts n"], parts: Patches, plan: Plan
 ) -> Float[Array, "elements n"]:
-    """Return the mean of the values over the parts of each element, in their unit."""
+    """Return the mean of values over the parts of each element, in the unit of the values."""
     return by_patch(values, parts, refined(plan, _PARTS))
 
 
 def _covered(scene: Scene, patches: Patches, shapes: Sorted) -> Bool[Array, " patches"]:
-    """Whether a ray along each patch's normal meets the back of a surface, so that the patch lies
-    inside a body."""
+    """Return whether each patch lies inside a body, which is so if the ray along its normal hits
+    the back of a surface."""
     two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
 
     def at(point: Vec, normal: Vec) -> Bool[Array, ""]:

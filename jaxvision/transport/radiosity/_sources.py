@@ -1,6 +1,7 @@
-"""Tables of the reflectances and emissions of a scene's surfaces, and direct light from its lights.
+"""Tables of the reflectances and emissions of a scene's surfaces, and the direct irradiance from
+its lights.
 
-Emission in W m^-2 sr^-1, irradiance in W m^-2, lengths in m.
+Emission is in W m^-2 sr^-1, irradiance in W m^-2, lengths are in m.
 """
 
 from collections.abc import Sequence
@@ -32,7 +33,8 @@ def diffuse_of(scene: Scene, like: Array) -> Table:
 
 
 def emission_of(scene: Scene, like: Array) -> Table:
-    """Return the emission of each surface (0 if it has none), broadcast to the bands of `like`."""
+    """Return the emission of each surface (0 for a surface that emits no light), broadcast to the
+    bands of `like`."""
     nothing = jnp.zeros(1, like.dtype)
     values = [surface.emission for surface in scene.surfaces]
     return _stacked([nothing if value is None else value for value in values], like)
@@ -44,12 +46,12 @@ def _stacked(values: Sequence[Array], like: Array) -> Table:
 
 
 def shapes_of(scene: Scene) -> Sorted:
-    """Prepare all shapes, m, for many rays."""
+    """Return all shapes of a scene, m, sorted for intersection with many rays."""
     return materialise(sorted_shapes, [surface.shape for surface in scene.surfaces])
 
 
 def largest_of(shapes: Sorted) -> Scalar:
-    """Return the largest coordinate of all shapes, m; raise `ValueError` if there are none."""
+    """Return the largest coordinate of all shapes, m. Raise `ValueError` if there are no shapes."""
     if shapes.size is None:
         raise ValueError("radiosity needs at least one surface, got none.")
     return shapes.size
@@ -57,7 +59,7 @@ def largest_of(shapes: Sorted) -> Scalar:
 
 def sources_of(scene: Scene, size: Scalar) -> list[Light]:
     """Return the lights of a scene, and its emissive quads as rectangular lights slightly above
-    their surfaces. `size`: m, the largest coordinate of all shapes."""
+    their surfaces. `size` is the largest coordinate of all shapes, m."""
     lights = list(scene.lights)
     for surface in scene.surfaces:
         if surface.emission is None or not isinstance(surface.shape, Quad):
@@ -74,9 +76,10 @@ def sources_of(scene: Scene, size: Scalar) -> list[Light]:
 def irradiance_at(
     lights: Sequence[Light], shapes: Shapes, point: Vec, normal: Vec, rules: Sequence[Rule]
 ) -> Colour:
-    """Return the direct irradiance of one point, (bands,), with shadows. For a rectangle it is the
-    exact contour integral times the visible share, which the sampling rule estimates. The rule
-    matters only in penumbras, where visibility has no gradient."""
+    """Return the direct irradiance of one point, (bands,), with shadows. For a rectangular light
+    the irradiance is the exact contour integral times the visible share of the light, which the
+    sampling rule estimates. The rule therefore matters only in penumbras. Visibility has no
+    gradient."""
     total = jnp.zeros(1, point.x.dtype)
     for _, group, rule in lights_by_rule(lights, rules):
 
@@ -95,7 +98,8 @@ def irradiance_at(
 def _sum_nodes(
     light: Light, shapes: Shapes, point: Vec, normal: Vec, rule: Rule
 ) -> tuple[Colour, Colour]:
-    """Return two sums of irradiance over the nodes of a light: without shadows, and with them."""
+    """Return the irradiance from a light, as a sum over the nodes of a rule, without shadows and
+    with shadows."""
     dtype = point.x.dtype
 
     def node_sum(node: tuple[Array, Array]) -> tuple[Colour, Colour]:

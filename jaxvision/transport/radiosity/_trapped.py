@@ -1,5 +1,5 @@
-"""A check for light that is trapped between surfaces without absorption, so that there is no
-equilibrium."""
+"""A check for light that is trapped between surfaces without absorption, for which the radiosity
+equation has no solution."""
 
 import numpy as np
 from jaxtyping import Float
@@ -17,8 +17,9 @@ def trapping_surface(
     albedo: Float[np.ndarray, "surfaces bands"],
     plan: Plan,
 ) -> int | None:
-    """Return the first surface whose light is reflected, in some band, only between white surfaces
-    of a room from which less than 2e-3 of the light escapes.
+    """Return the first surface that traps light in some band. This is so if it and all surfaces
+    that it exchanges light with are white, and less than 2e-3 of the light escapes from between
+    them.
 
     Args:
         table: (elements, patches) form factors, no unit.

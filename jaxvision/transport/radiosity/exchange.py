@@ -1,9 +1,9 @@
 """The table of form factors between the patches of a scene, and two checks of it (closure and
 reciprocity).
 
-A row of the table belongs to a receiving element, and a column to a sending patch. An entry is F
-from the element's centre to the patch by `point_to_polygon`, times the share of the patch that
-shadow rays reach. For fixed geometry the table is computed once, for any colours.
+A row of the table belongs to a receiving element, and a column to a sending patch. An entry is the
+form factor from the centre of the element to the patch (`point_to_polygon`), times the share of the
+patch that shadow rays reach. As long as the geometry is fixed, one table serves for any colours.
 """
 
 from collections.abc import Callable
@@ -48,10 +48,10 @@ def form_factor_table(
 ) -> Float[Array, "rows patches"]:
     """Compute the form factor from each element to each patch of a plan.
 
-    Elements receive at their centres, or at an uncovered point if they are partly covered.
-    Reciprocity is accurate to 2 % of the largest exchange in a cube of 3 x 3 patches per wall,
-    split by 2, and better with a finer split. Gradients with respect to the geometry are those of
-    the unoccluded factors: visibility has none.
+    Form factors are computed at the centre of an element, or at an uncovered point of it if it is
+    partly covered. In a cube with 3 x 3 patches per wall and a split of 2, reciprocity is violated
+    by at most 2 % of the largest exchange, and by less with a finer split. Gradients with respect
+    to the geometry are those of the unoccluded factors, because visibility has no gradient.
 
     Args:
         scene: the scene of the plan.
@@ -90,11 +90,12 @@ def exchanged(
     rays: int = 1,
     elements: Int[Array, " rows"] | None = None,
 ) -> Float[Array, "rows bands"]:
-    """Return the irradiance of each element from all patches, `form_factor_table(...) @ sent`. Only
-    `TILE` by `TILE` factors are in memory at a time. Each call recomputes all factors.
+    """Return the irradiance of each element from all patches, `form_factor_table(...) @ sent`,
+    without storing the table. Only `TILE` by `TILE` factors are in memory at a time, and each call
+    recomputes all factors.
 
-    Use it if the table is too large for memory. The sum over patches is taken tile by tile, so the
-    result equals that of the table up to rounding.
+    Use this function if the table is too large for memory. The sum over patches is computed tile by
+    tile, so the result equals that with the table up to rounding.
 
     Args:
         scene, plan, rays, elements: as in `form_factor_table`.
@@ -124,8 +125,8 @@ def exchanged(
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Elements and patches in tiles, the numbers of elements and of patches, and the function that
-    computes the factors between two tiles, (TILE, TILE)."""
+    """The elements and patches of a plan in tiles, their numbers, and the function that computes
+    the form factors between two tiles, (TILE, TILE)."""
 
     receivers: Tile
     senders: Tile
@@ -171,9 +172,9 @@ def _pairs_of(scene: Scene, plan: Plan, rays: int, elements: Array | None) -> _P
 
 
 def _in_tiles(patches: Patches, numbers: Int[Array, " patches"]) -> Tile:
-    """Divide patches and their indices into tiles; the last patch is repeated to fill the last
-    tile. All real numbers are in one array and all whole numbers in another, because each separate
-    array adds to the compiled code."""
+    """Divide patches and their indices into tiles. The last patch is repeated to fill the last
+    tile. All real numbers are stored in one array and all integers in another, because every
+    further array makes the compiled code longer."""
     count = len(patches.area)
     tiles = np.minimum(np.arange(-(-count // TILE) * TILE), count - 1).reshape(-1, TILE)
     leaves = jax.tree.leaves(patches)
@@ -192,10 +193,10 @@ def _unpacked(tile: Tile, like: Patches) -> Numbered:
 
 
 def _far_factor(rounding: Scalar, receiver: Numbered, sender: Numbered) -> Scalar:
-    """Return the far-field factor. It is -1 if the patch is too near, and 0 if the element is less
-    than `rounding`, m, in front of the patch, where the contour integral is noise. The result is
-    one number instead of a number and a flag, because XLA may compute these two with different
-    rounding, and a pair could then count as neither near nor far."""
+    """Return the form factor by the far-field quadrature, or -1 if the patch is too near for it.
+    The result is 0 if the element is less than `rounding`, m, in front of the patch, where the
+    contour integral is dominated by rounding errors. The value -1 replaces a separate flag, because
+    XLA may round differently for factor and flag, and a pair could then be neither near nor far."""
     element, patch = receiver[0], sender[0]
     above = [dot(element.normal, corner - element.centre) > 0 for corner in patch.corners]
     front = dot(patch.normal, element.centre - patch.centre) > rounding
@@ -216,7 +217,8 @@ _SEED = np.array([0x9E3779B9, 0x7F4A7C15], np.uint32)
 def _visible_part(
     element: Patches, patch: Patches, stream: Stream, rays: int, shapes: Sorted
 ) -> Scalar:
-    """Return the fraction of unblocked rays from the centre of an element to points of a patch."""
+    """Return the visible fraction of a patch: the share of rays from the centre of an element to
+    points of the patch that no shape blocks."""
     start = element.centre + element.bulge * element.normal
     size = 4 * largest_of(shapes)
     shift = uniforms(stream, 0, element.area.dtype)[:2]
@@ -236,9 +238,9 @@ def _visible_part(
 def _place_above(
     element: Patches, patch: Patches, shift: Float[Array, "2"], ray: Int[Array, ""]
 ) -> Vec:
-    """Return the point of a patch, m, at which ray number `ray` aims. It lies above the horizon of
-    the element if one of `_TRIES` points does. The form factor counts only the part of the patch
-    above the horizon, so the visible fraction must do the same."""
+    """Return the point of a patch, m, to which shadow ray number `ray` is traced. Among `_TRIES`
+    points, one above the element's horizon is chosen, if there is one. The form factor includes
+    only the part of the patch above the horizon, so the visible fraction must do the same."""
     above = [dot(element.normal, corner - element.centre) for corner in patch.corners]
     rise = patch.bulge * dot(element.normal, patch.normal)
 
@@ -256,7 +258,7 @@ def _place_above(
 
 @takes_numbers
 def closure_error(table: Float[Array, "n patches"]) -> Float[Array, " n"]:
-    """Return the sum of each row of a table of form factors, minus 1.
+    """Return the closure error of a table of form factors: the sum of each row, minus 1.
 
     Args:
         table: (n, patches), no unit.
@@ -277,7 +279,8 @@ def closure_error(table: Float[Array, "n patches"]) -> Float[Array, " n"]:
 def reciprocity_error(
     table: Float[Array, "patches patches"], area: Float[Array, " patches"]
 ) -> Float[Array, "patches patches"]:
-    """Return A_i F_ij - A_j F_ji for areas A and form factors F; it is 0 for exact factors.
+    """Return the reciprocity error A_i F_ij - A_j F_ji for areas A and form factors F, which is 0
+    for exact factors.
 
     Args:
         table: (patches, patches), no unit.

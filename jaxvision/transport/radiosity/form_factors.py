@@ -2,11 +2,12 @@
 
     F_ij = 1 / A_i integral over A_i and A_j of cos_i cos_j / (pi d^2)
 
-There are closed forms for rectangles with sides parallel to common axes, the contour integral for a
-polygon seen from a point, and quadrature over one of two polygons. d is the distance between two
-points of the surfaces. Lengths are in m, exchange areas A_i F_ij in m^2, and form factors have no
-unit. Occlusion is ignored. Closed forms are exact to rounding and reciprocal. Each other function
-states its error. For ONE pair: the caller vmaps.
+A is an area, d the distance between two points of the surfaces, and cos_i and cos_j are the cosines
+at these points. Rectangles with sides parallel to common axes have closed forms. The form factor
+from a point to a polygon is a contour integral, and that between two polygons is a quadrature over
+one of them. Lengths are in m, exchange areas A_i F_ij in m^2, and form factors have no unit.
+Occlusion is ignored. Closed forms are reciprocal, and exact up to rounding. Every other function
+states its error. All functions are for one pair; use `jax.vmap` for many.
 """
 
 from functools import partial
@@ -42,7 +43,8 @@ _LARGEST = 1e8  # largest ratio of side to distance, whose square does not overf
 def parallel_rectangles(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
     """Return the form factor F between two equal rectangles that face each other.
 
-    F is a sum of positive terms and keeps full precision down to the sizes below.
+    The form factor is computed as a sum of positive terms, with full precision down to the sizes
+    below.
 
     Args:
         width, height: () m each, of both rectangles; sides beyond 1e8 gaps count as 1e8.
@@ -72,7 +74,7 @@ def _facing(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
 
 @_facing.defjvp
 def _facing_jvp(primals, tangents):
-    """Differentiate `_facing` by means of t = x dF / d ln x, which is bounded and free of
+    """Differentiate `_facing` in terms of t = x dF / d ln x, which is bounded and has no
     cancellation, unlike the derivative of the quotient."""
     (width, height, gap), (d_width, d_height, d_gap) = primals, tangents
     x, y = (_ratio(side, gap) for side in (width, height))
@@ -83,9 +85,9 @@ def _facing_jvp(primals, tangents):
 
 
 def _steepness(x: Scalars, y: Scalars) -> Scalars:
-    """Return x^2 dF / dx for the form factor F of `parallel_rectangles`, with x and y the sides
-    over the gap and s^2 = 1 + x^2: 2 / pi (arctan(y) - arctan(y / s) / s - ln[(1 + x^2)(1 + y^2) /
-    (1 + x^2 + y^2)] / 2 y)"""
+    """Return x^2 dF / dx for the form factor F of `parallel_rectangles`. With x and y the sides
+    divided by the gap and s^2 = 1 + x^2, it is 2 / pi (arctan(y) - arctan(y / s) / s - ln[(1 +
+    x^2)(1 + y^2) / (1 + x^2 + y^2)] / 2 y)"""
     square = x * x
     s = jnp.sqrt(1 + square)
     longer = square / (1 + s)  # s - 1
@@ -98,8 +100,8 @@ def _steepness(x: Scalars, y: Scalars) -> Scalars:
 def perpendicular_rectangles(edge: Scalar, width: Scalar, other: Scalar) -> Scalar:
     """Return the form factor F between two rectangles that meet at a right angle in a common edge.
 
-    The terms are arranged without cancellation for any ratio of the sides. By reciprocity `width` F
-    = `other` F', with F' the form factor in the opposite direction.
+    The terms are arranged so that they do not cancel for any ratio of the sides. By reciprocity,
+    `width` F = `other` F', where F' is the form factor in the opposite direction.
 
     Args:
         edge: () m, the common edge; sides beyond 1e8 edges count as 1e8.
@@ -124,10 +126,10 @@ def _meeting(edge: Scalar, width: Scalar, other: Scalar) -> Scalar:
 
 @_meeting.defjvp
 def _meeting_jvp(primals, tangents):
-    """Differentiate `_meeting`. The derivative with respect to ln h comes from `_rise`, that with
-    respect to the logarithm of the edge from the logarithms of `_hinged`. That with respect to ln w
-    is minus the sum of both, because F depends on ratios only. All terms of a sum have the same
-    sign, so nothing cancels."""
+    """Differentiate `_meeting`. The derivative with respect to ln h is computed from `_rise`, and
+    the derivative with respect to the logarithm of the edge from the logarithms in `_hinged`. The
+    derivative with respect to ln w is minus the sum of these two, because F depends only on ratios.
+    All terms of a sum have the same sign, so nothing cancels."""
     (edge, width, other), (d_edge, d_width, d_other) = primals, tangents
     w, h = (_ratio(side, edge) for side in (width, other))
     w2, h2 = w * w, h * h
@@ -142,7 +144,7 @@ def _meeting_jvp(primals, tangents):
 
 def _rise(h: Scalars, w: Scalars) -> Scalars:
     """Return the derivative of `_hinged` with respect to h, acot(h) - h acot(S) / S + h ln(1 - c) /
-    2, in the symbols given there."""
+    2, with S and c as in `_hinged`."""
     s = safe_sqrt(w * w + h * h)
     longer = w * divide(w, s + h, s > 0)  # S - h
     angle = arctan2(jnp.ones_like(s), s)
@@ -151,14 +153,14 @@ def _rise(h: Scalars, w: Scalars) -> Scalars:
 
 
 def _ratio(side: Scalars, unit: Scalars) -> Scalars:
-    """Return side / unit clipped to [0, _LARGEST]; NaN for NaN."""
+    """Return the ratio side / unit, clipped to [0, _LARGEST]; NaN if either is NaN."""
     fits = ~(side >= _LARGEST * unit)
     return divide(jnp.maximum(side, 0), unit, fits, _LARGEST)
 
 
 def _opposed(x: Scalars, y: Scalars) -> Scalars:
-    """Return ln[(1 + x^2)(1 + y^2) / (1 + x^2 + y^2)] / 2 + x g(x, y) + y g(y, x) with g from
-    `_gain`; each term is >= 0."""
+    """Return the sum in the form factor of parallel rectangles, ln[(1 + x^2)(1 + y^2) / (1 + x^2 +
+    y^2)] / 2 + x g(x, y) + y g(y, x), where g is `_gain`. Each term is >= 0."""
     area = x * y
     return log1p(area * (area / (1 + x * x + y * y))) / 2 + x * _gain(x, y) + y * _gain(y, x)
 
@@ -168,9 +170,9 @@ _TERMS = 7, 16  # terms of the series in float32 and in float64
 
 
 def _gain(x: Scalars, y: Scalars) -> Scalars:
-    """Return s arctan(x / s) - arctan(x) with s = sqrt(1 + y^2), for x >= 0. The difference of both
-    angles is computed as one angle, and s - 1 as a quotient. For a small x the result is the sum
-    over j >= 0 of
+    """Return s arctan(x / s) - arctan(x) with s = sqrt(1 + y^2), for x >= 0. To avoid cancellation,
+    the difference of the two angles is computed as one angle, and s - 1 as a quotient. For a small
+    x the result is computed as the sum over j >= 0 of
 
         x^3 (1 - s^-2) (-x^2)^j (1 + s^-2 + ... + s^-2j) / (2 j + 3).
     """
@@ -189,9 +191,9 @@ def _gain(x: Scalars, y: Scalars) -> Scalars:
 
 
 def _hinged(w: Scalars, h: Scalars) -> Scalars:
-    """Return pi w F of Howell's C-14, which is symmetric in w and h. With w the shorter side,
-    S^2 = w^2 + h^2, a = w^2 h^2 / (1 + S^2), b = h^2 / (S^2 (1 + w^2)) and c = w^2 / (S^2 (1 +
-    h^2)), it is
+    """Return pi w F for the form factor F of Howell's C-14, which is symmetric in w and h. With w
+    the shorter side, S^2 = w^2 + h^2, a = w^2 h^2 / (1 + S^2), b = h^2 / (S^2 (1 + w^2)) and c =
+    w^2 / (S^2 (1 + h^2)), it is
 
     w acot(w) + h acot(h) - S acot(S)
         + [ln(1 + a) + w^2 ln(1 - b) + h^2 ln(1 - c)] / 4.
@@ -208,14 +210,15 @@ def _hinged(w: Scalars, h: Scalars) -> Scalars:
 
 
 def _log_of_side(w: Scalars, h: Scalars) -> Scalars:
-    """Return ln(1 - b) of `_hinged`, with b = h^2 / (S^2 (1 + w^2))."""
+    """Return ln(1 - b) with b = h^2 / (S^2 (1 + w^2)) and S^2 = w^2 + h^2, a term of `_hinged`."""
     w2, h2 = w * w, h * h
     square = or_one(w2 + h2, w2 + h2 > 0)
     return _log_remaining(h2 / square / (1 + w2), (w2 / (1 + w2)) * ((1 + w2 + h2) / square))
 
 
 def _log_remaining(lost: Scalars, remaining: Scalars) -> Scalars:
-    """Return log(1 - lost) = log(remaining), from the more precise of the two arguments."""
+    """Return log(1 - lost) = log(remaining), computed from the argument that gives the more precise
+    result."""
     small = lost < 0.5
     return jnp.where(small, log1p(-jnp.minimum(lost, 0.75)), safe_log(remaining))
 
@@ -227,13 +230,13 @@ def parallel_exchange(
     """Return A_1 F_12 = A_2 F_21 between rectangles in parallel planes that face each other, with
     sides along the axes x and y.
 
-    The result is a sum of second differences of the function behind Howell's C-11. These lose
-    precision if a rectangle is small compared with the other or with the distance. Then
-    Gauss-Legendre nodes of the smaller rectangle are used, with the contour or the nodes of the
-    other. The errors were measured for 400 random
-    pairs, each at most ten times as long as wide and one up to 1000 times as large as the other.
-    Factors above 1e-3 had relative errors of at most 4e-4 in float32 and 2e-10 in float64, and nine
-    of ten of at most 3e-6 and 1e-12. Strips of a thousandth of their length have larger errors.
+    The result is a sum of second differences of the function in Howell's C-11. These differences
+    lose precision if a rectangle is small compared with the other or with the distance. Then
+    Gauss-Legendre nodes on the smaller rectangle are used, with the contour integral of the other
+    rectangle or with nodes on it. Errors were measured for 400 random pairs of rectangles, at most
+    ten times as long as wide, and one up to 1000 times as large as the other. Form factors above
+    1e-3 had relative errors of at most 4e-4 in float32 and 2e-10 in float64; nine in ten had at
+    most 3e-6 and 1e-12. Strips 1000 times as long as wide have larger errors.
 
     Args:
         first, second: (2, 2) m, rows x and y, columns start and end of the side.
@@ -259,8 +262,8 @@ def perpendicular_exchange(first: Float[Array, "2 2"], second: Float[Array, "2 2
     """Return A_1 F_12 = A_2 F_21 between rectangles in planes that meet at a right angle, with
     sides along the line in which the planes meet and across it.
 
-    The result is a sum of differences of the function behind Howell's C-14, or uses Gauss-Legendre
-    nodes. It is as accurate as `parallel_exchange`.
+    The result is a sum of differences of the function in Howell's C-14, or is computed by
+    Gauss-Legendre nodes. The result is as accurate as that of `parallel_exchange`.
 
     Args:
         first, second: (2, 2) m, rows along the common line and away from it, columns start and end
@@ -311,10 +314,11 @@ def _corners(sides: Float[Array, "2 2"], z: Scalar, *, upward: bool) -> Polygon:
 
 
 def _surest(terms: Array, first: Array, second: Array, corners: tuple[Polygon, Polygon]) -> Scalar:
-    """Return the candidate with the smallest error, m^2. The candidates are the sum of the terms,
-    which has rounding errors; the contour integral of the larger rectangle, seen from nodes of the
-    smaller one; and nodes of both, whose terms are positive. Nodes are not used if their spacing is
-    larger than the distance between the rectangles."""
+    """Return the exchange area, m^2, by the method with the smallest estimated error. The three
+    methods are the sum of `terms`, which has rounding errors; the contour integral of the larger
+    rectangle, evaluated at nodes of the smaller one; and nodes on both rectangles, whose
+    contributions are positive. Nodes are not used if their spacing is larger than the distance
+    between the rectangles."""
     smaller = _area(first) <= _area(second)
     small, large = (
         jax.tree.map(partial(jnp.where, which), *corners) for which in (smaller, ~smaller)
@@ -352,13 +356,14 @@ def _clearance(first: Polygon, second: Polygon) -> Scalar:
 
 
 def _extrapolate(before: Scalar, last: Scalar) -> Scalar:
-    """Return the step after `before` and `last`, extrapolated as a geometric series; at most
-    `last`."""
+    """Return an estimate of the next step of a converging sequence after the steps `before` and
+    `last`, extrapolated as a geometric series; at most `last`."""
     return last * jnp.minimum(divide(last, before, before > 0), 1)
 
 
 def _gauss_exchange(first: Polygon, second: Polygon, order: int) -> Scalar:
-    """Return the exchange area A_1 F_12, m^2, from `order`^4 pairs of Gauss-Legendre nodes."""
+    """Return the exchange area A_1 F_12, m^2, by `order`^2 Gauss-Legendre nodes on each
+    rectangle."""
     nodes, weights = square_nodes(order)
     s, t = jnp.asarray(nodes, first[0].x.dtype).T
     (place, patch), (other, facing) = (
@@ -374,7 +379,7 @@ def _gauss_exchange(first: Polygon, second: Polygon, order: int) -> Scalar:
 
 
 class Exchange(Shown):
-    """A form factor and its error.
+    """A form factor, and an estimate of its error.
 
     Attributes:
         value: () form factor, no unit.
@@ -388,9 +393,10 @@ class Exchange(Shown):
 def point_to_polygon(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     """Return the form factor F from a surface element to a polygon.
 
-    F is Lambert's contour integral, exact for flat convex polygons. Its relative rounding error is
-    some 15 eps (d / s)^2 for a polygon of size s at distance d. Beyond 5 sizes in float32 and 144
-    in float64, the 2 x 2 Gauss-Legendre nodes of `far_factor` are more accurate and replace it;
+    The form factor is Lambert's contour integral, which is exact for flat convex polygons. The
+    relative rounding error of the integral is about 15 eps (d / s)^2, where s is the size of the
+    polygon, d its distance and eps the machine epsilon. Beyond d / s = 5 in float32 and 144 in
+    float64, the 2 x 2 Gauss-Legendre nodes of `far_factor` are more accurate and are used instead;
     their error is about .03 (s / d)^4. The largest relative error is 1e-4 in float32 and 1e-10 in
     float64.
 

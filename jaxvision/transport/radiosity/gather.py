@@ -1,8 +1,9 @@
-"""The radiance of a solved scene along one ray, or in a whole picture.
+"""The radiance of a scene along a ray, or in a whole picture, from its radiosity solution.
 
-Radiance in W m^-2 sr^-1, irradiance in W m^-2, lengths in m. Direct light is computed again for
-each point, with shadows. Light from other surfaces is interpolated between the elements, or
-gathered: a final gather sends rays from the point and looks up the light where they arrive.
+Radiance is in W m^-2 sr^-1, irradiance in W m^-2, lengths are in m. Direct light is recomputed for
+each point, with shadows. Light from other surfaces is interpolated between the elements of the
+solution, or computed by a final gather. A final gather traces rays from the point, and uses the
+solution where they hit other surfaces.
 """
 
 from collections.abc import Sequence
@@ -97,7 +98,8 @@ def radiosity_rays(
     rule: Rule = DEFAULT_RULE,
     gather: MonteCarlo | None = None,
 ) -> Along:
-    """Return `radiosity_along` as a function of the rays of `photograph`.
+    """Return `radiosity_along` as a function of a block of rays, in the form that `photograph`
+    calls.
 
     Args:
         scene, plan, solution, rule, gather: as in `radiosity_along`; random rules draw anew for
@@ -164,10 +166,10 @@ def _image(
 
 
 class _Enclosure(NamedTuple):
-    """A solved scene, prepared once for all rays.
+    """A scene with its radiosity solution, prepared once for all rays.
 
-    `groups`: the shapes by structure. `sources`: the lights and the quads that emit. `diffuse`
-    sr^-1, `emission` W m^-2 sr^-1 and `two_sided`: for each surface.
+    `groups` are the shapes, grouped by structure. `sources` are the lights and the emissive quads.
+    `diffuse` (sr^-1), `emission` (W m^-2 sr^-1) and `two_sided` have one entry for each surface.
     """
 
     plan: Plan
@@ -197,8 +199,9 @@ def _enclosure_of(scene: Scene, plan: Plan, solution: Solution) -> _Enclosure:
 
 
 class _Met(eqx.Module):
-    """The hit of a ray: its point, the normal on the side of the ray, the number of the surface,
-    whether this side is the front, and the neighbouring elements with their weights."""
+    """The point where a ray hits a surface, the normal on the side of the ray, the index of the
+    surface, whether this side is the front, and the surrounding elements with their interpolation
+    weights."""
 
     distance: Scalar
     point: Vec
@@ -247,7 +250,8 @@ def _meet(enclosure: _Enclosure, ray: Ray) -> _Met:
 
 
 def _gathered(enclosure: _Enclosure, met: _Met, gather: MonteCarlo) -> Colour:
-    """Return the irradiance as the mean over rays with cosine density."""
+    """Return the irradiance from other surfaces, as a mean over rays with cosine-distributed
+    directions."""
     sent = enclosure.solution.sent
     frame, size = local_frame(met.normal), enclosure.shapes.size
 
@@ -270,7 +274,7 @@ def _around(
     encounter: Encounter,
     behind: Bool[Array, ""],
 ) -> tuple[Int[Array, " 4"], Float[Array, " 4"]]:
-    """Return the elements around a hit and their weights."""
+    """Return the four elements around a hit, and their interpolation weights."""
     zero = jnp.zeros((), jnp.int32)
     place = zero, jnp.zeros_like(hit.distance), jnp.zeros_like(hit.distance)
     for members, group in enclosure.groups:
@@ -291,5 +295,5 @@ def _around(
 
 
 def _interpolated(values: Float[Array, "elements bands"], met: _Met) -> Colour:
-    """Interpolate spectra between the elements around a hit; negative results become 0."""
+    """Interpolate spectra between the elements around a hit, and set negative results to 0."""
     return jnp.maximum((met.weights[:, None] * values[met.around]).sum(axis=0), 0)

@@ -1,10 +1,10 @@
-"""Surfaces divided into small flat patches, with a grid of rows and columns on each face.
+"""The division of surfaces into small flat patches, by a grid of rows and columns on each face.
 
 A face is a part of a surface with a map from the unit square: a quad, a side of a box, a disc (by
 radius and angle), a sphere (by polar angle and azimuth), or a triangle (collapsed onto one vertex).
-A patch is a flat cell of its grid, so spheres become polyhedra and discs polygons. `plan_patches`
-first chooses the number of cells from concrete numbers. `patches_of` then computes their geometry,
-under `jit` and with gradients. Lengths in m, areas in m^2.
+A patch is a flat cell of this grid, so spheres become polyhedra and discs become polygons. First
+`plan_patches` chooses the number of cells, which needs concrete numbers. Then `patches_of` computes
+the geometry of the cells, under `jit` and with gradients. Lengths are in m, areas in m^2.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from ._grid import Face, Plan, borders, offsets_of, parents_in, parents_of, surf
 
 
 class Patches(Shown):
-    """Flat cells of surfaces.
+    """The geometry of n flat cells of surfaces.
 
     Attributes:
         corners: four (n,) `Vec`, m, counterclockwise seen from the front; a triangle repeats one.
@@ -56,7 +56,8 @@ class Patches(Shown):
 def plan_patches(scene: Scene, *, size: float, split: int = 2, graded: bool = False) -> Plan:
     """Divide the surfaces of a scene into patches no longer than a given size.
 
-    It needs concrete numbers, so call it outside `jit`. A jitted function takes the plan as static.
+    This function needs concrete numbers, so call it outside `jit`. The plan is a static argument of
+    a jitted function.
 
     Args:
         scene: bounded surfaces of `Lambert` material.
@@ -134,7 +135,8 @@ def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
 
 
 def patches_at(scene: Scene, plan: Plan, splits: Sequence[int]) -> list[Patches]:
-    """Return `patches_of` for each of several splits, lengths in m, compiled as one program."""
+    """Return the result of `patches_of` for each of several splits, lengths in m, compiled as one
+    program."""
     return _patches_at(scene, plan, tuple(splits))
 
 
@@ -154,8 +156,8 @@ def _patches_at(scene: Scene, plan: Plan, splits: tuple[int, ...]) -> list[Patch
 
 
 def _measured(scene: Scene, plan: Plan, splits: Sequence[int]) -> Float[Array, "20 cells"]:
-    """Return the real-valued fields of `Patches`, one row each in order, for the cells of all
-    splits."""
+    """Return an array whose rows are the real-valued fields of `Patches`, in order, for the cells
+    of all splits."""
     corners, bulge = _cut(scene, plan, splits)
     a, b, c, d = corners
     halves = [cross(b - a, c - a), cross(c - a, d - a)]
@@ -187,7 +189,7 @@ def _planes(scene: Scene, plan: Plan, split: int) -> np.ndarray:
 def by_patch(
     values: Float[Array, "elements n"], elements: Patches, plan: Plan
 ) -> Float[Array, "patches n"]:
-    """Return the mean of the elements' values over each patch, weighted by area.
+    """Return the area-weighted mean over each patch of values that are given for its elements.
 
     Args:
         values: (elements, n), in any unit.
@@ -210,8 +212,8 @@ Cells = tuple[tuple[Vec, Vec, Vec, Vec], Array]  # corners and bulge
 
 
 def _cut(scene: Scene, plan: Plan, splits: Sequence[int]) -> Cells:
-    """Return the cells of all faces, for each split. All parallelograms are computed together, to
-    shorten the compiled code, and every other face by itself."""
+    """Return the cells of all faces for each split. The cells of all parallelograms are computed
+    together, which shortens the compiled code, and those of other faces one face at a time."""
     shapes = [scene.surfaces[face.surface].shape for face in plan.faces]
     straight = np.array([isinstance(shape, Quad | Box) for shape in shapes] * len(splits))
     counts = np.concatenate([np.diff(offsets_of(plan, split=split)) for split in splits])
@@ -233,7 +235,7 @@ def _cut(scene: Scene, plan: Plan, splits: Sequence[int]) -> Cells:
 
 
 def _straight_cells(faces: Sequence[tuple[Face, Quad | Box]], splits: Sequence[int]) -> Cells:
-    """Return the corners and the bulge (0) of the cells of quads and box sides."""
+    """Return the corners of the cells of quads and box sides, and their bulge, which is 0."""
     sides = jnp.stack([row for face, shape in faces for row in side(shape, face.part)])
     sides = sides.reshape(len(faces), 9)
     places, owner = [], []
@@ -253,7 +255,7 @@ def _straight_cells(faces: Sequence[tuple[Face, Quad | Box]], splits: Sequence[i
 
 
 def _cells(shape: Shape, face: Face, split: int) -> tuple[tuple[Vec, Vec, Vec, Vec], Array]:
-    """Return the corners and the bulge of a face's cells, row by row."""
+    """Return the corners of a face's cells, row by row, and the bulge of each cell."""
     dtype = jax.tree.leaves(shape)[0].dtype
     curved = isinstance(shape, Sphere | Disc)  # cut into flat patches, which are then split
     once = 1 if curved else split
@@ -286,7 +288,7 @@ def _cells(shape: Shape, face: Face, split: int) -> tuple[tuple[Vec, Vec, Vec, V
 
 
 def _between(count: int, split: int) -> np.ndarray:
-    """Return the matrix that interpolates count + 1 numbers linearly, with `split` steps between
-    neighbours."""
+    """Return the matrix that interpolates count + 1 numbers linearly, with `split` intervals
+    between adjacent numbers."""
     places = np.arange(count * split + 1) / split
     return np.maximum(1 - np.abs(places[:, None] - np.arange(count + 1)), 0)

@@ -1,7 +1,7 @@
-"""Compute the radiosity of a scene.
+"""Compute the radiosity solution of a scene.
 
-Irradiance and radiosity in W m^-2, lengths in m. Lights of any kind and emissive quads illuminate
-the elements directly, with shadows. Patches then exchange the reflected light.
+Irradiance and radiosity are in W m^-2, lengths in m. First, lights of any kind and emissive quads
+illuminate the elements directly, with shadows. Then patches exchange the reflected light.
 """
 
 import jax.numpy as jnp
@@ -34,7 +34,7 @@ DEFAULT_RULE = Quadrature(4)
 
 
 class Solution(Shown):
-    """The light that patches exchange.
+    """The radiosity solution of a scene: the light that its patches exchange.
 
     Attributes:
         radiosity: (patches, bands) W m^-2.
@@ -60,10 +60,11 @@ def radiosity(
     method: str = "direct",
     rays: int = 1,
 ) -> Solution:
-    """Compute the light that a scene's patches exchange.
+    """Compute the light that the patches of a scene exchange.
 
-    A quad emits as a `RectangleLight`, any other surface patch by patch. The ambient term is a
-    substitute for interreflections and is ignored here.
+    An emissive quad illuminates the scene as a `RectangleLight`. The light of any other emissive
+    surface is exchanged between patches. The ambient term is a substitute for interreflections and
+    is ignored here.
 
     Args:
         scene: bounded surfaces of `Lambert` material, and any lights.
@@ -132,7 +133,7 @@ _solved_by_table = one_program(_solved)
 def direct_irradiance(
     scene: Scene, elements: Patches, *, rule: Rule = DEFAULT_RULE
 ) -> Float[Array, "elements bands"]:
-    """Compute the irradiance of each element directly from lights and emissive quads, with shadows.
+    """Compute the direct irradiance of each element from lights and emissive quads, with shadows.
 
     Args:
         scene: surfaces and lights.

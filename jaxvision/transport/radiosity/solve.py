@@ -1,11 +1,11 @@
-"""Solve the radiosity equation: the radiosity of patches that illuminate each other.
+"""Solve the radiosity equation for patches that illuminate each other:
 
     B_i = M_i + rho_i (E_i + sum_j F_ij B_j)
 
 B is the radiosity, M the emitted light and E the direct irradiance from lights, all (patches,
-bands) in W m^-2. rho is the albedo (patches, bands) and F the (patches, patches) form factors,
-without unit. Goral, Torrance, Greenberg and Battaile, "Modeling the Interaction of Light Between
-Diffuse Surfaces", SIGGRAPH 1984.
+bands) in W m^-2. rho is the albedo, (patches, bands), and F are the form factors, (patches,
+patches), both without unit. Source: Goral, Torrance, Greenberg and Battaile, "Modeling the
+Interaction of Light Between Diffuse Surfaces", SIGGRAPH 1984.
 """
 
 from collections.abc import Callable
@@ -43,14 +43,15 @@ def solve_radiosity(
     tolerance: float = 1e-4,
     limit: int = 1_000_000,
 ) -> PatchSpectra:
-    """Solve B = M + rho E + rho F B for the radiosity B, band by band.
+    """Solve the radiosity equation B = M + rho E + rho F B for the radiosity B, band by band.
 
-    High albedos amplify rounding errors: in a closed room of albedo rho they grow by 1 / (1 - rho).
-    In float32, at albedo .999, "direct" and "iterative" are within 3e-4 of the brightest patch.
-    "progressive" is not suitable there: with 294 patches it reaches its limit of shots with an
-    error of 1e-3 in float64, and of 4e-3 in float32, where each shot adds rounding. If all albedos
-    are 1 in a closed room, there is no solution, and each method returns large numbers of either
-    sign. All three methods have the gradients of the exact solution, from the transposed equation.
+    High albedos amplify rounding errors: in a closed room of albedo rho the errors are multiplied
+    by 1 / (1 - rho). In float32, at albedo .999, the methods "direct" and "iterative" have errors
+    of at most 3e-4 of the brightest patch. The method "progressive" is not suitable for such
+    albedos: with 294 patches it stops at the limit of shots, with an error of 1e-3 in float64, and
+    of 4e-3 in float32, where each shot adds a rounding error. If all albedos in a closed room are
+    1, the equation has no solution, and each method returns large numbers of either sign. All three
+    methods have the gradients of the exact solution, by the transposed equation.
 
     Args:
         table: (patches, patches) form factors F, no unit; or, for "iterative", a function that
@@ -119,9 +120,10 @@ def _solve_by_lineax(
 
 
 def _gmres(tolerance: float) -> "lineax.GMRES":
-    """Return GMRES for radiosities scaled to a maximum of 1. The tolerance is absolute, because
-    dark patches would never meet a relative one. GMRES stops only at restarts: with 8 steps between
-    restarts it takes 19 to 28 products with the table, with 20 steps 43."""
+    """Return a GMRES solver for radiosities that are scaled to a maximum of 1. The tolerance is
+    absolute, because dark patches would never meet a relative tolerance. GMRES stops only at
+    restarts. With 8 steps between restarts it needs 19 to 28 products with the table, with 20 steps
+    it needs 43."""
     import lineax
 
     return lineax.GMRES(rtol=0.0, atol=tolerance, restart=8, stagnation_iters=4)
@@ -130,8 +132,8 @@ def _gmres(tolerance: float) -> "lineax.GMRES":
 def _without_table(
     product: Product, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float
 ) -> PatchSpectra:
-    """Solve by GMRES for all bands together, so that each form factor is computed only once for all
-    bands."""
+    """Solve the radiosity equation by GMRES for all bands together, so that each product computes
+    the form factors only once for all bands."""
     import lineax
 
     structure = jax.ShapeDtypeStruct(sent.shape, sent.dtype)
@@ -144,8 +146,8 @@ def _without_table(
 @in_range(albedo=_ALBEDO)
 @one_program
 def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int) -> PatchSpectra:
-    """Return B after a number of reflections: the first terms of the Neumann series, as in a path
-    tracer of that depth.
+    """Return the radiosity B after a number of reflections, the first terms of the Neumann series,
+    which a path tracer of that depth also computes.
 
     Args:
         table, albedo, sent: as in `solve_radiosity`.
@@ -172,11 +174,11 @@ def shoot(
     tolerance: float = 1e-4,
     limit: int = 10_000,
 ) -> tuple[PatchSpectra, PatchSpectra]:
-    """Solve by progressive refinement: repeatedly, the patch with the brightest unshot light sends
-    it to all others.
+    """Solve the radiosity equation by progressive refinement. In each step (shot), the patch with
+    the brightest light that has not been distributed yet sends this light to all other patches.
 
-    This is Southwell relaxation without areas. The number of shots depends on the values, so there
-    is no reverse-mode gradient; `solve_radiosity` has one.
+    The method is Southwell relaxation, in which the area of patches is ignored. The number of shots
+    depends on the values, so there is no reverse-mode gradient; `solve_radiosity` has one.
 
     Args:
         table, albedo, sent: as in `solve_radiosity`.
@@ -216,13 +218,15 @@ _BOUNCES = 16
 
 
 def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
-    """Return an upper bound on the light that all reflections add to a patch, for unshot light of
-    at most 1. It is infinite if the reflections do not decrease.
+    """Return an upper bound on the light that all further reflections add to a patch, if the
+    undistributed light of every patch is at most 1. The bound is infinite if the reflections do not
+    decrease.
 
     If w - rho F w >= 1 - s > 0 everywhere, then |(I - rho F)^-1 b| <= w / (1 - s) max |b|, because
-    rho F is not negative. The Neumann series w = 1 + rho F + ... + (rho F)^n applied to ones has s
-    = max (rho F)^(n + 1). For n = 0 this is 1 / (1 - largest row sum). For large n the bound is
-    tight, even if single rows of an inexact table sum to more than 1.
+    rho F is not negative. For w, take the Neumann series 1 + rho F + ... + (rho F)^n applied to a
+    vector of ones. Then s is the largest element of (rho F)^(n + 1) applied to ones. For n = 0 the
+    bound is 1 / (1 - largest row sum). For large n the bound is tight, even if single rows of an
+    inexact table sum to more than 1.
     """
 
     def once(_: Int[Array, ""], state: tuple[PatchSpectra, PatchSpectra]) -> tuple:
@@ -241,10 +245,11 @@ def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
 def ambient_estimate(
     albedo: PatchSpectra, unshot: PatchSpectra, area: Float[Array, " patches"]
 ) -> PatchSpectra:
-    """Estimate the light that unshot radiosity will add to each patch of a closed scene, for
-    display after a few shots.
+    """Estimate the light that is still missing in each patch of a closed scene after a few shots of
+    `shoot`, for display.
 
-    It is rho times the area-weighted mean of the unshot light, with all its reflections.
+    The estimate is the albedo times the area-weighted mean of the undistributed light, including
+    all its reflections.
 
     Args:
         albedo: (patches, bands) in [0, 1], no unit.
@@ -263,8 +268,8 @@ def ambient_estimate(
 def _progressive(
     table: Table, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float, limit: int
 ) -> PatchSpectra:
-    """Solve by `shoot`, with the gradient of the exact solution: the transposed equation is solved
-    in the same way."""
+    """Solve the radiosity equation by `shoot`. The gradient is that of the exact solution: the
+    transposed equation is solved in the same way."""
 
     def transport(b: PatchSpectra) -> PatchSpectra:
         return b - albedo * (table @ b)
