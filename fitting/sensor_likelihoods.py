@@ -186,8 +186,8 @@ class SensorCounts(eqx.Module):
 
     Attributes:
         sensor: record, or the path of one in the problem's records.
-        reach: range of the sum on either side, electrons: at least eight times the read noise in
-            electrons, and half a DN.
+        reach: range of the sum on either side, electrons. It must be at least eight times the read
+            noise plus half a DN, both in electrons.
         codes: (codes,) or of the data's shape, DN. If `codes` are given, the data are tables, (...,
             codes): how many pixels and frames have each code. The prediction (..., codes) is then
             the light of each table, repeated along its codes. Counts outside a table are unknown,

@@ -41,7 +41,7 @@ class Efficiency:
     """The Cramer-Rao bound divided by the variance of the estimates, at one read noise.
 
     Attributes:
-        read_noise: e-.
+        read_noise: of the simulated sensor, e-.
         fits: number of fits that converged.
         ratios: (parameters,) the bound over the variance of the estimates, in the order of `NAMES`.
         whole: the same ratio for all parameters together, from their whitened squared errors (of

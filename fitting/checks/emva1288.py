@@ -31,8 +31,8 @@ class Camera:
     pixels.
 
     Attributes:
-        offsets: electrons.
-        gains: relative.
+        offsets: standard deviations of the offsets of rows, columns and pixels, electrons.
+        gains: relative standard deviations of the gains of rows, columns and pixels.
         degrees: degrees of freedom of Student's t, from which the pixels' offsets and gains are
             drawn; infinite for a Gaussian.
     """

@@ -22,9 +22,10 @@ class Lab:
     """A simulated laboratory: a glossy sphere, its lights and an uncalibrated camera.
 
     Attributes:
-        sphere: with its lights and their errors; the fit is given the standard deviations of these
-            errors.
-        gamma: of the encoding; 1 for a linear camera, whose gamma is known.
+        sphere: the sphere, with its lights and their errors, whose standard deviations are stated
+            to the fit.
+        gamma: of the camera's encoding; for 1 the camera is linear, and the fit takes gamma as
+            known.
     """
 
     sphere: Sphere = field(default_factory=Sphere)

@@ -25,15 +25,15 @@ class Camera:
     Attributes:
         gain: DN per electron.
         read_noise: electrons rms.
-        black: DN.
+        black: black level, DN.
         brightest: photons per pixel of the brightest level.
         light_sd: relative error of each level's light.
         prnu: relative error of each pixel's gain.
         levels: number of light levels, each with a dark level.
         bits: of the codes.
-        row_noise: electrons rms that the pixels of a row share, new in every frame.
-        banding: electrons rms that the pixels of a column share, the same in every frame.
-        drift: DN rms by which the black level differs between frames.
+        row_noise: noise that the pixels of a row share, new in every frame, electrons rms.
+        banding: fixed differences between columns, electrons rms.
+        drift: variation of the black level between frames, DN rms.
     """
 
     gain: float = 0.25

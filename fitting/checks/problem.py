@@ -25,7 +25,7 @@ class Check:
     """Coverage of the intervals of a fit, parameter by parameter. `print` shows it as text.
 
     Attributes:
-        coverage: of every free number.
+        coverage: of the intervals of every free number.
         places: (simulations, P) cumulative probability of the truth in each posterior; NaN where a
             fit did not converge.
 
@@ -97,7 +97,7 @@ def check(
             %.
         truth: natural values by name, the same in every simulation; needed where a parameter has
             neither prior nor bounds.
-        posterior: as `fit` takes it.
+        posterior: how each posterior is computed, as in `fit`.
         kept: a file that stores the fits; the same call continues from it, also with more
             simulations. None stores nothing.
         seed: of the truths, the data and the fits.

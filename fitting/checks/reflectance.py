@@ -31,17 +31,17 @@ class Sphere:
 
     Attributes:
         lights: number of lights.
-        truth: true k_d, k_s and n.
+        truth: true k_d, k_s and n of Phong's model.
         light_sd: relative error of each light's intensity.
-        direction_sd: rad, error of each light's direction along both axes across it.
-        stray_sd: stray light on all pixels, relative to the irradiance; the fit is given this
-            value.
-        black_sd: DN, error of the black level; the fit is given this value.
-        stated: which of `light_sd` and `direction_sd` the fit is given.
+        direction_sd: error of each light's direction along both perpendicular axes, rad.
+        stray_sd: standard deviation of stray light on all pixels, relative to the irradiance; it is
+            stated to the fit.
+        black_sd: error of the black level, DN; it is stated to the fit.
+        stated: which of `light_sd` and `direction_sd` are stated to the fit.
         prnu: relative error of each pixel's gain.
         clip: DN from which pixels saturate.
         read_noise: electrons rms.
-        black: DN.
+        black: black level, DN.
     """
 
     lights: int = 12

@@ -33,12 +33,12 @@ class Stack:
     Attributes:
         times: exposures, s.
         encode: function from linear values in 0..1 to codes over full scale.
-        decode: the inverse function.
+        decode: the inverse of `encode`.
         gamma: of `encode`; None where it is no power law.
         shutter_sd: relative error of each exposure.
-        black: DN.
-        black_sd: DN, error of the black level; the fit is given this value.
-        stated: whether the fit is given `shutter_sd`.
+        black: black level, DN.
+        black_sd: error of the black level, DN; it is stated to the fit.
+        stated: whether `shutter_sd` is stated to the fit.
         quality: of JPEG files; None for lossless files.
         hand: largest shift of an image along each axis by a hand-held camera, pixels; where it is
             not 0, leaves in the scene move too.

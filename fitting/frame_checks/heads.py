@@ -26,7 +26,7 @@ class Stated:
         name: of the frame.
         path: of its file.
         exposure: s; 0 where the rig states none.
-        group: of frames that see the same light through the same lens.
+        group: number of the group of frames in the same light through the same lens.
     """
 
     name: str

@@ -125,8 +125,8 @@ class Levels(eqx.Module):
             neighbours, DN^2; None without frames.
         blocks: (levels, 2, 8) covariance of a pixel and the one below (beside) it, by row (column)
             modulo 8, DN^2; None without frames or where the pixels are not adjacent.
-        combs: (levels, steps, 8, 8) of `raw_frames`, per frame; None without frames or where the
-            pixels are not adjacent.
+        combs: (levels, steps, 8, 8) test of JPEG compression by `raw_frames.combs`; None without
+            frames or where the pixels are not adjacent.
         left_out: frames that do not match the others, and why, in sentences.
         trend: (levels,) slope of the frames' means over their order, DN per frame; None where only
             sums over the frames are known.
@@ -208,10 +208,10 @@ class PhotonTransfer(eqx.Module):
         doubts: figures that the frames do not determine, and why.
         site: name of the amplifier tap or mosaic site of these pixels; None for all pixels.
         pattern: phase of that mosaic; None without one.
-        tables: histograms of codes at levels of few electrons; None where moments hold as much
-            information, and where only sums are known.
-        stated: numbers of the rig that the frames determine too, as (key of the rig, name of the
-            estimate, value, standard deviation).
+        tables: histograms of codes at levels of few electrons; None where means and variances
+            contain as much information, and where only sums are known.
+        stated: numbers stated in the rig that the frames determine, too: (key of the rig, name of
+            the estimate, value, standard deviation).
     """
 
     bright: Levels

@@ -37,7 +37,8 @@ class Spread:
 
     Attributes:
         variance: DN^2 for offsets; relative for gains.
-        noise: its standard error for this sensor alone, not for the population of its sensors.
+        noise: standard error of the variance of this sensor's own pixels, without their sampling
+            from a population.
         parts: variances of pixels and, where their means are known, of rows and columns; 0 where
             rows or columns do not differ significantly.
         temporal: the part of `noise` from temporal noise, which more frames reduce; None if all of
@@ -79,12 +80,12 @@ class PatternVariance:
     """The fixed pattern of a sensor: the variances of dark signal and of gain.
 
     Attributes:
-        dark: s_dark^2, DN^2.
-        response: PRNU^2, no unit.
+        dark: s_dark^2, the variance of the dark signal, DN^2.
+        response: PRNU^2, the relative variance of the gains.
         chi_square_per_dof: of the fit to all levels; None for the standard's two.
         p_value: probability of a chi-square at least as large by chance; None for the standard's
             two.
-        level: the bright level used; None where all were.
+        level: index of the bright level used; None if all were used.
     """
 
     dark: Spread

@@ -41,7 +41,7 @@ class Picture:
     """A figure of a report, drawn only when it is requested.
 
     Attributes:
-        name: a word.
+        name: one word, by which `Section.figure` finds the figure.
         title: heading above it.
         caption: what it shows and how to read it.
         draw: the function that draws it.
@@ -88,13 +88,13 @@ class Section:
     """The report of one calibration: estimates, findings, figures, tables, posteriors and settings.
 
     Attributes:
-        kind: a word; chains are stored under it.
+        kind: one word, such as "noise", under which chains are stored.
         title: heading.
         estimates: rows of the table of results.
         findings: full sentences on misfit, identifiability, and data that were masked or refused.
-        pictures: the most important one first.
-        tables: next to the estimates.
-        posteriors: by group.
+        pictures: figures, the most important first.
+        tables: further tables below that of the estimates.
+        posteriors: the posterior of each group (channel, site or setting).
         arrays: by name, shapes of array parameters whose numbers the posteriors list one by one.
         settings: everything that is needed to repeat the fit.
         about: one line under the heading on what was measured.

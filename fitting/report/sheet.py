@@ -20,8 +20,8 @@ class Cell:
     """The text of one estimate in the table.
 
     Attributes:
-        value: with its standard error; a dash where there is none.
-        interval: of 95 %; empty where there is none.
+        value: the value with its standard error; a dash where there is none.
+        interval: the 95 % interval; empty where there is none.
         note: number of the note with the reason why there is no value; 0 for none.
     """
 
@@ -35,7 +35,7 @@ class Row:
     """The text of one quantity, a row of the table.
 
     Attributes:
-        name: in words.
+        name: of the quantity, in words.
         letter: of its symbol.
         subscript: of its symbol.
         unit: as printed.

@@ -39,8 +39,8 @@ class ChannelResponse:
         curve: log exposure of every code.
         gamma: fit of the best pure gamma curve.
         radiance: the merged map.
-        clear: whether the curve omits pixels near clipped ones, as it does unless too few pixels
-            would remain.
+        clear: whether the curve omits pixels near clipped ones; it does unless too few pixels would
+            remain.
         hidden_peaks: whether there are clipped peaks whose codes do not show it.
         clear_of_hidden: whether the curve also omits pixels near hidden peaks.
         shared_rounding: rms error, in DN, from JPEG's colour rounding that all pixels of a code

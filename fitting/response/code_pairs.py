@@ -41,11 +41,11 @@ class PairStatistics:
     each bin, s of each exposure).
 
     Attributes:
-        matrix: A.
-        score: b.
+        matrix: the matrix A.
+        score: the score b.
         pixels: number of pixels.
         observations: (exposures,) number of observations.
-        chi_square: at the curve that set the weights.
+        chi_square: of the residuals at the curve from which the weights were computed.
     """
 
     matrix: Float[np.ndarray, "unknowns unknowns"]

@@ -89,9 +89,9 @@ class ResponseCurve:
     Attributes:
         bins: of the codes.
         log_exposure: (bins,) g at the centres, 0 at mid-scale.
-        covariance: (bins, bins) of g.
-        freedom: (bins,) degrees of freedom of its variances; a million where the noise of pixels
-            determines them.
+        covariance: (bins, bins) covariance of g at the centres.
+        freedom: (bins,) degrees of freedom of the variances of g; a million where pixel noise
+            determines these.
         seen: (bins,) true for bins with usable observations; the prior extrapolates to all other
             bins.
         bin_means: (bins,) mean of g over each bin.
@@ -101,15 +101,15 @@ class ResponseCurve:
         shutter_offset_errors: (exposures,) their standard errors.
         shutter_error: tau; None where the data show no shutter errors.
         shutter_bound: upper limit of tau, 95 %.
-        smoothness: precision of the prior.
+        smoothness: precision of the smoothness prior.
         design_effect: phi, the number of pixels that count as one independent pixel.
         clustering: design effect of neighbours with shared errors, without a limit on the number of
             effective pixels.
         noise: noise model of the pixels, from the flattest places.
         statistics: sufficient statistics of the pairs of codes.
         held_out: prediction errors of each exposure from the others; None with fewer than three.
-        busy_places: (bins,) change of `bin_means` when places with much detail are included; 0
-            where chance explains it.
+        busy_places: (bins,) change of `bin_means` if places with much detail were included; 0 if it
+            is not significant.
     """
 
     bins: CodeBins

@@ -99,7 +99,7 @@ class GivenShutter(eqx.Module):
     Attributes:
         mean: of gamma.
         variance: of gamma.
-        log_evidence: for that tau.
+        log_evidence: log marginal likelihood of that tau.
     """
 
     mean: Float[Array, ""]
@@ -113,9 +113,9 @@ class Mixture:
 
     Attributes:
         log_tau: (grid,) ln tau, evenly spaced.
-        weights: (grid,) of each tau; their sum is 1.
-        mean: (grid,) of the quantity, given tau.
-        variance: (grid,) of the quantity, given tau.
+        weights: (grid,) posterior weight of each tau; their sum is 1.
+        mean: (grid,) mean of the parameter, given tau.
+        variance: (grid,) variance of the parameter, given tau.
     """
 
     log_tau: Float[np.ndarray, " grid"]

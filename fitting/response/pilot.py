@@ -45,9 +45,9 @@ class Pilot:
     """The results of the pilot fit.
 
     Attributes:
-        means: (bins,) of the rising curve, over coarse bins.
-        noises: of the classes; None where no noise model fits the images.
-        rule: of the weights from these noises.
+        means: (bins,) means of the rising curve over coarse bins.
+        noises: noise model of each class of pixels; None where no noise model fits the images.
+        rule: rule for weights from these noise models.
         solution: of the last round.
     """
 

@@ -36,7 +36,8 @@ class HeldOut:
     """The errors of predicting each exposure by a curve and a radiance that were fitted without it.
 
     Attributes:
-        rms: DN, for each exposure; NaN where too few pixels can be predicted.
+        rms: (exposures,) rms error of each prediction, DN; NaN where too few pixels can be
+            predicted.
         exposures: (exposures,) s.
     """
 
@@ -63,7 +64,7 @@ class Repeats:
     covariance.
 
     Attributes:
-        departures: (fits, bins).
+        departures: (fits, bins) scaled deviations of each fit from the mean of all.
         pixels: (bins,) variance that the pixel noise explains.
     """
 

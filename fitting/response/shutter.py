@@ -47,7 +47,7 @@ class Shutter:
     Attributes:
         per_square: (bins,) variance of g per unit of tau^2.
         likeliest: tau of maximum posterior probability.
-        tau: (grid,).
+        tau: (grid,) values of tau.
         weights: (grid,) probability of each tau; their sum is 1.
     """
 

@@ -61,8 +61,8 @@ class Equations:
     """The normal equations for the unknowns (bin means of g, visible shutter errors).
 
     Attributes:
-        matrix: (unknowns, unknowns).
-        right: (unknowns,).
+        matrix: (unknowns, unknowns) left-hand side.
+        right: (unknowns,) right-hand side.
     """
 
     matrix: Float[np.ndarray, "unknowns unknowns"]
@@ -75,16 +75,17 @@ class Solution:
     for the next round.
 
     Attributes:
-        means: (bins,).
-        free: (free,) shutter errors d.
-        covariance: (unknowns, unknowns) of both, C.
-        basis: (exposures, free), delta = basis d.
+        means: (bins,) means of g over the bins.
+        free: (free,) visible shutter errors d.
+        covariance: (unknowns, unknowns) covariance C of both.
+        basis: (exposures, free) basis of the visible shutter errors: delta = basis d.
         used: hyperparameters of this solution.
         suggested: hyperparameters for the next round.
-        equations: of each image tile.
-        prior: (unknowns, unknowns), precision of the prior.
-        clustering: phi estimated from the tiles alone.
-        log_evidence: of the hyperparameters used, up to a constant for one set of statistics.
+        equations: normal equations of each tile of the picture.
+        prior: (unknowns, unknowns) precision of the prior.
+        clustering: phi as estimated from the tiles, without its lower limit.
+        log_evidence: log marginal likelihood of the hyperparameters used, up to a constant for one
+            set of statistics.
     """
 
     means: Float[np.ndarray, " bins"]

@@ -32,9 +32,10 @@ class NoiseModel:
     """The variance of ln X at the relative exposure X: relative + shot / X + read / X^2.
 
     Attributes:
-        relative: of the pixels' own gains.
-        shot: at mid-scale.
-        read: at mid-scale.
+        relative: variance by unequal gains of the pixels and other errors in proportion to the
+            light.
+        shot: variance by shot noise at mid-scale (X = 1).
+        read: variance by read noise at mid-scale (X = 1).
     """
 
     relative: float
@@ -82,12 +83,12 @@ class Observations:
 
     Attributes:
         binned: (exposures, pixels) indices of bins.
-        classes: (pixels,).
-        weights: (exposures, pixels).
-        cells: (exposures, pixels) of the rule's tables, flattened.
-        residuals: (exposures, pixels) in ln X.
+        classes: (pixels,) class of each pixel.
+        weights: (exposures, pixels) weights of the observations.
+        cells: (exposures, pixels) flattened indices of cells of the rule's tables.
+        residuals: (exposures, pixels) residuals in ln X.
         total: (pixels,) sum of weights.
-        log_irradiance: (pixels,).
+        log_irradiance: (pixels,) estimated log irradiance of each pixel.
     """
 
     binned: Int[np.ndarray, "exposures pixels"]

@@ -124,12 +124,12 @@ class CameraCalibration(ShownInNotebooks):
     """The calibration of a camera at several gains and temperatures.
 
     Attributes:
-        frames: of each setting.
-        calibrations: of each setting alone; None where it has darks alone.
-        fit: of all settings.
+        frames: statistics of the frames of each setting.
+        calibrations: the separate calibration of each setting; None for a setting of darks alone.
+        fit: the joint fit to all settings.
         full_well: e-, from settings at which the pixel fills before the ADC's range ends.
-        dsnu: variance, e-^2, where frames of pixels are known.
-        prnu: relative variance, where frames of pixels are known.
+        dsnu: variance of DSNU, e-^2; None if no setting has frames of pixels.
+        prnu: relative variance of PRNU; None if no setting has frames of pixels.
         left_out: settings that the fit omits, and why, in sentences.
     """
 

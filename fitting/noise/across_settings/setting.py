@@ -47,7 +47,7 @@ class FramesOfSetting:
 
     Attributes:
         setting: gain and temperature.
-        frames: of flats and darks; `Levels` if there are only darks.
+        frames: statistics of flats and darks; `Levels` if there are only darks.
     """
 
     setting: Setting

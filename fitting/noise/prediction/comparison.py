@@ -54,7 +54,7 @@ class Agreement:
     """The agreement of one quantity (means, variances or covariances) with its prediction.
 
     Attributes:
-        chi_square: of its residuals.
+        chi_square: of the quantity's residuals over the levels.
         degrees: of freedom.
     """
 

@@ -52,7 +52,7 @@ class Candidate(NamedTuple):
     """An effect that a camera may lack.
 
     Attributes:
-        key: a word.
+        key: the name of the effect, one word.
         shape: change of mean, variance and covariance along rows and along columns for a size of 1;
             None where there is no change. For a scatter, its standard deviation.
         sentence: names the missing effect, as a clause with the size.
@@ -227,7 +227,7 @@ class Missing:
     """An effect that the camera file lacks and that the frames show.
 
     Attributes:
-        key: of the candidate.
+        key: of the candidate for the effect.
         clause: names the missing effect, with its size.
         strength: its significance, in standard errors.
         after: agreement of each quantity when this effect and those before it are included.

@@ -44,13 +44,13 @@ class Expected:
     """The mean, variance and neighbour covariances that one sensor predicts at each level.
 
     Attributes:
-        values: (quantities, levels) the `QUANTITIES`, DN and DN^2.
+        values: (quantities, levels) predicted `QUANTITIES`, DN and DN^2.
         by_light: (quantities, levels) their derivatives by the logarithm of the light.
         electrons: (levels,) mean charge of a pixel.
         step: (levels,) DN per electron at that charge.
-        rows: DN^2, noise that the pixels of a row share, new in every frame.
-        columns: DN^2, the same of columns.
-        frames: DN^2, the same of all pixels.
+        rows: variance of the noise that the pixels of a row share, new in every frame, DN^2.
+        columns: the same for columns, DN^2.
+        frames: the same for all pixels of a frame, DN^2.
     """
 
     values: Float[np.ndarray, "quantities levels"]

@@ -44,7 +44,7 @@ class Prediction(ShownInNotebooks):
 
     Attributes:
         camera: its name in sentences.
-        comparisons: of the camera with levels; the verdict is on the first one.
+        comparisons: of the prediction with sets of levels; findings are about the first one.
         labels: names of the levels of each comparison.
         light_error: relative error of the light of a level.
         variance_error: relative scatter of the variances for unknown reasons.

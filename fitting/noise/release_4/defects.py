@@ -26,9 +26,10 @@ class Histogram(NamedTuple):
     """The histogram and the accumulated histogram of the pixels' deviations from their mean.
 
     Attributes:
-        centres: (classes,) of the classes, less the mean, in the unit of the image.
-        counts: (classes,) pixels.
-        gaussian: (classes,) pixels of a Gaussian of the same standard deviation.
+        centres: (classes,) centre of each class minus the mean, in the unit of the image.
+        counts: (classes,) number of pixels.
+        gaussian: (classes,) expected number of pixels for a Gaussian of the same standard
+            deviation.
         deviations: (257,) absolute deviations from the mean.
         share: (257,) per cent of pixels that deviate at least that far.
     """

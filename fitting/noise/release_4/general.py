@@ -37,15 +37,16 @@ class General:
     """The signal-to-noise ratios of a measured response at each level, and the figures that follow.
 
     Attributes:
-        light: (levels,) below saturation, photons per pixel, or s where photons are unknown.
+        light: (levels,) light of the levels below saturation, photons per pixel, or s where photons
+            are unknown.
         slope: (levels,) R, DN per unit of light.
         output: (levels,) SNR_y.
         input: (levels,) SNR_p.
         total: (levels,) SNR_p with the spatial variance; None without images.
         input_errors: (levels,) standard errors of SNR_p.
         nonuniformity: (levels,) s_y / (R mu_p), per cent; None without images.
-        draws: of the figures by name.
-        values: the figures.
+        draws: random draws of the figures, by name.
+        values: the figures, by name.
     """
 
     light: Float[np.ndarray, " levels"]

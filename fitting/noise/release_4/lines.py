@@ -20,8 +20,8 @@ class Spectrogram(NamedTuple):
     """The power spectrum of an image along one direction.
 
     Attributes:
-        cycles: (frequencies,) per pixel, 0 to 1/2.
-        power: (frequencies,) DN^2.
+        cycles: (frequencies,) frequency, cycles per pixel, 0 to 1/2.
+        power: (frequencies,) power at each frequency, DN^2.
         white: median power, DN^2; the level of noise that is independent between pixels.
         band: (low, high) of the power of such noise, 95 % at each frequency.
     """

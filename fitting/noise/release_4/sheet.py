@@ -29,10 +29,10 @@ class Nonuniformity:
 
     Attributes:
         dark: the standard's spatial variances of the dark, DN^2.
-        bright: of the bright level.
-        signal: of that level above its dark, DN.
-        dsnu: (draws,) of s^2_dark, DN^2, by part.
-        prnu: (draws,) of (s^2_50 - s^2_dark) / signal^2, by part.
+        bright: the standard's spatial variances of the bright level, DN^2.
+        signal: mean of the bright level minus that of its dark, DN.
+        dsnu: (draws,) draws of s^2_dark, DN^2, by part.
+        prnu: (draws,) draws of (s^2_50 - s^2_dark) / signal^2, by part.
     """
 
     dark: Split
@@ -52,9 +52,9 @@ class Release4(ShownInNotebooks):
         clipped: whether the saturation point follows release 4, from values at the end of the
             scale.
         linear: figures of *Linear* with their standard errors.
-        nonuniformity: by the filter of the frames, `FILTERED` and `PLAIN`; empty without images,
-            `PLAIN` alone for frames smaller than the filter.
-        general: signal to noise without a linear model.
+        nonuniformity: DSNU and PRNU with the high-pass filter (`FILTERED`) and without it
+            (`PLAIN`); empty without images, `PLAIN` alone for frames smaller than the filter.
+        general: signal-to-noise ratios without a linear model.
         seed: of the draws behind the intervals.
     """
 

@@ -40,7 +40,7 @@ class Stack:
 
     Attributes:
         image: (h, w) average, DN.
-        noise: sigma^2, DN^2.
+        noise: sigma^2, the temporal variance, DN^2.
         drift: variance of the frames' means, DN^2.
         frames: L, the number of frames.
         at_top: share of the values at the end of the scale; 0 where that end is unknown.
@@ -79,11 +79,11 @@ class Stacks:
 
     Attributes:
         measurement: means and temporal variances of all pixels, as the standard has them.
-        numbers: shares at the end of the scale and scatter of each bright level; None without
+        numbers: share of clipped values and standard deviation at each bright level; None without
             images.
         bright: spatial variances of each bright level, high-passed where the frame is large enough
             for the filter.
-        dark: the same of each dark.
+        dark: the same for each dark.
         averages: average frames behind the nonuniformities; None without images.
     """
 
