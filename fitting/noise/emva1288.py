@@ -161,8 +161,8 @@ def _dark_variance(
 
 
 def is_floored(measurement: PhotonTransfer, within: Ranges) -> bool:
-    """Return whether the measured dark noise is below the standard's minimum, so that the reported
-    value is only an upper bound."""
+    """Return whether the measured dark noise is below the standard's minimum, so that figures which
+    depend on it are only bounds."""
     found, _ = _dark_variance(statistics(measurement, None), measurement, within)
     return float(found) < least_dark_variance(measurement)
 

@@ -3,13 +3,13 @@ model needs.
 
 The first model is a linear camera with pixel noise, and with noise of rows, columns or frames if
 the darks show it. Further effects are tried if this model fails (p < 0.1 %), or if nearest
-neighbours covary, which does not affect the chi-square of means and variances. Effects that the
-darks alone show (a drifting black level, or excess scatter of the variances) are always included
-then. The candidates are random errors of the light, a compression of one or two terms, a light
-offset, the brighter-fatter effect, linear mixing, and a black level that drifts from level to
-level. A candidate is kept if its squared Wald ratio exceeds the logarithm of the number of
-observations (Schwarz' criterion, BIC) and if such a ratio occurs by chance in fewer than one of a
-hundred cameras (`inference.candidates`).
+neighbours covary, which the chi-square of means and variances need not show. Effects that the darks
+alone show (a drifting black level, or excess scatter of the variances) are always included then.
+The candidates are random errors of the light, a compression of one or two terms, a light offset,
+the brighter-fatter effect, linear mixing, and a black level that drifts from level to level. A
+candidate is kept if its squared Wald ratio exceeds the logarithm of the number of observations
+(Schwarz' criterion, BIC) and if such a ratio occurs by chance in fewer than one of a hundred
+cameras (`inference.candidates`).
 """
 
 from collections.abc import Sequence

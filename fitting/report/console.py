@@ -79,7 +79,7 @@ def _cell(cell: Cell) -> str:
 def plain_tables(content: Table, width: int) -> list[RichTable]:
     """Format a table of results, with its caption below. A table wider than `width` is split into
     parts, which each begin with the columns that name the rows. Cells wrap between words; a word is
-    cut only if its column alone is wider than `width`."""
+    cut only if the columns of names and one other column do not fit."""
     rows = [[format_cell(cell) for cell in row] for row in content.rows]
     texts = [*zip(content.columns, *rows, strict=True)]
     least = [max(map(cell_len, " ".join(column).split()), default=0) for column in texts]

@@ -3,9 +3,9 @@
 A camera that sharpens adds to each code a fraction of its difference from the surrounding codes.
 Where the picture has detail, pixels with equal light then have different codes. This is not noise.
 Unless the response is a pure gamma, it biases the curve in proportion to the activity a, the local
-variance of the log code. The pixels are divided into classes by activity. Curves g_(k) fitted
-without class k, whose pixels have the mean activity a_(k), determine the slope of g over a. It
-gives the deviation d of the curve of all pixels from that of flat places:
+variance of the log code. The pixels are divided into classes by activity. Let g_(k) be the curve
+fitted without class k, and a_(k) the mean activity of the pixels used for it. These determine the
+slope of g over a, and with it the deviation d of the curve of all pixels from that of flat places:
 
     d = a_all  sum_k (a_(k) - m) g_(k) / sum_k (a_(k) - m)^2,    m the mean of the a_(k).
 
