@@ -115,19 +115,19 @@ def noise(
     exposure. Several gains or temperatures are fitted separately and together.
 
     Args:
-        path: folder of a rig, or the CSV.
+        path: folder of a rig, or CSV file of sums per exposure.
         step: function that reports progress.
         draws: settings of the sampler.
-        bits: of a CSV's camera.
+        bits: ADC bits of the camera, for a CSV.
         channel: mosaic site or amplifier tap; "" for all of them, one after the other.
-        release: of EMVA 1288; "4.0" adds the sheet of that release for each site.
+        release: release of EMVA 1288; "4.0" adds the sheet of that release for each site.
 
     Returns:
-        One section; or one for each site; or one for the camera and one for each setting. Sections
+        One section, or one for each site, or one for the camera and one for each setting. Sections
         have no pictures.
 
     Raises:
-        InputError: for what cannot be calibrated.
+        InputError: for data that cannot be calibrated.
     """
     rig = _flats_and_darks(path, bits, channel)
     from .noise.calibration import calibrate
@@ -231,15 +231,15 @@ def predict(
             name of a shipped camera.
         path: folder of a rig, or a CSV of sums for each exposure.
         step: function that reports progress.
-        bits: of a CSV's camera.
+        bits: ADC bits of the camera, for a CSV.
         channel: mosaic site or amplifier tap; "" for all of them, one after the other.
-        light_error: relative standard deviation of the true light of a level about the stated one.
+        light_error: relative standard deviation of a level's true light from the stated one.
 
     Returns:
         One section, or one for each site, without pictures.
 
     Raises:
-        InputError: for what cannot be compared.
+        InputError: for data that cannot be compared.
     """
     rig = _flats_and_darks(path, bits, channel)
     file, remarks = _camera_file(camera), ()
@@ -421,10 +421,10 @@ def response(
         skipped: called with the name of each channel that could not be calibrated.
 
     Returns:
-        One section; and the merged radiance, relative, by the name of its file.
+        One section, and the merged relative radiance by the name of its file.
 
     Raises:
-        InputError: for what cannot be calibrated.
+        InputError: for data that cannot be calibrated.
     """
     rig = read_rig(path, "a response calibration")
     from .report.inputs import with_inputs
@@ -537,14 +537,14 @@ def lights(
         masks: files, one per ball.
         step: function that reports progress.
         known: `bits` and `black_level` of the camera.
-        out: folder of the rig that is written.
-        settings: of `lights.calibrate`: kind, focal_length, radius, outline_sd.
+        out: folder to which the rig is written.
+        settings: arguments of `lights.calibrate`: kind, focal_length, radius, outline_sd.
 
     Returns:
         One section, without pictures.
 
     Raises:
-        InputError: for what cannot be calibrated.
+        InputError: for photographs that cannot be calibrated.
     """
     of_balls = {existing(mask).resolve() for mask in masks}
     images = [image for image in images if existing(image).resolve() not in of_balls]

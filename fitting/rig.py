@@ -382,9 +382,9 @@ class Camera(_Known):
 
 
 def _values_of_sensor(file: Path, stated: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the values in a sensor file, by the rig's key that they replace. The values are lists
-    if the rig has `stated` a pattern or taps. Standard deviations come from the draws in the file
-    next to it.
+    """Return the values in a sensor file, by the rig's key that they replace. If the sensor has
+    taps, the values are lists, and the rig must have `stated` the same pattern and taps. Standard
+    deviations come from the draws in the file next to it.
     """
     import numpy as np
 

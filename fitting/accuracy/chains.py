@@ -26,11 +26,12 @@ class Density:
     """A log density, with its mode and the covariance of Laplace's approximation there.
 
     Attributes:
-        log_density: module-level function of (vector, args), up to a constant.
+        log_density: module-level function of (vector, args) that returns the log density up to a
+            constant.
         space: the P parameters.
-        mode: (P,) unconstrained.
+        mode: (P,) vector of unconstrained values where the density is largest.
         covariance: (P, P) of Laplace's Gaussian about the mode.
-        args: second argument of `log_density`, its data.
+        args: the data, passed to `log_density` as its second argument.
     """
 
     log_density: LogDensity

@@ -54,11 +54,11 @@ def problems(
     Args:
         rig: from `load_rig`.
         load: function that reads an image from its path; needed for images in memory.
-        seconds: s, most time that each fit of the reference calibration may take.
+        seconds: longest time in s that the reference calibration of each fit may take.
 
     Returns:
-        For each fit, by its name, the problem and the settings to vary. Results are in standard
-        errors.
+        For each fit, by its name, the problem and the names of the settings to vary. Results are in
+        standard errors.
 
     Raises:
         InputError: for a rig with nothing to fit, and for a rig that cannot be calibrated, or not
@@ -116,13 +116,13 @@ def measured(
 
     Args:
         problem: from `problems`.
-        known: its settings.
-        names: of the settings to vary; None for all.
-        seconds: s, for all settings together.
+        known: names of the settings that the problem has.
+        names: settings to vary; None for all.
+        seconds: time for all settings together, s.
         clock: function that returns seconds; None for the machine's clock.
 
     Returns:
-        The curves; errors in standard errors.
+        The curves of error, in standard errors, against time.
 
     Raises:
         InputError: for a setting that the fit does not have.

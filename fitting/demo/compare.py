@@ -36,9 +36,9 @@ class Comparison:
     """An estimate and its true value.
 
     Attributes:
-        kind: of the section that has the estimate.
-        estimate: from the files.
-        truth: true value, in the same unit.
+        kind: kind of the report section that contains the estimate.
+        estimate: estimate from the files.
+        truth: true value, in the unit of the estimate.
     """
 
     kind: str

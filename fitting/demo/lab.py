@@ -69,11 +69,11 @@ class Truth:
         prnu: relative, rms over the pixels.
         full_well: e-.
         offset: DN.
-        bits: of the ADC.
+        bits: bits of the ADC.
         gamma: encoding exponent of the exposure stack.
         diffuse: k_d of the sphere, red, green, blue.
         specular: k_s of the sphere.
-        exponent: of its Phong lobe.
+        exponent: exponent of the sphere's Phong lobe.
     """
 
     system_gain: float = 0.25  # DN per electron
@@ -123,7 +123,7 @@ def simulate_lab(folder: Path, *, seed: int = 0, progress: Progress | None = Non
 
     Args:
         folder: folder for the three rigs.
-        seed: of the camera's die and of every frame.
+        seed: seed of the sensor's fixed pattern and of the noise of every frame.
         progress: called with (images written, all images).
 
     Returns:

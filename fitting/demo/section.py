@@ -49,8 +49,8 @@ def against_truth(sections: Iterable[Section], truth: Truth) -> Section:
     """Return the demo's section of the report: every true value next to its estimate.
 
     Args:
-        sections: of the calibrations of the files of `simulate_lab`.
-        truth: the true values that it returned.
+        sections: report sections of the calibrations from the files of `simulate_lab`.
+        truth: the true values that `simulate_lab` returned.
 
     Returns:
         A section with a table and a picture, `forest`.

@@ -29,11 +29,11 @@ class Bands:
     """A quantity derived from the parameters, with its uncertainty.
 
     Attributes:
-        mean: of the draws, in the unit of the quantity.
+        mean: mean of the draws, in the unit of the quantity.
         sd: standard deviation of the draws.
-        interval_68: (2, ...) lower and upper end.
-        interval_95: (2, ...).
-        draws: (draws, ...).
+        interval_68: (2, ...) lower and upper end of the 68 % interval.
+        interval_95: (2, ...) lower and upper end of the 95 % interval.
+        draws: (draws, ...) values of the quantity at the draws of the parameters.
 
     Example:
         >>> import jaxvision as jv

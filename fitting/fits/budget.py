@@ -47,8 +47,8 @@ class Share:
     """One source of uncertainty.
 
     Attributes:
-        source: in words.
-        share: of the variance; all of them sum to 1.
+        source: name of the source.
+        share: fraction of the variance that is due to the source; all shares sum to 1.
         sd: standard deviation of the target if this source were the only one, in the unit of the
             target.
     """
@@ -63,10 +63,10 @@ class Budget:
     """The sources of a quantity's uncertainty, largest first. Print the record to see them.
 
     Attributes:
-        target: in words.
-        value: of the target at the best fit, in its unit.
-        sd: its standard deviation.
-        shares: of its variance, by source.
+        target: name of the quantity.
+        value: the quantity at the best fit, in its unit.
+        sd: standard deviation of the quantity.
+        shares: the sources, with their shares of the quantity's variance.
 
     Example:
         >>> import jaxvision as jv
@@ -88,7 +88,7 @@ class Budget:
         """Return the share of one source.
 
         Args:
-            source: its name.
+            source: name of the source.
 
         Returns:
             The share of the variance that this source contributes.

@@ -51,13 +51,13 @@ def called_for(
             unchanged. Each parameter whose path leads into them has bounds or a prior.
         tolerance: largest change of the expected data, in standard deviations of the noise of all
             data together. The noise is that of the sensor in the dark.
-        target: a fitted number, as in `influence`. The problem is then fitted, and effects that
-            together move this number by at most the tolerance in its standard errors are dropped
-            too, unless its standard error changes by as large a share or the data are described
-            worse. The bounds of these effects apply near the best fit and not over all ranges. In
-            the certificate they have rank "estimate", and `bound` is the change of all data that
-            would move the target as much. None drops only effects that are negligible for every
-            number, without a fit.
+        target: a fitted number, as in `influence`; None drops only effects that are negligible for
+            every number, without a fit. For a target the problem is fitted. Effects that together
+            move the target by at most the tolerance in its standard errors are then dropped too,
+            unless they change its standard error by as large a share or the description of the data
+            becomes worse. The bounds of these effects apply near the best fit and not over all
+            ranges. In the certificate they have rank "estimate", and `bound` is the change of all
+            data that would move the target as much.
         samples, depth: of the images that `predict` renders, as in `jaxvision.effects.inspect`.
 
     Returns:

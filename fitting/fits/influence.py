@@ -47,9 +47,9 @@ class Moved:
     """How far an estimate moves if one effect is left out.
 
     Attributes:
-        effect: its name, as in `jaxvision.effects.inspect`.
+        effect: name of the effect, as in `jaxvision.effects.inspect`.
         shift: change of the estimate without the effect, in standard errors.
-        bound: the shift is at most this, in standard errors; inf where nothing is known.
+        bound: largest possible shift, in standard errors; inf where nothing is known.
         ratio: standard error without the effect, relative to that with it.
         fall: decrease of the log density at the best fit without the effect.
     """
@@ -67,10 +67,11 @@ class Influence:
     Print the record to see the effects.
 
     Attributes:
-        target: in words.
-        value: of the target at the best fit, in its unit.
-        sd: its standard error.
-        effects: each effect left out alone, the largest bound first.
+        target: name of the fitted quantity.
+        value: the quantity at the best fit, in its unit.
+        sd: standard error of the quantity.
+        effects: how far each effect moves the quantity if it is left out alone, the largest bound
+            first.
 
     Example:
         >>> from fitting.fits.influence import Influence, Moved
@@ -88,7 +89,7 @@ class Influence:
         """Return how far the estimate moves without one effect.
 
         Args:
-            effect: its name.
+            effect: name of the effect.
 
         Returns:
             The shift and its bound, in standard errors.

@@ -38,17 +38,17 @@ class FitMap:
     Attributes:
         estimate: (..., *map) best fit of each parameter by name, in its unit; NaN where there is
             none.
-        sd: standard errors, of the same shape.
-        interval_68: (2, ..., *map) lower and upper ends.
-        interval_95: of the same shape.
-        chi_square: (*map) of the pixel's data; where pixels share a label, of all data of that
-            label.
+        sd: standard errors of the estimates, of the same shape.
+        interval_68: (2, ..., *map) lower and upper ends of the 68 % intervals.
+        interval_95: (2, ..., *map) lower and upper ends of the 95 % intervals.
+        chi_square: (*map) chi-square of the pixel's data; where pixels share a label, of all data
+            of that label.
         dof: (*map) degrees of freedom.
         state: (*map) index into `fitting.fits.map.STATES`; 0 where the fit converged and describes
             its data.
-        units: of each parameter.
+        units: units of the parameters, by name.
         findings: sentences on how many pixels failed, and why.
-        fits: by label, where pixels share one.
+        fits: the fits by label, where pixels share one.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit_map
@@ -114,7 +114,7 @@ class FitMap:
         of each number with its standard error.
 
         Args:
-            folder: made if needed.
+            folder: folder for the files, created if needed.
 
         Returns:
             Paths of the files.

@@ -49,20 +49,20 @@ def fit_map(
     finite, the maps are NaN. The findings give the number of such pixels.
 
     Args:
-        problem: of one pixel, for example with one datum per image. Its data and inputs give the
-            shapes.
+        problem: the problem of one pixel, for example with one datum per image. Its data and inputs
+            give the shapes.
         data: (..., *map) the data of every pixel: the axes of the problem's data, then those of the
             map, such as (images, height, width) for a problem with one datum per image. It may be a
             memory-mapped file. NaN marks missing, saturated or masked data.
-        inputs: of every pixel, in the structure of the problem's inputs. A leaf whose shape is the
-            shape in the problem followed by that of the map differs between pixels; any other leaf
-            is used for all pixels. None takes the problem's inputs for all pixels.
+        inputs: inputs of every pixel, in the structure of the problem's inputs. An array whose
+            shape is the shape in the problem followed by that of the map differs between pixels;
+            any other array is used for all pixels. None uses the problem's inputs for all pixels.
         labels: (*map) whole numbers. Pixels of one label (a material) share one set of parameters;
             pixels with a negative label are left out. None fits every pixel separately.
         starts: number of searches for each pixel, spread over bounds and priors.
-        misfit: as `fit` takes it.
+        misfit: what to do where the data scatter more than the likelihood states, as in `fit`.
         chunk: number of pixels fitted at a time.
-        seed: of the starts.
+        seed: seed of the starts.
 
     Returns:
         Maps of estimates, errors, intervals and states.

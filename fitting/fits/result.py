@@ -45,14 +45,14 @@ class Fit:
     Attributes:
         problem: the problem that was fitted.
         optimum: the mode of the unconstrained values, and where the searches ended.
-        posterior: draws.
+        posterior: draws of the parameters.
         misfit: chi-square and the correlation of neighbouring residuals.
-        residuals: standardised, of the data's shape; for data in chunks, the residuals of a sample.
-            NaN where a datum is missing.
+        residuals: standardised residuals, of the data's shape; for data in chunks, those of a
+            sample. NaN where a datum is missing.
         failures: why the fit did not converge, in sentences; empty if it did.
         findings: further sentences for the reader.
         noise: factor by which the noise of the data was widened because of a misfit; 1 for none.
-        settings: of the fit, for its report.
+        settings: settings of the fit, for its report.
         choices: whether each candidate was kept, and the evidence.
         seconds: time that the fit took, s.
 
@@ -119,7 +119,7 @@ class Fit:
         """Return a record of the problem, such as a camera, with the best-fit values.
 
         Args:
-            name: of the record in the problem.
+            name: name of the record in the problem.
 
         Returns:
             The record.
@@ -136,7 +136,7 @@ class Fit:
         `jaxvision.write_camera(fit.record("camera"), file, draws=fit.records("camera"))` stores it.
 
         Args:
-            name: of the record in the problem.
+            name: name of the record in the problem.
             draws: number of draws.
 
         Returns:
@@ -352,8 +352,8 @@ class Fit:
         """Write the report: `report.html`, `results.json` and the draws as NetCDF.
 
         Args:
-            folder: made if needed.
-            title: of the page.
+            folder: folder for the report, created if needed.
+            title: title of the page.
 
         Returns:
             Paths of the files.

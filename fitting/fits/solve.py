@@ -126,9 +126,10 @@ def fit(
             degree of freedom (Birge's factor), which assumes that the model is approximately right.
             The intervals of `Clustered` widen by themselves; with `Clustered`, `inflate` also
             accepts a misfit that an offset and a gain of each group do not explain.
-        seed: of starts and draws.
-        after: a fit of the same problem and seed whose chains continue, with more steps or draws in
-            `posterior`. They end bit-identical to uninterrupted chains.
+        seed: seed of the starts and of the draws.
+        after: an earlier fit of the same problem and seed, whose chains are continued with more
+            steps or draws in `posterior`. The result is bit-identical to that of uninterrupted
+            chains.
         sampling: deprecated; use `posterior`.
 
     Returns:

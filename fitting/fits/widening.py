@@ -37,9 +37,9 @@ class Widening:
     """A covariance, and the reason why it is wider than that of the likelihood alone.
 
     Attributes:
-        covariance: (P, P) on the unconstrained scale.
+        covariance: (P, P) covariance on the unconstrained scale.
         freedom: (P,) degrees of freedom of its variances; None where they are known.
-        noise: equivalent factor on the width of the noise; 1 for none.
+        noise: equivalent factor on the width of the noise; 1 for no widening.
         words: the reason, in sentences.
         explained: whether the widening accounts for a misfit.
     """

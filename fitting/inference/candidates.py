@@ -37,9 +37,10 @@ class Candidate:
             as a whole.
         absent: value of the parameter without the term, in its unit; may be a limit such as
             infinity.
-        chance: probability that a term which is absent is kept; 1 leaves the choice to BIC alone.
+        chance: probability that a term is kept although it is absent; 1 leaves the choice to BIC
+            alone.
         requires: names of candidates without which the term makes no sense, as a second order
-            requires the first; they are kept while it is.
+            requires the first. They are kept as long as this term is.
         side: `above` or `below`: on which side of the absent value a present term lies. A value on
             the other side is no evidence for the term.
 
@@ -92,11 +93,11 @@ class Choice:
     """The decision whether a candidate was kept, with the evidence for it.
 
     Attributes:
-        name: of the candidate.
+        name: name of the candidate.
         kept: whether the term is in the fitted model.
-        ratio: distance of its estimate from the absent value, in standard errors.
+        ratio: distance of the estimate from the absent value, in standard errors.
         needed: smallest ratio with which the term is kept.
-        absent: value without the term, in its unit.
+        absent: value of the parameter without the term, in its unit.
 
     Example:
         >>> from fitting import Choice

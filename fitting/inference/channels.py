@@ -30,13 +30,13 @@ def by_channel(
     names must be shared.
 
     Args:
-        problem: of one channel; its own data give the shape.
+        problem: the problem of one channel, whose data give the shape.
         data: (..., channels): the shape of the problem's data, followed by an axis of channels; NaN
             where a datum is missing.
         shared: names of the parameters that have one value for all channels.
-        inputs: with the structure of the problem's inputs. A leaf with the problem's shape and a
-            trailing axis of channels differs between channels; any other leaf is used for all. None
-            takes the problem's inputs.
+        inputs: inputs in the structure of the problem's inputs. An array with the problem's shape
+            and a trailing axis of channels differs between channels; any other array is used for
+            all. None uses the problem's inputs.
 
     Returns:
         The problem, for `fit`.

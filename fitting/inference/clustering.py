@@ -51,7 +51,8 @@ class Robustness:
             counts as known.
         effects: measured design effect of the clusters of each level; NaN where there are too few
             clusters.
-        design_effect: of the covariance; 1 where chance explains all effects.
+        design_effect: design effect of the covariance; 1 where chance explains all measured
+            effects.
     """
 
     covariance: Float[np.ndarray, "parameters parameters"]
@@ -92,11 +93,11 @@ class _Clustering:
     1.
 
     Attributes:
-        shares: (clusters, P, P) A_g.
-        widening: (clusters, P, P) B_g.
-        variance: (P, P) V.
-        unclustered: (P, P) the same with every sample its own cluster.
-        effect: V over the variance with independent residuals of the same size.
+        shares: (clusters, P, P) A_g, the shares of the clusters in the information.
+        widening: (clusters, P, P) B_g, which corrects the scores.
+        variance: (P, P) V, the covariance of the scores.
+        unclustered: (P, P) V if every sample were its own cluster.
+        effect: ratio of V to the variance of independent residuals of the same size.
     """
 
     shares: Float[np.ndarray, "clusters parameters parameters"]
@@ -123,7 +124,8 @@ def cluster_robust(
 
     Args:
         scores: (parameters, samples), gradient of each sample's log likelihood.
-        information: (parameters, parameters), as if all samples were independent.
+        information: (parameters, parameters), the Fisher information if all samples were
+            independent.
         levels: (samples,) cluster of each sample, by level; None leaves a level out.
         slopes: (parameters, samples), gradient of each sample's prediction over its standard
             deviation; their outer products sum to the information. None takes the scores, which do

@@ -27,10 +27,10 @@ class Candidate:
     """The effect that one further measurement would have.
 
     Attributes:
-        name: of the candidate.
-        sd: expected standard deviation of the target after it, in its unit.
+        name: name of the candidate.
+        sd: expected standard deviation of the target after the measurement, in the target's unit.
         fall: relative decrease of the target's variance, 0 to 1.
-        gain: expected information about all parameters, nats.
+        gain: expected gain of information about all parameters, nats.
     """
 
     name: str
@@ -45,10 +45,10 @@ class Plan:
     them.
 
     Attributes:
-        target: in words.
-        value: of the target at the best fit, in its unit.
-        sd: its standard deviation now.
-        candidates: the best first.
+        target: name of the quantity.
+        value: the quantity at the best fit, in its unit.
+        sd: present standard deviation of the quantity.
+        candidates: the candidates, the best first.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit

@@ -29,7 +29,7 @@ class Identifiability:
     Attributes:
         inflation: (parameters,) sqrt(VIF), infinite where undetermined.
         determined: whether the data determine every direction of the parameters.
-        sentences: the same for a report; empty where all is well determined.
+        sentences: the result in words for a report; empty where all parameters are well determined.
     """
 
     inflation: Float[np.ndarray, " parameters"]

@@ -145,11 +145,11 @@ class Chain:
     """The draws of an ensemble after its burn-in.
 
     Attributes:
-        vectors: (draws, walkers, parameters).
-        log_density: (draws, walkers).
+        vectors: (draws, walkers, parameters) unconstrained values.
+        log_density: (draws, walkers) log density of the vectors.
         tau: (parameters,) autocorrelation times in steps; infinite where a walker never moved.
         acceptance: share of accepted proposals.
-        steps: number of all steps, burn-in included.
+        steps: number of all steps, including the burn-in.
         missing_steps: estimated number of further steps that the chain needs; 0 where it is long
             enough.
         blocks: the whole chain, from which a longer run continues.

@@ -33,13 +33,13 @@ class Estimate:
     """A number with its name, unit and uncertainty.
 
     Attributes:
-        name: of the quantity, a word.
-        symbol: its letter, with a subscript behind `_`.
-        unit: of the value; "1" for none.
+        name: name of the quantity, a word.
+        symbol: letter of the quantity, with a subscript after `_`.
+        unit: unit of the value; "1" for none.
         value: None where the data cannot determine it.
-        standard_error: in the same unit.
-        interval_68: (low, high).
-        interval_95: (low, high).
+        standard_error: standard error, in the unit of the value.
+        interval_68: (low, high) ends of the 68 % interval.
+        interval_95: (low, high) ends of the 95 % interval.
         method: distinguishes several estimates of one quantity.
         group: distinguishes equal names, for example by colour channel.
         reason: why the value is None.
@@ -165,10 +165,10 @@ def find(
     """Return the first estimate with a given name.
 
     Args:
-        estimates: to search.
-        name: of the quantity.
-        method: of the estimate; empty for any.
-        group: of the estimate; empty for any.
+        estimates: estimates to search.
+        name: name of the quantity.
+        method: method of the estimate; empty for any.
+        group: group of the estimate; empty for any.
 
     Returns:
         The estimate.

@@ -61,10 +61,10 @@ def laplace_where_it_holds(
     Args:
         log_density: module-level function of (vector, args).
         space: the P parameters.
-        mode: (P,) unconstrained.
+        mode: (P,) unconstrained values at the mode.
         covariance: (P, P) on the unconstrained scale.
         args: second argument of `log_density`, such as the data.
-        seed: of every draw.
+        seed: seed of every draw.
         freedom: (P,) degrees of freedom of the variances; None where they are known.
         wider: (P, P), the covariance that belongs to `log_density` where `freedom` is given; None
             for `covariance`.

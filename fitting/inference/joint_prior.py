@@ -57,10 +57,10 @@ class Marginal:
     """The prior density of one number, taken from an earlier fit's estimate.
 
     Attributes:
-        centre: unconstrained.
-        sd: scale on the unconstrained scale.
+        centre: centre on the unconstrained scale.
+        sd: scale of the density on the unconstrained scale.
         freedom: degrees of freedom of Student's t; infinite for a Gaussian.
-        number: its transform and bounds, which define the scale on which it was estimated.
+        number: the number's transform and bounds, which define the unconstrained scale.
     """
 
     centre: float
@@ -128,12 +128,12 @@ class JointPrior(eqx.Module):
     `Fit.as_prior` and `as_prior` make one; `Problem(..., prior=...)` takes it.
 
     Attributes:
-        names: of its parameters.
-        shapes: of each; () for a number.
-        marginals: of each number of each parameter, arrays in row-major order.
-        correlation: (numbers, numbers) after each number is transformed to N(0, 1).
-        coupling: (numbers, numbers), 1 less the inverse correlation; None until a problem uses the
-            prior.
+        names: names of the parameters.
+        shapes: shape of each parameter; () for a number.
+        marginals: marginal prior of each number of each parameter, arrays in row-major order.
+        correlation: (numbers, numbers) correlations after each number is transformed to N(0, 1).
+        coupling: (numbers, numbers) identity minus the inverse correlation; None until a problem
+            uses the prior.
         required: names that must be free parameters of the problem.
         words: sentences for the findings of the new fit.
 
@@ -236,9 +236,9 @@ def as_prior(draws: Mapping[str, Any], names: Selection) -> JointPrior:
     logarithm, otherwise in the number itself. Numbers that do not vary are left out.
 
     Args:
-        draws: by name, of an array or of a record such as a `Sensor`, each number with a leading
-            axis of draws, as `jaxvision.read_sensor("sensor.toml", draws=500)` returns it. The
-            numbers of a record are named by their paths, "sensor.gain".
+        draws: draws by name, of an array or of a record such as a `Sensor`, each number with a
+            leading axis of draws, as `jaxvision.read_sensor("sensor.toml", draws=500)` returns it.
+            The numbers of a record are named by their paths, "sensor.gain".
         names: a name, a pattern such as "sensor.*", several of them, or new names by old ones.
 
     Returns:

@@ -29,8 +29,8 @@ class LeftOut:
     """An error that a likelihood omits.
 
     Attributes:
-        name: of the error, in the rig or the model.
-        size: as the rig states it, in its unit; None where it is estimated from the data.
+        name: name of the error, in the rig or the model.
+        size: size that the rig states, in its unit; None where it is estimated from the data.
         bound: largest change of the expected data that the error causes, in standard deviations of
             their noise.
     """

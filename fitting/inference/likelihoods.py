@@ -121,12 +121,12 @@ class StudentT(eqx.Module):
     data have weight again.
 
     Attributes:
-        scale: in the unit of the data; the standard deviation is sqrt(dof / (dof - 2)) times that:
-            a number, an array of the data's shape, or the name of a parameter.
+        scale: scale in the unit of the data: a number, an array of the data's shape, or the name of
+            a parameter. The standard deviation is sqrt(dof / (dof - 2)) times the scale.
         dof: degrees of freedom: 1 has the heaviest tails, 4 is common, 30 is nearly Gaussian. For
             clipped data it must be a number.
-        low: data at or below it are clipped, as in `Censored`; None for no lower end.
-        high: data at or above it are clipped; None for no upper end.
+        low: lower end: data at or below it are clipped, as in `Censored`; None for no lower end.
+        high: upper end: data at or above it are clipped; None for no upper end.
 
     Source:
         Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 1989; with ends Arellano-Valle, Castro,
@@ -227,8 +227,8 @@ class Censored(eqx.Module):
     Attributes:
         sd: standard deviation of the signal, in the unit of the data: a number, an array of the
             data's shape, or the name of a parameter.
-        low: data at or below it are clipped; None for no lower end.
-        high: data at or above it are clipped; None for no upper end.
+        low: lower end: data at or below it are clipped; None for no lower end.
+        high: upper end: data at or above it are clipped; None for no upper end.
 
     Source:
         Tobin, Econometrica 26, 1958.
@@ -306,7 +306,7 @@ class Clustered(eqx.Module):
     not simulate the shared error, whose form is unknown.
 
     Attributes:
-        likelihood: of each datum, without groups.
+        likelihood: likelihood of each datum, without groups.
         labels: (data) whole numbers, the group of each datum (its image, say). Or several levels of
             groups by name, such as {"frame": ..., "row": ..., "column": ...}, crossed or nested.
             The first level always widens the intervals, however few groups it has. Another level

@@ -28,8 +28,8 @@ class Misfit:
         dof: number of data less the effective number of parameters.
         p: probability of a larger chi-square. NaN with less than one degree of freedom, unless it
             is below `CHANCE` for one.
-        correlation: of neighbouring residuals along each axis.
-        significance: of the correlation, in its standard deviations.
+        correlation: correlation of neighbouring residuals along each axis.
+        significance: ratio of each correlation to its standard deviation.
         faults: sentences, empty when the model describes the data.
         remarks: sentences about residuals that are too small.
         count: number of data that are not missing.

@@ -34,14 +34,14 @@ class NewtonSolution(eqx.Module):
     """The point at which a minimisation ended, and the objective's derivatives there.
 
     Attributes:
-        vector: (parameters,).
+        vector: (parameters,) the best point.
         beyond: (parameters,) the end of one more undamped step; the objective was not evaluated
             there.
         cost: the objective at `vector`.
         information: (parameters, parameters), the Hessian at `vector`.
         lowest: smallest eigenvalue of the information scaled to unit diagonal.
-        decrement: decrease in cost that one more Newton step promises; 0.5 is half a squared
-            standard deviation.
+        decrement: decrease in cost that one more Newton step predicts; 0.5 corresponds to a step of
+            one standard deviation.
         steps: number of evaluations.
         converged: whether `decrement` is within the tolerance and the Hessian positive definite.
     """

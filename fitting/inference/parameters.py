@@ -60,17 +60,18 @@ class Parameter(eqx.Module):
     Bounds apply in every solver and sampler.
 
     Attributes:
-        name: a word; a `Problem` takes it from its dictionary.
-        symbol: its letter, with a subscript after `_`; the last part of the name by default.
-        unit: of the value; "1" for none.
+        name: name of the parameter, a word; a `Problem` takes it from its dictionary.
+        symbol: letter of the parameter, with a subscript after `_`; the last part of the name by
+            default.
+        unit: unit of the value; "1" for none.
         transform: scale of the search: `identity` or `log` (positive values). On this scale the
             density is flat without a prior, and errors are Gaussian.
-        lower: lower bound, in the unit of the value; for an array one for all, or a tuple with one
-            each.
+        lower: lower bound, in the unit of the value. For an array, give one bound for all numbers,
+            or a tuple with one for each.
         upper: upper bound, in the same form as `lower`.
-        prior: density of each value in its own unit (`Normal`, `LogNormal`, ...); for an array one
-            for all, or a tuple with one each; None for flat.
-        shape: of the value; None takes the shape of `start`, or () without a start.
+        prior: density of each value in its own unit (`Normal`, `LogNormal`, ...). For an array,
+            give one prior for all numbers, or a tuple with one for each. None for a flat prior.
+        shape: shape of the value; None takes the shape of `start`, or () without a start.
         start: value where a search begins, in its unit; None derives it from the bounds or the
             prior.
         linear: whether the prediction is linear in the parameter, as in an amplitude or a

@@ -56,14 +56,14 @@ class Posterior:
         space: the P parameters.
         method: "Laplace", "marginal" (independent draws of integrals on a grid), "importance
             sampling", "emcee" or "NUTS".
-        draws: (chains, draws, P) in natural units.
-        mode: (P,) in natural units.
-        unconstrained_mode: (P,).
-        covariance: (P, P) on the unconstrained scale.
-        seed: of the draws.
+        draws: (chains, draws, P) parameters in natural units.
+        mode: (P,) mode in natural units.
+        unconstrained_mode: (P,) mode on the unconstrained scale.
+        covariance: (P, P) covariance on the unconstrained scale.
+        seed: seed of the draws.
         freedom: (P,) degrees of freedom of the variances, where Laplace's intervals are those of
             Student's t; None where the variances count as known.
-        log_density: (chains, draws), None for Laplace.
+        log_density: (chains, draws) log density of the draws, None for Laplace.
         tau: (P,) autocorrelation times in steps, None for Laplace; for NUTS, the value that gives
             its effective number of draws.
         acceptance: share of accepted proposals, None for Laplace.
@@ -74,8 +74,9 @@ class Posterior:
         missed: parameter that the Gaussian describes worst, where this matters.
         endless: parameter that the data bound on one side only, as found by a chain.
         effective: effective number of draws of importance sampling.
-        miss: largest difference of the fall of the log density at two standard deviations from a
-            Gaussian's, where Laplace's approximation was tested; else NaN.
+        miss: difference between the decrease of the log density at two standard deviations and a
+            Gaussian's, the largest over parameters, where Laplace's approximation was tested; else
+            NaN.
         blocks: the whole chain, from which a longer run continues; empty for Laplace.
     """
 

@@ -64,13 +64,13 @@ class Problem(eqx.Module):
         data: of any shape; 0 where missing.
         present: mask of the data that are not missing; None if all are present.
         stream: source of all data, of which `data` are a sample; None if `data` are all.
-        records: by name; paths lead into them.
-        inputs: further arguments of `predict`.
+        records: records by name, into which the paths lead.
+        inputs: further data that `predict` receives as its argument `inputs`.
         space: all free numbers in the order of every vector.
         prior: joint prior from an earlier fit, with its correlations; or None.
         candidates: terms that a fit may leave out.
-        start: function from the data to natural values by name, where a search begins; None for
-            none.
+        start: function from the data to natural values by name, from which a search begins; or
+            None.
         left_out: what `called_for` has removed from the records, or None.
 
     Raises:
@@ -192,8 +192,8 @@ class Problem(eqx.Module):
         compilation.
 
         Args:
-            data: of the prediction's shape; NaN where missing. For a problem in chunks, in the form
-                that it takes.
+            data: data of the prediction's shape; NaN where missing. For a problem in chunks, data
+                in the same form as the problem's.
             inputs: new inputs; None keeps the present ones.
 
         Returns:
@@ -205,7 +205,7 @@ class Problem(eqx.Module):
         """Return the same problem with other records.
 
         Args:
-            records: all of them, by name.
+            records: all records, by name.
             left_out: the certificate of `called_for` for what was removed from the records.
 
         Returns:
@@ -218,7 +218,7 @@ class Problem(eqx.Module):
         `absent` value.
 
         Args:
-            name: of the candidate.
+            name: name of the candidate.
 
         Returns:
             The problem.

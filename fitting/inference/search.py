@@ -105,10 +105,10 @@ class Optimum:
 
     Attributes:
         vector: (P,) the mode, unconstrained.
-        cost: negative log posterior density there.
+        cost: negative log posterior density at the mode.
         information: (P, P) curvature of the cost.
         prior_information: (P, P) curvature of the prior's part of the cost.
-        decrement: decrease in cost that one more step promises.
+        decrement: decrease in cost that one more step predicts.
         stationary: whether the decrement is negligible.
         ends: (starts, P) end of each search, unconstrained.
         costs: (starts,) cost at each end, relative to the lowest.

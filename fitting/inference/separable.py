@@ -49,8 +49,8 @@ class SeparableFit(eqx.Module):
     """The best fit of a separable model.
 
     Attributes:
-        amplitudes: (bands, columns), first of the fixed columns, then of the searched one.
-        nonlinear: t; NaN without a searched column.
+        amplitudes: (bands, columns) amplitudes of the fixed columns, then of the searched one.
+        nonlinear: the nonlinear parameter t; NaN without a searched column.
         cost: weighted sum of squared residuals over all bands.
     """
 
@@ -244,9 +244,9 @@ class Eliminated(eqx.Module):
     """A problem with its linear numbers eliminated.
 
     Attributes:
-        residuals: (data + K,) of the data, then of the priors of the K linear numbers.
+        residuals: (data + K,) residuals of the data, then of the priors of the K linear numbers.
         natural: (K,) the best values, in their units.
-        precision: (K,) curvature of the cost along each alone.
+        precision: (K,) curvature of the cost along each linear number alone.
     """
 
     residuals: Float[Array, " residuals"]

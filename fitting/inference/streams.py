@@ -33,8 +33,8 @@ class Rows:
     """Some rows of the data, with their inputs and likelihood fields.
 
     Attributes:
-        data: (rows, ...).
-        own: the leaves of inputs and likelihood with one row per row of data, each (rows, ...).
+        data: (rows, ...) the data of the rows.
+        own: the arrays of inputs and likelihood with one row per row of data, each (rows, ...).
     """
 
     data: np.ndarray
@@ -52,9 +52,9 @@ class Stream:
         data: (rows, ...) array, or a function that yields blocks of rows.
         inputs: as the user passed them.
         likelihood: as the user passed it.
-        beside: inputs and likelihood; if a function yields the inputs, those of its first piece.
-        by_row: for each leaf of `beside`, whether it has one row per row of data; other leaves are
-            shared by all rows.
+        beside: inputs and likelihood. If a function yields the inputs, those of its first piece.
+        by_row: for each array of `beside`, whether it has one row per row of data; other arrays are
+            the same for all rows.
         size: number of rows of a chunk.
         count: number of all rows, known after the first pass.
         mark: checksum of all numbers that a function yields, independent of their order; None for

@@ -37,9 +37,9 @@ class JointCalibration(ShownInNotebooks):
 
     Attributes:
         observation: the calibrated photographs.
-        model: of the surface.
-        fits: one for each channel.
-        posteriors: by channel, where data and priors determine every parameter.
+        model: reflectance model of the surface.
+        fits: the fits, one for each channel.
+        posteriors: posteriors by channel, where data and priors determine every parameter.
         robust: by channel, the covariance that is robust to errors shared within images. Absent if
             the rig states errors of images and the images show no larger errors. If images
             disagree, the design effect is above 1.
@@ -78,12 +78,12 @@ def calibrate(
     states are left out and named in the findings.
 
     Args:
-        measurement: images, and flats and darks if there are any.
-        model: of the surface.
-        index: of refraction, of the clear facets of Torrance-Sparrow.
+        measurement: photographs, with flats and darks if there are any.
+        model: reflectance model of the surface.
+        index: index of refraction of the clear facets of Torrance-Sparrow.
         fit_gamma: whether the encoding exponent is fitted even where the rig states it.
         sampling: how to draw the posterior by emcee; None for Laplace.
-        seed: of every draw.
+        seed: seed of every draw.
         progress: called with (steps done, all steps). In each channel the steps are the fit, the
             fits of two halves where images disagree, and the posterior.
 

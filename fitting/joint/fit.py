@@ -369,10 +369,11 @@ def image_errors(
     """Return the fitted errors of each image, in units of their scale.
 
     Args:
-        fit: of one channel.
+        fit: fit of one channel.
 
     Returns:
-        Means and standard deviations, (images, errors); None where the rig names none.
+        Means and standard deviations, (images, errors); None where the rig states no errors of
+        images.
     """
     _, left = predicted_parts(jnp.asarray(fit.vector), fit.data)
     if left.image_errors is None:

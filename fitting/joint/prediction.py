@@ -22,7 +22,8 @@ class PixelPrediction:
 
     Attributes:
         mean: (pixels,) expected DN.
-        deviation: (pixels,) DN, standard deviation by noise, shared errors and parameters together.
+        deviation: (pixels,) standard deviation due to noise, shared errors and parameters together,
+            DN.
         usable: (pixels,) whether a pixel is lit and far enough from both ends of the scale.
     """
 
@@ -40,9 +41,9 @@ def predict(
     """Predict the image under one light as if it had not been taken.
 
     Args:
-        measurement: of the fit.
-        fit: of one channel.
-        covariance: (P, P) of its parameters on the unconstrained scale.
+        measurement: the photographs of the fit.
+        fit: fit of one channel.
+        covariance: (P, P) covariance of the fit's parameters on the unconstrained scale.
         light: index of the light, held out or not.
 
     Returns:

@@ -60,11 +60,12 @@ def calibrate(
     Args:
         images: one for each light, (h, w) or (h, w, 3) linear DN, all of one fixed view.
         masks: (h, w) true where the ball is, one for each ball; two mirror balls give positions.
-        camera: its bits, and its black level and saturation where they are not 0 and full scale.
+        camera: the camera's bits, and its black level and saturation where they are not 0 and full
+            scale.
         kind: `mirror` for highlights, `matte` for shading.
-        files: names of the images; None for `images[0]` and on.
-        focal_length: of the lens, pixels, with its axis through the middle of the picture; None for
-            an orthographic view.
+        files: names of the images; None names them `images[0]`, `images[1]` and so on.
+        focal_length: focal length of the lens in pixels, with its axis through the middle of the
+            picture; None for an orthographic view.
         radius: radius of two equal balls, m. Without a focal length, their centres must be equally
             far from the camera.
         outline_sd: standard deviation of the centre and radius of a careful outline, pixels.

@@ -20,15 +20,15 @@ class Lights:
     notebook.
 
     Attributes:
-        files: names of their images.
+        files: names of the lights' images.
         places: (lights, 3) unit directions toward distant lights; m from the centre of the first
             ball where `near`. Axes are x right, y up, z toward the camera.
-        intensities: (lights,) relative, 1 on average; NaN where unknown.
-        covariance: (lights, 4, lights, 4) of x, y, z and the logarithm of the intensity, including
-            the errors that all lights share.
+        intensities: (lights,) relative intensities, 1 on average; NaN where unknown.
+        covariance: (lights, 4, lights, 4) covariance of x, y, z and the logarithm of the intensity,
+            including the errors that all lights share.
         near: whether places are positions.
         outlines: (balls, 3) column, row and radius of each ball, pixels.
-        outline_sds: (balls, 3) pixels.
+        outline_sds: (balls, 3) standard deviations of the outlines, pixels.
         common: share of the variance of the places that all lights share, because it comes from the
             outlines.
         findings: sentences.
@@ -93,8 +93,8 @@ def write_lights(lights: Lights, path: str | os.PathLike[str]) -> None:
     """Write places, intensities and covariance as `.npz`.
 
     Args:
-        lights: to write.
-        path: of the file.
+        lights: the lights to write.
+        path: path of the file.
     """
     with Path(path).open("wb") as stream:
         parts: dict[str, Any] = {name: np.asarray(getattr(lights, name)) for name in STORED}

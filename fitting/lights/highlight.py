@@ -28,10 +28,10 @@ class Highlight:
     """The position and flux of a highlight.
 
     Attributes:
-        place: column and row, pixels.
+        place: column and row of the highlight, pixels.
         sd: standard deviation of each, pixels.
-        flux: DN, of all its pixels; NaN where some are clipped.
-        flux_sd: relative.
+        flux: sum over all pixels of the highlight, DN; NaN where some are clipped.
+        flux_sd: relative standard deviation of the flux.
     """
 
     place: Float[np.ndarray, "2"]

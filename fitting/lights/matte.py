@@ -37,14 +37,14 @@ class Shading:
     """The fitted lights of a matte ball, and the outline that they share.
 
     Attributes:
-        values: (3,) of the outline.
-        outline_covariance: (3, 3).
-        g: (lights, 3) DN.
+        values: (3,) column, row and radius of the outline, pixels.
+        outline_covariance: (3, 3) covariance of the outline.
+        g: (lights, 3) direction of each light times its irradiance and the albedo, DN.
         own: (lights, 3, 3) covariance of g for a known outline.
-        by_outline: (lights, 3, 3) dg/do.
+        by_outline: (lights, 3, 3) derivative of g with respect to the outline.
         misfit: rms residual over the largest signal, median over lights.
         effect: design effect of the residuals.
-        floor: DN above black of pixels facing away from the lights; it was subtracted.
+        floor: level of pixels that face away from the lights, DN above black; it was subtracted.
     """
 
     values: Float[np.ndarray, "3"]

@@ -32,8 +32,8 @@ class Lens:
     """The projection of the camera: orthographic, or through a lens.
 
     Attributes:
-        focal_length: pixels; None for an orthographic view.
-        centre: (column, row) of the axis.
+        focal_length: focal length in pixels; None for an orthographic view.
+        centre: (column, row) where the lens's axis meets the picture.
     """
 
     focal_length: float | None
