@@ -69,7 +69,7 @@ class Blur(NamedTuple):
     """The blur of the edge in addition to the pixel's aperture.
 
     Attributes:
-        shape: "gaussian" or "disc", of the fitted blur.
+        shape: shape of the fitted blur, "gaussian" or "disc".
         diffraction: wavelength times f-number over the pixel pitch; None without diffraction.
     """
 
@@ -82,17 +82,18 @@ class Resolution:
     """The resolution measured on the picture of an edge.
 
     Attributes:
-        fit: of the model to the picture: its estimates, chi-square and findings.
-        frequency: (n,) cycles per pixel across the edge.
-        otf: (n,) transfer at these frequencies, measured without the model: its real part about the
-            edge, below 0 where contrast is reversed. Its modulus is the MTF.
-        otf_covariance: (n, n) of `otf`.
-        distance: (m,) pixels from the edge, positive on the bright side.
+        fit: fit of the model to the picture: its estimates, chi-square and findings.
+        frequency: (n,) frequencies across the edge, cycles per pixel.
+        otf: (n,) real part of the transfer function at these frequencies, with the edge as origin,
+            measured without the model. It is below 0 where contrast is reversed. Its modulus is the
+            MTF.
+        otf_covariance: (n, n) covariance of `otf`.
+        distance: (m,) distances from the edge, pixels, positive on the bright side.
         spread: (m,) edge spread, 0 on the dark side and 1 on the bright one: means of the pixels in
             bins of a quarter of a pixel.
         spread_sd: (m,) standard errors of `spread`.
         blur: shape of the blur, and diffraction.
-        findings: in sentences.
+        findings: findings in sentences.
 
     Example:
         See `from_edge`.
@@ -249,12 +250,12 @@ def from_edge(
             begin at the corner of a tile; its bits and black level give the range. None for a
             monochrome camera.
         band: number of the band, for a mosaic or a developed picture.
-        shape: of the blur that is fitted: a "gaussian" (`blur` is its standard deviation), or the
+        shape: shape of the fitted blur: a "gaussian" (`blur` is its standard deviation), or the
             "disc" of an image out of focus (`blur` is its diameter).
-        diffraction: wavelength times working f-number over the pixel pitch, known; None leaves
-            diffraction out, and the fitted blur includes it.
-        reach: pixels on both sides of the edge from which the MTF is measured; the edge spread must
-            have ended there.
+        diffraction: known diffraction: wavelength times working f-number over the pixel pitch. None
+            leaves diffraction out, and the fitted blur includes it.
+        reach: distance in pixels on both sides of the edge within which the MTF is measured. The
+            edge spread must have ended there.
 
     Returns:
         The fit, the MTF with its covariance, and findings.

@@ -476,7 +476,7 @@ class Flat(Level):
     Photons or irradiance are needed only for the quantum efficiency.
 
     Attributes:
-        photons: mean photons per pixel and exposure.
+        photons: mean number of photons per pixel and exposure.
         irradiance: W m^-2 on the sensor (with the camera's pixel_pitch and wavelength).
     """
 
@@ -515,9 +515,10 @@ class Light(Entry):
         position: m, from the centre of the sphere (then `[geometry]` needs a sphere in metres).
         intensity: irradiance on a surface facing the light (W m^-2 or relative), or the radiant
             intensity of a point light; one number, or a list of one for each channel.
-        held_out: whether to keep this image for the test of the prediction.
+        held_out: whether to use this image only to test predictions.
         intensity_sd: relative standard deviation of the intensity.
-        direction_sd: standard deviation of the direction, rad along each of two axes across it.
+        direction_sd: standard deviation of the direction, rad along each of two axes perpendicular
+            to it.
         exposure_sd: relative standard deviation of the image's exposure.
         stray_sd: rms of stray light on every pixel, relative to the irradiance of this light.
     """
@@ -605,9 +606,9 @@ class Rig(Entry):
         dark: frames for the noise calibration, and for the black level of a response.
         exposure: images for the response calibration.
         light: images for the reflectance calibration.
-        geometry: for the reflectance calibration.
-        covariance: file of the errors of all lights together, `lights.npz` as
-            `jaxvision-fit lights` writes it, beside the rig; replaces `direction_sd`.
+        geometry: shape of the object, for the reflectance calibration.
+        covariance: file with the joint covariance of all lights, `lights.npz` as `jaxvision-fit
+            lights` writes it, next to the rig; it replaces `direction_sd`.
     """
 
     folder: Path

@@ -71,7 +71,7 @@ class FoundRig:
     """A rig as text, with sentences on missing values and on images that are in no entry.
 
     Attributes:
-        text: TOML; missing entries are comments in it.
+        text: the rig in TOML; missing entries are comments in it.
         missing: one sentence for each missing entry.
         left_out: one sentence for each image that is in no entry.
         kind: calibration for which the images are suited: noise, response or brdf; "" for none.
@@ -92,8 +92,8 @@ class _Image:
         settings: from its metadata.
         exposure: s, from the metadata or the name.
         kind: dark, flat, light (of a known shape under a lamp), or "" for an exposure stack.
-        doubts: sentences, or "", on a time that the name leaves open, and on a kind that name and
-            metadata contradict.
+        doubts: sentences, or "", on a doubtful exposure time in the name, and on a kind about which
+            name and metadata disagree.
     """
 
     name: str

@@ -49,14 +49,14 @@ class Sensitivities:
     """The spectral sensitivities of a camera's channels, as draws of their posterior.
 
     Attributes:
-        wavelengths: (bands,) m.
-        channels: names.
-        draws: (draws, bands, channels) of the sensitivities, in the unit of readings divided by the
-            unit of the light, at least 0.
+        wavelengths: (bands,) wavelengths, m.
+        channels: names of the channels.
+        draws: (draws, bands, channels) draws of the sensitivities, in the unit of readings divided
+            by the unit of the light, at least 0.
         length: (channels,) correlation length over wavelength, m.
         noise: (channels,) standard deviation of the readings, relative to the stated one; in the
             unit of the readings if none was stated.
-        findings: sentences.
+        findings: findings in sentences.
     """
 
     wavelengths: Float[np.ndarray, " bands"]
@@ -76,7 +76,7 @@ class Sensitivities:
         sensitivities.
 
         Args:
-            light: (..., bands) as it was given to `from_patches`.
+            light: (..., bands) spectrum, in the unit of the light in `from_patches`.
 
         Returns:
             Bands of the shape (..., channels), in the unit of the readings.
@@ -222,14 +222,14 @@ def from_patches(
     light, or both. Readings are linear in the light, of one exposure, and without black level.
 
     Args:
-        readings: (patches, channels), NaN where saturated.
+        readings: (patches, channels) readings, NaN where saturated.
         light: (patches, bands) spectrum of each patch, the same unit for all.
         wavelengths: (bands,) m, increasing.
-        sd: (patches, channels), (patches, 1) or () standard deviations of the readings; None to
-            measure one for each channel from its misfit.
+        sd: (patches, channels), (patches, 1) or () standard deviations of the readings. None
+            estimates one for each channel from its residuals.
         channels: names of the channels.
-        draws: of the posterior.
-        seed: of the draws.
+        draws: number of posterior draws.
+        seed: seed of the draws.
 
     Returns:
         The sensitivities.

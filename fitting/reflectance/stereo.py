@@ -73,13 +73,14 @@ class Stereo:
     """Normals, albedo and their errors for each pixel. Print the record, or show it in a notebook.
 
     Attributes:
-        normals: (h, w, 3) unit, in the axes of the lights; NaN where fewer than three lights are
-            used.
-        albedo: (h, w) readings over irradiance.
+        normals: (h, w, 3) unit normals, in the axes of the lights; NaN where fewer than three
+            lights are used.
+        albedo: (h, w) ratio of readings to irradiance.
         normal_sd: (h, w) standard deviation of the normal's direction, rad, root mean square over
             two axes. A cone of 2.448 times this half-angle contains the normal with 95 %
-            probability. NaN where only three lights are used and no residual is left.
-        albedo_sd: (h, w) standard deviation of the albedo, in its unit; NaN as `normal_sd`.
+            probability. NaN where only three lights are used, because no residual is left.
+        albedo_sd: (h, w) standard deviation of the albedo, in its unit; NaN where `normal_sd` is
+            NaN.
         used: (h, w) number of lights that are used.
         misfit: (h, w) standard deviation of departures from Lambert's law that neighbouring lights
             share, relative to the albedo; 0 where none is found. The standard deviations of normal
@@ -87,9 +88,9 @@ class Stereo:
         findings: sentences on images that do not match the others, on a surface that is not
             Lambertian, on images without light, and on normals that belong to no surface in the
             axes of the image.
-        materials: by label, the numbers that its pixels share and their standard deviations: of a
-            lobe the amplitude, in the unit of the albedo (times that of the model's k_s), and the
-            shape; of a rough body the roughness. Empty for Lambert's law.
+        materials: by label, the parameters that its pixels share, with their standard deviations.
+            For a lobe these are the amplitude, in the unit of the albedo (times that of the model's
+            k_s), and the shape. For a rough surface it is the roughness. Empty for Lambert's law.
     """
 
     normals: Float[np.ndarray, "h w 3"]
@@ -156,54 +157,58 @@ def photometric_stereo(
     lights.
 
     Args:
-        images: (lights, h, w) linear readings without black level, in any unit; NaN marks a missing
-            reading; the remaining readings are used.
+        images: (lights, h, w) linear readings without black level, in any unit. NaN marks a missing
+            reading; the other readings of the pixel are used.
         lights: (lights, 3) unit vectors toward the lights, in any axes. A finding says if normals
             belong to no surface with x right and y up in the image.
         intensities: (lights,) irradiance on a surface that faces the light, W m^-2 or relative;
             None for 1.
-        covariance: (lights, 4, lights, 4) of directions and logarithms of intensities, as
-            `fitting.lights.calibrate` finds it; None for exact lights.
-        lowest: readings at or below it are left out as shadow, in the unit of the images. So are
+        covariance: (lights, 4, lights, 4) covariance of directions and logarithms of intensities,
+            as `fitting.lights.calibrate` returns it; None for exact lights.
+        lowest: readings at or below this are left out as shadow, in the unit of the images. So are
             readings that the other images predict to be less than three standard deviations above
             it.
-        highest: readings at or above it are left out as clipped. So are readings that the other
+        highest: readings at or above this are left out as clipped. So are readings that the other
             images predict to be less than three standard deviations below it. If None, and many
             readings equal the largest one, that reading is the limit, and a finding says so.
         robust: whether to leave out readings that the other images contradict, as in highlights and
-            cast shadows. A reading is left out if it lies beyond 2.5 standard deviations of the fit
-            of least absolute residuals, and if the least-squares fit of the others would be off by
-            as much in fewer than one of a hundred pixels. This needs at least six usable lights.
-            Five leave one residual, so that hardly any reading is left out and the errors are as
-            large as the contradiction. With two wrong readings among six, as at the rim of a body,
-            a wrong one may remain and the normal be off by 0.25 rad. An image that the others
+            cast shadows. A reading is left out if two conditions are met. It lies beyond 2.5
+            standard deviations of the fit of least absolute residuals. And chance would move it as
+            far from the least-squares fit of the other readings in fewer than one of a hundred
+            pixels. This needs at least six usable lights. With five lights, four readings leave one
+            residual only, so that hardly any reading is left out, and the errors are as large as
+            the contradiction. With two wrong readings among six, as at the rim of an object, a
+            wrong one may remain and the normal be wrong by 0.25 rad. An image that the others
             contradict in most pixels is left out as a whole and named. So is one of at least five
             images that is brighter or darker than predicted by one factor in all pixels.
-        model: reflectance, one of those that `calibrate` fits. A lobe lies on a Lambertian body,
-            whose albedo differs between pixels; all pixels of a material share the amplitude and
-            the shape of the lobe, or the roughness of the body. Facets have an index of 1.5.
-        materials: (h, w) whole numbers, one label per material; pixels with negative labels are
+        model: reflectance model, one of those that `calibrate` fits. A lobe is added to a
+            Lambertian surface whose albedo differs between pixels. All pixels of a material share
+            the amplitude and the shape of the lobe, or the roughness. Facets have an index of
+            refraction of 1.5.
+        materials: (h, w) integers, one label for each material; pixels with negative labels are
             Lambertian. None for one material.
-        viewer: (3,) unit vector toward the camera, in the axes of the lights. A `model` other than
-            Lambert's, the comparison with a rough surface, and the check of the axes use it.
+        viewer: (3,) unit vector toward the camera, in the axes of the lights. It is used by a
+            `model` other than Lambert's, by the comparison with a rough surface, and by the check
+            of the axes.
 
     Returns:
         Normals, albedo and their standard deviations. These follow from the residuals of each
-        pixel, with the residuals of the other pixels as prior. Where residuals show that the
-        surface is not Lambertian, or the readings not linear, the standard deviations include the
-        departures that neighbouring lights share, and a sentence says so. With fewer than 32 lights
-        they also include the change of the normal by a rough body (Oren and Nayar's), if that
-        explains the residuals: it turns normals toward the viewer and leaves hardly any residual. A
-        finding names a factor of one light's intensity, or an offset of all readings, that explains
-        residuals in all pixels, and also the readings of pixels that face away from a light. g is
-        not corrected for these, but the standard deviations include the change that a correction
-        would make. Where no pixel faces away from a light, lights of one height hide an offset. On
-        simulated balls under 6 to 96 lights, cones of 95 % contained the true normal in 93 to 98 %
-        of the pixels of a matt ball, in 92 to 100 % of a glossy one and in 91 to 100 % of a rough
-        one. With a `model`, departures are measured from this model, and the standard deviations
-        include the errors of its parameters. Interreflection between parts of a surface changes the
-        readings as another normal would, leaves hardly any residual, and is not included: in a
-        hollow the standard deviations are lower bounds.
+        pixel, with the distribution of the residuals over all pixels as prior. If residuals show
+        that the surface is not Lambertian or the readings are not linear, the standard deviations
+        include the departures that neighbouring lights share, and a finding says so. With fewer
+        than 32 lights they also include the change of the normal by roughness (Oren and Nayar's
+        model), if that explains the residuals. Roughness rotates normals toward the viewer and
+        leaves hardly any residual. A finding names a factor of one light's intensity, or an offset
+        of all readings, if it explains the residuals of all pixels. An offset is also found from
+        pixels that face away from a light. The normals are not corrected for these, but the
+        standard deviations include the change that a correction would make. If no pixel faces away
+        from a light, an offset is not identifiable under lights of equal elevation. On simulated
+        balls under 6 to 96 lights, cones of 95 % contained the true normal in 93 to 98 % of the
+        pixels of a matt ball, in 92 to 100 % of a glossy one and in 91 to 100 % of a rough one.
+        With a `model`, departures are measured from this model, and the standard deviations include
+        the errors of its parameters. Interreflection between parts of a surface has the effect of
+        another normal and leaves hardly any residual. It is not included, so that in a hollow the
+        standard deviations are lower bounds.
 
     Raises:
         InputError: for fewer than three lights, lights in one plane, and shapes that do not agree.

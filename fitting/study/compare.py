@@ -27,15 +27,16 @@ class Compared:
     """The comparison of one quantity of one channel between all cameras that have it.
 
     Attributes:
-        quantity: its name.
+        quantity: name of the quantity.
         channel: "" for none.
-        unit: of values.
-        median: over the cameras.
+        unit: unit of the values.
+        median: median over the cameras.
         scatter: standard deviation between the cameras beyond their errors, without the outliers;
             NaN if undetermined.
-        differ: whether chance alone would give that scatter in fewer than one of 1000 such studies.
+        differ: whether chance alone would give so large a scatter in fewer than one of 1000 such
+            studies.
         outliers: names of the cameras that differ from the others, the furthest first.
-        values: of the outliers, in the unit.
+        values: values of the outliers, in the unit.
     """
 
     quantity: str
@@ -54,11 +55,11 @@ class Drift:
     of all cameras.
 
     Attributes:
-        quantity: its name.
+        quantity: name of the quantity.
         channel: "" for none.
         unit: of the slope, such as "DN a year".
-        slope: in that unit.
-        standard_error: of the slope.
+        slope: slope of the line, in that unit.
+        standard_error: standard error of the slope.
     """
 
     quantity: str

@@ -45,8 +45,8 @@ class Outcome:
 
     Attributes:
         camera: name of the folder in the study.
-        estimates: of its calibration; empty where it failed.
-        findings: sentences of its report.
+        estimates: estimates of its calibration; empty where it failed.
+        findings: sentences of the folder's report.
         failed: why there is no calibration; "" where there is one.
         date: ISO 8601, from the rig; "" where it has none.
         temperature: K, from the rig, or None.
@@ -65,12 +65,12 @@ class Folder:
     """One folder of a study: its name, the paths of its rig and report, and the state of its files.
 
     Attributes:
-        camera: its name in the study.
-        path: of the rig.
-        out: folder of its report.
-        digest: fingerprint of the rig and its images at the start of the study.
+        camera: name of the folder in the study.
+        path: path of the rig.
+        out: folder for the report.
+        digest: hash of the rig and its images at the start of the study.
         changed: time of the latest change of these files, ns.
-        memory: memory that its calibration needs, bytes.
+        memory: memory that the folder's calibration needs, bytes.
     """
 
     camera: str
@@ -86,8 +86,8 @@ class Settings:
     """The settings that all folders of a study share.
 
     Attributes:
-        kind: of calibration.
-        seed: of every draw.
+        kind: kind of calibration.
+        seed: seed of every draw.
         reports: whether to draw each folder's report, which takes most of the time.
     """
 

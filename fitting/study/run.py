@@ -36,9 +36,9 @@ class Study:
 
     Attributes:
         outcomes: one for each folder, in the given order.
-        found: table of all, as in `study.nc`.
-        quantities: each compared between the cameras, in its unit.
-        drifts: of quantities over date or temperature.
+        found: table of all results, as in `study.nc`.
+        quantities: comparison of each quantity between the cameras, in its unit.
+        drifts: drifts of quantities with date or temperature.
     """
 
     outcomes: tuple[Outcome, ...]
@@ -58,9 +58,9 @@ def study(
     earlier run by the same version on the same data are reused.
 
     Args:
-        paths: of rigs; workers use the same paths.
+        paths: paths of the rigs; workers use the same paths.
         out: folder for the reports, one for each rig, and for `study.nc` and `study.html`.
-        settings: of all calibrations.
+        settings: settings of all calibrations.
         progress: called with (folders done, all folders).
 
     Returns:

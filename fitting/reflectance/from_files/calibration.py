@@ -55,17 +55,18 @@ class BRDFCalibration(ShownInNotebooks):
     Attributes:
         measured: the calibrated samples.
         objective: the objective that the fits minimise.
-        index: of refraction of dielectric facets.
+        index: index of refraction of dielectric facets.
         model: name of the reported model.
-        fits: of every model.
+        fits: fits of every model.
         fitted: errors of every model on the samples that it was fitted to.
         held_out: errors of the predictions for held-out incidences.
         space: the P parameters of `model`.
-        mean: (P,) natural values, amplitudes averaged over bands.
-        covariance: (P, P) of their logarithms, from the jackknife, widened.
-        amplitudes: of every band.
-        open_parameters: those that the samples do not determine, and why.
-        posterior: None where a parameter is not determined.
+        mean: (P,) natural values of the parameters, amplitudes averaged over bands.
+        covariance: (P, P) covariance of the parameters' logarithms, from the jackknife, widened for
+            few incidences.
+        amplitudes: amplitudes of every band.
+        open_parameters: parameters that the samples do not determine, with the reasons.
+        posterior: posterior of `model`; None where a parameter is not determined.
     """
 
     measured: MeasuredBRDF
@@ -97,12 +98,12 @@ def calibrate(
 
     Args:
         measured: samples of one material.
-        model: the reported model; None for the one of least held-out error. "torrance-sparrow" has
-            GGX facets, as `jaxvision.TorranceSparrow` by default.
-        objective: to minimise.
-        index: of refraction of the dielectric facets of Torrance-Sparrow.
+        model: model to report; None for the one with the smallest held-out error.
+            "torrance-sparrow" has GGX facets, as `jaxvision.TorranceSparrow` by default.
+        objective: objective that the fits minimise.
+        index: index of refraction of the dielectric facets of Torrance-Sparrow.
         sampling: settings for draws of the reported model's posterior by emcee; None for Laplace.
-        seed: of every draw.
+        seed: seed of every draw.
 
     Returns:
         The calibration.

@@ -194,8 +194,8 @@ def best_about_axis(scores: Mapping[Model, Errors], axis: Axis, objective: Objec
 
     Args:
         scores: errors by model.
-        axis: of the lobe.
-        objective: whose metric decides.
+        axis: axis of the lobe.
+        objective: objective whose metric decides.
 
     Returns:
         The name of the best model.

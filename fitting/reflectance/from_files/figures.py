@@ -90,7 +90,7 @@ def in_plane_angles(measured: MeasuredBRDF) -> tuple[np.ndarray, np.ndarray]:
     """Return the viewer's angles in the plane of incidence and out of it.
 
     Args:
-        measured: n samples.
+        measured: reflectance at n samples.
 
     Returns:
         (n,) angle from the normal within the plane, positive away from the light, and (n,) angle
@@ -107,13 +107,13 @@ def predicted(
     """Return f_r, averaged over bands, toward viewers in the plane of incidence.
 
     Args:
-        fit: of one model.
-        theta_i: of the light from the normal, rad.
-        theta_o: (n,) of the viewers, positive away from the light, rad.
-        index: of refraction of dielectric facets.
+        fit: fit of one model.
+        theta_i: angle of the light from the normal, rad.
+        theta_o: (n,) angles of the viewers from the normal, positive away from the light, rad.
+        index: index of refraction of dielectric facets.
 
     Returns:
-        (n,) sr^-1.
+        f_r (n,), sr^-1.
     """
     flat, light = np.zeros(len(theta_o)), np.full(len(theta_o), theta_i)
     wi = Vec(*(jnp.asarray(c) for c in (np.sin(light), flat, np.cos(light))))

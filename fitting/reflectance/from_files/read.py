@@ -55,17 +55,17 @@ class MeasuredBRDF:
     """Samples of the reflectance of one material.
 
     Attributes:
-        name: of the file.
-        wi: (n,) components, unit, local, toward the light.
-        wo: (n,) components, unit, local, toward the viewer.
+        name: name of the file.
+        wi: (n,) components of the unit vector toward the light, in the local frame.
+        wo: (n,) components of the unit vector toward the viewer, in the local frame.
         values: (n, bands) f_r, sr^-1.
-        weights: (n,) of the samples; their mean is 1.
+        weights: (n,) weights of the samples; their mean is 1.
         incidence: (n,) index into `incidences`.
-        incidences: elevations of the light, rad.
-        elevation: (n,) of the viewer, rad.
-        azimuth: (n,) of the viewer from the light's, rad in [0, pi].
-        bands: names.
-        wavelengths: (bands,) nm; None for RGB.
+        incidences: angles of the light from the normal, rad.
+        elevation: (n,) angle of the viewer from the normal, rad.
+        azimuth: (n,) azimuth of the viewer relative to the light's, rad in [0, pi].
+        bands: names of the bands.
+        wavelengths: (bands,) wavelengths, nm; None for RGB.
         findings: sentences on these data for the report.
     """
 

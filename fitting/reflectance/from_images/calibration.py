@@ -48,14 +48,14 @@ class ReflectanceCalibration(ShownInNotebooks):
     Attributes:
         observation: the calibrated photographs.
         model: name of the reported model.
-        fits: of every model, by channel.
-        scores: of every model in every channel.
+        fits: fits of every model, by channel.
+        scores: scores of every model in every channel.
         open_parameters: by channel, the parameters of `model` that the data do not determine, with
             the reason.
-        posteriors: of the channels where all parameters are determined.
-        fitted: samples of the fits.
+        posteriors: posteriors of the channels where all parameters are determined.
+        fitted: samples to which the models were fitted.
         held_out: samples that test the predictions.
-        minimum_cosine: samples with a smaller n.l were left out.
+        minimum_cosine: smallest n.l of the samples that were used.
     """
 
     observation: Photographs
@@ -100,20 +100,20 @@ def calibrate(
     states are left out and named in the findings.
 
     Args:
-        observation: of a known shape under known lights.
+        observation: photographs of a known shape under known lights.
         model: the model reported in full; "torrance-sparrow" has GGX facets, as
             `jaxvision.TorranceSparrow` by default.
         compare_all: whether to fit every model instead of the usual rivals, `USUAL`; this takes
             about twice the time.
-        index: of refraction of the dielectric facets of Torrance-Sparrow.
+        index: index of refraction of the dielectric facets of Torrance-Sparrow.
         sampling: settings for draws of the posterior of `model` by emcee; None for Laplace.
-        seed: of every draw.
-        ambient: whether to add a constant per channel to the light; it is estimated from the
-            attached shadows too.
+        seed: seed of every draw.
+        ambient: whether to add a constant per channel to the light. It is estimated from the
+            attached shadows, too.
         fit_gamma: whether to fit the encoding exponent; a known `camera.gamma` is then ignored.
-        minimum_cosine: samples with a smaller n.l are left out, for objects on which light at
-            grazing incidence is uncertain.
-        progress: called with (models fitted, all models), first with none of them.
+        minimum_cosine: samples with a smaller n.l are left out. This suits objects on which light
+            at grazing incidence is uncertain.
+        progress: called with (models fitted, all models), the first time with no model fitted.
 
     Returns:
         The calibration.

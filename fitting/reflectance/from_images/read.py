@@ -104,21 +104,21 @@ class Photographs:
     The product of `intensity` and `falloff` is the irradiance on a surface that faces the light.
 
     Attributes:
-        channels: names.
-        files: names, one for each light.
+        channels: names of the channels.
+        files: names of the images, one for each light.
         dn: (channels, lights, pixels) stored digital numbers.
-        intensity: (channels, lights) as stated in the rig.
+        intensity: (channels, lights) intensity as stated in the rig.
         falloff: (lights, pixels) factor on the intensity by distance: 1 for distant lights, m^-2
             for point lights.
-        wi: (lights, pixels, 3) unit, toward the light.
+        wi: (lights, pixels, 3) unit vector toward the light.
         cosine: (lights, pixels) n.l, negative in attached shadows.
-        mirror_angle: (lights, pixels) between view and mirror direction, rad.
-        normals: (pixels, 3) unit.
-        held_out: (lights,), true for lights that are kept for the test.
+        mirror_angle: (lights, pixels) angle between view and mirror direction, rad.
+        normals: (pixels, 3) unit normals.
+        held_out: (lights,), true for lights that are used only to test predictions.
         rows: (pixels,) row of each pixel in images of `shape`.
         columns: (pixels,) column of each pixel in images of `shape`.
-        shape: (h, w).
-        camera: of the rig, after its mosaic sites were shifted to one black level.
+        shape: (h, w) of the images.
+        camera: camera of the rig, after its mosaic sites were shifted to one black level.
         black: DN without light.
         white: DN of full scale above black.
         clip: DN from which a pixel is saturated.
@@ -126,13 +126,14 @@ class Photographs:
         gain: DN per electron; None where unknown.
         read_noise: e- rms; None where unknown.
         findings: sentences on assumptions.
-        uncertain: (lights,) standard deviations by their key in the rig; 0 where exact.
+        uncertain: (lights,) standard deviations, by their key in the rig; 0 where the value is
+            exact.
         turn_prior: (rotations, rotations) covariance of the rotations of all lights, two per light,
             in units of `direction_sd`; None for independent lights.
         black_sd: DN, standard deviation of the black level; 0 where exact.
         gamma_sd: standard deviation of the encoding exponent; 0 where exact.
-        levels: of the uniform frames of each channel; None without any, or where none are
-            requested.
+        levels: statistics of the flats and darks of each channel; None if there are none or they
+            are not requested.
         within: (points, pixels, 3) unit normals at `POINTS` of each pixel; None where pixels count
             as points.
         reach: (lights,) m, displacement of the surface point per unit change of its normal; 0 for
@@ -790,20 +791,21 @@ def from_photographs(
     Args:
         images: one for each light, (h, w) or (h, w, 3) DN.
         lights: (lights, 3) unit vectors from the object toward distant lights.
-        camera: its bits, other known properties, and their errors (`black_sd`, `gamma_sd`,
+        camera: the camera's bits, other known properties, and their errors (`black_sd`, `gamma_sd`,
             `gain_sd`, `read_noise_sd`, `prnu_sd`).
         normals: (h, w, 3) unit, 0 beside the object. Pass either these or a sphere.
-        sphere: in orthographic projection.
+        sphere: sphere in orthographic projection.
         mask: (h, w), true where the object is; None for all pixels of the shape.
         intensities: (lights,) or (lights, channels) irradiance on a surface that faces the light, W
             m^-2 or relative; for point lights, radiant intensity. None for 1.
         intensity_sd: relative standard deviation of the intensities.
-        direction_sd: standard deviation of the directions, rad along each of two axes across them;
-            or the covariance of all lights together, (lights, 4, lights, 4), as
-            `fitting.lights.calibrate` returns it (for intensities, `intensity_sd` is used).
+        direction_sd: standard deviation of the directions, rad along each of two axes perpendicular
+            to them. Or the covariance of all lights together, (lights, 4, lights, 4), as
+            `fitting.lights.calibrate` returns it; for intensities, `intensity_sd` is used.
         exposure_sd: relative standard deviation of the images' exposures.
         stray_sd: rms of stray light on all pixels, relative to the irradiance.
-        held_out: indices of the lights that are kept for the test; none keeps every fourth.
+        held_out: indices of the lights that are used only to test predictions. If none is given,
+            every fourth light is held out.
         point_lights: whether `lights` are positions from the centre of the sphere, m.
         flats: for each level of light two or more frames, (h, w) or (h, w, 3) DN; a joint
             calibration estimates gain and read noise from them.
