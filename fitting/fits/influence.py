@@ -36,8 +36,8 @@ from .information import Target, slope_of, target_name
 from .result import Fit
 from .solve import fit
 
-_STEPS = 8  # of Newton's method, before a search
-_SHARE = 0.1  # of a shift, or _LEAST standard errors: remainder that needs no further step
+_STEPS = 8  # steps of Newton's method before a search replaces them
+_SHARE = 0.1  # share of a shift (or _LEAST standard errors) that may remain after the last step
 _LEAST = 1e-4
 _SLOWEST = 0.5  # ratio of two steps from which the remainder is not trusted
 

@@ -17,7 +17,7 @@ from ..inference.on_host import on_host
 from ..inference.problem import Problem, Values, prediction, values_at
 from ..inference.records import head, is_path
 
-_STEP = 0.02  # of the distance from the coordinates' origin, or of the number itself
+_STEP = 0.02  # step, relative to the distance from the origin or to the number itself
 _BLOCKS, _LEAST = 16, 4  # blocks of a picture along each side, and pixels along each side of one
 _MOST = 6  # largest number of parameters that are tested
 _warned: WeakSet[Callable] = WeakSet()

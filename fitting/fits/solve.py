@@ -60,8 +60,8 @@ from .words import (
     verdict,
 )
 
-ROUNDS = 4  # of starts, as long as no other search confirms the best
-OTHER_SEED = 1_000_003  # between the seeds of rounds
+ROUNDS = 4  # rounds of starts, while no other search confirms the best
+OTHER_SEED = 1_000_003  # difference between the seeds of two rounds
 SINGLE_ROUNDING = 1e-6  # rounding of a scaled eigenvalue computed in float32
 METHODS = {"laplace": Laplace, "emcee": Emcee, "nuts": Nuts}
 Method = Laplace | Emcee | Nuts

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from .parameters import ParameterSpace, names, natural_numbers, natural_slopes, scaled_ends
 
-UNDETERMINED = 1e-10  # scaled eigenvalue below which rounding, not data, fills a direction
+UNDETERMINED = 1e-10  # scaled eigenvalue that may be rounding alone: a direction without data
 CONFUSED = 5.0  # sqrt(VIF) from which it is reported
 KNOWN_WELL = 0.05  # relative error of a parameter up to which its VIF is not reported
 PARTNER = 0.3  # component of a direction from which a parameter is named in it

@@ -20,13 +20,13 @@ from .on_host import on_host
 from .problem import Problem, Vector, least_squares_residuals, log_density
 from .search import Optimum, add_prior
 
-REACH = 0.5  # posterior standard deviations to either side
+REACH = 0.5  # posterior standard deviations from the optimum at which residuals are compared
 UNSEEN = 0.1  # share of a derivative that a gradient may miss without a warning
 FALL = 0.05  # least gain in log density (.3 standard deviations) for a step to be taken
-RISE = 0.1  # in log density within a standard deviation of a parameter; of a Gaussian at least .5
+RISE = 0.1  # least rise of the cost within a standard deviation; 0.5 for a Gaussian
 STEPS = 20
 _TINY = 1e-3  # share of a step at which differences show only rounding
-_SHARES = np.array([1.0, 0.5, 0.25, 0.125])  # of a step
+_SHARES = np.array([1.0, 0.5, 0.25, 0.125])  # shares of a step that are tried
 
 
 def correct_by_differences(problem: Problem, optimum: Optimum) -> Optimum:

@@ -31,7 +31,7 @@ PATIENCE = 1.25  # growth of the chain from one assessment to the next
 MOST_FOR_KDE = 10
 FROM = 256  # most walkers for a density estimate, whose cost is quadratic in their number
 FLAT = 1e6  # condition number of the scaled directions above which walkers lie in a plane
-HALVINGS = 60  # of the distance to the mode, after which a walker has reached it
+HALVINGS = 60  # halvings of a walker's distance to the mode, after which it is there
 BEYOND = 1e9  # standard deviations from the mode, which only walkers of an improper posterior reach
 
 

@@ -33,8 +33,8 @@ TOLERATED = 0.4  # difference from a Gaussian's decrease of 2: a 95 % interval i
 FREEDOM = 5.0  # degrees of freedom of the proposals, whose tails exceed those of most posteriors
 FEWEST, USUAL, MOST = 1024, 4096, 16_384  # proposals of a round: powers of two
 SETTLED = 0.2  # effective draws per proposal from which the proposals follow the density
-KEPT = 8000  # draws
-# Effective draws at which sampling stops, and the the fewest that are accepted: the end of a 95 %
+KEPT = 8000  # draws that are returned
+# Effective draws at which sampling stops, and the fewest that are accepted: the end of a 95 %
 # interval then has an error of 6 % or 8 % of a standard deviation.
 WANTED, ENOUGH = 2000.0, 1000.0
 ROUNDS = 6

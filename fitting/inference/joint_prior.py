@@ -45,9 +45,9 @@ from .posterior import Posterior
 from .priors import HALF_LOG_2PI
 
 FAR = 1.96  # standard deviations at which draws are compared with a Gaussian
-TOLERATED = 0.2  # standard deviations by which these may differ, as the test of Laplace's allows
+TOLERATED = 0.2  # standard deviations by which the draws' ends may differ from a Gaussian's
 OWN_ERROR = 2.67  # times 1 / sqrt(draws): the standard error of the quantile at FAR
-BEYOND = 2.0  # of these errors, by which draws of a true Gaussian may differ too
+BEYOND = 2.0  # multiple of that error by which draws of a true Gaussian may differ
 FAR_FROM_0 = 3.0  # standard deviations from 0 of a positive number treated on a log scale
 CONSTANT = 1e-12  # relative spread of draws below which a number counts as constant
 

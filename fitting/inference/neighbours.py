@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 FEWEST = 16  # clusters: fewer would give too few regions for a variance
 REGIONS = 8
-NEAREST = 2  # neighbours of each
+NEAREST = 2  # neighbours of each cluster
 PERMUTATIONS, CHANCE = 499, 0.01
 
 

@@ -46,7 +46,7 @@ WARM_UP = 300  # steps that adapt the step size; draws follow
 FIRST_STEP = 0.5  # in standard deviations
 FEWEST_EFFECTIVE, LARGEST_R_HAT = 400.0, 1.01
 FEWEST_DRAWS = 10
-SHRINKING = (1.0, 0.5, 0.25, 0.1, 0.0)  # distances tried, of a start's from the mode
+SHRINKING = (1.0, 0.5, 0.25, 0.1, 0.0)  # factors on a start's distance from the mode, tried in turn
 
 
 @dataclass(frozen=True)

@@ -85,9 +85,9 @@ from .separable import KNOTS, closed_form_indices, complete, eliminate, require_
 from .streams import Advance, chunks
 
 _OF_CORE = 2  # starts that are searched at a time, because the cache holds the residuals of two
-STEPS = 100  # maximum of a search
+STEPS = 100  # most steps of a search
 _BOX = 10.0  # half width of the box for jaxopt's L-BFGS-B, in standard deviations of the prior
-MANY_STEPS = 1000  # maximum of a user's solver, which may use no curvature and need more steps
+MANY_STEPS = 1000  # most steps of a user's solver, which may need more without curvature
 BEYOND, NOTHING = 30, 1e-6  # most steps after convergence, and share of its tolerance
 EDGE = 1e-3  # smallest distance of a start from an end of its range, as a share of the range
 SAME_PLACE = 0.5  # difference in cost up to which two searches count as one optimum
@@ -496,7 +496,7 @@ def _levenberg_marquardt(
     def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         cost, gradient, gram = _grouped_calls(_squares_at, vectors, problem)
         away = (vectors - mean) / sd
-        # Against a bound the prediction hardly changes, and Gauss and Newton's step has no end.
+        # Near a bound the prediction hardly changes, and a Gauss-Newton step may be enormous.
         bent = np.maximum(gradient * natural_slopes(searched, vectors)[1], 0)
         curvature = gram + _diagonal(bent + sd**-2.0)
         return cost + np.sum(away**2, -1) / 2, gradient + away / sd, curvature

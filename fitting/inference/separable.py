@@ -37,10 +37,10 @@ from .problem import Problem, residuals_from
 KNOTS = 48
 ZOOMS = 4  # each shrinks the interval by (KNOTS - 1) / 2
 MOST_SIGNED = 6  # non-negative amplitudes up to which every support is tried
-SWEEPS = 300  # of coordinate descent, which finds the support if there are more
+SWEEPS = 300  # sweeps of coordinate descent, which finds the support if there are more
 UNROLLED = 8  # amplitudes up to which a factorisation is written out, which batches better
 BEND = 1e-3  # relative bend of the residuals from which they are not linear
-COLLINEAR = 1e-10  # of 1 - cos^2 between columns: below it their amplitudes cannot be separated
+COLLINEAR = 1e-10  # 1 - cos^2 between columns below which amplitudes are not identifiable
 
 Columns = Callable[[Any], Any]  # of (knots,) values of t: (knots, observations)
 

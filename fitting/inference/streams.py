@@ -25,7 +25,7 @@ from .likelihoods import Clustered, check_data
 from .on_host import require_here
 
 Advance = Callable[[int, int], None]  # called with chunks read and chunks in all
-SEED = 0  # of the sample
+SEED = 0  # seed of the sample
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ from .model import Cells
 
 WIDEST, NARROWEST = 0.05, 0.00625  # rad of the normal: widths of a cell
 FINE = 0.5  # width of the finest cells over that of the lobe, as a function of the normal
-FLAT = 0.05  # of the lobe's peak: largest variation of the lobe within an undivided cell
+FLAT = 0.05  # largest variation of the lobe within an undivided cell, relative to its peak
 SIZES = 8  # sizes of the cell table per factor of two: few, so that channels share programs
 CLEAR = 5.0  # standard deviations from either end of the scale
 DARKEST = 1e-6  # smallest `level`, relative to full scale

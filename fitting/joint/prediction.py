@@ -13,7 +13,7 @@ from .cells import DARKEST, image_geometry, pixels_at
 from .fit import JointFit
 from .model import BY_IMAGE, Cells, JointData, predicted, scatter_scales, values_at
 
-GAUSSIAN_BAND = 1.96  # standard deviations, of 95 %
+GAUSSIAN_BAND = 1.96  # half-width of a 95 % band, standard deviations
 
 
 @dataclass(frozen=True)

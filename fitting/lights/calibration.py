@@ -36,7 +36,7 @@ from .outline import Lens, Outline, centre_of, outline_of
 
 Kind = Literal["mirror", "matte"]
 OUTLINE_SD = 0.5  # pixels
-INSIDE = 0.97  # of the radius, within which highlights are searched
+INSIDE = 0.97  # share of the radius within which highlights are searched
 STEP = 1e-3  # pixels
 NOT_MATTE = 0.03  # residual, relative to the largest signal, from which it is reported
 CONTRADICTED = 3.5  # standard deviations between two outlines from which they are reported

@@ -24,7 +24,7 @@ from .outline import Outline, surface
 
 LIT = 0.2  # smallest n.l of the pixels that are fitted
 ROUNDS = 4  # updates of the outline
-SIGHT = 0.9  # of the radius, within which pixels are fitted
+SIGHT = 0.9  # share of the radius within which pixels are fitted
 FEWEST = 50  # pixels
 STEP = 1e-3  # pixels
 UNLIT = 0.1  # -n.l of pixels that should read black

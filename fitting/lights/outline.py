@@ -24,7 +24,7 @@ from ..inference.problem import Problem
 RAYS = 256  # from the middle of a mask to its edge
 ROUNDING = 12**-0.5  # pixels, of an edge between two pixels
 SMALLEST = 8.0  # pixels, of a radius
-ROUND = 0.05  # of the radius: rms of a mask's edge about the outline
+ROUND = 0.05  # largest rms of a mask's edge about the outline, relative to the radius
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from scipy.special import gammaln
 
 from .stereo_lights import Images, Matrices, OfPixels, Readings, Rows, predicted, solved
 
-REACH = 0.8  # w: as slow as n.l and rough surfaces change with the light
+REACH = 0.8  # w: scale on which n.l and the shading of rough surfaces change with the light
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e8, 21)])  # tau^2 / sigma^2
 THINNEST = 1e-4  # of the largest eigenvalue: smaller features of the process are left out
 WHOLE = 1e-9  # of the largest eigenvalue: below it is rounding

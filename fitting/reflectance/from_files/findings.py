@@ -33,7 +33,7 @@ from .errors import (
 )
 from .fit import compared_quantity
 
-MOST_WEIGHT = 0.5  # of a fit, at one incidence, from which it is reported
+MOST_WEIGHT = 0.5  # share of one incidence in a fit from which it is reported
 NESTED = 1e-3  # relative excess over a contained model that limits of the shape cannot explain
 NOTHING = 1e-6  # the same excess relative to the signal's RMS, for a perfect model
 APART = 1.5  # ratio of two errors from which a missing significance is explained
