@@ -27,14 +27,11 @@ PIXELS = 1000  # pixels of a map whose data are checked
 PILED, STEEP = 5, 3.0  # fewest data at an end, and ratio to those at each neighbouring value
 BESIDE = 8  # values next to an end
 COPIED = 0.1  # share of repeated values from which copies are reported
-SINGLE = 100_000  # data from which rounding to float32 makes many equal
+SINGLE = 100_000  # number of data from which rounding to float32 makes many equal
 BEYOND = 3  # fewest data that the fit must predict beyond an end to call the others clipped
 COARSE = 1.0  # step of the data, in standard deviations of the noise, that is not negligible
 CROSSED = 0.1  # share of neighbours, ordered by prediction, whose standard deviations decrease
-FELT, WRONG = (
-    0.5,
-    2.0,
-)  # standard errors between totals of fit and data: for a finding, for a failure
+FELT, WRONG = 0.5, 2.0  # standard errors between totals of fit and data: finding, failure
 
 
 @dataclass(frozen=True)

@@ -60,10 +60,7 @@ CONTRADICTED, USUAL = 0.5, 0.25  # share of contradicted pixels; largest in the 
 APART = 8.0  # ratio to the median image's median residual from which an image deviates
 FEWEST = 30  # fewest pixels to judge an image
 ALONE = 0.02  # logarithm of a factor from which an image deviates from those that agree
-SHARED, SMALL = (
-    0.5,
-    0.02,
-)  # share of the residuals' squares, and share of the albedo, that are reported
+SHARED, SMALL = 0.5, 0.02  # shares of residuals' squares and of the albedo to be reported
 FITTED = 256  # pixels of a first test whether a rough body explains residuals
 SHOWN_BY = 32  # lights from which residuals reveal the effect of roughness on normals
 NEGLIGIBLE = 1e-6  # of the albedo: departures from Lambert's law below it are rounding

@@ -16,10 +16,7 @@ from ..inference.formatting import format_percent
 STEEPEST = 0.3  # least nz: slopes at the rim of a body change too fast for differences
 FEWEST = 50  # fewest cells of 2 x 2 blocks
 BLOCKS = 24  # along the shorter side of the image
-TURNING, LEFT = (
-    0.2,
-    0.05,
-)  # share of the curl: reported in the stated axes, and largest in better axes
+TURNING, LEFT = 0.2, 0.05  # share of the curl: reported in stated axes; largest in better ones
 AWAY = 0.5  # share of normals that point away from the camera
 
 
