@@ -315,7 +315,6 @@ class SensorCounts(eqx.Module):
         return jnp.clip(codes, *self._range())
 
     def _log_chances(self, prediction: Array, data: Array) -> Array:
-        """Return ln of the probability of each code."""
         read, mean, counts, log_count = self._counted(prediction, data)
         low, high = self._ends(read, data, counts)
         masses = logsumexp(log_count + _log_interval(low, high), axis=-1)
@@ -335,13 +334,11 @@ class SensorCounts(eqx.Module):
         return chances - logsumexp(chances, axis=-1, keepdims=True)
 
     def _electrons(self, prediction: Array) -> Array:
-        """Return the expected number of electrons."""
         light = _light("SensorCounts", prediction)
         read = ("gain", "offset", "nonlinearity", "taps")
         return expected_signal(_without(_record(self.sensor), *read), light)
 
     def _read(self, mean: Array) -> _Reading:
-        """Return the read-out of each pixel, in the shape of the mean electrons."""
         sensor, shape, dtype = _record(self.sensor), mean.shape, mean.dtype
         zero, one = jnp.zeros_like(mean), jnp.ones_like(mean)
         plain = _without(sensor, "offset", *(() if sensor.taps is None else ("taps.offset",)))
@@ -477,7 +474,6 @@ def _light(likelihood: str, prediction: Array) -> Array:
 
 
 def _check_whole(what: str, known: np.ndarray) -> None:
-    """Raise InputError if values are not codes (whole numbers)."""
     wrong = known[np.isfinite(known) & (known != np.round(known))]
     if wrong.size:
         raise InputError(

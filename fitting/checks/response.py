@@ -140,7 +140,6 @@ def _scene(rng: np.random.Generator) -> np.ndarray:
 
 
 def _black(stack: Stack, seed: int) -> float:
-    """Draw the camera's true black level, DN."""
     return stack.black + stack.black_sd * np.random.default_rng([seed, 1]).standard_normal()
 
 

@@ -36,9 +36,8 @@ def _signals(levels: ComparedLevels, there: list[int]) -> np.ndarray:
 
 
 def light_of_levels(levels: ComparedLevels) -> None:
-    """Remove levels that show no light although some is stated. Also remove levels whose signal per
-    light is higher, or lower, than at both neighbouring levels, which no smooth response
-    explains."""
+    """Remove levels that show no light although some is stated, and levels whose signal per light
+    is higher, or lower, than at both neighbours, which no smooth response explains."""
     assert levels.black is not None
     there = _lit(levels)
     if len(there) < FEWEST_LEVELS:
@@ -141,9 +140,9 @@ def _unsaturated(levels: ComparedLevels) -> list[int]:
 
 
 def _response(light: np.ndarray) -> Float[np.ndarray, "levels terms"]:
-    """Return basis functions for the signal per light as a function of light. They are a constant,
-    a linear term (curvature of the response), an inverse term (a light leak, a late shutter or a
-    wrong black level) and, with enough levels, a quadratic term."""
+    """Return basis functions of light for the signal per light: a constant, a linear term
+    (curvature), an inverse term (a light leak, a late shutter or a wrong black level) and, with
+    enough levels, a quadratic term."""
     x = light / light.max()
     terms = [np.ones_like(x), x, light.min() / light]
     return np.stack(terms if len(x) < 2 * len(terms) + 2 else [*terms, x**2], axis=1)
@@ -155,10 +154,9 @@ def _deleted_residuals(
     scatter: np.ndarray,
     least: np.ndarray,
 ) -> tuple[Float[np.ndarray, "levels ..."], Float[np.ndarray, " levels"], int]:
-    """Return the deviation of each level from a weighted fit to all other levels, the standard
-    deviation of that deviation, and its degrees of freedom. The standard deviation comes from the
-    scatter of the other levels about the fit and is at least that of `least`. If each level has one
-    value, the ratio of the two has Student's t distribution."""
+    """Return each level's deviation from a weighted fit to all others, with its standard deviation
+    (from the scatter of the others, at least that of `least`) and its degrees of freedom. If each
+    level has one value, the ratio of the two has Student's t distribution."""
     q, _ = np.linalg.qr(design / scatter[:, None])
     weighted = (values.T / scatter).T.reshape(len(values), -1)
     rest = weighted - q @ (q.T @ weighted)

@@ -126,8 +126,7 @@ def _out_of_order(
     frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
     """Return the images that are darker than a shorter exposure or brighter than a longer one, with
-    the reason. If exchanging one pair of times removes all contradictions, these two images are
-    returned."""
+    the reason; only two images if exchanging their times removes all contradictions."""
     darker = _darker(frames, left, full_scale)
     wrong = _contradictions(darker, times)
     if not wrong:

@@ -112,9 +112,8 @@ def _minority(
 def _mistimed(
     frames: Sequence[Stated], said: Mapping[str, ImageSettings]
 ) -> tuple[dict[str, str], list[str]]:
-    """Return the frames whose exposure in the metadata differs from the rig, with the reason. There
-    are none unless most frames agree, apart from one common factor; a remark then states this
-    factor."""
+    """Return the frames whose exposure in the metadata differs from the rig, if most frames agree
+    up to a common factor, and a remark on that factor."""
     timed = [(one, said[one.name].exposure) for one in frames if one.exposure > 0]
     ratios = {one.name: time / one.exposure for one, time in timed if time}
     if not ratios:

@@ -398,7 +398,6 @@ def _drawn_estimates(posterior: Posterior, within: Ranges, args: tuple) -> tuple
 
 @eqx.filter_jit
 def _sheets(vectors: Array, lights: Array | None, args: tuple) -> Sheet:
-    """Compute the sheet for each posterior draw."""
     return jax.vmap(lambda vector, light: likelihood_sheet(vector, light, args))(vectors, lights)
 
 

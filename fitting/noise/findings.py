@@ -66,9 +66,8 @@ def processing(calibration: NoiseCalibration) -> list[str]:
 
 
 def _efficiency(kind: str, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the quantum efficiency for the finding of this kind: too low for a sensor ("low"),
-    impossibly high ("high"), or above 1 within its error ("one"). None if the finding does not
-    apply."""
+    """Return the quantum efficiency if it is of this kind: too low for a sensor ("low"), impossibly
+    high ("high"), or above 1 within its error ("one"); else None."""
     value = calibration.efficiency
     if value is None:
         return None
@@ -257,9 +256,8 @@ def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | Non
 
 
 def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding that darks with another black level than the flats would
-    have the same effect as the light offset. This difference in black level, DN, is the offset
-    times the responsivity."""
+    """Return the numbers for the finding that the light offset may be a difference in black level
+    between darks and flats. That difference, DN, is the offset times the responsivity."""
     shifted = _light_offset(True, calibration) or _light_offset(False, calibration)
     if not shifted or not _linear(False, calibration):
         return None
@@ -379,9 +377,8 @@ def _exact(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _floored(bent: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the standard's minimum of the dark variance if the extrapolated dark noise is below
-    it; else None. `bent` selects the finding for series in which each single dark is above the
-    minimum."""
+    """Return the standard's minimum of the dark variance if the extrapolated variance is below it
+    and each single dark is above it (`bent`), or is not; else None."""
     measurement = calibration.measurement
     least = least_dark_variance(measurement)
     above = float(np.min(np.asarray(measurement.dark.variance))) > least

@@ -52,8 +52,8 @@ def knee_of(
     shot: Float[np.ndarray, " levels"],
     error: Float[np.ndarray, " levels"],
 ) -> Knee | None:
-    """Find the knee of a response with two slopes, from the signal, shot variance and its error at
-    each level; None if there is none."""
+    """Find the knee of a response with two slopes, from signal and shot variance; None if there is
+    none."""
     known = (signal > 0) & (shot > 0) & (error < shot / 4)
     places = np.flatnonzero(known)
     s, v, e = signal[places], shot[places], error[places] / shot[places]
@@ -278,8 +278,8 @@ def reached(levels: Levels) -> Float[np.ndarray, " levels"]:
 
 
 def saturation_index(levels: Levels) -> int | None:
-    """Return the level of largest variance, which EMVA 1288 takes as the saturation point; None
-    unless the variance decreases above it."""
+    """Return the level of largest variance, the standard's saturation point; None unless the
+    variance decreases above it."""
     variance = np.asarray(levels.variance)
     peak = int(np.argmax(variance))
     least = variance[peak] - SATURATED_DROP * levels.variance_error[peak]

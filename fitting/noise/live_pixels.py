@@ -181,10 +181,9 @@ class LivePixels:
 
     @cached_property
     def variance_shares(self) -> Float[np.ndarray, "4 3"]:
-        """(4, 3) expected variances of a frame if its pixels, its rows or its columns (the three
-        columns of the result) have independent noise of variance 1. The four rows are the variance
-        of a pixel, of the rows' means and of the columns' means, all about the frame's mean, and
-        that of the frame's mean."""
+        """(4, 3) expected variances if pixels, rows or columns (the columns of the result) have
+        independent noise of variance 1. The rows of the result are the variances of a pixel, of
+        rows' means and of columns' means about the frame's mean, and of the frame's mean."""
         counts = [of[of > 0].astype(float) for of in self._of_line]
         n, lines = float(self.count), [of.size for of in counts]
         inverse = [float(np.mean(1 / of)) for of in counts]

@@ -64,9 +64,8 @@ WHOLES = {
 def residues(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
 ) -> Float[np.ndarray, "2 5 residues"]:
-    """Return the means of the average frame, and of its temporal variance, for five kinds of pixel
-    classes: by row and by column modulo 16, by position in a cell of 4 x 4, and by row and by
-    column modulo 30.
+    """Return means of the average frame, and of its temporal variance, over five kinds of classes:
+    row and column modulo 16, position in a cell of 4 x 4, and row and column modulo 30.
     """
     found = np.full((2, 5, LONGER), np.nan)
     if min(average.shape) < 2 * RESIDUES:
@@ -96,7 +95,6 @@ def _quotient(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 
 def _mean(values: np.ndarray, count: np.ndarray) -> float:
-    """Return the mean over the pixels marked in `count`; NaN if there are none."""
     return float(np.where(count, values, 0.0).sum() / count.sum()) if count.any() else np.nan
 
 
@@ -104,9 +102,8 @@ def quarters(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
 ) -> Float[np.ndarray, "2 8"]:
     """Return means of the average frame, and of its temporal variance, over the quarters (top left,
-    top right, bottom left, bottom right), and over the inner and the outer half of the pixels. The
-    last two numbers of each are the steps of the average at the vertical and the horizontal middle
-    line, and the p-values of these steps.
+    top right, bottom left, bottom right) and the inner and outer half. Two numbers follow in each:
+    the steps of the average at the vertical and horizontal middle lines, and their p-values.
     """
     (h, w), found = average.shape, np.full((2, 8), np.nan)
     if min(h, w) > 1:

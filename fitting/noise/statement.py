@@ -253,9 +253,8 @@ def start_vector(problem: Problem, standard: Sheet) -> Float[Array, " p"]:
 @eqx.filter_jit
 def _best_start(problem: Problem, start: Array) -> Array:
     """Return the most likely of several starting points, which differ in read noise and black
-    level. For darks that are clipped, or narrower than a code, the likelihood has several optima: a
-    large read noise with the black level in the middle of a code, and a small one with the black
-    level near its edge."""
+    level. Darks that are clipped or narrower than a code fit both a large read noise with the black
+    level in the middle of a code and a small one with it near an edge."""
     labels, data = names(problem.space), problem.inputs
     largest = 2 * jnp.sqrt(jnp.max(jnp.where(data.lit == 0, problem.data[:, 1], 0)))
     shares = jnp.linspace(0, 1, START_NOISES, dtype=start.dtype)

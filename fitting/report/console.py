@@ -55,8 +55,6 @@ def section_text(section: Section) -> str:
 
 
 def _sheet_table(title: str, found: Sheet, shown: slice) -> RichTable:
-    """Make a table of estimates with a row for each quantity, divided into blocks, and with the
-    columns `shown`."""
     table = RichTable(title=_escaped(title), title_justify="left", title_style="bold")
     heads = ("quantity", *found.columns[shown], *(["apart"] if found.compares else []))
     for head in heads:

@@ -107,7 +107,6 @@ def small_picture(rig: Rig, name: str) -> str | None:
 
 
 def _block_means(image: np.ndarray, step: int, *, axis: int) -> np.ndarray:
-    """Average blocks of `step` pixels along an axis; the last block may be shorter."""
     starts = np.arange(0, image.shape[axis], step)
     sizes = np.diff([*starts, image.shape[axis]])
     sums = np.add.reduceat(image, starts, axis=axis)

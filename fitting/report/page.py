@@ -72,8 +72,8 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
 def write_report(
     folder: Path, sections: Sequence[Section], *, title: str, seed: int, settings: dict[str, Any]
 ) -> list[Path]:
-    """Write the report, the results, the posterior draws and the fitted records of some sections to
-    a folder; return the paths of all files."""
+    """Write report, results, posterior draws and fitted records to a folder; return the paths of
+    the files."""
     page = as_html(sections, title=title)
     data = as_json(sections, seed=seed, settings=settings)
     written = []

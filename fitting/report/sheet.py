@@ -118,7 +118,6 @@ def _difference(pair: Sequence[Estimate | None]) -> str:
 
 
 def _methods(found: Sequence[Estimate]) -> str:
-    """Return a sentence that names the method of each channel."""
     by_method: dict[str, list[str]] = {}
     for one in found:
         if one.method:

@@ -191,9 +191,8 @@ def _pull_of_noise(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the factors by which the bins below and above each edge contribute to sum (noise
     share) h' / g', because noise moves codes across the edge, where h has a step. They follow from
-    the density of observations at the edge, which is interpolated exactly if it is exponential over
-    both bins. Each bin gets half of the contribution, so that the results of sets of pixels can be
-    added."""
+    the density of observations there, which is exact if it is exponential over both bins. Each bin
+    gets half, so that sets of pixels can be added."""
     width = np.diff(bins.edges)
     near, far = width[:-1], width[1:]
     below, above = of_all[:-1] / near, of_all[1:] / far

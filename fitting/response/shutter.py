@@ -41,8 +41,8 @@ RATIOS = stdtrit(FREEDOMS, LEVELS[1]) / stdtrit(FREEDOMS, LEVELS[0])
 
 @dataclass(frozen=True)
 class Shutter:
-    """The variance of a curve from the invisible error of the exposure times (their common
-    exponent), and the posterior of tau.
+    """The variance of a curve from the invisible error of the times, their common exponent, and the
+    posterior of tau.
 
     Attributes:
         per_square: (bins,) variance of g per unit of tau^2.

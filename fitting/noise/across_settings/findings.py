@@ -115,8 +115,8 @@ def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _unknown_dark_law(determined: bool, calibration: CameraCalibration) -> bool:
-    """Whether dark current at several temperatures is fitted without a law although none was
-    rejected. `determined` selects whether its values are known."""
+    """Whether dark current at several temperatures has no law although none was rejected;
+    `determined` selects whether the fit includes it."""
     fit = calibration.fit
     free = {parameter.name for parameter in fit.fit.problem.free}
     several = len({setting.temperature for setting in fit.settings}) > 1

@@ -200,8 +200,8 @@ def _root(
     scale: float = 1.0,
     parts: tuple[Part, ...] = (),
 ) -> Estimate:
-    """Return the standard deviation for an estimated variance `square`, which may be negative. If
-    it is not significant, state an upper bound. `parts` are components known from few samples."""
+    """Return the standard deviation for an estimated variance `square`, or an upper bound if it is
+    not significant. `parts` are components known from few samples."""
     if square < SEEN * error:
         bound = scale * np.sqrt(max(square, 0) + SEEN * error)
         return not_determined(what, f"below {bound:.3g} {what.unit}, hidden under {under}")

@@ -83,9 +83,8 @@ REFERENCE_CURRENT = Parameter(symbol="I_ref", unit="e⁻/s", transform="log")
 
 
 class Figures(eqx.Module):
-    """The camera's parameters at each setting: ln K (K in DN/e-), ln eta (None if photons are
-    unknown), the variance of read noise (e-^2), and the dark current (e-/s, None if no setting
-    determines it)."""
+    """The camera at each setting: ln K (K in DN/e-), ln eta (None if photons are unknown), variance
+    of read noise (e-^2), and dark current (e-/s, None if undetermined)."""
 
     log_gain: Float[Array, " settings"]
     log_efficiency: Float[Array, " settings"] | None

@@ -190,7 +190,6 @@ def _remarks(name: str, camera: Sensor, noises: list[str], found: Comparison) ->
 
 
 def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> None:
-    """Raise InputError if frames and camera differ in their number of bits."""
     if camera.bits is None or measurement.full_scale is None:
         return
     bits, seen = float(camera.bits), bits_of(measurement.full_scale, measurement.converter)

@@ -3,8 +3,8 @@
 Each of the M rows, of N pixels, is transformed by a discrete Fourier transform divided by sqrt(N).
 The horizontal spectrogram is the squared magnitude, averaged over the rows. For independent pixels
 of spatial variance s^2 and temporal variance sigma^2 in L frames, its expectation is s^2 + sigma^2
-/ L at every frequency. It is then distributed as a mean of M chi-square variables with two degrees
-of freedom.
+/ L at every frequency. It is distributed as the mean of M chi-square variables with two degrees of
+freedom.
 """
 
 from typing import NamedTuple
