@@ -14,7 +14,7 @@ it is the same for all bands.
     shading    f_r cos(theta_i), which multiplies the irradiance of a surface that FACES the light
 
 The BRDFs of mirrors and glass are delta functions, which have no density. `register_delta`
-registers such a family. Its `Specular` contains the directions in which a ray continues.
+registers such a family. A `Specular` contains the directions in which a ray continues.
 """
 
 from ..core.lazy_names import names_of

@@ -2,11 +2,11 @@
 and the share that clear facets reflect.
 
 Chebyshev polynomials approximate two quantities: the share of light that white facets lose, and the
-amount that roughness adds to the Fresnel reflectance of clear facets. They were fitted to
-quadratures of a single reflection by `tests/oracles/facet_energy.py`. Their variable is x =
-(asinh(c / 2 alpha) / asinh(1 / 2 alpha))^0.6, where c is the cosine of the view and alpha the
-roughness. This x resolves grazing views at every roughness. The polynomials have an absolute error
-of at most 5e-4. All quantities in this file are dimensionless.
+amount that roughness adds to the Fresnel reflectance of clear facets. The polynomials were fitted
+to quadratures of a single reflection by `tests/oracles/facet_energy.py`. They depend on the
+variable x = (asinh(c / 2 alpha) / asinh(1 / 2 alpha))^0.6, where c is the cosine of the view and
+alpha the roughness. This variable resolves grazing views at every roughness. The polynomials have
+an absolute error of at most 5e-4. All quantities in this file are dimensionless.
 """
 
 from functools import cache
@@ -30,8 +30,8 @@ _NODES, _WEIGHTS = _T**3, 6 * _T**5 * _DT  # for the weight 2 c dc, with c = t^3
 @cache
 def _coefficients(distribution: Distribution) -> tuple[np.ndarray, np.ndarray]:
     """Return the Chebyshev coefficients of the share of light lost, (x, y), and of the reflectance
-    added by roughness, (x, y, index). Here x depends on cosine and roughness, y on roughness
-    alone."""
+    added by roughness, (x, y, index). The axis x stands for a variable of cosine and roughness, y
+    for one of roughness alone."""
     with np.load(Path(__file__).with_name("facet_energy.npz")) as file:
         return file[f"{distribution}_lost"], file[f"{distribution}_clear"]
 

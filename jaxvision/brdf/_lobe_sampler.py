@@ -99,7 +99,7 @@ def sample(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
 
 
 def pdf(material: Any, wi: Direction, wo: Direction) -> Scalar:
-    """Return the density of `sample`, sr^-1, over the whole sphere."""
+    """Return the density of the directions that `sample` draws, in sr^-1 over the whole sphere."""
     if material.sampler is None:
         return cosine_pdf(wi)
     lobe = _lobe_pdf(material.sampler, as_vec(wi), as_vec(wo))

@@ -1,7 +1,7 @@
-"""Blinn: an ideal diffuse part plus a power of the cosine between normal and half vector.
+"""Blinn's model: an ideal diffuse part plus a power of the cosine between normal and half vector.
 
-Three records have the lobe (n.h)^n, where n.h is the cosine between normal and half vector. They
-multiply the lobe by different factors, like the records of `phong`:
+Three records have the lobe (n.h)^n, where n.h is the cosine between normal and half vector. The
+three multiply the lobe by different factors, like the records of `phong`:
 
     record             specular term of f_r         ... of the shading, f_r cos(theta_i)
     Blinn              k_s lobe / cos(theta_i)      k_s lobe                SHADING, as published
@@ -14,8 +14,8 @@ With C(n), the lobe's albedo is k_s along the normal and at most k_s elsewhere. 
 reciprocal, and reflects more light than it receives if the light is grazing. BlinnBRDF and
 NormalisedBlinn are reciprocal. The lobe is as wide as a Phong lobe with a quarter of the exponent,
 and it narrows at grazing angles, as measured lobes do. Sources: Blinn, "Models of Light Reflection
-for Computer Synthesized Pictures", SIGGRAPH 1977; C(n) was derived by integration. Local frame,
-normal = +z; angles in radians.
+for Computer Synthesized Pictures", SIGGRAPH 1977; C(n) was derived by integration. In the local
+frame the normal is +z; angles are in radians.
 """
 
 import jax.numpy as jnp
@@ -89,9 +89,9 @@ class NormalisedBlinn(PowerLobe):
 
 
 def log_cos_half(wi: Direction, wo: Direction) -> Scalars:
-    """Return the logarithm of n.h, () <= 0, no unit, for unit local directions, as -log(1 +
-    (H.x^2 + H.y^2) / H.z^2) / 2 with H = wi + wo, which is precise enough for the sharpest lobe. It
-    is 0 where H.z <= 0."""
+    """Return the logarithm of n.h, () <= 0, no unit, for unit local directions, as -log(1 + (H.x^2
+    + H.y^2) / H.z^2) / 2 with H = wi + wo, which is precise enough for the sharpest lobe. The
+    result is 0 where H.z <= 0."""
     both = as_vec(wi) + as_vec(wo)
     above = ~(both.z <= smallest_divisor(both.z.dtype))
     z = or_one(both.z, above)

@@ -5,15 +5,16 @@
 
 The first term is the lobe of `TorranceSparrow`. The facets of the interface transmit the share T of
 the light, which is 1 minus the share that they reflect. A coat without absorption therefore loses
-no light, because light that one facet sends to another is counted as transmitted. wi' and wo' are
-the refracted directions, f_b is the body's own BRDF and eta the index of the coat. The interface
+no light, because light that one facet sends to another is counted as transmitted. The refracted
+directions are wi' and wo', f_b is the body's own BRDF and eta the index of the coat. The interface
 reflects the share R of the light from the body back to the body. The body's albedo is a_i and a_o
 for the two directions, and a on average over all directions. Without absorption R = 1 - (1 - M) /
 eta^2 by reciprocity, where M is the reflectance of the interface for uniform light from outside. A
 coat of optical depth tau along the normal multiplies the light by exp(-tau / cos') on each way
 through. The model is exact for a Lambertian body under a smooth interface. For other bodies, light
 that the interface reflects back to the body is assumed to be uniform. A white Lambertian body under
-a coat without absorption reflects all light. The model is reciprocal. Local frame, normal = +z.
+a coat without absorption reflects all light. The model is reciprocal. In the local frame the normal
+is +z.
 """
 
 from typing import Annotated
@@ -129,7 +130,8 @@ def _refracted_inside(material: Coated, w: Vec) -> Vec:
 
 def _transmitted_by_coat(material: Coated, w: Vec) -> Colour:
     """Return the transmittance T exp(-tau / cos') of interface and coat for the direction `w`,
-    (bands,) or (1,), no unit. tau is the optical depth, and cos' the cosine inside the coat."""
+    (bands,) or (1,), no unit. Here tau is the optical depth, and cos' the cosine inside the
+    coat."""
     eta = material.interface.eta
     passed = 1 - reflected(w.z, material.roughness, eta, material.distribution)
     if material.optical_depth is None:
@@ -192,7 +194,7 @@ def _from_body(material: Coated, wi: Direction, wo: Direction) -> Colour:
 
 
 def evaluate(material: Coated, wi: Direction, wo: Direction) -> Colour:
-    """Return f_r, (bands,) in sr^-1."""
+    """Return the BRDF f_r, (bands,) in sr^-1."""
     lobe = torrance_sparrow.microfacet_lobe(_facets(material), wi, wo)
     return lobe + _from_body(material, wi, wo)
 
@@ -217,7 +219,7 @@ def sample(material: Coated, wo: Direction, u: Float[Array, "3"]) -> Vec:
 
 
 def pdf(material: Coated, wi: Direction, wo: Direction) -> Scalar:
-    """Return the density of `sample` in sr^-1."""
+    """Return the density of the directions that `sample` draws, in sr^-1."""
     return mixed_pdf(_body_part(material, wo), wi, facet_pdf(wi, wo, _alpha(material)))
 
 
@@ -235,7 +237,7 @@ def albedo(material: Coated, wo: Direction) -> Colour:
 def _bound(x: Ends[Coated]) -> Reflection:
     """Return an upper bound on the shading: the bound on the lobe of the facets plus a bound on the
     light from the body. The light from the body is at most (b + A^2 R / (pi (1 - A R))) / eta^2,
-    its value if the interface transmits all light. b is the largest f_b / cos', A the body's
+    its value if the interface transmits all light. Here b is the largest f_b / cos', A the body's
     largest albedo, and R <= 1 - (1 - M) / eta^2. M is at most 0.6 for all indices up to 2.5, also
     for a rough interface."""
     body = suprema(x.of("body"))

@@ -7,9 +7,9 @@ The body term, with geometry factor m_b and spectrum c_b, is light that entered 
 took its colour. The interface term, with m_i and c_i, is light reflected at the surface. The
 geometry factors are any two neutral materials (one band) with a BRDF in sr^-1, such as Lambert and
 a microfacet lobe. Mirrors and glass are not allowed, because their BRDFs are delta functions.
-`dichromatic_separation` separates a picture into the two terms. Local frame, normal = +z; f_r in
-sr^-1. Source: Shafer, "Using Color to Separate Reflection Components", Color Research and
-Application 10(4) (1985).
+`dichromatic_separation` separates a picture into the two terms. In the local frame the normal is
++z; f_r is in sr^-1. Source: Shafer, "Using Color to Separate Reflection Components", Color Research
+and Application 10(4) (1985).
 """
 
 from collections.abc import Callable
@@ -69,7 +69,7 @@ class Dichromatic(Material):
 
 
 def evaluate(material: Dichromatic, wi: Direction, wo: Direction) -> Colour:
-    """Return f_r, (bands,) in sr^-1."""
+    """Return the BRDF f_r, (bands,) in sr^-1."""
     return _two_terms(material, lambda part: family(part).evaluate(part, wi, wo))
 
 
@@ -110,7 +110,7 @@ def sample(material: Dichromatic, wo: Direction, u: Float[Array, "3"]) -> Vec:
 
 
 def pdf(material: Dichromatic, wi: Direction, wo: Direction) -> Scalar:
-    """Return the density of `sample` in sr^-1."""
+    """Return the density of the directions that `sample` draws, in sr^-1."""
     part = _body_part(material)
     body = family(material.body).pdf(material.body, wi, wo)
     return part * body + (1 - part) * family(material.interface).pdf(material.interface, wi, wo)

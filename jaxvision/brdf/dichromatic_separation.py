@@ -16,14 +16,14 @@ The separation fails in three cases, which fields of `Separation` reveal:
   same colour, the two terms are not identifiable.
 * The illuminant's colour is wrong, there are several materials, or there is light of another colour
   or interreflection. Pixels then lie outside the dichromatic plane, and `residual` exceeds the
-  noise. A wrong illuminant INSIDE the plane mixes the terms. It is detected only if some pixels
-  need a negative factor.
+  noise. A wrong illuminant INSIDE the plane mixes the terms. This error is detected only if some
+  pixels need a negative factor.
 * Every pixel contains some interface reflection. Then `body_colour` is biased toward the
   illuminant, and m_i is too low by a multiple of m_b.
 
-Exclude dark and saturated pixels by `valid`. Colours are linear, relative; (..., bands), bands >=
-2. Sources: Shafer, Color Research and Application 10(4) (1985); Klinker, Shafer & Kanade, "The
-Measurement of Highlights in Color Images", IJCV 2 (1988); Lee, JOSA A 3(10) (1986).
+Exclude dark and saturated pixels by `valid`. Colours are linear and relative, (..., bands), with at
+least two bands. Sources: Shafer, Color Research and Application 10(4) (1985); Klinker, Shafer &
+Kanade, "The Measurement of Highlights in Color Images", IJCV 2 (1988); Lee, JOSA A 3(10) (1986).
 """
 
 import jax

@@ -5,12 +5,12 @@ other.
         + k_m A r (c_1 - G_i / pi) (c_1 - G_o / pi) / (c_1 - c_2)    further reflections
 
 where r is the roughness, s = wi.wo - cos(theta_i) cos(theta_o), t the larger of the two cosines if
-s > 0, else 1, A = 1 / (1 + c_1 r), c_1 = 1/2 - 2 / (3 pi) and c_2 = 2/3 - 28 / (15 pi). rho = pi
-k_d is the albedo of the facets, E = A (1 + c_2 r) the mean albedo of a single reflection by white
-facets, and k_m = k_d rho E / (1 - rho (1 - E)). G_i and G_o are values of the function G in
-`_missing` for the two directions. White facets (rho = 1) reflect all light in every view, and r = 0
-is Lambert. The model is reciprocal. Local frame, normal = +z. Source: Portsmouth, Kutz & Hill,
-"EON: A Practical Energy-Preserving Rough Diffuse BRDF", JCGT 14(1) (2025).
+s > 0, else 1, A = 1 / (1 + c_1 r), c_1 = 1/2 - 2 / (3 pi) and c_2 = 2/3 - 28 / (15 pi). Further,
+rho = pi k_d is the albedo of the facets, E = A (1 + c_2 r) the mean albedo of a single reflection
+by white facets, and k_m = k_d rho E / (1 - rho (1 - E)). G_i and G_o are values of the function G
+in `_missing` for the two directions. White facets (rho = 1) reflect all light in every view, and r
+= 0 is Lambert. The model is reciprocal. In the local frame the normal is +z. Source: Portsmouth,
+Kutz & Hill, "EON: A Practical Energy-Preserving Rough Diffuse BRDF", JCGT 14(1) (2025).
 """
 
 from typing import Annotated, Any
@@ -88,7 +88,7 @@ def _between(material: EON) -> Colour:
 
 
 def evaluate(material: EON, wi: Direction, wo: Direction) -> Colour:
-    """Return f_r, (bands,) in sr^-1."""
+    """Return the BRDF f_r, (bands,) in sr^-1."""
     i, o, r = as_vec(wi), as_vec(wo), material.roughness
     s = i.x * o.x + i.y * o.y
     single = 1 + r * jnp.where(s > 0, s / divisor(jnp.maximum(i.z, o.z)), s)

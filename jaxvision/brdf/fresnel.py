@@ -23,7 +23,7 @@ from ..core._types import AMOUNT, DIVISOR, Colour, Range, Scalar, as_float, chec
 
 
 class Dielectric(Shown):
-    """A clear material.
+    """The interface of a clear material, such as glass.
 
     Attributes:
         eta: (bands,) or (1,), real relative index n_t / n_i > 0, no unit; below 1 there is total
@@ -43,7 +43,7 @@ class Dielectric(Shown):
 
 
 class Conductor(Shown):
-    """A metal with the relative complex index eta + i k.
+    """The surface of a metal with the relative complex index of refraction eta + i k.
 
     Attributes:
         eta: (bands,) or (1,), real part, no unit.
@@ -66,7 +66,7 @@ class Conductor(Shown):
 
 
 class Schlick(Shown):
-    """Schlick's approximation.
+    """An interface whose reflectance is given by Schlick's approximation.
 
     Attributes:
         f0: (bands,) or (1,), reflectance along the normal, no unit.
@@ -110,7 +110,7 @@ def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
 @takes_numbers
 def mean_reflectance(interface: Interface) -> Colour:
     """Return the reflectance of a smooth interface for uniform light from a hemisphere, (bands,),
-    no unit. It is the integral of 2 c F(c) over the cosine of incidence c, where F is the
+    no unit. The result is the integral of 2 c F(c) over the cosine of incidence c, where F is the
     reflectance, by 24 Gauss-Legendre nodes (error 3e-6 for glass).
 
     Example:

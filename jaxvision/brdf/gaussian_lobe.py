@@ -1,17 +1,17 @@
 """Gaussian lobe: an ideal diffuse part plus a Gaussian of the angle to the mirror direction.
 
-Szeliski's textbook calls this lobe the Torrance-Sparrow term. It depends only on the angle theta_s
-to the mirror direction; it is not normalised, and has no Fresnel reflectance and no masking. The
-full model is in `torrance_sparrow`. Two records have the lobe exp(-(c_s theta_s)^2) with the
-concentration c_s:
+Szeliski's textbook calls this lobe the Torrance-Sparrow term. The lobe depends only on the angle
+theta_s to the mirror direction; it is not normalised, and has no Fresnel reflectance and no
+masking. The full model is in `torrance_sparrow`. Two records have the lobe exp(-(c_s theta_s)^2)
+with the concentration c_s:
 
     record             specular term of f_r       ... of the shading, f_r cos(theta_i)
     GaussianLobe       k_s lobe / cos(theta_i)    k_s lobe                SHADING, as in `phong`
     GaussianLobeBRDF   k_s lobe                   k_s lobe cos(theta_i)   the same lobe as a BRDF
 
 GaussianLobe is neither reciprocal nor bounded. GaussianLobeBRDF is reciprocal, and a narrow one
-(c_s >> 1) conserves energy if pi k_d + pi k_s / c_s^2 <= 1. Local frame, normal = +z; angles in
-radians.
+(c_s >> 1) conserves energy if pi k_d + pi k_s / c_s^2 <= 1. In the local frame the normal is +z;
+angles are in radians.
 """
 
 import equinox as eqx
@@ -200,7 +200,8 @@ def squared_angle_between(u: Vector, v: Vector) -> Scalar:
 def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar, Scalar]:
     """Return the integrals of exp(-(c_s alpha)^2), c_s in rad^-1, without and with the factor
     cos(theta_i), over directions above the horizon, () each in sr, with a relative error of 1e-10.
-    alpha is the angle to the lobe's axis, whose cosine to the normal is `cos_axis`."""
+    The angle alpha is relative to the lobe's axis, which has the cosine `cos_axis` to the
+    normal."""
     width = 6 / divisor(jnp.abs(concentration))
     return lobe_integrals(
         lambda alpha: gaussian_lobe(alpha, concentration), cos_axis, width=width, end=np.pi
@@ -209,8 +210,8 @@ def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar,
 
 def _kappa(material: _Concentrated) -> Scalar:
     """Return the concentration kappa of the von Mises-Fisher density that is proportional to
-    exp(-(c_s chord)^2). This function is nowhere below the lobe, because a chord is shorter than
-    its angle."""
+    exp(-(c_s chord)^2). This density, before normalisation, is nowhere below the lobe, because a
+    chord is shorter than its angle."""
     kappa = 2 * jnp.square(material.concentration)
     return jnp.maximum(kappa, smallest_divisor(kappa.dtype))
 

@@ -62,9 +62,10 @@ class Glass(Material):
 
 @takes_numbers
 def refracted_direction(w: Vector, eta: Scalar) -> Vec:
-    """Return the unit direction of the refracted ray behind the interface. Its x and y are -x / eta
-    and -y / eta, and z makes it a unit vector; in total reflection z is 0. `eta` is the index
-    behind the interface divided by the index in front of it."""
+    """Return the unit direction of the refracted ray behind the interface. For w = (x, y, z), the
+    refracted ray has the components -x / eta and -y / eta, and a third component that makes it a
+    unit vector; in total reflection the third component is 0. `eta` is the index behind the
+    interface divided by the index in front of it."""
     v = as_vec(w)
     # 1 - (1 - z^2) / eta^2 = (eta^2 - 1 + z^2) / eta^2: nothing cancels near equal indices
     below = safe_sqrt((eta - 1) * (eta + 1) + v.z * v.z) / eta
@@ -76,9 +77,9 @@ def refracted_direction(w: Vector, eta: Scalar) -> Vec:
 
 
 def specular(material: Glass, w: Vec) -> Specular:
-    """Return the directions in which a ray that came from `w`, unit, local, continues. The ray
-    comes from outside the body if `w` is above the surface, else from inside. The shares of the
-    flux and `eta` have no unit. In total reflection the reflectance is 1, and `refracted` is a
+    """Return the directions in which a ray continues that came from the unit local direction `w`.
+    The ray comes from outside the body if `w` is above the surface, else from inside. The shares of
+    the flux and `eta` have no unit. In total reflection the reflectance is 1, and `refracted` is a
     direction along the surface."""
     eta = jnp.where(w.z > 0, material.index, 1 / material.index)
     reflectance = fresnel_dielectric(jnp.abs(w.z), eta[None])

@@ -2,15 +2,15 @@
 
 The half vector h = (wi + wo) / |wi + wo| has angles (theta_h, phi_h). A rotation by -phi_h about z
 and then by -theta_h about y takes h to the normal. The same rotation takes `wi` to the difference
-vector, with angles (theta_d, phi_d). theta_d is half the angle between `wi` and `wo`. Exchanging
-`wi` and `wo` adds pi to phi_d. Mirroring both in the plane of h and the normal negates phi_d.
-Source: Rusinkiewicz, "A New Change of Variables for Efficient BRDF Representation", 1998.
+vector, with angles (theta_d, phi_d). The angle theta_d is half the angle between `wi` and `wo`.
+Exchanging `wi` and `wo` adds pi to phi_d. Mirroring both in the plane of h and the normal negates
+phi_d. Source: Rusinkiewicz, "A New Change of Variables for Efficient BRDF Representation", 1998.
 
 The table has (n_h, n_d, n_p) bins over theta_h in [0, pi / 2], theta_d in [0, pi / 2] and phi_d in
 [0, pi). Bin i of theta_h starts at (i / n_h)^2 pi / 2, so that bins are narrow near the normal,
-where lobes are. The bins of theta_d and phi_d have equal width. phi_d is taken modulo pi, so the
-table is reciprocal by construction. Each value of the table is the BRDF at the centre of its bin.
-Beyond the centres of the outermost bins the BRDF is constant. Values are in sr^-1, angles in
+where lobes are. The bins of theta_d and phi_d have equal width. The angle phi_d is taken modulo pi,
+so the table is reciprocal by construction. Each value of the table is the BRDF at the centre of its
+bin. Beyond the centres of the outermost bins the BRDF is constant. Values are in sr^-1, angles in
 radians. Source of the layout: Matusik, Pfister, Brand, McMillan, "A Data-Driven Reflectance Model",
 2003, and the reference reader published with it.
 """
@@ -128,8 +128,8 @@ def bin_angles(
 
 
 def evaluate(material: HalfDifferenceTable, wi: Direction, wo: Direction) -> Colour:
-    """Return f_r, (bands,) in sr^-1; 0 if either direction lies below the surface. `wi`, `wo`:
-    unit, local frame."""
+    """Return the BRDF f_r, (bands,) in sr^-1; 0 if either direction lies below the surface. `wi`
+    and `wo` are unit vectors in the local frame."""
     wi, wo = as_vec(wi), as_vec(wo)
     angles = half_difference(wi, wo)
     n_h, n_d, n_p, _ = material.values.shape

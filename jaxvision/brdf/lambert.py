@@ -62,7 +62,7 @@ def lambert_shading(normal: Direction, wi: Direction, diffuse: Colour) -> Colour
 
 
 def evaluate(material: Lambert, wi: Direction, wo: Direction) -> Colour:
-    """Return f_r = k_d, (bands,) in sr^-1."""
+    """Return the BRDF f_r = k_d, (bands,) in sr^-1."""
     return where_seen(wi, wo, material.diffuse)
 
 

@@ -189,8 +189,8 @@ def _looked_up(table: AngleTable, wi: Vec, wo: Vec) -> Colour:
 
 
 def evaluate(material: AngleTable, wi: Direction, wo: Direction) -> Colour:
-    """Return f_r, (bands,) in sr^-1; 0 if either direction lies below the surface. `wi`, `wo`:
-    unit, local frame."""
+    """Return the BRDF f_r, (bands,) in sr^-1; 0 if either direction lies below the surface. `wi`
+    and `wo` are unit vectors in the local frame."""
     wi, wo = as_vec(wi), as_vec(wo)
     value = _looked_up(material, wi, wo)
     if material.reciprocal:
@@ -257,9 +257,10 @@ def samples_of(
 ) -> BRDFSamples:
     """Evaluate f_r (without the cosine) of any material on a grid of angles, as samples to fit.
 
-    The samples are all a * d * b * c combinations of the angles. theta_i is the slowest index, then
-    phi_i, theta_o and phi_o. `values.reshape(a, b, c, bands)` has the order of an `IsotropicTable`
-    over phi_o, and `values.reshape(a, d, b, c, bands)` that of an `AnisotropicTable`.
+    The samples are all a * d * b * c combinations of the angles. The index of theta_i varies most
+    slowly, then those of phi_i, theta_o and phi_o. `values.reshape(a, b, c, bands)` has the order
+    of an `IsotropicTable` over phi_o, and `values.reshape(a, d, b, c, bands)` that of an
+    `AnisotropicTable`.
 
     Args:
         material: any material with a BRDF in sr^-1.

@@ -5,12 +5,12 @@ retroreflection.
     full          with interreflections between facets (the paper's equations 27 to 30)
 
 alpha is the larger of the two polar angles, beta the smaller. A and B depend on the roughness
-sigma; sigma = 0 is Lambert. Both forms are reciprocal. Neither form conserves energy exactly: with
-facets of albedo 1, at grazing views, the albedo reaches 1.015 in the qualitative form (sigma 0.2)
-and 1.05 in the full form (sigma 0.3). The full form is the paper's fit to simulations. In forward
-scattering near grazing angles the fit can be negative; it is then set to 0. Angles in radians;
-local frame, normal = +z. Source: Oren & Nayar, "Generalization of Lambert's Reflectance Model",
-SIGGRAPH 1994.
+sigma; sigma = 0 is Lambert. Both forms of the model are reciprocal. Neither form conserves energy
+exactly: with facets of albedo 1, at grazing views, the albedo reaches 1.015 in the qualitative form
+(sigma 0.2) and 1.05 in the full form (sigma 0.3). The full form is the paper's fit to simulations.
+In forward scattering near grazing angles the fit can be negative; it is then set to 0. In the local
+frame the normal is +z; angles are in radians. Source: Oren & Nayar, "Generalization of Lambert's
+Reflectance Model", SIGGRAPH 1994.
 """
 
 from typing import Annotated, Any, Literal
@@ -67,7 +67,7 @@ class OrenNayar(Material):
 
 
 def evaluate(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
-    """Return f_r, (bands,) in sr^-1."""
+    """Return the BRDF f_r, (bands,) in sr^-1."""
     form = _qualitative if material.form == "qualitative" else _full
     return where_seen(wi, wo, form(material, wi, wo))
 
@@ -110,11 +110,11 @@ def _full(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
 def _bound(x: Ends[OrenNayar]) -> Reflection:
     """Return upper bounds on f_r cos(theta_i). In the qualitative form, k_d (A + B sin(alpha)
     tan(beta)) cos(theta_i) is at most k_d (A cos(theta_i) + B), because cos(theta_i) sin(alpha)
-    tan(beta) is at most 1. It differs from Lambert's shading by at most max((1 - A) cos(theta_i),
-    B) k_d. In the full form (equations 27 to 30) the second and the third term are not large at the
-    same cos(phi), and the light between facets adds at most .34 rho v / (v + .13), where v =
-    sigma^2 and rho is the albedo of the facets. The bound is at least k_d, so that it also holds if
-    a Lambertian surface replaces the material."""
+    tan(beta) is at most 1. This form differs from Lambert's shading by at most max((1 - A)
+    cos(theta_i), B) k_d. In the full form (equations 27 to 30) the second and the third term are
+    not large at the same cos(phi), and the light between facets adds at most .34 rho v / (v + .13),
+    where v = sigma^2 and rho is the albedo of the facets. The bound is at least k_d, so that it
+    also holds if a Lambertian surface replaces the material."""
     v_low, v = least(x, "sigma") ** 2, most(x, "sigma") ** 2
     a_most, a_least = (1 - 0.5 * s / (s + 0.33) for s in (v_low, v))
     b = 0.45 * v / (v + 0.09)

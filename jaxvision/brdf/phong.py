@@ -1,4 +1,4 @@
-"""Phong: an ideal diffuse part plus a power of the cosine to the mirror direction.
+"""Phong's model: an ideal diffuse part plus a power of the cosine to the mirror direction.
 
 Three records have the lobe max(cos(theta_s), 0)^n, where theta_s is the angle to the mirror
 direction, and multiply it by different factors:
@@ -14,8 +14,8 @@ coefficient k_d, which is albedo / pi, is the same in all three. Phong is neithe
 bounded: it reflects more light than it receives if the light is grazing. PhongBRDF is reciprocal,
 and conserves energy if and only if pi k_d + 2 pi k_s / (n + 2) <= 1. NormalisedPhong (Lafortune &
 Willems, "Using the Modified Phong Reflectance Model for Physically Based Rendering", 1994) is
-reciprocal, and its albedo is at most pi k_d + k_s, reached along the normal. Local frame, normal =
-+z; angles in radians.
+reciprocal, and its albedo is at most pi k_d + k_s, reached along the normal. In the local frame the
+normal is +z; angles are in radians.
 """
 
 import jax.numpy as jnp
@@ -179,9 +179,9 @@ def power_pdf(axis: Vector, w: Vector, exponent: Scalar) -> Scalar:
 
 def power_integrals(cos_axis: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
     """Return the integrals of max(cos(alpha), 0)^n, without and with the factor cos(theta_i), over
-    directions above the horizon, () each in sr. alpha is the angle to the lobe's axis. If the
-    horizon does not cut the lobe, the integrals are 2 pi / (n + 1) and 2 pi cos_axis / (n + 2). The
-    quadrature covers 8.5 widths of the lobe; its relative error is 1e-10 for n >= 2, and up to
+    directions above the horizon, () each in sr. The angle alpha is relative to the lobe's axis. If
+    the horizon does not cut the lobe, the integrals are 2 pi / (n + 1) and 2 pi cos_axis / (n + 2).
+    The quadrature covers 8.5 widths of the lobe; its relative error is 1e-10 for n >= 2, and up to
     2e-5, 3e-6, 3e-9 at n = .1, .5, 1.5."""
 
     def lobe(alpha: Scalars) -> Scalars:

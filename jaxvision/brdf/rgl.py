@@ -169,7 +169,7 @@ def _reflected_by(
 
 def shading(material: RGL, wi: Direction, wo: Direction) -> Colour:
     """Return f_r cos(theta_i), the tabulated quantity, (bands,) in sr^-1; 0 if either direction is
-    below the surface. `wi`, `wo`: unit, local frame.
+    below the surface. `wi` and `wo` are unit vectors in the local frame.
     """
     wi, wo = as_vec(wi), as_vec(wo)
     height = jnp.minimum(wi.z, wo.z)
@@ -181,8 +181,8 @@ def shading(material: RGL, wi: Direction, wo: Direction) -> Colour:
 
 
 def evaluate(material: RGL, wi: Direction, wo: Direction) -> Colour:
-    """Return f_r, (bands,) in sr^-1; 0 if either direction lies below the surface or on the
-    horizon. `wi`, `wo`: unit, local frame."""
+    """Return the BRDF f_r, (bands,) in sr^-1; 0 if either direction lies below the surface or on
+    the horizon. `wi` and `wo` are unit vectors in the local frame."""
     cos_i = as_vec(wi).z
     below = cos_i <= smallest_divisor(cos_i.dtype)
     return divide(shading(material, wi, wo), cos_i, where=~below)

@@ -12,11 +12,12 @@ Fresnel reflectance. (Textbooks also give this name to the Gaussian of the mirro
 where L_i and L_o are the shares of light that white facets lose for the two directions. L and F are
 the means of L_o and of the Fresnel reflectance under uniform light (Kulla & Conty, "Revisiting
 Physically Based Shading at Imageworks", SIGGRAPH 2017 courses). White facets then reflect all light
-to within 1e-3. k_d is not reduced by the interface's reflection (`coated` does that), so the only
-bound is albedo <= pi k_d + k_s. A bright body under glass may exceed 1 at grazing angles: pi k_d =
-0.9, k_s = 1, eta = 1.5, alpha = 0.1 reflects 0.94, 0.99, 1.14, 1.25, 1.28 at cos(theta_o) = 1, 0.5,
-0.2, 0.05, 0.02. Local frame, normal = +z. Sources: Torrance & Sparrow, JOSA 57(9) (1967); Cook &
-Torrance, ACM TOG 1(1) (1982); see `microfacet` and `fresnel` for the parts.
+to within 1e-3. The diffuse coefficient k_d is not reduced by the light that the interface reflects
+(`coated` does that), so the only bound on the albedo is pi k_d + k_s. A bright body under glass may
+exceed 1 at grazing angles: pi k_d = 0.9, k_s = 1, eta = 1.5, alpha = 0.1 reflects 0.94, 0.99, 1.14,
+1.25, 1.28 at cos(theta_o) = 1, 0.5, 0.2, 0.05, 0.02. In the local frame the normal is +z. Sources:
+Torrance & Sparrow, JOSA 57(9) (1967); Cook & Torrance, ACM TOG 1(1) (1982); see `microfacet` and
+`fresnel` for the parts.
 """
 
 from dataclasses import replace
@@ -184,7 +185,7 @@ def microfacet_lobe(material: TorranceSparrow, wi: Direction, wo: Direction) -> 
 
 
 def evaluate(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
-    """Return f_r, (bands,) in sr^-1."""
+    """Return the BRDF f_r, (bands,) in sr^-1."""
     body = where_seen(wi, wo, material.diffuse)
     lobe = microfacet_lobe(material, wi, wo)
     if material.multiple_scattering is not None:
@@ -254,8 +255,8 @@ def sample(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Ve
     facet.
 
     The weight f_r cos(theta_i) / pdf of the lobe is at most k_s F for v-cavities and for GGX facets
-    with Smith's shadowing. It is at most 2.7 k_s F for Beckmann facets with Smith's shadowing,
-    which are sampled as GGX.
+    with Smith's shadowing. For Beckmann facets with Smith's shadowing, which are sampled as GGX,
+    the weight is at most 2.7 k_s F.
     """
     part = _diffuse_part(material, wo)
     match material.shadowing:
@@ -268,7 +269,7 @@ def sample(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Ve
 
 
 def pdf(material: TorranceSparrow, wi: Direction, wo: Direction) -> Scalar:
-    """Return the density of `sample` in sr^-1."""
+    """Return the density of the directions that `sample` draws, in sr^-1."""
     match material.shadowing:
         case "smith":
             lobe = facet_pdf(wi, wo, _alpha(material))

@@ -191,7 +191,8 @@ def kind_of(light: Light) -> Discrete | Extended:
 
 
 def can_be_seen(light: Light) -> bool:
-    """Return whether a ray can hit a light, which lights without size (points, directions) exclude.
+    """Return whether a ray can hit a light, which it cannot if the light has no size (a point or a
+    direction).
 
     Args:
         light: any registered light.

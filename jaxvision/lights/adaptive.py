@@ -3,9 +3,10 @@ of the quadrature is selected at run time from the ratio of distance to size.
 
 On a receiver at distance d from an edge of length s, the error of n nodes per side is K rho^(-2 n)
 with rho = x + sqrt(1 + x^2) and x = 2 d / s. If positions on the edge are complex numbers, the
-integrand is singular where the distance is 0. rho is the sum of the half-axes of the largest
+integrand is singular where the distance is 0. Here rho is the sum of the half-axes of the largest
 ellipse, with foci at the ends of the edge scaled to [-1, 1], in which the integrand is analytic
-(Trefethen, Approximation Theory and Approximation Practice, 2013, theorem 19.3). K was measured.
+(Trefethen, Approximation Theory and Approximation Practice, 2013, theorem 19.3). The constant K was
+measured.
 """
 
 import math

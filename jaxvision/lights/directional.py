@@ -13,7 +13,7 @@ from ._registry import Incident, register
 
 
 class DirectionalLight(Light):
-    """A light at infinity, whose light is parallel.
+    """A light at infinity, whose rays are parallel.
 
     Attributes:
         direction: (3,) unit vector from the scene toward the light (its length is ignored).

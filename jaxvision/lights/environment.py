@@ -1,4 +1,4 @@
-"""Light from infinitely far away, as a latitude-longitude picture of radiance.
+"""An environment light at infinity, given as a latitude-longitude picture of radiance.
 
 The picture shows the surroundings as seen from inside, with the zenith at the top. Row 0 shows the
 direction +z, the last row -z, and the middle column +x. Increasing columns run clockwise as seen
@@ -35,7 +35,7 @@ from ._registry import Incident, Seen, register_extended
 
 
 class EnvironmentMap(Light):
-    """Radiance from all directions, infinitely far away.
+    """A light at infinity whose radiance depends on the direction, such as a sky.
 
     Use `environment_map` to make an environment from a picture, with the tables for sampling.
 

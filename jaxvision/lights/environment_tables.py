@@ -106,8 +106,9 @@ def _pixel_means(picture: Float[Array, "h w"]) -> Float[Array, "h w"]:
 
 
 def _solid_angles(h: int, w: int) -> Float[np.ndarray, "h 1"]:
-    """Return the solid angle of a pixel in each row, in sr. It is the product of the difference of
-    cos(theta), written as 2 sin(middle) sin(half a row), and the difference of phi."""
+    """Return the solid angle of a pixel in each row, in sr. The solid angle is the product of the
+    difference of cos(theta), written as 2 sin(middle) sin(half a row), and the difference of
+    phi."""
     differences = 2 * np.sin(np.pi * (np.arange(h) + 0.5) / h) * np.sin(np.pi / (2 * h))
     return differences[:, None] * (2 * np.pi / w)
 

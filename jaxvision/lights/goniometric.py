@@ -252,8 +252,8 @@ def _weights(nodes: Float[Array, " n"], density) -> Float[Array, " n"]:
 
 def from_goniometric_light(light: GoniometricLight, point: Vector) -> Incident:
     """Return the light that arrives from a lamp: the unit direction, the irradiance E = I / d^2 on
-    a surface that faces it, (bands,) W m^-2, and the distance d, m. I is the intensity in that
-    direction. All are 0 at the lamp itself."""
+    a surface that faces it, (bands,) W m^-2, and the distance d, m. Here I is the intensity in that
+    direction. Direction, irradiance and distance are 0 at the lamp itself."""
     direction, distance, dilution = _toward(light.position, point)
     own = Vec(*(dot(row, -as_vec(direction)) for row in map(as_vec, light.rotation)))
     share = relative_intensity(light, own)
@@ -291,7 +291,7 @@ def _area(light: GoniometricAreaLight) -> Scalar:
 
 def _radiance_along(light: GoniometricAreaLight, ray: Ray) -> Seen:
     """Return the radiance I / (A cos(theta)) of the lamp's front along a ray, W m^-2 sr^-1, and the
-    distance, m. I is the intensity, A the area, and theta the angle to the normal."""
+    distance, m. Here I is the intensity, A the area, and theta the angle to the normal."""
     at, hit = hit_window(ray, _window(light))
     share, cosine = _relative_intensity(light, -as_vec(ray.direction))
     radiance = divide(share, _area(light) * cosine, where=hit & (cosine > 0))

@@ -1,4 +1,4 @@
-"""A point light, which has the same intensity in every direction. Its irradiance is inversely
+"""A point light with the same intensity in every direction. The irradiance from it is inversely
 proportional to the square of the distance."""
 
 from typing import Any
@@ -43,8 +43,8 @@ class PointLight(Light):
 
 def from_point_light(light: PointLight, point: Vector) -> Incident:
     """Return the light that arrives from a point light: the unit direction, the irradiance E = I /
-    d^2 on a surface that faces it, (bands,) W m^-2, and the distance d, m. I is the intensity. All
-    are 0 if the distance is below `smallest_divisor`."""
+    d^2 on a surface that faces it, (bands,) W m^-2, and the distance d, m. Here I is the intensity.
+    Direction, irradiance and distance are 0 if the distance is below `smallest_divisor`."""
     direction, distance, dilution = _toward(light.position, point)
     return Incident(direction, map_bands(lambda band: band * dilution, light.intensity), distance)
 

@@ -2,7 +2,7 @@
 
     E = L / 2 sum_i theta_i n . (v_i+1 x v_i) / |v_i+1 x v_i|
 
-The sum is over the edges of the part of the rectangle above the receiver's horizon. n is the
+The sum is over the edges of the part of the rectangle above the receiver's horizon. Here n is the
 receiver's normal, v_i the vector from the receiver to a corner, and theta_i the angle that an edge
 subtends (Lambert, Photometria, 1760; Baum, Rushmeier and Winget, "Improving Radiosity Solutions
 Through the Use of Analytically Determined Form-Factors", SIGGRAPH 1989). The functions are for one
@@ -72,8 +72,8 @@ _ARCTAN_OVER = {
 
 def _cases(square: Scalars, cosine: Scalars) -> tuple[Bool[Array, "..."], Bool[Array, "..."]]:
     """Return two masks (narrow, wide) for `angle_over_sine`: where the series for narrow angles is
-    accurate, and where the quotient is. Neither holds if the two vectors of an angle are opposite
-    within rounding or have no length."""
+    accurate, and where the quotient is. Both masks are false if the two vectors of an angle are
+    opposite within rounding or have no length."""
     smallest = smallest_divisor(square.dtype)
     narrow = (cosine > smallest) & (square < _SMALL * cosine * cosine)
     opposite = (cosine < 0) & (square < (jnp.finfo(square.dtype).eps * cosine) ** 2)
@@ -145,11 +145,11 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction
 
     At a large distance d from a light of size s, the terms of the contour integral cancel. If d / s
     exceeds (3e-4 / eps)^(1/10), where eps is the machine epsilon, quadrature with 4 x 4
-    Gauss-Legendre nodes replaces the contour integral. This limit is 2.2 in float32 and 16 in
-    float64. If receiver and light face each other, the relative rounding error is 10 eps (300 eps
-    in float64 at the limit); if the horizon cuts the light, it is d / s times as large. The error
-    is larger for a slanted receiver or light, for example 1e-4 in float32 if the product of both
-    cosines is .01.
+    Gauss-Legendre nodes replaces the contour integral. The limit on d / s is 2.2 in float32 and 16
+    in float64. If receiver and light face each other, the relative rounding error is 10 eps (300
+    eps in float64 at the limit); if the horizon cuts the light, it is d / s times as large. The
+    error is larger for a slanted receiver or light, for example 1e-4 in float32 if the product of
+    both cosines is .01.
 
     Args:
         light: the rectangle.
@@ -194,10 +194,10 @@ def contour_integral(corners: Sequence[Vec], normal: Vec) -> Scalar:
     receiver's horizon, () sr. The receiver is at the origin and has the unit normal `normal`.
 
     `corners` are the four corners, in m, of a flat convex polygon, clockwise as seen from the
-    receiver. If they are counter-clockwise, the result is negative. The fourth power of a length
-    must not overflow or underflow. If the horizon cuts the polygon, an additional edge along the
-    horizon closes it. The cross product v_i+1 x v_i of a partly visible edge is multiplied by the
-    visible fraction of the edge.
+    receiver. If the corners are counter-clockwise, the result is negative. The fourth power of a
+    length must not overflow or underflow. If the horizon cuts the polygon, an additional edge along
+    the horizon closes it. The cross product v_i+1 x v_i of a partly visible edge is multiplied by
+    the visible fraction of the edge.
 
     The derivatives are computed as a sum over the same edges, in a tenth of the time of autodiff.
     """

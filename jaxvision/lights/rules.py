@@ -28,11 +28,12 @@ class Quadrature(Shown):
 
       * The sun in a sky. `render`, `ray_traced`, `capture` and `outgoing_radiance` then warn.
       * A glossy lobe. For the highlight of GGX facets in a square light, at a distance equal to its
-        side, the error is -.9 % (alpha .1), -16 % (.05) and -67 % (.02) at order 8; 2e-5, -.8 %
-        and -27 % at 16; and 0, 0 and -3 % at 32. For Phong's exponent 1000 it is up to 120 % at
-        order 8, 11 % at 16, .5 % at 24 and .04 % at 32. The number of nodes per side should be the
-        angular width of the light divided by that of the lobe, 1 / sqrt(exponent). Under a constant
-        sky the error is +4.6 % (alpha .1) and -57 % (.03) at order 8, and +4 % (.03) even at 32.
+        side, the error is -.9 % (alpha .1), -16 % (.05) and -67 % (.02) at order 8; 2e-5, -.8 % and
+        -27 % at 16; and 0, 0 and -3 % at 32. For a Phong lobe with exponent 1000 the error is up to
+        120 % at order 8, 11 % at 16, .5 % at 24 and .04 % at 32. The number of nodes per side
+        should be the angular width of the light divided by that of the lobe, 1 / sqrt(exponent).
+        Under a constant sky the error is +4.6 % (alpha .1) and -57 % (.03) at order 8, and +4 %
+        (.03) even at 32.
 
     Attributes:
         order: number of nodes along each side, whole, >= 1, no unit; static.

@@ -8,7 +8,7 @@ sky of Perez.
 where L is the radiance, Z the angle to the zenith, +z, and chi the angle to the sun. Below the
 horizon the radiance is 0. Sources: ISO 15469:2004 / CIE S 011; Perez, Seals & Michalsky,
 "All-Weather Model for Sky Luminance Distribution", Solar Energy 50(3) (1993) and its erratum.
-Angles are in rad. These are models of luminance, so the user chooses the sky's colour.
+Angles are in rad. The models describe luminance, so the user chooses the sky's colour.
 """
 
 import warnings

@@ -69,8 +69,8 @@ def _emitted(light: SmallLight, u: Float[Array, "4"]) -> Emitted:
 
 
 def _bound(light: Ends[SmallLight]) -> Source:
-    """Return upper bounds on the light of a small lamp. The bounds use the normal only if it is
-    fixed."""
+    """Return upper bounds on the light of a small lamp. The bounds use the lamp's normal only if it
+    is fixed."""
     fixed = np.array_equal(light.low.normal, light.high.normal)
     return _place_bound(light, normal=unit(numbers(light.low.normal)) if fixed else None)
 

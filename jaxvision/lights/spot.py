@@ -96,8 +96,8 @@ def _share(light: SpotLight, away: Vector) -> Scalar:
 
 def from_spot_light(light: SpotLight, point: Vector) -> Incident:
     """Return the light that arrives from a spot light: the unit direction, the irradiance E = I /
-    d^2 on a surface that faces it, (bands,) W m^-2, and the distance d, m. I is the intensity in
-    that direction. All are 0 at the light itself."""
+    d^2 on a surface that faces it, (bands,) W m^-2, and the distance d, m. Here I is the intensity
+    in that direction. Direction, irradiance and distance are 0 at the light itself."""
     direction, distance, dilution = _toward(light.position, point)
     factor = _share(light, -direction) * dilution
     return Incident(direction, map_bands(lambda band: band * factor, light.intensity), distance)

@@ -1,5 +1,5 @@
-"""The sun as a disc of uniform radiance, or any other round light at infinity. Its shadows have
-penumbrae.
+"""The sun as a disc of uniform radiance, or any other round light at infinity. Shadows under such a
+light have penumbrae.
 
 A disc of angular radius r and radiance L gives the irradiance E = pi L sin^2(r) on a surface that
 faces it.

@@ -48,7 +48,7 @@ class Window(Shown):
 
 
 class Crossing(eqx.Module):
-    """The crossing of a ray's line with the plane of a window."""
+    """The intersection of a ray's line with the plane of a window."""
 
     distance: Scalar  # () m along the ray, of either sign
     u: Scalar  # () position along edge_u, 0 to 1 inside, no unit
@@ -114,7 +114,7 @@ def _place(spread: Spread, u: Scalar) -> tuple[Scalar, Scalar]:
 
 def _density(spread: Spread, fraction: Scalar) -> Scalar:
     """Return the derivative of u with respect to the fraction of the interval, at a given
-    `fraction`. It is the inverse of the derivative that `_place` returns."""
+    `fraction`. The result is the inverse of the derivative that `_place` returns."""
     position = spread.start + fraction * spread.length
     return spread.length / (spread.span * safe_sqrt(spread.scale**2 + position**2))
 

@@ -1,6 +1,6 @@
 """Render a scene by direct light: compute the radiance along each ray of a camera.
 
-Radiance in W m^-2 sr^-1, lengths in m.
+Radiance is in W m^-2 sr^-1, lengths are in m.
 """
 
 from collections.abc import Callable, Sequence

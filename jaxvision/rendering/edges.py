@@ -7,15 +7,15 @@ d theta,
 
     sum of (L_behind - L_ahead) (dp / d theta . n) ds
 
-over the part of the curve p in the pixel. ds is an element of the curve; the normal n points from
-the side "behind" to the side "ahead". The curves are the outlines of shapes as seen from the camera
-or a lamp, and have closed forms. The curve p(t) is differentiated with respect to theta at fixed t.
-The discontinuity of L is measured by rays slightly to each side. An area lamp is treated as a sum
-of point lamps: each node on an outline uses another point of the lamp.
+over the part of the curve p in the pixel. Here ds is an element of the curve; the normal n points
+from the side "behind" to the side "ahead". The curves are the outlines of shapes as seen from the
+camera or a lamp, and have closed forms. The curve p(t) is differentiated with respect to theta at
+fixed t. The discontinuity of L is measured by rays slightly to each side. An area lamp is treated
+as a sum of point lamps: each node on an outline uses another point of the lamp.
 
 Source: Li, Aittala, Durand, Lehtinen, "Differentiable Monte Carlo Ray Tracing through Edge
-Sampling", ACM TOG 37(6) (2018). Here edges are sampled in proportion to their length in the
-picture.
+Sampling", ACM TOG 37(6) (2018). Unlike there, edges are sampled in proportion to their length in
+the picture.
 
 Lengths are in m. Positions p in the picture are in pixels (row, column).
 """
@@ -660,7 +660,7 @@ def _lattice(count: int, dtype: Any) -> Float[Array, "count 4"]:
 
 def _offset_of_rays(view: View) -> float:
     """Return the distance, in pixels, from an edge to the rays that measure the discontinuity of
-    the radiance. The distance exceeds rounding errors. It is small enough for the limb of a sphere,
-    near which the radiance changes like a square root."""
+    the radiance. The distance exceeds rounding errors. The distance is small enough for the limb of
+    a sphere, near which the radiance changes like a square root."""
     eps = float(jnp.finfo(view.pixel_pitch.dtype).eps)
     return max(16 * eps * max(view.resolution), 0.3 * eps**0.5)

@@ -36,8 +36,8 @@ _WIDEST = 2.0**20  # texels; a wider box is cut to it
 class Summed(Varying):
     """A map with its summed-area table. `values`, `uv` and `wrap` are those of the map. `mean`,
     (...), is the mean of the values, which is subtracted before summing. The table is the sum of
-    `high` and `low`, (rows + 1, columns + 1, ...). Its entry (i, j) is the sum of the texels above
-    row i and left of column j."""
+    `high` and `low`, (rows + 1, columns + 1, ...). The entry (i, j) of the table is the sum of the
+    texels above row i and left of column j."""
 
     values: Array
     uv: Array | None
@@ -136,9 +136,9 @@ def _value(own: Any, patch: Patch) -> Array:
 
 
 def _coordinates(uv: Array | None, patch: Patch) -> Coordinates:
-    """Return the texture coordinates of a map at a patch. They are the coordinates of the shape if
-    `uv` is None. Otherwise the matrix `uv` maps the shape's coordinates to them, or the point in
-    the world if `uv` is (2, 4)."""
+    """Return the texture coordinates of a map at a patch. If `uv` is None, they are the coordinates
+    of the shape. Otherwise they are computed by the matrix `uv`: from the shape's coordinates, or
+    from the point in the world if `uv` is (2, 4)."""
     own = patch.own
     if uv is None:
         return own

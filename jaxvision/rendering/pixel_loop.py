@@ -3,8 +3,8 @@
 photograph(along, view, samples)
 
 `along` computes the radiance along rays; integrators differ only in this function. The value of a
-pixel depends on the random key, the pixel and the indices of its samples. It does not depend on the
-division of the picture into blocks, or on which other pixels are computed.
+pixel depends on the random key, the pixel and the indices of its samples. The value does not depend
+on the division of the picture into blocks, or on which other pixels are computed.
 """
 
 from collections.abc import Callable, Sequence

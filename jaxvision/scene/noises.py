@@ -120,10 +120,10 @@ class PoissonShotNoise(Shown):
 class FastPoissonShotNoise(Shown):
     """Shot noise by inversion of an approximate Poisson distribution.
 
-    Samples are whole numbers. They are drawn ten times faster than by `PoissonShotNoise`, and have
-    gradients by reparameterisation. The total variation distance from the Poisson distribution is
-    at most 1.4e-4 at every mean up to 2^31 electrons. Larger means raise an error, or give NaN
-    under `jax.jit`. `sensor.count` gives the details.
+    Samples are whole numbers, have gradients by reparameterisation, and are drawn ten times faster
+    than by `PoissonShotNoise`. The total variation distance from the Poisson distribution is at
+    most 1.4e-4 at every mean up to 2^31 electrons. Larger means raise an error, or give NaN under
+    `jax.jit`. `sensor.count` gives the details.
 
     Example:
         >>> sensor = jv.Sensor(shot_noise=jv.FastPoissonShotNoise())

@@ -38,7 +38,7 @@ class Mixing(SensorEffect):
 
     Because of capacitance between pixels, or a slowly settling amplifier, a share of a pixel's
     signal is read in its neighbours. Unlike `Sensor.crosstalk`, mixing acts on counted electrons.
-    It therefore multiplies the variance of a pixel by sum(kernel^2), and correlates neighbours.
+    Mixing therefore multiplies the variance of a pixel by sum(kernel^2), and correlates neighbours.
 
     Attributes:
         kernel: (rows, columns) no unit, both odd: the shares in which the electrons of the middle

@@ -96,8 +96,8 @@ def _as_optional_tuple(values: Iterable[Any] | None) -> tuple[Any, ...] | None:
 class Scene(Shown):
     """A scene, which consists of surfaces and lights.
 
-    All spectra of a scene must have the same number of bands. This is checked here for the k_d of
-    materials, emissions, lights and mirrors. The reflectance of a mirror may have a single band.
+    All spectra of a scene must have the same number of bands. `Scene` checks the k_d of materials,
+    emissions, lights and mirrors. The reflectance of a mirror may have a single band.
 
     Attributes:
         surfaces: at least one; a single record is accepted too.

@@ -1,12 +1,12 @@
-"""Moments of a standard Gaussian variable Z that is clipped at one end or to a narrow window. They
-have full precision even where the textbook formulas subtract nearly equal numbers.
+"""Moments of a standard Gaussian variable Z that is clipped at one end or to a narrow window. The
+moments have full precision even where the textbook formulas subtract nearly equal numbers.
 
 With a = |t| and the Gaussian density phi, the integrals of the tail are
 
     E[max(Z - a, 0)]   = phi(a) A(a) / (1 + a)^2
     E[max(Z - a, 0)^2] = phi(a) 2 B(a) / (1 + a)^3
 
-The functions A and B vary between about 1 at a = 0 and 1 at infinity. They are Chebyshev expansions
+The functions A and B vary between about 1 at a = 0 and 1 at infinity. Both are Chebyshev expansions
 in (a - 4) / (a + 4), whose coefficients were computed with 60 digits and dropped below 1e-17. The
 derivatives of these moments have closed forms.
 """

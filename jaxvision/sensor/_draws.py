@@ -154,7 +154,7 @@ def upper_quantile(bits: Words, dtype: DTypeLike) -> Scalars:
 
 def from_middle(bits: Words, dtype: DTypeLike) -> tuple[Scalars, Scalars]:
     """Return 1/2 - `tail_probability(bits)`, and the distance of the probability from the nearer of
-    0 and 1. Both are computed without cancellation.
+    0 and 1. The two numbers are computed without cancellation.
     """
     above = bits < jnp.uint32(2**31)
     nearer = jnp.where(above, bits, ~bits)

@@ -89,8 +89,8 @@ def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
     is read in row j >= i. The charge of a packet is computed in `trail` rows behind it. The last of
     these rows receives all charge that lags farther, so charge is lost only beyond the last row of
     the image. The lag is approximately a Poisson variable with mean eps i. If the mean lag is 0.3
-    rows, the share that lags more than 8 rows is 4e-11. If it is 3 rows, this share is 4e-3, and a
-    longer trail is needed.
+    rows, the share that lags more than 8 rows is 4e-11. If the mean lag is 3 rows, this share is
+    4e-3, and a longer trail is needed.
 
     Args:
         electrons: (..., h, w, bands) electrons per packet.
@@ -154,9 +154,9 @@ def _random(share: Shares, rest: Shares) -> Shares:
 
 @takes_numbers
 def counted_variance(mean: Counts, variance: Counts, transfer: ChargeTransfer) -> Counts:
-    """Return the variance, electrons^2, of charge whose electrons are transferred independently. It
-    is sum(n p (1 - p) + var p^2) over packets with mean n and variance var, of which the share p is
-    expected in this pixel."""
+    """Return the variance, electrons^2, of charge whose electrons are transferred independently.
+    The variance is the sum of n p (1 - p) + var p^2 over packets with mean n and variance var, of
+    which the share p is expected in this pixel."""
     return _random_variance(mean, transfer) + transferred_variance(variance, transfer)
 
 

@@ -3,13 +3,13 @@ result.
 
     light = (unmixed(g^-1((raw - black) / K)) - dark) / flat
 
-Here g is the curve of the nonlinearity, and K the gain. The error of a corrected frame is a sum of
-parts. Each part is an amplitude times a standard Gaussian variable, which is independent for each
-pixel, row, column or frame, or the same in all pixels. If the correction inverts mixing or
-crosstalk between neighbours, the part is convolved with a small kernel. Shot noise, read noise and
-rounding errors are independent from frame to frame. The errors of master frames, differences
-between pixels and the uncertainty of the camera's parameters are the same in all frames, and partly
-cancel in the difference of two frames.
+In this formula g is the curve of the nonlinearity, and K the gain. The error of a corrected frame
+is a sum of parts. Each part is an amplitude times a standard Gaussian variable, which is
+independent for each pixel, row, column or frame, or the same in all pixels. If the correction
+inverts mixing or crosstalk between neighbours, the part is convolved with a small kernel. Shot
+noise, read noise and rounding errors are independent from frame to frame. The errors of master
+frames, differences between pixels and the uncertainty of the camera's parameters are the same in
+all frames, and partly cancel in the difference of two frames.
 """
 
 import warnings

@@ -102,8 +102,8 @@ def _expand(effect: Compression, signal: Scalars) -> Scalars:
 
 def _slopes_of_compression(ends: Ends[Compression]) -> tuple[float, float]:
     """Return the smallest and the largest slope 1 - 2 c u - 3 d u^2 of a `Compression` with u in
-    [0, 1], over the ranges of its coefficients c and d. These extremes are at u = 0, at u = 1 or at
-    the vertex of the parabola. They are at the ends of the ranges of c and d, because the slope is
+    [0, 1], over the ranges of its coefficients c and d. The extremes are at u = 0, at u = 1 or at
+    the vertex of the parabola, and at the ends of the ranges of c and d, because the slope is
     linear in both."""
     found = []
     for c in (float(end.first) for end in ends):

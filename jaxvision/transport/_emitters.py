@@ -333,8 +333,8 @@ def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar | N
 
 def _heuristic(strategy: Strategy, own: Scalar, other: Scalar) -> Scalar:
     """Return the weight of multiple importance sampling for densities p = `own` and q = `other`: p
-    / (p + q) or p^2 / (p^2 + q^2) (Veach and Guibas, SIGGRAPH 1995). Both are computed as 1 / (1 +
-    (q / p)^n), which does not overflow. Gradients treat the weight as a constant."""
+    / (p + q) or p^2 / (p^2 + q^2) (Veach and Guibas, SIGGRAPH 1995). Both forms are computed as 1 /
+    (1 + (q / p)^n), which does not overflow. Gradients treat the weight as a constant."""
     own, other = jax.lax.stop_gradient((own, other))
     ratio = divide(other, own, otherwise=jnp.inf)
     return 1 / (1 + (ratio if strategy == "balance" else ratio * ratio))

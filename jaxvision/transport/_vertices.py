@@ -175,8 +175,8 @@ def vertex(
     drawn by `u`, uniform in [0, 1). `back` and `asked` are unit vectors in the world. All results
     are 0 if the surface is seen from behind.
 
-    Gradients treat the drawn direction and its density as constants. They are unbiased for every
-    parameter of a material, although another value of the parameter would lead to another
+    Gradients treat the drawn direction and its density as constants. Such gradients are unbiased
+    for every parameter of a material, although another value of the parameter would lead to another
     direction. If `weighed` (static) is False, the density of `asked` is not computed and is None.
     """
     frame, viewer, light, flat = _seen_from(surfaces, met, back, asked)
@@ -368,9 +368,9 @@ def absorption_after(
 ) -> Colour | None:
     """Return the absorption, (bands,) m^-1, of the body that contains a path after a vertex. The
     path arrives along the unit direction `came` and continues along the ray `onward`. If the path
-    enters glass at the vertex, the result is the absorption of the glass. If it leaves glass, the
-    result is the absorption of the surroundings. Otherwise the result is `before`. It is None if no
-    body absorbs."""
+    enters glass at the vertex, the result is the absorption of the glass. If the path leaves glass,
+    the result is the absorption of the surroundings. Otherwise the result is `before`. If no body
+    in the scene absorbs, the result is None."""
     if surfaces.absorption is None or before is None:
         return None
     surface = jnp.maximum(met.surface, 0)

@@ -249,9 +249,9 @@ def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
 
 
 def _emitted(emitters: Emitters, around: Ball | None, u: Float[Array, "5"]) -> Emitted:
-    """Draw a ray from one emitter, which u_4 selects. u_0 and u_1 give the ray's origin, and u_2
-    and u_3 its direction, all uniform in [0, 1). The flux of the ray, W, is an unbiased estimate of
-    the flux of all emitters. `around` is a sphere around the scene."""
+    """Draw a ray from one emitter, which u_4 selects. The numbers u_0 and u_1 give the ray's
+    origin, and u_2 and u_3 its direction, all uniform in [0, 1). The flux of the ray, W, is an
+    unbiased estimate of the flux of all emitters. `around` is a sphere around the scene."""
 
     def ray(emitter: Light | Emissive) -> Emitted:
         if isinstance(emitter, Emissive):

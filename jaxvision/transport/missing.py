@@ -419,8 +419,8 @@ def _chance(light: Light, matt: Sequence[Surface]) -> float:
 
 def _share(area: float, corners: np.ndarray, matt: Sequence[Surface]) -> float:
     """Return the share of directions from a matt surface that hit a lamp, area / (pi d^2), at most
-    1. d is the distance between the bounding box of the lamp's corners and that of the nearest matt
-    surface."""
+    1. Here d is the distance between the bounding box of the lamp's corners and that of the nearest
+    matt surface."""
     nearest = np.inf
     low, high = corners.min(axis=0), corners.max(axis=0)
     for surface in matt:

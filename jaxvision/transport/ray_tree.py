@@ -103,8 +103,8 @@ def ray_tree_radiance(
 def ray_tree_radiances(
     scene: Scene, along: Ray, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
 ) -> Float[Array, "n bands"]:
-    """Return `ray_tree_radiance` for many rays. This is faster than ray by ray if few rays hit
-    mirrors or glass.
+    """Return `ray_tree_radiance` for many rays. A call for all rays is faster than one call for
+    each ray if few rays hit mirrors or glass.
 
     Args:
         scene, rays, rule: as in `ray_tree_radiance`.

@@ -17,8 +17,8 @@ def trapping_surface(
     albedo: Float[np.ndarray, "surfaces bands"],
     plan: Plan,
 ) -> int | None:
-    """Return the first surface that traps light in some band. This is so if it and all surfaces
-    that it exchanges light with are white, and less than 2e-3 of the light escapes from between
+    """Return the first surface that traps light in some band. A surface traps light if it and all
+    surfaces with which it exchanges light are white, and less than 2e-3 of the light escapes from
     them.
 
     Args:

@@ -3,7 +3,7 @@
     B_i = M_i + rho_i (E_i + sum_j F_ij B_j)
 
 B is the radiosity, M the emitted light and E the direct irradiance from lights, all (patches,
-bands) in W m^-2. rho is the albedo, (patches, bands), and F are the form factors, (patches,
+bands) in W m^-2. The albedo is rho, (patches, bands), and F are the form factors, (patches,
 patches), both without unit. Source: Goral, Torrance, Greenberg and Battaile, "Modeling the
 Interaction of Light Between Diffuse Surfaces", SIGGRAPH 1984.
 """
