@@ -146,7 +146,8 @@ class Bilateral(Shown):
 
 
 class NonLocalMeans(Shown):
-    """Denoising by averages over similar patches.
+    """Denoising by non-local means: a pixel becomes an average over pixels with similar
+    surroundings.
 
     Attributes:
         strength: () > 0, in the picture's unit.

@@ -5,30 +5,31 @@ A random draw has no derivative, but an expectation has. Three estimators of the
 E[f(X)] are available, each a mean over draws. For Poisson counts N, the derivative with respect to
 the mean m is estimated by:
 
-    pathwise          f'(N) (1/2 + N / (2 m)), as `count` is differentiated: unbiased for
-                      polynomials up to the second degree, not beyond (by 1/2 for N^3); blind to a
-                      step of f
-    measure_valued    f(N + 1) - f(N): unbiased for any f of each pixel alone
-    score             (f(N) - b) (N / m - 1), b being the mean of f over the other draws: unbiased
-                      for any f, also of a whole picture to one number; its variance grows like 1/m
-                      in faint light, and with the number of pixels
+    pathwise          f'(N) (1/2 + N / (2 m)), which is the derivative of `count`. It is unbiased
+                      for polynomials f of degree <= 2, has a bias of 1/2 for N^3, and omits the
+                      contribution of a step of f.
+    measure_valued    f(N + 1) - f(N). It is unbiased for any f that acts on each pixel alone.
+    score             (f(N) - b) (N / m - 1), where b is the mean of f over the other draws. It is
+                      unbiased for any f, also from a whole picture to one number. Its variance
+                      grows like 1 / m in faint light, and with the number of pixels.
 
 For a reading X = m + s Z with Gaussian noise, which an ADC rounds and clips, the derivatives with
 respect to m and s are estimated by:
 
-    pathwise          f'(X) and f'(X) Z: unbiased for a continuous f, including clipping; blind to
-                      steps
-    measure_valued    (f(m + s W) - f(m - s W)) / (s sqrt(2 pi)) with W of Rayleigh's distribution,
-                      and (f(m + s D) - f(X)) / s with D of Maxwell's on both sides: unbiased for
-                      any f of each pixel alone
-    score             (f(X) - b) Z / s and (f(X) - b) (Z^2 - 1) / s: unbiased for any f
+    pathwise          f'(X) and f'(X) Z. They are unbiased for a continuous f, including clipping,
+                      and omit the contribution of steps.
+    measure_valued    (f(m + s W) - f(m - s W)) / (s sqrt(2 pi)), where W has the Rayleigh
+                      distribution, and (f(m + s D) - f(X)) / s, where D has the Maxwell
+                      distribution with a random sign. They are unbiased for any f that acts on
+                      each pixel alone.
+    score             (f(X) - b) Z / s and (f(X) - b) (Z^2 - 1) / s. They are unbiased for any f.
 
 For a defect that a pixel has (B = 1; dead, hot or a trap) with probability p, else B = 0, the
 derivative with respect to p is estimated by:
 
-    pathwise          0: a pixel has it or not
-    measure_valued    f(1) - f(0): unbiased for any f of each pixel alone
-    score             (f(B) - b) (B - p) / (p (1 - p)): unbiased for any f
+    pathwise          0, because a pixel either has the defect or not.
+    measure_valued    f(1) - f(0). It is unbiased for any f that acts on each pixel alone.
+    score             (f(B) - b) (B - p) / (p (1 - p)). It is unbiased for any f.
 
 Means and variances of images need no draws: `expected_signal`, `signal_variance` and
 `clipped_moments` are closed forms with exact derivatives. Sources: Mohamed et al., "Monte Carlo
@@ -123,8 +124,7 @@ def expected_of_reading(
     """Return E[f(X)] for readings X with Gaussian noise, as a mean over draws. The gradient is
     computed by the chosen estimator. `function` may round and clip, as an ADC does.
 
-    Variables that `function` captures get gradients, too. Second derivatives are not those of the
-    expectation.
+    Variables that `function` captures have gradients, too. Second derivatives are wrong.
 
     Args:
         key: random key.
@@ -193,8 +193,7 @@ def expected_of_defect(
     """Return E[f(B)] for pixels that have a defect (B = 1) with a given probability, else B = 0, as
     a mean over draws. The gradient is computed by the chosen estimator.
 
-    Variables that `function` captures get gradients, too. Second derivatives are not those of the
-    expectation.
+    Variables that `function` captures have gradients, too. Second derivatives are wrong.
 
     Args:
         key: random key.

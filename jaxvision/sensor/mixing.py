@@ -5,7 +5,8 @@ After mixing with a kernel w, pixels that were independent with variance v have
     variance     v sum w^2
     covariance   v sum w(k) w(k + lag)
 
-The sum of these over all lags is v, because the sum of w is 1.
+The sum of the covariances over all lags, with the variance at lag 0, is v, because the sum of w is
+1.
 """
 
 from typing import Any

@@ -4,11 +4,11 @@
     variance var_y = K^2 (eta mu_p + mu_d + sigma_read^2) + 1/12      (temporal)
     pattern  s_y^2 = K^2 ((PRNU eta mu_p)^2 + DSNU^2)                 (from pixel to pixel)
 
-K is the gain, eta mu_p the number of photoelectrons, and mu_d the number of dark electrons. Every
-further noise source of the sensor adds a term. Differences between the pixels of a die (dead, hot
-and trapping pixels, columns) enter mean and temporal variance as averages over dies. With the
-brighter-fatter effect, the variance of a pixel is that in uniform light of its mean. Blooming has
-no closed form and is neglected.
+K is the gain, eta mu_p the number of photoelectrons, mu_d the number of dark electrons, and
+sigma_read the read noise. Every further noise source of the sensor adds a term. Differences between
+the pixels of a die (dead, hot and trapping pixels, columns) enter mean and temporal variance as
+averages over dies. With the brighter-fatter effect, the variance of a pixel is that in uniform
+light of its mean. Blooming has no closed form and is neglected.
 """
 
 from dataclasses import replace
@@ -96,7 +96,7 @@ def expected_signal(sensor: Sensor, irradiance: Light) -> Counts:
 
 @takes_numbers
 def signal_variance(sensor: Sensor, irradiance: Light) -> Counts:
-    """Return the temporal variance of one pixel, before clipping.
+    """Return the temporal variance of one pixel, before clipping, in the notation of EMVA 1288:
 
         var_y = K^2 (eta mu_p + mu_d + sigma_read^2) + 1/12
 
@@ -122,7 +122,7 @@ def signal_variance(sensor: Sensor, irradiance: Light) -> Counts:
 @takes_numbers
 def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
     """Return the variance of the mean signals of a die's pixels under uniform irradiance, before
-    clipping (fixed-pattern noise).
+    clipping (fixed-pattern noise), in the notation of EMVA 1288:
 
         s_y^2 = K^2 ((PRNU eta mu_p)^2 + DSNU^2)
 
@@ -184,8 +184,9 @@ def neighbour_covariances(
     clipping.
 
     Pixels are correlated by the brighter-fatter effect, by mixing, and by noise of rows, columns
-    and frames. At an offset of i rows and j columns the noise adds row_noise^2 if i = 0,
-    column_noise^2 if j = 0, frame_noise^2, and (a^2 / 2) cos(2 pi i / period) of banding.
+    and frames. At an offset of i rows and j columns, such noise adds row_noise^2 if i = 0,
+    column_noise^2 if j = 0, and frame_noise^2. Banding of amplitude a adds (a^2 / 2) cos(2 pi i /
+    period).
 
     Charge packets are assumed to be independent after charge transfer, which is exact for Poisson
     packets. Differences between pixels enter as averages over dies. Neighbours are assumed to have

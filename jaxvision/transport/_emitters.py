@@ -73,10 +73,10 @@ class Emitters(eqx.Module):
     """The emitters of a scene, prepared once for all paths. `groups` contains the emitters that can
     be sampled, stacked by structure; `members` (static) contains the indices of the emitters of
     each group. `lights` are the lights that a ray can intersect. `emission`, (surfaces, bands) W
-    m^-2 sr^-1, is that of each surface, or None if no surface emits. `area`, (surfaces,) m^2, is
-    inf for an infinite surface. `two_sided`, (surfaces,), tells whether both sides of a surface
-    emit. `count` (static) is the number of emitters that can be sampled. `endless` (static) tells
-    whether an infinite surface emits."""
+    m^-2 sr^-1, is the radiance that each surface emits, or None if no surface emits. `area`,
+    (surfaces,) m^2, is inf for an infinite surface. `two_sided`, (surfaces,), tells whether both
+    sides of a surface emit. `count` (static) is the number of emitters that can be sampled.
+    `endless` (static) tells whether an infinite surface emits."""
 
     groups: tuple[Light | Emissive, ...]
     lights: tuple[Light, ...]
@@ -246,9 +246,9 @@ def shining_ahead(
 
     `surface` is the index of the surface that the ray hits (-1 for none), `distance` its distance
     in m, and `cosine` that of the angle between its outward normal and the reversed ray. `density`
-    is that of the ray's direction in sr^-1, or inf for a ray from the camera. `absorption` is that
-    of the surrounding body, (bands,) m^-1, or None. Emitters that next-event estimation can sample
-    are weighted according to `strategy`.
+    is that of the ray's direction in sr^-1, or inf for a ray from the camera. `absorption` is the
+    absorption of the surrounding body, (bands,) m^-1, or None. Emitters that next-event estimation
+    can sample are weighted according to `strategy`.
     """
     looks = jnp.isinf(density)
     left = split_bands(transmitted(absorption, distance), bands)

@@ -55,8 +55,8 @@ class Surfaces(eqx.Module):
     """The surfaces of a scene, prepared once for all rays. `materials` are stacked by structure;
     `members` (static) contains the indices of the surfaces of each stack. `turns`, (surfaces,),
     tells whether the normal is flipped toward the viewer. `filled`, (surfaces,), tells whether the
-    surface bounds a body, as glass does. `absorption`, (surfaces, bands) m^-1, is that of the body
-    behind each surface, or None if all bodies are clear. `bodies` and `body_numbers` contain the
+    surface bounds a body, as glass does. `absorption`, (surfaces, bands) m^-1, belongs to the body
+    behind each surface; it is None if all bodies are clear. `bodies` and `body_numbers` contain the
     shape of each body and the index of its surface; they are empty if all bodies are clear.
     `varied` contains the surfaces with maps, or is None. `splits` (static) tells whether a ray
     splits in two at some surface."""

@@ -9,7 +9,7 @@ glass, and E the eye. S* stands for any number of S, and S+ for one or more.
     rays        the same without ambient light, and (L | P) D S* E, L S* E
     path        all paths of L; those of P whose first surface is a D
     light       all paths whose last surface is a D, and L E
-    radiosity   all paths of D alone; it refuses S
+    radiosity   all paths of D alone; a scene with S raises an error
 
 No integrator finds P S+ D S+ E, for example a surface behind a window that a point lamp
 illuminates, and a camera sees, through the window.

@@ -231,12 +231,12 @@ def parallel_exchange(
     sides along the axes x and y.
 
     The result is a sum of second differences of the function in Howell's C-11. These differences
-    lose precision if a rectangle is small compared with the other or with the distance. Then
-    Gauss-Legendre nodes on the smaller rectangle are used, with the contour integral of the other
-    rectangle or with nodes on it. Errors were measured for 400 random pairs of rectangles, at most
-    ten times as long as wide, and one up to 1000 times as large as the other. Form factors above
-    1e-3 had relative errors of at most 4e-4 in float32 and 2e-10 in float64; nine in ten had at
-    most 3e-6 and 1e-12. Strips 1000 times as long as wide have larger errors.
+    lose precision if a rectangle is small compared with the other or with the distance. In that
+    case Gauss-Legendre nodes on the smaller rectangle are used, with the contour integral of the
+    other rectangle or with nodes on it. Errors were measured for 400 random pairs of rectangles, at
+    most ten times as long as wide, and one up to 1000 times as large as the other. Form factors
+    above 1e-3 had relative errors of at most 4e-4 in float32 and 2e-10 in float64; nine in ten had
+    at most 3e-6 and 1e-12. Strips 1000 times as long as wide have larger errors.
 
     Args:
         first, second: (2, 2) m, rows x and y, columns start and end of the side.
