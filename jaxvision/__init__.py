@@ -1,9 +1,9 @@
 """Photometric image formation as pure JAX functions: from light to digital numbers, and the image
 processing that follows.
 
-This package exports the records and the functions along the path of light. Image processing is in
-separate modules: `point_ops`, `colour_spaces`, `matting`, `histogram`, `filters`. Every name is
-loaded at first use; `__init__.pyi` lists them.
+This package exports the records and the functions along the path of light. Functions for image
+processing are in separate modules: `point_ops`, `colour_spaces`, `matting`, `histogram`, `filters`.
+Every name is imported when it is first used; `__init__.pyi` lists them.
 """
 
 from .core._moved import find_modules_by_old_names

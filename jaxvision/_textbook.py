@@ -2,8 +2,8 @@
 reads this table, and `docs/notions.md` lists it.
 
 A target, the name in this library, that has a dot is a public name below `jaxvision` or `fitting`.
-Any other target is a public name of `jaxvision`, a field of a record, an argument, or a key of a
-file.
+A target without a dot is a public name of `jaxvision`, a field of a record, an argument, or a key
+of a file.
 """
 
 import re

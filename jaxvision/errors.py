@@ -20,8 +20,8 @@ LONGEST = 900  # characters of a message
 
 
 class InputError(ValueError):
-    """The exception for input that cannot be used. The message is one sentence: what, where, and
-    what to do.
+    """The exception for input that cannot be used. Its message is one sentence that says what is
+    wrong, where, and what to do.
 
     Example:
         >>> try:
@@ -65,7 +65,7 @@ def check_utf8(path: str | Path) -> None:
 
 
 def unwritable(error: OSError) -> str:
-    """Return the system's reason why a file cannot be written, and a remedy."""
+    """Return the operating system's reason why a file cannot be written, and a remedy."""
     said = error.strerror or str(error)
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{said}; make room or choose another path"

@@ -1,6 +1,7 @@
 """The composition of all stages: scene -> radiance -> irradiance -> raw -> picture.
 
-Radiance in W m^-2 sr^-1, irradiance in W m^-2, raw data in DN, pictures relative to white.
+Radiance is in W m^-2 sr^-1, irradiance in W m^-2, raw data in DN, and pictures are relative to
+white.
 """
 
 import math

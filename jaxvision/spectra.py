@@ -1,4 +1,5 @@
-"""Spectra: a value per wavelength, (..., bands), on a grid of wavelengths, (bands,) in m.
+"""Spectra: arrays (..., bands) with one value per wavelength, on a grid of wavelengths (bands,) in
+m.
 
 An RGB colour is a spectrum of three bands, so every function of `bands` takes both.
 `spectrum_to_camera`, `spectrum_to_xyz` and `reflectance_to_xyz` reduce the bands of a physical

@@ -308,7 +308,7 @@ class _Task:
     def __call__(self, packed: bytes, items: Sequence[Any]) -> tuple[list[Any], float]:
         """Compute the results of the first items of a bundle (at least one), and their duration in
         seconds. If a task fails or time is up, return the results before it. The failed task is
-        then the first of its own bundle, and raises there.
+        then the first task of another bundle, and raises its error there.
         """
         import cloudpickle
 

@@ -48,7 +48,7 @@ def scale_to_unit(*parts: Scalars) -> tuple[Scalars, ...]:
 
 
 def over(a: Scalars, b: Scalars) -> Scalars:
-    """a / b, with 0 where b is 0."""
+    """Return a / b, and 0 where b is 0."""
     return divide(a, b, b != 0)
 
 
@@ -77,7 +77,7 @@ def vanishes(x: Scalars) -> Bool[Array, "..."]:
 
 
 def reciprocal(x: Scalars) -> Scalars:
-    """1 / x, with 0 where x vanishes."""
+    """Return 1 / x, and 0 where x is so small that it counts as 0."""
     return divide(1, x, ~vanishes(x))
 
 

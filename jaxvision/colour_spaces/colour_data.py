@@ -1,4 +1,4 @@
-"""Colorimetric tables of the library colour-science, as arrays on the caller's grid.
+"""Colorimetric tables of the library colour-science, interpolated to the caller's wavelengths.
 
 The functions run eagerly, not under `jit`. The first that reads a table of colour-science imports
 it, which takes about two seconds. The usual RGB spaces, adaptations, luma weights and white points
@@ -264,7 +264,8 @@ def daylight_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3
 
 
 def rgb_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3"]:
-    """The reflectances of linear sRGB's red, green and blue, for `spectra.rgb_to_reflectance`.
+    """Return the reflectances of linear sRGB's red, green and blue primaries, for
+    `spectra.rgb_to_reflectance`.
 
     The reflectances are Mallett's and Yuksel's table from 380 to 780 nm, interpolated linearly and
     continued by its end values. All are in [0, 1]. In each band their sum is between 1 - 1e-5 and

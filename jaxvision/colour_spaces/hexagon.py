@@ -1,4 +1,5 @@
-"""HSV and HSL: hue in turns around the hexagon of R, G and B, in [0, 1); no unit."""
+"""HSV and HSL, with the hue as the position around the hexagon of R, G and B, in [0, 1); no
+unit."""
 
 import jax.numpy as jnp
 

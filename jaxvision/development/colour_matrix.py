@@ -1,4 +1,4 @@
-"""Colour matrices from a camera's primaries to the primaries of a colour space, fitted to spectra.
+"""Matrices that convert a camera's RGB to the RGB of a colour space, fitted to spectra.
 
 Sensitivities are not linear combinations of the colour matching functions (no camera meets Luther's
 condition), so a matrix converts camera RGB to colours only approximately. The best matrix depends

@@ -3,9 +3,9 @@ pixel.
 
 Mosaics are (..., h, w) in DN or relative, at least as large as one tile of the pattern. Integers
 become floating numbers of the same value. Pictures are (..., h, w, bands) in the same unit.
-Measured values are kept, except that Menon's green is refined. NaN spreads to all pixels whose
-window contains it. Patterns are those of `colour_filters`. Three of the four methods are for Bayer
-tiles: two greens on a diagonal and two other bands, in any order and phase.
+Measured values are unchanged in the picture, except that Menon's method refines green. NaN spreads
+to all pixels whose window contains it. Patterns are those of `colour_filters`. Three of the four
+methods are for Bayer tiles: two greens on a diagonal and two other bands, in any order and phase.
 
 `border` defines the values outside. "in_phase" reflects the mosaic without repeating the edge, c b
 | a b c d | c b, which continues the colours of a Bayer tile. Any key of `padding.BORDERS` is
@@ -167,9 +167,9 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
     """Demosaic by directional filtering and a posteriori decision (Menon et al.).
 
     Green is interpolated along the rows or the columns, whichever has the smoother colour
-    differences nearby. For the other bands, their difference from green is interpolated. The border
-    is "in_phase"; differences beyond the border are ignored. Gradients ignore the choice between
-    rows and columns.
+    differences nearby. For the other bands, their difference from green is interpolated. The mosaic
+    is padded by the border "in_phase"; colour differences beyond the border are ignored. Gradients
+    ignore the choice between rows and columns.
 
     Args:
         raw: (..., h, w) DN or relative.
@@ -383,7 +383,7 @@ def _extend_in_phase(plane: Plane, reach: int, border: str) -> Float[Array, "_ _
 
 
 class _Shifted(NamedTuple):
-    """A plane padded by `reach` on all sides, for reads at an offset from each pixel."""
+    """A plane padded by `reach` on all sides; calling it returns the plane shifted by an offset."""
 
     wide: Float[Array, "_ _"]
     reach: int

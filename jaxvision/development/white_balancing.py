@@ -138,8 +138,8 @@ def grey_world_gains(
 
 
 def _balancing(means: Gains) -> Gains:
-    """Divide the largest mean by each band's mean; return 1 if there is none. NaN spreads to all
-    bands.
+    """Divide the largest mean by each band's mean; return 1 for a band whose mean is 0. A NaN makes
+    the gains of all bands NaN.
     """
     brightest = jnp.max(means, axis=-1, keepdims=True)
     share = divide(means, brightest, ~(brightest <= 0))

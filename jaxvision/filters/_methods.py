@@ -1,4 +1,5 @@
-"""Three methods for the same sum, g[p] = sum over i of k[i] f[p + i - anchor], on stacks of images.
+"""Three methods to compute the correlation g[p] = sum over i of k[i] f[p + i - anchor] of stacks of
+images.
 
 Images are (n, h, w, c) and kernels (kh, kw, c), or (kh, kw, 1) for all bands. The border "none"
 keeps only complete windows, which give h - kh + 1 rows. Any border of `padding.ghosts` gives a
@@ -160,7 +161,9 @@ def _correlate_tiles(
     whole: Planes,
     right: Bool[Array, ""],
 ) -> Planes:
-    """Compute the sums tile by tile, unless the sums of the whole picture are accurate."""
+    """Compute the correlation tile by tile, unless the transform of the whole picture was
+    accurate.
+    """
     (n, c), (kh, kw), (rows, columns) = whole.shape[:2], k.shape[2:], map(len, around)
     rows, columns = rows - kh + 1, columns - kw + 1
     down, across = (

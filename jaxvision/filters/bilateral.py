@@ -6,8 +6,8 @@ every neighbour:
     w = exp(-|p - q|^2 / (2 sigma_space^2)) exp(-d(p, q)^2 / (2 sigma_range^2)),
 
 where d is the difference of the guide's colours (for the bilateral filter, the guide is the image
-itself). All bands share one weight. `sigma_space` is in pixels; values, and with them
-`sigma_range`, are relative or DN.
+itself). A neighbour has the same weight in all bands. `sigma_space` is in pixels; values, and with
+them `sigma_range`, are relative or DN.
 """
 
 import functools

@@ -9,16 +9,18 @@ odd kernel and the second of the two middle entries of an even one, as in scipy 
 `correlate` and `convolve` also take a signal (n,) with a kernel (k,) and an anchor (entry,).
 
 `border` is a key of `padding.BORDERS`. "constant" puts `fill` outside. "normalised_zero" is
-filter(f) / filter(1), both with border "zero". For kernels without negative entries it is a
-weighted mean of the pixels inside. Where filter(1) is 0 within rounding, (number of taps) eps
-filter(1) with |kernel|, the result is 0. This border ignores coverage: to blur a premultiplied
-layer use border "zero", and divide by its blurred alpha with `compositing.unpremultiply`.
+filter(f) / filter(1), both with border "zero". For kernels without negative entries the result is a
+weighted mean of the pixels inside the picture. Where filter(1) is 0 within rounding, (number of
+taps) eps filter(1) with |kernel|, the result is 0. "normalised_zero" ignores coverage: to blur a
+premultiplied layer use border "zero", and divide by its blurred alpha with
+`compositing.unpremultiply`.
 
 `method` chooses how the sum is computed, not its value: "conv" by `lax.conv_general_dilated`,
 "direct" by shifted pictures, "fft" by Fourier transforms, "separable" by passes over columns and
 rows, as many as the kernel's rank. "auto" takes the method that was measured to be fastest for the
-size. On a GPU that is "conv" up to 9 x 9 and "fft" beyond. On a CPU it is "separable" for kernels
-of low rank (if the kernel is finite and not traced), else "direct" up to 15 x 15 and "fft" beyond.
+size. On a GPU "auto" takes "conv" up to 9 x 9 taps and "fft" beyond. On a CPU "auto" takes
+"separable" for kernels of low rank (if the kernel is finite and not traced), else "direct" up to 15
+x 15 and "fft" beyond.
 
 "fft" is about as accurate as the other methods. In a picture with a range of eight decades the
 relative error of a pixel is at most 1e-4. Sums of non-negative numbers are not negative, and a
@@ -77,10 +79,14 @@ def correlate(
 ) -> Filtered:
     """Correlate with a kernel: g[p] = sum over i of kernel[i] f[p + i - anchor].
 
-    The kernel is not rotated. Without an anchor its entry (kh // 2, kw // 2) lies on the pixel: the
-    second of the two middle rows or columns of an even kernel. A kernel may be larger than the
-    picture. Pixels are then read as far beyond the border as the kernel extends: "wrap", "mirror"
-    and "reflect_101" repeat the picture periodically, and "extend" continues its straight line.
+    The kernel is not rotated. Without an anchor the kernel's entry (kh
+
+    2, kw
+
+    2) lies on the pixel: the second of the two middle rows or columns of an even kernel. A kernel
+    may be larger than the picture. Pixels are then read as far beyond the border as the kernel
+    extends: "wrap", "mirror" and "reflect_101" repeat the picture periodically, and "extend"
+    continues its straight line.
 
     Args:
         picture: (h, w) or (..., h, w, bands), or a signal (n,), any unit.

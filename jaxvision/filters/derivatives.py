@@ -1,7 +1,7 @@
 """First and second derivatives of pictures, in the picture's unit per pixel.
 
-x points right and y points down, like columns and rows. Away from the border all are exact for
-parabolas. Pictures, borders and methods are those of `convolution`. Only the border
+x points right and y points down, like columns and rows. Away from the border all derivatives are
+exact for parabolas. Pictures, borders and methods are those of `convolution`. Only the border
 "normalised_zero" raises a `ValueError`, because the weights of a derivative have sum 0.
 """
 

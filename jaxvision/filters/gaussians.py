@@ -1,4 +1,4 @@
-"""The Gaussian and its derivatives.
+"""Filters by a Gaussian and by its derivatives.
 
 `sigma`, in pixels, may be traced. The caller must then give the size of the kernel, because it is
 the shape of an array. A sigma below 0.01 pixel is replaced by 0.01, for which the sampled Gaussian

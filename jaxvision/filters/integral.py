@@ -8,8 +8,8 @@ column are 0. scikit-image's `integral_image` has no such row and column: its en
 Sums are in the unit of the image (relative values or DN). Each sum is stored as an unevaluated pair
 high + low (Dekker 1971), so that a small box in a large float32 image is accurate. Besides the
 rounding of the box's sum, its error is about 2^-46 (float64: 2^-104) of the sum over everything
-above and to the left of it. A single float32 number would have an error of 2^-24. NaN and infinity
-turn every box that ends below and to the right of them into NaN.
+above and to the left of it. With a single float32 number the error would be 2^-24 of that sum. NaN
+and infinity turn every box that ends below and to the right of them into NaN.
 """
 
 from functools import partial
@@ -76,8 +76,8 @@ def box_sum(
 ) -> Float[Array, "..."]:
     """The sum over rows top <= i < bottom and columns left <= j < right.
 
-    This function sums one box; use `vmap` for many. Bounds outside the image are moved to its edge.
-    A box with bottom < top or right < left is empty, with sum 0.
+    This function sums one box; use `vmap` for many. Bounds of the box outside the image are moved
+    to the image's edge. A box with bottom < top or right < left is empty, with sum 0.
 
     Args:
         integral: the integral image.

@@ -1,10 +1,10 @@
 """A filter as a matrix: g = H f + offset, with the pixels of one plane row by row in f and g.
 
-The matrix represents every border exactly, and kernels that change from pixel to pixel. Its entries
-are the weights of the filter, without unit. Only the border "constant" has an offset, in the
-picture's unit. H has h w rows and columns and about kh kw h w entries. Use it to inspect filters
-and to solve sparse systems. To apply the filter, call the filter itself, and for its transpose
-`operators.adjoint`.
+The matrix represents every border exactly, and kernels that change from pixel to pixel. The entries
+of H are the weights of the filter, without unit. Only the border "constant" has an offset, in the
+picture's unit. H has h w rows and columns and about kh kw h w entries. Use the matrix to inspect
+filters and to solve sparse systems. To apply the filter, call the filter itself, and for its
+transpose `operators.adjoint`.
 """
 
 from collections.abc import Sequence

@@ -37,8 +37,8 @@ def median_filter(
 
     For an even number of neighbours the result is the upper of the two middle values, as in
     `scipy.ndimage`. A NaN in the neighbourhood makes the result NaN. The gradient goes to the
-    neighbour that is the median, in equal parts if there are several. Compile time grows with the
-    footprint: below 1 s up to 7 x 7, some seconds for 15 x 15.
+    neighbour that is the median, in equal parts if there are several. The compile time increases
+    with the footprint: below 1 s up to 7 x 7, some seconds for 15 x 15.
 
     Args:
         picture: (h, w) or (..., h, w, bands), uint8, uint16 or floating, any unit; each band is

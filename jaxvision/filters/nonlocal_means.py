@@ -4,8 +4,8 @@ weight for every neighbour:
     g(p) = sum_q w f(q) / sum_q w,    w = exp(-max(D(p, q) - 2 noise^2, 0) / strength^2),
 
 where D is the mean squared difference of the patches about p and q over their pixels (weighted by a
-profile) and bands, and q lies in a square about p. All bands share one weight. `strength` and
-`noise` are in the unit of the image: relative or DN.
+profile) and bands, and q lies in a square about p. A neighbour has the same weight in all bands.
+`strength` and `noise` are in the unit of the image: relative or DN.
 """
 
 import functools
@@ -41,8 +41,8 @@ def nonlocal_means_filter(
     For a strength of 0 or below the result is the limit: a mean over equal patches only. A pixel
     becomes NaN if its search window, or a patch about a pixel of that window, contains NaN.
 
-    scikit-image's `denoise_nl_means` has the Gaussian profile, a cutoff of 5 and an approximate exp
-    (with `fast_mode`, uniform patches one row and column smaller than asked for).
+    scikit-image's `denoise_nl_means` differs: it has the Gaussian profile, a cutoff of 5 and an
+    approximate exp (with `fast_mode`, uniform patches one row and column smaller than asked for).
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.

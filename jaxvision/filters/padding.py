@@ -70,8 +70,8 @@ class Ghosts(NamedTuple):
 
 
 def check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
-    """Raise `ValueError` for an unknown border, with a list of all by their names in numpy and
-    scipy, and for one that the calling filter refuses.
+    """Raise `ValueError` for an unknown border, with a list of all borders and their names in numpy
+    and scipy, and for a border that the calling filter does not support.
     """
     if border not in BORDERS:
         known = "; ".join(f'"{name}": {meaning}' for name, meaning in BORDERS.items())

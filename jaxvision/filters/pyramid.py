@@ -3,8 +3,9 @@ pyramids (Burt & Adelson, IEEE Trans. Communications 31, 1983; ACM Trans. Graphi
 
 The kernel is the binomial [1 4 6 4 1] / 16 (their a = 3/8) in rows and columns. Level l + 1 keeps
 the even rows and columns of level l: n pixels become ceil(n / 2), as in OpenCV's `pyrDown`. Values
-are relative or DN; integer images are computed as floating numbers. NaN spreads to the pixels
-under its kernel. The borders are those of `padding` except "constant", which takes a fill.
+are relative or DN; integer images are computed as floating numbers. NaN spreads to all pixels whose
+kernel covers it. The borders are those of `padding`, except "constant", which would need a fill
+value.
 """
 
 from collections.abc import Callable
@@ -62,7 +63,7 @@ def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats
     """Expand a level of a pyramid to the size of the next finer level.
 
     The coarse pixels are placed on even rows and columns, and the kernel interpolates between them.
-    Constants stay constant, except with border "zero".
+    A constant picture stays constant, except with border "zero".
 
     Args:
         picture: (ceil(h / 2), ceil(w / 2)), or with batch and bands, relative or DN.

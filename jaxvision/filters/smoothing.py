@@ -138,8 +138,8 @@ def blur_straight(
     filter.
 
     Light is weighted by its coverage alpha: the result is blur(alpha light) / blur(alpha), with the
-    coverage blur(alpha). The colour of fully transparent pixels thus has no effect. For a
-    premultiplied layer, blur all channels with the same filter instead.
+    coverage blur(alpha). The colour of fully transparent pixels thus has no effect. This function
+    is not for premultiplied layers: blur all their channels with the same filter.
 
     Args:
         picture: (..., h, w, channels): straight light in any unit, then the coverage alpha. An

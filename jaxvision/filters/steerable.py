@@ -3,7 +3,7 @@ Use of Steerable Filters", PAMI 13, 1991).
 
 Angles are in rad, 0 to the right and pi/2 UP, with shape () or (h, w). `width`, in pixels, is the
 unit of length in the paper's exp(-x^2 - y^2), a Gaussian of sigma = width / sqrt(2). First-order
-responses have the picture's unit per pixel, the others the picture's unit.
+responses are in the picture's unit per pixel, all other responses in the picture's unit.
 """
 
 from collections.abc import Callable
@@ -66,7 +66,7 @@ def directional_derivative(
     """Return the derivative of a Gaussian-filtered picture in the direction of an angle: cos f_x +
     sin f_up.
 
-    This is the steerable filter of first order.
+    The directional derivative is the steerable filter of first order.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -140,8 +140,8 @@ def quadrature_basis(
 def steer(basis: QuadratureBasis, angle: Angle | float) -> tuple[Filtered, Filtered]:
     """Return the responses of G2 and H2, rotated to an angle.
 
-    With y up, their basis functions use x cos + y sin to the second and third power, so all signs
-    are plus. (In the paper y points down, and some signs are minus.)
+    With y up, the basis functions of G2 and H2 contain (x cos + y sin) to the second and third
+    power, so all signs are plus. (In the paper y points down, and some signs are minus.)
 
     Args:
         basis: the responses of `quadrature_basis`.

@@ -1,8 +1,8 @@
 """Intersection of rays with surfaces. Functions take one ray; use `jax.vmap` for many.
 
-Lengths are metres, directions unit vectors. Only intersections at a distance > 0 count. A miss has
-distance inf, a zero normal, and gradients of zero. Each shape has its own module. `nearest` finds
-the first of many shapes, and tests for occlusion.
+Lengths are metres, directions unit vectors. Only intersections at a distance > 0 are hits. A miss
+has distance inf, a zero normal, and gradients of zero. Each shape has its own module. `nearest`
+finds the first of many shapes, and tests for occlusion.
 """
 
 from ..core.lazy_names import names_of

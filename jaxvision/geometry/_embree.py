@@ -138,9 +138,10 @@ def _threads() -> ThreadPoolExecutor:
 
 
 def _scene(vertices: np.ndarray, faces: np.ndarray) -> tuple[Any, np.float32]:
-    """Return the search tree of a mesh scaled to a size of about 1, because rays slip through very
-    small triangles, and the scale, a power of two. Trees are cached by the mesh's numbers, because
-    comparing them costs less than tracing a thousand rays."""
+    """Return the search tree of a mesh scaled to a size of about 1, and the scale, a power of two.
+    Without scaling, rays would slip through very small triangles. Trees are cached by the mesh's
+    numbers, because comparing them costs less than tracing a thousand rays.
+    """
     from embreex.mesh_construction import TriangleMesh as EmbreeMesh
     from embreex.rtcore_scene import EmbreeScene
 

@@ -1,4 +1,4 @@
-"""The extent of shapes, which determines the rounding errors of their points."""
+"""The largest coordinates of shapes, which determine the rounding errors of points on them."""
 
 from collections.abc import Sequence
 from functools import reduce

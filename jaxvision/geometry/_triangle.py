@@ -74,8 +74,9 @@ def _view(ray: Ray, frame: Frame, v: Vec) -> Vec:
 
 
 def nearest_triangle(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:
-    """Return (distance in m, index) of the first triangle along the ray, (inf, -1) for a miss. All
-    triangles are tested, a chunk at a time."""
+    """Return (distance in m, index) of the first triangle along the ray, (inf, -1) for a miss. The
+    function tests all triangles, a chunk at a time.
+    """
     frame, triangles = local_frame(ray.direction), corners(mesh)
     count = len(triangles)
 
@@ -106,7 +107,7 @@ def any_triangle(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, 
 
 def scan_chunks(step, carry, items, count: int):
     """Compute `carry = step(carry, i, items[i])` for each item, unrolled a chunk at a time.
-    `items`: a tree with a leading axis of `count`. Some items may be visited twice."""
+    `items`: a tree with a leading axis of `count`. Some items may be passed to `step` twice."""
     if count <= 2 * _CHUNK:
         for i in range(count):
             carry = step(carry, jnp.asarray(i, jnp.int32), jax.tree.map(lambda x, i=i: x[i], items))

@@ -55,7 +55,8 @@ def _slabs(
 
 def _faces(ray: Ray, box: Box) -> tuple[Scalar, Int[Array, ""]]:
     """Return (distance in m, number of the face): inf and -1 for a miss. The number of a face is
-    twice the number of its axis, plus one on the positive side. On an edge the first axis counts.
+    twice the number of its axis, plus one on the positive side. For a hit on an edge, the face of
+    the first axis is returned.
     """
     origin, direction = _local(box, ray.origin - box.centre), _local(box, ray.direction)
     enter, leave, between = _slabs(origin, direction, as_vec(box.half_extents))

@@ -14,10 +14,10 @@ _NAMED = 3  # largest number of bad vertices or faces that a finding names
 def problems(shape: Shape) -> list[str]:
     """List everything about a shape that is not valid geometry.
 
-    These are problems: numbers that are not finite, radii and extents that are not positive,
-    normals and edges of length 0, faces without area, missing vertices, and faces whose vertex
-    normals all point backward. A position is a problem if it is so far from the origin that
-    floating-point numbers cannot resolve the size of the shape there.
+    Problems are numbers that are not finite, radii and extents that are not positive, normals and
+    edges of length 0, faces without area, missing vertices, and faces whose vertex normals all
+    point backward. A position is a problem if it is so far from the origin that floating-point
+    numbers cannot resolve the size of the shape there.
 
     Args:
         shape: any shape, lengths in m.
@@ -152,8 +152,8 @@ def _behind(mesh: TriangleMesh) -> np.ndarray:
 
 def faces_without_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Return whether each triangle of a mesh, (faces,), has no area at the precision of its
-    numbers, because two corners coincide or all three lie on a line. False if a corner is not
-    finite."""
+    numbers, because two corners coincide or all three lie on a line. The result is False for a
+    triangle with a corner that is not finite."""
     corners = vertices[faces].astype(float)
     with np.errstate(invalid="ignore"):
         edge_b, edge_c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

@@ -4,7 +4,7 @@ lengths are in metres.
     t = n.(p - o) / n.d
 
 is the distance from the origin o, along the direction d, to the plane through p with the normal n.
-A ray (nearly) in the plane misses it.
+A ray that is (nearly) parallel to the plane misses it.
 """
 
 from collections.abc import Callable

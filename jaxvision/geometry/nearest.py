@@ -2,8 +2,8 @@
 ray; use `jax.vmap` for many.
 
 The search returns integers and has no gradient. The hit is then recomputed from the shape that was
-found, with gradients with respect to ray and shape. Only intersections at a distance > 0 count. A
-miss has distance inf, a zero normal, and gradients of zero. Lengths are metres.
+found, with gradients with respect to ray and shape. Only intersections at a distance > 0 are hits.
+A miss has distance inf, a zero normal, and gradients of zero. Lengths are metres.
 """
 
 from collections.abc import Callable, Sequence

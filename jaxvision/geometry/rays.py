@@ -1,5 +1,5 @@
-"""Rays, their hits, and the origins of continued rays. Functions take one ray; use `jax.vmap` for
-many.
+"""Records of rays and hits, and the origins of rays that continue from a hit. Functions take one
+ray; use `jax.vmap` for many.
 
 Lengths are metres, directions unit vectors.
 """
@@ -59,7 +59,7 @@ class Encounter(Shown):
 
 
 class Hit(Shown):
-    """The intersection of a ray and a shape.
+    """The nearest intersection of a ray with a shape: distance, normal and point.
 
     Attributes:
         distance: () m along the ray, inf for a miss.

@@ -1,8 +1,8 @@
 """Counting the values of image planes in bins.
 
-A single scatter into a flat table counts everything: bin b of group g is entry g bins + b, where a
-group is a plane or a tile of a plane. Bands therefore need no transposition, and a batch needs no
-loop.
+All planes are counted by a single scatter into a flat table: bin b of group g is entry g bins + b,
+where a group is a plane or a tile of a plane. Bands therefore need no transposition, and a batch
+needs no loop.
 """
 
 from collections.abc import Sequence

@@ -207,8 +207,9 @@ def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
 
     If several edges give the same variance, the first of them is returned; if all values are in one
     bin, the first inner edge is. For integer images OpenCV and scikit-image return the last code of
-    the lower class: t - 1. Near its maximum the variance is flat within float32 rounding: without
-    x64 the threshold for 65536 bins may be off by a few bins (30002 for 30000).
+    the lower class: t - 1. Near its maximum the variance is constant within float32 rounding.
+    Without x64 the threshold for 65536 bins may therefore be wrong by a few bins (30002 instead of
+    30000).
 
     Args:
         histogram: exact or soft, of at least 2 bins.
@@ -273,7 +274,7 @@ def _weighted_counts(
     """Add the B-spline weights of all values about the bins' centres. A running float32 sum of
     equal weights stalls after about 2^24 of them. Each weight is therefore split into upper digits,
     thousands of which add without rounding, and lower digits, and groups of pixels are summed
-    pairwise. The lower digits carry the gradient.
+    pairwise. Gradients flow through the lower digits only.
     """
     bins, low, high = chosen
     n, h, w, bands = values.shape

@@ -1,9 +1,9 @@
 """Equalisation: the tone curve of an image is its cumulative distribution (Szeliski, Computer
 Vision, 3.1.4). Values are codes (integer images) or relative.
 
-Gradients treat the curve as constant: a pixel's derivative is the slope of the curve at its value.
-For an exact histogram this slope is the true derivative almost everywhere, because counts do not
-change unless a value crosses an edge.
+Gradients treat the equalising curve as constant: a pixel's derivative is the slope of the curve at
+the pixel's value. For an exact histogram this slope is the true derivative almost everywhere,
+because counts do not change unless a value crosses an edge.
 """
 
 from collections.abc import Callable

@@ -2,7 +2,7 @@
 
 Each tile has an equalising curve, computed from its clipped histogram. Each pixel is mapped by a
 bilinear blend of the curves of the four nearest tiles. Values are codes (integer images) or
-relative. Gradients treat the curves as constants.
+relative. Gradients treat the equalising curves as constants.
 """
 
 from collections.abc import Callable, Sequence

@@ -2,11 +2,11 @@
 
     L = sum over 3 x 3 windows of  I - (1 + X^T (Sigma + epsilon / 9 I)^-1 X) / 9
 
-X (bands, 9) are the colours of a window minus their mean, and Sigma is their covariance. The cost
-is 0 for an alpha that is affine in the colours of every window. A stencil is (5, 5, h, w). [dy + 2,
-dx + 2, y, x] multiplies pixel (y + dy, x + dx), and is 0 if this pixel is outside. Light is
-relative. Source: Levin, Lischinski, Weiss, "A Closed-Form Solution to Natural Image Matting", PAMI
-30 (2008), equation 5.
+X (bands, 9) are the colours of a window minus their mean, and Sigma is their covariance. The
+matting cost, alpha^T L alpha, is 0 for an alpha that is an affine function of the colours in every
+window. A stencil is (5, 5, h, w). [dy + 2, dx + 2, y, x] multiplies pixel (y + dy, x + dx), and is
+0 if this pixel is outside. Light is relative. Source: Levin, Lischinski, Weiss, "A Closed-Form
+Solution to Natural Image Matting", PAMI 30 (2008), equation 5.
 """
 
 from itertools import product

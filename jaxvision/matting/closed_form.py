@@ -3,10 +3,10 @@ with a trimap.
 
     L_UU alpha_U = -L_UK s_K        or, with a confidence c,        (L + c D) alpha = c D s
 
-Here K are the pixels whose alpha s is given by the trimap, U are the other pixels, and D is the
-diagonal that marks K (Levin, Lischinski, Weiss, PAMI 30 (2008), equation 12, and its limit of full
-confidence). The equation is solved by conjugate gradients with a multigrid preconditioner. The
-derivative is computed by one more solve, not by differentiating the steps.
+K are the pixels whose alpha s is given by the trimap, U are the other pixels, and D is the diagonal
+that marks K (Levin, Lischinski, Weiss, PAMI 30 (2008), equation 12, and its limit of full
+confidence). The equation is solved by conjugate gradients with a multigrid preconditioner.
+Derivatives are computed by one more solve, not by differentiating the solver's steps.
 """
 
 from functools import partial

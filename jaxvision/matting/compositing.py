@@ -10,9 +10,9 @@ and light may exceed its alpha (a glow). `layer_from_srgb` and `layer_to_srgb` c
 the straight, encoded RGBA of files. Integer codes are a `ValueError`.
 
 An alpha that is NaN, or outside [0, 1] by more than rounding (100 ULP: blurred full coverage
-reaches 1 + 4 eps), is a `ValueError` with their number. A traced alpha is not checked, and the
-equation then applies to any value. Nothing is clipped. Source: Porter and Duff, "Compositing
-Digital Images", SIGGRAPH 1984.
+reaches 1 + 4 eps), raises a `ValueError` that states the number of such pixels. A traced alpha is
+not checked, and the equation then applies to any value. Nothing is clipped. Source: Porter and
+Duff, "Compositing Digital Images", SIGGRAPH 1984.
 """
 
 import warnings
@@ -218,7 +218,8 @@ def unpremultiply(layer: Layer) -> Float[Array, "... bands"]:
 def layer_from_srgb(rgba: Layer) -> Layer:
     """Return the layer of straight sRGB with coverage, as PNG files store it.
 
-    The colour is decoded to linear light, then premultiplied. The coverage is not encoded.
+    The colour is decoded to linear light, then premultiplied. The coverage of PNG files is not
+    sRGB-encoded, so it is not decoded.
 
     Args:
         rgba: (..., 4) relative, in [0, 1].

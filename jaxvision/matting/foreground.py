@@ -5,7 +5,8 @@ The colours F and B minimise, band by band,
     sum_i (alpha F + (1 - alpha) B - I)^2
         + sum_ij (regularisation + |alpha_i - alpha_j|) ((F_i - F_j)^2 + (B_i - B_j)^2)
 
-over pixels i and their four neighbours j. The colours are smooth, especially where alpha changes.
+over pixels i and their four neighbours j. The estimated colours are smooth, especially where alpha
+changes.
 Source: Germer, Uelwer, Conrad, Harmeling, "Fast Multi-Level Foreground Estimation", ICPR 2020.
 """
 

@@ -66,8 +66,8 @@ def blue_screen_matte(
     """Compute the matte of an object before a screen of one colour, under an assumption about the
     object's colours.
 
-    A combination n of each pixel's bands then depends on the screen only, so that alpha = 1 - n .
-    image / n . backing.
+    Under each assumption, a linear combination n of a pixel's bands depends on the screen only, so
+    that alpha = 1 - n . image / n . backing.
 
     Args:
         image: (..., bands) linear relative light.

@@ -1,4 +1,4 @@
-"""The Bessel function of diffraction at a round aperture, vectorised.
+"""The Bessel function J_1, for diffraction at a round aperture, vectorised.
 
 The function J_1 is computed by Chebyshev expansions, whose coefficients have 40 digits and are
 dropped below 1e-16. Up to x = 8, 2 J_1(x) / x is expanded in x^2. For larger x, the slowly varying

@@ -1,4 +1,5 @@
-"""The aperture of a lens: points in it, its area, and its image of a point out of focus.
+"""The aperture of a lens: its points, its area, and the blurred image it gives of a point out of
+focus.
 
 Points are (right, down) in the camera's axes, relative to the radius of the lens. All functions are
 closed forms and differentiable with respect to the shape.

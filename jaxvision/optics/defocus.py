@@ -17,10 +17,11 @@ contain the light from behind it:
   covers the background, whose hidden part is extrapolated from its visible part.
 
 The RMS errors were measured over 48 x 64 pixels against 48 x 48 rays per pixel, on patterns of
-amplitude 0.3 to 0.4. For a plane blurred by 7 to 10 pixels they are 3e-4 to 7e-4 for all methods.
-For a blurred foreground before a sharp background they are 0.04 (gather), 0.11 (scatter) and 0.03
-(layers). For a sharp foreground before a blurred background they are 0.001 to 0.007 (gather), 0.10
-(scatter) and 0.005 to 0.02 (layers). If both are blurred they are 0.01 to 0.04 for all methods.
+amplitude 0.3 to 0.4. For a plane blurred by 7 to 10 pixels the errors are 3e-4 to 7e-4 for all
+methods. For a blurred foreground before a sharp background they are 0.04 (gather), 0.11 (scatter)
+and 0.03 (layers). For a sharp foreground before a blurred background they are 0.001 to 0.007
+(gather), 0.10 (scatter) and 0.005 to 0.02 (layers). If foreground and background are both blurred,
+the errors are 0.01 to 0.04 for all methods.
 
 Pictures are (h, w, bands) in any unit linear in light. `depth` is (h, w) m along the optical axis,
 not along the ray. A pixel of depth NaN (unknown) counts as in focus. `radius` is the static radius
@@ -81,8 +82,9 @@ def gather_defocus(
 ) -> Picture:
     """Blur each pixel by the kernel for its own depth.
 
-    Kernels of a round aperture are exact up to their edge, which is softened over one pixel. Other
-    shapes are blended from a bank of kernels. The picture is mirrored at its border.
+    Kernels of a round aperture are exact up to their edge, which is softened over one pixel.
+    Kernels of other apertures are blended from a bank of kernels. The picture is mirrored at its
+    border.
 
     Args:
         view: the lens.
@@ -148,8 +150,8 @@ def layered_defocus(
     The layers are spaced by equal steps of blur radius from the farthest to the nearest depth. Each
     pixel is divided between the two nearest layers. The coverage A of a layer is the mask of all
     surfaces at or in front of it, blurred like the layer. The layer is visible where its A exceeds
-    the A of the next nearer layer. Colours are means over the known part of a layer, so a flat
-    picture stays flat.
+    the A of the next nearer layer. The colour of a layer is a mean over the pixels that belong to
+    it, so a flat picture stays flat.
 
     Args:
         view: the lens.

@@ -1,10 +1,11 @@
 """Distortion by a lens: from the slopes of chief rays to their positions on the sensor, and the
 inverse.
 
-Positions are in units of the image distance. Slopes are relative: m to the side per m forward. The
-forward map is the closed form of `Distortion`. The inverse uses Newton's method. The iteration
-starts at the distorted position and converges for barrel and pincushion distortion. The inverse is
-differentiated as an implicit function, not step by step.
+Positions are in units of the image distance. Slopes are m to the side per m forward, without unit.
+The map from slopes to positions is the closed form of `Distortion`. The inverse uses Newton's
+method. The iteration starts at the distorted position and converges for barrel and pincushion
+distortion. The derivative of the inverse is that of the implicit function, not of the iteration's
+steps.
 
 Source:
     Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971).

@@ -32,8 +32,9 @@ WIDEST = 0.5  # f-number at which a lens in air gathers light from a whole hemis
 def pixel_irradiance(view: View, radiance: Colour, row: Scalar, column: Scalar) -> Colour:
     """Compute the irradiance on the sensor at one pixel.
 
-    A rim vignettes (`clear_fraction`). If distortion stretches the image, the irradiance is reduced
-    in proportion. A view without an f-number returns the radiance unchanged, without falloff.
+    A rim vignettes (`clear_fraction`). If distortion stretches the image, the irradiance decreases
+    in proportion to the increase in area. A view without an f-number returns the radiance
+    unchanged, without falloff.
 
     Args:
         view: the camera's projection.

@@ -1,7 +1,7 @@
 """Interpolation between pixels, distortion of pictures, and lateral chromatic aberration.
 
 Coordinates are (row, column) in pixels, with (0, 0) the centre of the upper left pixel. Outside the
-picture its border pixels are repeated. Values keep their unit.
+picture the values of its border pixels are repeated. Values keep their unit.
 """
 
 from collections.abc import Callable

@@ -4,7 +4,7 @@
 
 with object distance z_o and image distance z_i in m from the lens, both positive for a real object
 and a real image. z_i < 0 is a virtual image on the object's side, as for an object inside the focal
-length. All functions are elementwise on arrays that broadcast. For a distance of inf the result is
+length. All functions act elementwise on arrays that broadcast. For a distance of inf the result is
 the exact limit, with gradient 0. NaN stays NaN. Divisors are at least `smallest_divisor`, 3e-10 in
 float32. At z_o = f the image distance is therefore f^2 / `smallest_divisor` instead of infinite,
 and all gradients are finite.

@@ -330,7 +330,7 @@ class Projection(NamedTuple):
 def project(view: View, point: Float[Array, "3"]) -> Projection:
     """Return the pixel at which a point of the world is imaged: the inverse of `camera_ray`.
 
-    Occlusion is ignored, and the position may lie outside the picture.
+    The function ignores occlusion, and the position may lie outside the picture.
 
     Args:
         view: the camera's projection.

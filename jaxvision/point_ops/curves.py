@@ -23,8 +23,8 @@ from ..core._types import DIVISOR, Scalars, as_relative, check_choice, refuse_co
 def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
     """Encode linear values by linear^(1 / gamma). Values below 0 count as 0, with gradient 0.
 
-    Textbooks call this gamma correction: it compensates the power law of a display. Some
-    (Szeliski, Computer Vision, section 3.1.1) write the same formula for inverting a gamma.
+    Textbooks call this gamma correction: it compensates the power law of a display. Some textbooks
+    (Szeliski, Computer Vision, section 3.1.1) give the same formula for inverting a gamma.
 
     Args:
         linear: (...) relative.
