@@ -38,12 +38,21 @@ from .counted import CodeFit, fitted_tables
 from .doubts import drifting
 from .emva1288 import Evaluation, Ranges, Sheet, evaluate, ranges
 from .levels import Levels, PhotonTransfer, linear_levels
-from .model import predicted_moments
+from .model import NoiseData, predicted_moments
 from .neighbours import are_significant
 from .pattern import PatternVariance, Spread, fitted_pattern, standard_pattern
 from .periodic import Periodic, periodic_structure, unequal_gains_of
 from .quantised import FINEST_READ_NOISE
-from .quantities import OFFSET_SPREAD, ON_GAIN, QUANTITIES, READ_NOISE, Quantity
+from .quantities import (
+    LIGHT_DRIFT,
+    LIGHT_SCATTER,
+    NEED_PHOTONS,
+    OFFSET_SPREAD,
+    ON_GAIN,
+    QUANTITIES,
+    READ_NOISE,
+    Quantity,
+)
 from .regressions import Part, through_origin
 from .shared import LINES, Found, extra_lines, shared_noise, temporal_lines
 from .statement import (
@@ -269,7 +278,9 @@ def calibrate(
         standard=standard,
         likelihood=likelihood,
         no_likelihood=why,
-        sheet=tuple(widened(one, unequal) for one in sheet),
+        sheet=_widened_by_lamp(
+            tuple(widened(one, unequal) for one in sheet), likelihood and likelihood.chosen
+        ),
         patterns=patterns,
         left_out=gone,
         flicker=flicker,
@@ -350,6 +361,51 @@ def widened(estimate: Estimate, unequal: float) -> Estimate:
     error = float(np.hypot(estimate.standard_error or 0.0, unequal * abs(estimate.value)))
     quantity = BY_NAME[estimate.name]
     return sheet_estimate(quantity, estimate.value, error, estimate.method)
+
+
+def lamp_error(fit: LikelihoodFit) -> float:
+    """Relative error of all lights if the lamp drifts over the series and it is unknown at which
+    level its light was the stated one; 0 if the levels show no drift.
+
+    The unknown factor is taken as uniform within the largest deviation of any level. A scatter of
+    the light may be a drift if successive levels differ by less than independent ones do, for
+    which von Neumann's ratio is 2.
+    """
+    if LIGHT_DRIFT not in fit.space and LIGHT_SCATTER not in fit.space:
+        return 0.0
+    lit = np.asarray(fit.data.lit) > 0
+    expected, black = _means(fit.values, fit.data), float(fit.values["black_level"])
+    rates = (np.asarray(fit.problem.data[:, 0])[lit] - black) / (np.asarray(expected)[lit] - black)
+    away = rates - rates.mean()
+    alike = np.sum(np.diff(away) ** 2) < 2 * np.sum(away**2)
+    if LIGHT_DRIFT not in fit.space and not alike:
+        return 0.0
+    return float(np.abs(away).max()) / 3**0.5
+
+
+@eqx.filter_jit
+def _means(values: dict[str, Array], data: NoiseData) -> Array:
+    """The expected means, DN, in the stated light."""
+    return predicted_moments(values, data, data.light).mean
+
+
+def _widened_by_lamp(
+    sheet: tuple[Estimate, ...], fit: LikelihoodFit | None
+) -> tuple[Estimate, ...]:
+    """The sheet with the error of a lamp that drifts, which only figures per photon have."""
+    relative = 0.0 if fit is None else lamp_error(fit)
+    if not relative:
+        return sheet
+    found = []
+    for one in sheet:
+        if one.name in NEED_PHOTONS and one.value is not None:
+            error = float(np.hypot(one.standard_error or 0.0, relative * one.value))
+            one = sheet_estimate(BY_NAME[one.name], one.value, error, one.method)
+        elif one.name.startswith("linearity_error") and one.value is not None:
+            why = "a light that drifts over the series looks the same"
+            one = not_determined(BY_NAME[one.name], why, method=LIKELIHOOD)
+        found.append(one)
+    return tuple(found)
 
 
 def finest_read_noise(fit: LikelihoodFit) -> float:

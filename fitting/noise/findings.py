@@ -12,7 +12,7 @@ from ..inference.formatting import format_p, format_with_error, format_within
 from ..inference.trust import convergence_in_words
 from ..report.sentences import Finding, Numbers, said
 from .brighter_fatter import own_area_change
-from .calibration import NoiseCalibration
+from .calibration import NoiseCalibration, lamp_error
 from .counted import SUB_ELECTRON
 from .doubts import drifting, printed_times
 from .emva1288 import is_floored, least_dark_variance
@@ -138,6 +138,26 @@ def _contradicted(calibration: NoiseCalibration) -> tuple[str, ...]:
     return tuple(sentences)
 
 
+def _lamp(kind: str, calibration: NoiseCalibration) -> Numbers | None:
+    """The drift of the light over the series: of the light alone, beside a curve of the response
+    that looks the same, or seen as scatter of successive levels that is alike."""
+    if calibration.likelihood is None:
+        return None
+    drifts, bends = _has("light_drift", calibration), _has("compression", calibration)
+    own = "scatter" if not drifts else "either" if bends else "drift"
+    error = lamp_error(calibration.chosen)
+    if own != kind or not error:
+        return None
+    if own == "scatter":
+        return {"error": 100 * error}
+    drift = _shown(calibration, "light_drift")
+    return {
+        "way": "rises" if drift[0] > 0 else "falls",
+        "change": format_with_error(100 * abs(drift[0]), 100 * drift[1]),
+        "error": 100 * error,
+    }
+
+
 def _has(name: str, calibration: NoiseCalibration) -> bool:
     """Whether the chosen model includes the parameter `name`."""
     return calibration.likelihood is not None and name in calibration.chosen.values
@@ -214,6 +234,8 @@ def _linear(fits: bool, calibration: NoiseCalibration) -> Numbers | None:
 
 def _compression(calibration: NoiseCalibration) -> Numbers | None:
     if not _linear(False, calibration) or not _has("compression", calibration):
+        return None
+    if _has("light_drift", calibration):
         return None
     chosen, likelihood = calibration.chosen, calibration.likelihood
     assert likelihood is not None
@@ -643,6 +665,21 @@ FINDINGS = (
         "curves gives {of_chosen:.5f} DN/e⁻.",
     ),
     Finding(
+        "drift of the light",
+        partial(_lamp, "drift"),
+        "The light {way} by {change} % from the dimmest to the brightest level, as of a lamp that "
+        "drifts over the series: the means bend as with a curved response, but the variances "
+        "contradict one. At which level the light was the stated one is unknown, so figures per "
+        "photon have a further error of {error:.2g} %. Measure the light of every level.",
+    ),
+    Finding(
+        "drift or curve",
+        partial(_lamp, "either"),
+        "Signal over light changes with light. A curved response and a light that drifts over the "
+        "series explain it about equally well, so both were fitted, and no linearity error is "
+        "given. Take the levels in random order, or measure the light of every level.",
+    ),
+    Finding(
         "offset of the exposure",
         lambda c: _linear(False, c) and _light_offset(True, c),
         "Every exposure lasts {size} µs {way} than recorded ({ratio:.0f} standard errors).",
@@ -696,6 +733,13 @@ FINDINGS = (
         "scatter of the light",
         lambda c: {"size": _size(c, "light_scatter")} if _has("light_scatter", c) else None,
         "The light of the levels scatters about the recorded light by {size} % rms.",
+    ),
+    Finding(
+        "lights that drift",
+        partial(_lamp, "scatter"),
+        "The lamp may drift: successive levels differ by less than independent ones do. At which "
+        "level its light was the stated one is then unknown, so figures per photon have a further "
+        "error of {error:.2g} %. Measure the light of every level.",
     ),
     Finding(
         "printed times",

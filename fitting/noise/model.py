@@ -27,7 +27,9 @@ its sampling variance, (2 s^4 / (L - 1) + kappa_4 / L) / n, minus the part that 
 Because shot noise is skewed, mean and variance have the covariance kappa_3 / (n L). kappa_3 and
 kappa_4 are the cumulants of a pixel's number. Two random effects per level are optional: an error
 of the light with standard deviation tau_H mu_p, and an error of the black level with standard
-deviation tau_0.
+deviation tau_0. A drift d of the light over the series is optional, too: the light of level i of n
+changes by the factor 1 + d (i / (n - 1) - 1/2). It bends the means as a compression does, but not
+the variance at a signal.
 
 The data of the `Problem` have a row for each level: mean, temporal variance, T, and (for darks) the
 spatial variance, NaN where unknown. `predict` returns their sampling distribution as `Expected`,
@@ -41,6 +43,7 @@ changes, is then part of the data (`OffsetData`). At levels of few electrons, hi
 may replace means and variances (`CountedLevels`).
 """
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -104,6 +107,9 @@ class NoiseData(eqx.Module):
     # variance of a frame's mean because the light fluctuates, DN^2; None without
     unsteady: Float[Array, " levels"] | None = None
     converter: Converter = eqx.field(static=True, default=Converter())  # grid of the values
+    # position in the series, from -1/2 at the dimmest level to 1/2 at the brightest; 0 in the dark;
+    # None where no light drifts
+    series: Float[Array, " levels"] | None = None
     # levels whose histograms of codes replace their moments; None for none
     counted: CountedLevels | None = None
     # whether each scatter has Jeffreys' prior (`scatter_prior`)
@@ -139,6 +145,13 @@ def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
     if "compression_2" in values:
         loss = loss + values["compression_2"] * (x / top) ** 2
     return x * (1 - loss)
+
+
+def drifted(values: dict[str, Array], data: NoiseData) -> NoiseData:
+    """Return the data with the light of a lamp that drifts over the series."""
+    if "light_drift" not in values or data.series is None:
+        return data
+    return replace(data, light=data.light * (1 + values["light_drift"] * data.series))
 
 
 def level_moments(
@@ -220,7 +233,7 @@ def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -
 
 def predict(values: dict[str, Array], inputs: NoiseData) -> Expected:
     """Return the sampling distribution of the statistics of all levels."""
-    data, n, frames = inputs, inputs.pixels, inputs.frames
+    data, n, frames = drifted(values, inputs), inputs.pixels, inputs.frames
     light_variance = None
     if "light_scatter" in values:
         light_variance = (values["light_scatter"] * data.light) ** 2

@@ -48,6 +48,7 @@ from .quantities import (
     COMPRESSION,
     COMPRESSION_2,
     DARK_CURRENT,
+    LIGHT_DRIFT,
     LIGHT_OFFSET,
     LIGHT_SCATTER,
     OFFSET,
@@ -73,6 +74,8 @@ SPURIOUS = 0.01  # probability of keeping a term that a camera does not have
 SPURIOUS_SHARING = 0.001  # the same for sharing between neighbours, which biases the gain
 SPURIOUS_BESIDE = 0.05  # the same if nearest neighbours covary significantly
 SHARING = (BRIGHTER_FATTER, PIXEL_MIXING)
+FEWEST_DRIFTING = 6  # levels of light that distinguish a drift of the lamp from its scatter
+DECIDED = 10.0  # difference of the BIC from which one model is much better (Kass & Raftery, 1995)
 CURVE = (COMPRESSION, COMPRESSION_2, LIGHT_OFFSET, SHUTTER_OFFSET)
 
 Rows = Float[Array, "levels 4"]  # mean, temporal variance, T, spatial variance; NaN where unknown
@@ -104,7 +107,9 @@ def noise_data(
         rows[2] = jnp.where(lit > 0, around.total, jnp.nan)
     if offsets is not None:
         rows[3] = jnp.where(lit > 0, jnp.nan, offsets.spatial)
+    order = jnp.linspace(-0.5, 0.5, index.size, dtype=dtype)
     inputs = NoiseData(
+        series=jnp.concatenate([order, jnp.zeros(dark.mean.size, dtype)]),
         light=row("light"),
         lit=lit,
         exposure=row("exposure"),
@@ -440,8 +445,40 @@ def choose_model(
         other = _reduced(fitted(whole, standard, without=bent), standard, sharing)
         described = drifts and other.p_value >= MISFIT
         chosen = other if described else min(chosen, other, key=lambda fit: fit.bic)
+    chosen = _drifting_lamp(chosen, whole, candidates, standard, sharing)
     shares = any(p in chosen.space for p in SHARING)
     return (linear, chosen) if shares or chosen.bic < linear.bic else (linear, linear)
+
+
+def _drifting_lamp(
+    chosen: LikelihoodFit,
+    whole: Problem,
+    candidates: Sequence[Candidate],
+    standard: Sheet,
+    sharing: bool,
+) -> LikelihoodFit:
+    """The better of a model and one whose light drifts over the series instead of a curved
+    response. Both bend the means, but only a curved response changes the variance at a signal.
+    Where the data do not decide, both effects are fitted, and the errors include the choice."""
+    bends = COMPRESSION in chosen.space
+    if int(jnp.sum(chosen.data.lit)) < FEWEST_DRIFTING or not (
+        bends or LIGHT_OFFSET in chosen.space or LIGHT_SCATTER in chosen.space
+    ):
+        return chosen
+    straight = [one for one in candidates if one.parameter not in (COMPRESSION, COMPRESSION_2)]
+    drift = Candidate(LIGHT_DRIFT, chance=SPURIOUS)
+    always = tuple(p for p in whole.space if p.name not in {one.name for one in candidates})
+    problem = restated(whole, always, candidates=[*straight, drift])
+    lamp = _reduced(fitted(problem, standard), standard, sharing)
+    if LIGHT_DRIFT not in lamp.space or lamp.bic > chosen.bic + DECIDED:
+        return chosen
+    if not bends or lamp.bic < chosen.bic - DECIDED:
+        return min(chosen, lamp, key=lambda fit: fit.bic)
+    both = fitted(restated(whole, (*chosen.space, LIGHT_DRIFT)), standard, near=chosen)
+    bend, change = (
+        (float(both.values[p.name]) / both.errors[p.name]) ** 2 for p in (COMPRESSION, LIGHT_DRIFT)
+    )
+    return chosen if bend > DECIDED > change else both
 
 
 def _reduced(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFit:

@@ -470,3 +470,55 @@ def test_a_stated_black_level_that_the_darks_contradict_is_named(stated, named):
     camera = noise.Camera(bits=12, black_level=stated)
     found = noise.from_frames(flats, darks, list(EXPOSURES), camera=camera)
     assert any("states 164 DN, but the darks have 64" in x for x in found.remarks) == named
+
+
+def under_lamp(rng, lamp, *, bend=0.0, efficiency=0.6):
+    """Levels of two frames under a lamp whose light is off by a factor in each of them."""
+    photons = np.linspace(900, 9000, 10)
+    gains, top = 1 + 0.01 * rng.standard_normal((64, 96)), K * efficiency * photons[-1]
+
+    def frame(electrons):
+        signal = K * rng.poisson(electrons * gains)
+        signal = signal * (1 - bend * signal / top) + K * rng.normal(0, 4, gains.shape)
+        return np.clip(np.round(signal + 64), 0, 4095).astype(np.uint16)
+
+    flats = [[frame(efficiency * p * x) for _ in "ab"] for p, x in zip(photons, lamp, strict=True)]
+    darks = [[frame(0.0) for _ in "ab"] for _ in photons]
+    times = list(photons / photons[-1])
+    camera = noise.Camera(bits=12)
+    return noise.calibrate(noise.from_frames(flats, darks, times, list(photons), camera=camera))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("lamp", "key"), [(0.01, "drift of the light"), (0.001, "drift or curve")])
+def test_a_lamp_that_drifts_from_level_to_level_is_no_curved_response(lamp, key):
+    """The lamp gives what is stated at the first level, and more by a share at each further one."""
+    found = under_lamp(np.random.default_rng(1), 1 + lamp * np.arange(10))
+    for name, truth in (("system_gain", K), ("quantum_efficiency", 60.0)):
+        low, high = found.shown[name].interval_95
+        assert low < truth < high, found.shown[name]
+    linearity = found.shown.get("linearity_error_max")
+    assert linearity is None or linearity.value is None
+    assert told(found, key)
+    assert not told(found, "compression")
+
+
+@pytest.mark.slow
+def test_a_curved_response_is_no_lamp_that_drifts():
+    found = under_lamp(np.random.default_rng(0), np.ones(10), bend=0.1)
+    assert not told(found, "drift of the light")
+    assert not told(found, "drift or curve")
+    efficiency = found.shown["quantum_efficiency"]
+    assert abs(efficiency.value - 60) < 3 * efficiency.standard_error < 1.2
+
+
+@pytest.mark.slow
+def test_the_light_of_a_lamp_that_wanders_is_less_known_than_that_of_independent_levels():
+    wander = 1 + 0.01 * np.array([0.0, 1.0, 2.0, 2.0, 1.0, 0.0, -1.0, -2.0, -2.0, -1.0])
+    found = under_lamp(np.random.default_rng(0), wander)
+    assert told(found, "lights that drift") or told(found, "drift of the light")
+    assert found.shown["quantum_efficiency"].standard_error > 0.6  # 1 % of 60 %
+    mixed = wander[[2, 7, 1, 6, 3, 8, 0, 9, 4, 5]]
+    found = under_lamp(np.random.default_rng(0), mixed)
+    assert not told(found, "lights that drift")
+    assert found.shown["quantum_efficiency"].standard_error < 0.6

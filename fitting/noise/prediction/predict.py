@@ -222,8 +222,9 @@ def scatters(calibration: NoiseCalibration) -> dict[str, Any]:
     """Return the fitted scatter between levels that no camera file contains: the relative scatter
     of the light and of the variances."""
     values = calibration.chosen.values
+    drift = float(values.get("light_drift", 0.0))
     return {
-        "light_error": float(values.get("light_scatter", 0.0)),
+        "light_error": float(np.hypot(values.get("light_scatter", 0.0), drift / 12**0.5)),
         "variance_error": float(values.get("variance_scatter", 0.0)),
     }
 
