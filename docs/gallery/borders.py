@@ -1,4 +1,4 @@
-"""What lies beyond the border
+"""Eight continuations of a picture beyond its border
 
 The eight borders of every filter, which define how a picture continues outside.
 """

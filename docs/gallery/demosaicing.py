@@ -1,4 +1,4 @@
-"""A mosaic and three ways back
+"""A colour mosaic and three ways to demosaic it
 
 Each pixel of a mosaic measures one colour. Bilinear interpolation causes coloured fringes at edges;
 Malvar's and Menon's methods reduce them by using the other colours.

@@ -1,4 +1,4 @@
-"""The same scene in less and less light
+"""Noise of one scene in less and less light
 
 Raw numbers of one sensor at decreasing light; each picture is scaled to its mean. At 3 photons per
 pixel the shot noise is stronger than the scene.

@@ -1,4 +1,4 @@
-"""The same box by radiosity
+"""The Cornell box by radiosity
 
 The patches measure 6 cm. Form factors are closed forms between patches with nothing in between, and
 each pixel sums over the patches. The picture has no noise, and one solution can be used for every

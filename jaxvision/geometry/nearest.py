@@ -396,8 +396,9 @@ def _each_stored(of_chunk: Callable[..., Any], count: int) -> Callable[..., Any]
 def _search_chunks(
     step: Callable[[Carry, Int[Array, ""], Any], Carry], carry: Carry, group: Any, count: int
 ) -> Carry:
-    """Compute `carry = step(carry, start, group[start : start + size])` over a stacked group; the
-    last chunk may repeat some shapes."""
+    """Compute `carry = step(carry, start, group[start : start + size])` for each chunk of a stacked
+    group of shapes. The last chunk may repeat some shapes.
+    """
     if count <= 2 * _CHUNK:
         for start in range(0, count, _CHUNK):
             chunk = jax.tree.map(lambda x, start=start: x[start : start + _CHUNK], group)
