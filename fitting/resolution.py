@@ -654,7 +654,6 @@ def _findings(
     skew: tuple[np.ndarray, np.ndarray],
     pixels: _Pixels,
 ) -> Iterator[str]:  # fmt: skip
-    """Yield the findings, in sentences."""
     for sentence in (*result.fit.failures, *result.fit.findings):
         if not any(advice in sentence for advice in _NOT_TAKEN):
             yield sentence

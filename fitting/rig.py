@@ -703,7 +703,6 @@ def require_images(rig: Rig, purpose: Purpose) -> None:
 
 
 def _images(entry: Flat | Dark | Exposure | Light | Geometry) -> tuple[str, ...]:
-    """Return the files that an entry names."""
     match entry:
         case Flat() | Dark():
             return entry.files

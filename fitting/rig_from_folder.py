@@ -233,7 +233,6 @@ def _time_in(name: str, *, counted: bool) -> tuple[float | None, str]:
 
 
 def _quoted(name: str) -> str:
-    """Return text quoted for TOML."""
     return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

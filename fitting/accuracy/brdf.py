@@ -91,7 +91,6 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
 
 
 def _part(samples: Samples, chosen: np.ndarray) -> Samples:
-    """Return the samples that `chosen` selects."""
     size = samples.dn.size
 
     def of(leaf: Array) -> Array:

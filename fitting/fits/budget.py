@@ -113,7 +113,6 @@ class Budget:
         return [(s.source, f"{100 * s.share:.1f} %", f"± {s.sd:.3g}") for s in self.shares]
 
     def _repr_html_(self) -> str:
-        """Return the HTML table that a notebook shows."""
         heads = ("source", "of the variance", "s.d. it alone leaves")
         return record_html(heads, self._rows(), title=self._heading())
 

@@ -129,7 +129,6 @@ class Influence:
         ]
 
     def _repr_html_(self) -> str:
-        """Return the HTML table that a notebook shows."""
         heads = ("without", "moves by", "at most", "its standard error", "log density")
         return record_html(heads, self._rows(), title=self._heading())
 

@@ -414,7 +414,6 @@ class Fit:
         return f"<{self._heading()}>"
 
     def _repr_html_(self) -> str:
-        """Return the HTML table that a notebook shows."""
         return record_html(
             HEADS,
             self._rows(),

@@ -93,7 +93,6 @@ class Plan:
         ]
 
     def _repr_html_(self) -> str:
-        """Return the HTML table that a notebook shows."""
         heads = ("measure", "s.d. then", "variance less by", "gain / nat")
         return record_html(heads, self._rows(), title=self._heading())
 

@@ -67,7 +67,6 @@ class Estimate:
     reason: str = ""
 
     def _repr_html_(self) -> str:
-        """Return the HTML line that a notebook shows."""
         named = {"of": self.group, "": format_name(self.name), "by": self.method}
         cells = {
             **{head: text for head, text in named.items() if text},

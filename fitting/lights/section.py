@@ -86,7 +86,6 @@ def lights_figure(lights: Lights) -> "Figure":
 
 
 def _write_rig(lights: Lights, root: str, camera: str, path: Path) -> None:
-    """Write the rig and its `lights.npz`."""
     write_lights(lights, path.with_name(FILE))
     known = np.isfinite(lights.intensities)
     entries = [

@@ -258,7 +258,6 @@ def _remember(settings: Settings, folder: Folder, found: Outcome) -> None:
 
 
 def _python_numbers(value: Any) -> Any:
-    """Convert NumPy numbers to Python numbers."""
     return np.asarray(value).tolist()
 
 

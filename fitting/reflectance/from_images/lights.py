@@ -107,7 +107,6 @@ def shifts_of_turns(view: View, turns: Turns, vector: Vector, samples: Samples) 
 
 
 def _about(view: View, turns: Turns, form: Form) -> Samples:
-    """Return the samples under rotated lights."""
     seen = turned(view.observation, turns * view.observation.uncertain["direction_sd"][:, None])
     return replace(view, observation=seen).samples(form)
 
