@@ -218,6 +218,7 @@ def _single_light_findings(
 def _angles(
     one: Float[np.ndarray, "lights 3"], other: Float[np.ndarray, "lights 3"]
 ) -> Float[np.ndarray, " lights"]:
+    """Return the angles between directions, degrees."""
     return np.degrees(np.arccos(np.clip((one * other).sum(axis=1), -1, 1)))
 
 
