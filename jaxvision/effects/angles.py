@@ -37,8 +37,7 @@ def toward_eye(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
 
 def cos_seen(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
     """Return the smallest and the largest cosine, (c,) each, between a cell's normals and the
-    direction to the eye; 0 for a cell seen from behind.
-    """
+    direction to the eye; 0 for a cell whose back faces the eye."""
     wo, width = toward_eye(cells, eye)
     middle, slack = angle(cells.axis, wo), width + cells.spread
     return cosine(middle + slack), cosine(np.maximum(middle - slack, 0))
@@ -47,10 +46,10 @@ def cos_seen(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
 def lobe_angles(
     cells: Cells, eye: Eye, wi: np.ndarray, width: np.ndarray, cos_i: np.ndarray
 ) -> Angles:
-    """Bound the angles that a lobe depends on, for c cells and s light positions. `wi`, (c, s, 3),
-    are unit vectors toward the middle of each light position, and `width`, (c, s) rad, the
-    variation of these directions over the cell. `cos_i`, (c, s), is the largest cosine of
-    incidence."""
+    """Bound the angles on which the shading of a specular lobe depends, for c cells and s light
+    positions. `wi`, (c, s, 3), are unit vectors from the cells toward the middle of each light
+    position. `width`, (c, s) rad, is the largest angle between `wi` and the same direction from any
+    other point of the cell. `cos_i`, (c, s), is the largest cosine of incidence."""
     wo, seen = toward_eye(cells, eye)
     axis, wo, spread, seen = cells.axis[:, None], wo[:, None], cells.spread[:, None], seen[:, None]
     mirrored = 2 * (wi * axis).sum(-1, keepdims=True) * axis - wi

@@ -1,14 +1,15 @@
-"""Find which surfaces may lie between a light and a surface. The answer `False` is certain.
+"""Find which surfaces may lie between a light and a surface. If the answer is `False`, the surface
+certainly does not block the light.
 
-A one-sided convex surface does not shade itself, and neither does the outer side of a convex body.
-A ball or box that contains both lamp and receiver, such as a room, blocks nothing between them,
-because it is convex. An occluder also blocks nothing if the plane of the lamp, the receiver or the
-occluder separates the other two, as follows. Lamp and receiver are on the same closed side of a
-flat occluder; or the lamp or the occluder is behind a flat receiver; or the receiver or the
-occluder is behind a flat lamp. In all other cases the occluder must be disjoint from the convex
-hull of lamp and receiver (`bodies.gap`). A point within a few rounding errors of a plane is treated
-as a point of the plane. That distance is far smaller than `geometry.offset_length`, within which no
-ray meets the plane either. Lengths in m.
+A one-sided convex surface does not shade itself. The outer side of a convex body does not shade
+itself either. A ball or box that contains both lamp and receiver, such as a room, blocks nothing
+between them, because it is convex. An occluder also blocks nothing if the plane of the lamp, the
+receiver or the occluder separates the other two, in one of three ways. A flat occluder has lamp and
+receiver on the same side, its plane included. A flat receiver has the lamp or the occluder behind
+it. A flat lamp has the receiver or the occluder behind it. In all other cases, an occluder blocks
+nothing if it is disjoint from the convex hull of lamp and receiver (`bodies.gap`). A point within a
+few rounding errors of a plane is treated as a point of the plane. Rays skip surfaces within the
+much larger distance `geometry.offset_length`, so no ray meets the plane there either. Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -57,8 +58,8 @@ def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> fl
 
 
 def touching(surfaces: Sequence[Ends[Surface]]) -> float:
-    """Return the relative rounding error of coordinates that is tolerated where shapes touch: a few
-    ULP of the coarsest dtype."""
+    """Return the relative rounding error of coordinates within which two shapes count as touching:
+    a few ULP of the coarsest dtype."""
     leaves = jax.tree.leaves([surface.low.shape for surface in surfaces])
     kinds = {leaf.dtype for leaf in leaves if np.issubdtype(leaf.dtype, np.floating)}
     return _ROUNDINGS * max(float(np.finfo(kind).eps) for kind in kinds)
@@ -67,8 +68,8 @@ def touching(surfaces: Sequence[Ends[Surface]]) -> float:
 @once
 def is_convex(shape: Ends[Shape]) -> bool:
     """Return whether a shape is a convex body that is shaded with its own normals. The result is
-    True for balls and boxes, and for closed meshes without shading normals if all vertices lie
-    below the plane of each face, within a few rounding errors."""
+    True for balls and boxes. For a closed mesh without shading normals, the result is True if all
+    vertices lie below the plane of each face, within a few rounding errors."""
     mesh = shape.low
     if not isinstance(mesh, TriangleMesh):
         return isinstance(mesh, Sphere | Box)
@@ -99,9 +100,9 @@ def slack_over(
 def _extent(
     bodies: Bodies, bounded: np.ndarray, own: dict[int, tuple], plane: tuple, relative: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the smallest and the largest height of each body above a plane, in m. Heights
-    within rounding errors become 0, and an unbounded plane parallel to the given one has a
-    single height."""
+    """Return the smallest and the largest height of each body above a plane, in m. Heights smaller
+    than their rounding error become 0. For an unbounded plane that is parallel to the given plane,
+    the two heights are equal."""
     point, normal = plane
     moved = Bodies(bodies.points - point, bodies.radii)
     slack = slack_over(bodies, point, normal, relative)
@@ -118,8 +119,8 @@ def _extent(
 
 
 def _height_range(source: Source, plane: tuple, relative: float) -> tuple[float, float]:
-    """Return the smallest and the largest height of a light above a plane, in m. Heights within
-    rounding errors become 0."""
+    """Return the smallest and the largest height of a light above a plane, in m. Heights smaller
+    than their rounding error become 0."""
     point, normal = plane
     if source.body is not None:
         body = stacked([source.body])
@@ -146,9 +147,10 @@ def may_block(
     wanted: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return whether each surface can lie between a light and a lit point of another surface: flags
-    (lights, receivers, occluders). A flag False is certain, up to the rounding of coordinates.
-    `occluders` are the indices of the surfaces that may block light, all if None. `wanted`,
-    (lights, receivers), flags the pairs that matter, all if None."""
+    (lights, receivers, occluders). A surface whose flag is False certainly does not block the
+    light, up to the rounding of coordinates. `occluders` are the indices of the surfaces that may
+    block light, all if None. `wanted`, (lights, receivers), flags the pairs that matter, all if
+    None."""
     n = len(surfaces)
     may = np.zeros((len(sources), n, n), bool)
     may[:, :, list(range(n)) if occluders is None else list(occluders)] = True
@@ -199,9 +201,9 @@ def may_block(
 def _within(
     surface: Ends[Surface], bodies: Bodies, relative: float, reach: float, *, strictly: bool = False
 ) -> np.ndarray:
-    """Return (n,) flags: whether each body lies inside a ball or box whose parameters are fixed.
-    Unless `strictly`, a body may touch the sides of a box from inside; `relative` is the tolerated
-    rounding error of its coordinates."""
+    """Return flags, (n,): whether each body lies inside a given ball or box. The flags are False if
+    a parameter of the ball or box is free. Unless `strictly`, a body may touch the sides of a box
+    from inside; `relative` is the tolerated rounding error of its coordinates."""
     shape = surface.low.shape
     if not same(*surface.of("shape")) or not isinstance(shape, Sphere | Box):
         return np.zeros(len(bodies.points), bool)

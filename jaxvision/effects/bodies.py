@@ -1,12 +1,12 @@
 """Convex bodies, lower bounds on the distance between two of them, and their convex hulls.
 
 A body is the convex hull of balls. A box is given by eight points, a sphere by one ball, and a disc
-by the polygon around it. Every direction u gives a certain lower bound on the distance of two
-bodies: the smallest height of one body along u minus the largest height of the other. Gilbert's
-algorithm searches for the direction with the largest bound. If the search stops early, the bound is
-smaller but still valid. Source: Gilbert, "An Iterative Procedure for Computing the Minimum of a
-Quadratic Form on a Convex Set", SIAM J. Control 4(1) (1966). Lengths are in m, and NumPy computes
-in float64.
+by the polygon around it. For every unit vector u, the distance of two bodies is at least the
+smallest u.x of a point x of one body minus the largest u.x of a point x of the other body.
+Gilbert's algorithm searches for the u with the largest such bound. A search that stops early gives
+a smaller bound, which is still valid. Source: Gilbert, "An Iterative Procedure for Computing the
+Minimum of a Quadratic Form on a Convex Set", SIAM J. Control 4(1) (1966). Lengths are in m, and
+NumPy computes in float64.
 """
 
 from collections.abc import Sequence
@@ -47,8 +47,8 @@ def tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def disc_polygon(shape: Disc, *, within: bool = False) -> np.ndarray:
-    """Return the corners, (n, 3) m in order, of a regular polygon around a disc, or inside it if
-    `within`."""
+    """Return the corners, (n, 3) m in order, of a regular polygon that encloses a disc, or that the
+    disc encloses if `within`."""
     first, second = tangents(unit(numbers(shape.normal)))
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
     around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), second)
@@ -83,8 +83,8 @@ def corners(shape: Shape) -> np.ndarray | None:
 @once
 def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the centres, (p, 3) m, and radii, (p,) m, of balls whose convex hull contains a shape
-    for all values of its free parameters. The result is None for an unbounded plane, and if the
-    shape's rotation is free."""
+    for all values of its free parameters. The result is None for an unbounded plane, and for a
+    shape whose rotation is a free parameter."""
     low, high = shape
     if isinstance(low, Sphere) and isinstance(high, Sphere):
         points = box_about(numbers(low.centre), numbers(high.centre))
@@ -105,7 +105,7 @@ def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def faces_of(mesh: TriangleMesh) -> np.ndarray:
-    """Return the vertex indices of the faces, (faces, 3), clipped to valid indices."""
+    """Return the vertex indices of the faces of a mesh, (faces, 3), clipped to valid indices."""
     return np.clip(np.asarray(mesh.faces), 0, len(mesh.vertices) - 1)
 
 
@@ -152,8 +152,8 @@ def plane_of(shape: Shape) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:
-    """Combine bodies into one batch; the last ball of a body is repeated to fill up to the largest
-    number of balls."""
+    """Combine bodies into one batch; the last ball of a body is repeated until all bodies have
+    equally many balls."""
     most = max((len(points) for points, _ in bodies), default=1)
     points, radii = np.zeros((len(bodies), most, 3)), np.zeros((len(bodies), most))
     for i, (own, size) in enumerate(bodies):
@@ -163,8 +163,8 @@ def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:
 
 
 def surface_bodies(surfaces: Sequence[Ends[Surface]]) -> tuple[Bodies, np.ndarray]:
-    """Return the bodies of all surfaces, and flags, (n,), of those that are bounded. An arbitrary
-    ball takes the place of an unbounded surface."""
+    """Return the bodies of all surfaces, and flags, (n,), that are True for bounded surfaces. The
+    body of an unbounded surface is an arbitrary ball."""
     found = [body_of(surface.of("shape")) for surface in surfaces]
     ball = np.zeros((1, 3)), np.ones(1)
     bodies = stacked([ball if body is None else body for body in found])
@@ -189,7 +189,8 @@ def hulls(a: Bodies, b: Bodies) -> Bodies:
 
 
 def heights(bodies: Bodies, directions: np.ndarray) -> np.ndarray:
-    """Return the largest height of each body along each unit direction, (d, 3): (n, d) m."""
+    """Return the largest u.x over the points x of each body, (n, d) m, for each of the d unit
+    vectors u in `directions`, (d, 3)."""
     return (bodies.points @ directions.T + bodies.radii[..., None]).max(1)
 
 
@@ -201,10 +202,10 @@ def _farthest(bodies: Bodies, direction: np.ndarray) -> np.ndarray:
 
 
 def gap(a: Bodies, b: Bodies, *, enough: float = np.inf) -> np.ndarray:
-    """Return a certain lower bound on the distance of each pair of bodies, (n,) m; 0 if no positive
-    bound was found.
+    """Return a lower bound on the distance between the two bodies of each pair, (n,) m; 0 if no
+    positive bound was found.
 
-    A bound above `enough`, in m, is not improved further.
+    The search for a larger bound stops at a bound above `enough`, in m.
     """
     found = np.zeros(len(a.points))
     for start in range(0, len(found), _AT_ONCE):
@@ -237,9 +238,9 @@ def _gap(a: Bodies, b: Bodies, enough: float) -> np.ndarray:
 
 
 def _nearest_of_triangle(v: np.ndarray, w: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return the point nearest to the origin in each triangle with corners v, w and x, (n, 3) each;
-    it may lie inside or on a side. The corner x, from the previous step of Gilbert's algorithm,
-    prevents it from alternating between two points."""
+    """Return the point nearest to the origin in each triangle with corners v, w and x, (n, 3) each.
+    The point may lie inside the triangle or on a side. The corner x is a point from the previous
+    step of Gilbert's algorithm. With x, the algorithm does not alternate between two points."""
     p, q = w - v, x - v
     pp, pq, qq = (np.einsum("nk,nk->n", s, t) for s, t in ((p, p), (p, q), (q, q)))
     vp, vq = np.einsum("nk,nk->n", v, p), np.einsum("nk,nk->n", v, q)

@@ -4,16 +4,17 @@ One more path segment applies an operator T to the largest radiance L_j of each 
 
     T_i L = rho_i sum_j F_ij L_j + s_i sum_j G_ij L_j + m_i max L
 
-Here rho, s and m are the reflectances of the diffuse part, of the specular lobe, and of a mirror or
-glass, which may show the brightest radiance of the scene. F_ij is the largest share of the light on
-the diffuse part of i that can come from j. F_ij is at most 1, at most (R / d)^2 for the bounding
-ball of j with radius R at distance d from i, and 0 if i is flat and j entirely behind it. A lobe
-may point toward j, which subtends a solid angle of at most 2 pi (R / d)^2. Its share is G_ij =
-min(1, g_i F_ij) with g_i = 2 pi sup(f_r cos) / s_i. The shares of one surface sum to at most 1, and
-the bound assigns them to the brightest surfaces first. A path of emitted light has one segment, and
-a path of light that one surface reflects from a lamp has two. The bound is sharp in open scenes
-with dark surfaces. In a bright closed room the bound is far too large, so that the long paths are
-kept.
+Here rho_i, s_i and m_i are the reflectances of the diffuse part, the specular lobe, and the mirror
+or glass of surface i. A mirror or glass may show the brightest radiance of the scene. F_ij is the
+largest share of the light on the diffuse part of i that can come from j. F_ij is at most 1, and at
+most (R / d)^2 if the bounding ball of j has radius R and distance d from i. F_ij is 0 if i is flat
+and j is entirely behind i. A specular lobe of i may point toward j, which subtends a solid angle of
+at most 2 pi (R / d)^2. The share of the light on this lobe that can come from j is at most G_ij =
+min(1, g_i F_ij) with g_i = 2 pi sup(f_r cos) / s_i, where f_r cos is the shading of the lobe. The
+shares that one surface receives sum to at most 1. The bound assigns the largest shares to the
+brightest senders. A path of emitted light has one segment, and a path of light that one surface
+reflects from a lamp has two. The bound is sharp in open scenes with dark surfaces. In a bright
+closed room the bound is far too large, so that long paths are not dropped.
 """
 
 from collections.abc import Sequence
@@ -38,9 +39,9 @@ _MOST = 400  # segments after which a sum that has not converged has no bound
 
 
 def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
-    """Return a `Row` "bounces" for limiting paths to each of several lengths, shortest paths first.
-    The `Row` of a length n bounds the radiance of all longer paths, in W m^-2 sr^-1. The result is
-    empty for direct light (`depth` None)."""
+    """Return a `Row` "bounces" for each of several limits n on the number of path segments,
+    smallest n first. The bound of the `Row` is on the radiance of all paths of more than n
+    segments, in W m^-2 sr^-1. The result is empty for direct light (`depth` None)."""
     if depth is None:
         return ()
     onward, wanted = Onward(sums, depth), shorter(depth)
@@ -55,8 +56,8 @@ def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
 
 
 def shorter(depth: int) -> list[int]:
-    """List the path lengths below `depth` for which a bound is computed: each length up to 16, then
-    lengths that increase by a quarter."""
+    """List the numbers of path segments below `depth` for which a bound is computed: every number
+    up to 16, then numbers in steps of a quarter."""
     found, pieces = [], DIRECT
     while pieces < depth:
         found.append(pieces)
@@ -65,9 +66,10 @@ def shorter(depth: int) -> list[int]:
 
 
 def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = "") -> Row:
-    """Return the `Row` for rendering paths of at most `pieces` instead of `depth` segments. The
-    omitted paths add at most `amount`, (bands,) W m^-2 sr^-1. This is proved if `assumes` is "",
-    otherwise an estimate."""
+    """Return the `Row` of a limit on path length: paths have at most `pieces` segments instead of
+    `depth`. The dropped paths contribute at most `amount`, (bands,) W m^-2 sr^-1. `amount` is a
+    proved bound if `assumes` is "". Otherwise `amount` is an estimate under the assumption
+    `assumes`."""
     why, estimated = f"paths of at most {pieces} segments", bool(assumes)
     more = {"estimated": estimated, "assumes": assumes, "saves": 1 - pieces / depth}
     return Row("bounces", amount, why, setting("depth", to=pieces), ladder="bounces", **more)
@@ -103,9 +105,8 @@ class Transport(NamedTuple):
 
 
 class Onward:
-    """Bounds the light after all further path segments, from the direct light that each cell
-    reflects.
-    """
+    """Bounds the radiance of each cell after any number of further reflections, given the direct
+    light that each cell reflects."""
 
     def __init__(self, sums: Sums, depth: int | None) -> None:
         self.sums, self.depth = sums, depth
@@ -116,8 +117,8 @@ class Onward:
         self, cells: np.ndarray, around: np.ndarray | None = None, *, pieces: int = DIRECT
     ) -> np.ndarray:
         """Bound the radiance from cells to the eye after further reflections, (c, bands) W m^-2
-        sr^-1. `cells` is the direct light that they send to the eye, by paths of `pieces` segments.
-        `around` is the direct light toward any viewer; None: there are no further segments."""
+        sr^-1. `cells` is the light that the cells send to the eye by paths of `pieces` segments.
+        `around` is the largest such light toward any viewer; None if that is `cells` too."""
         if self.depth is None:
             return cells
         least = largest(self.sums.cells, cells if around is None else around)
@@ -135,8 +136,8 @@ class Onward:
 
     @cached_property
     def arriving(self) -> np.ndarray:
-        """A bound, (n, bands) W m^-2 sr^-1, on the radiance of each surface by paths that may be
-        reflected once more; 0 for direct light."""
+        """A bound, (n, bands) W m^-2 sr^-1, on the radiance of each surface by paths of fewer than
+        `depth` segments, whose light can reach another surface; 0 for direct light."""
         found = np.zeros_like(self.sums.own)
         if self.depth is None:
             return found
@@ -160,13 +161,15 @@ class Onward:
         return gathered(self.transport.of_lobes[i : i + 1], self.arriving)[0]
 
     def series(self, sent: np.ndarray, last: int) -> np.ndarray:
-        """Return the sum of T^k `sent` over k from 1 to `last`; `sent` is (n, bands)."""
+        """Return the sum of T^k `sent` over k from 1 to `last`, where T is the operator of one path
+        segment and `sent`, (n, bands), the radiance of each surface."""
         return self.tails(sent, [1], last)[0]
 
     def tails(self, sent: np.ndarray, firsts: Sequence[int], last: int) -> np.ndarray:
-        """Return, for each start in `firsts`, the sum of T^k `sent` over k from that start to
-        `last`: (f, n, bands). T multiplies the maximum by a factor of at most t, so if t < 1 all
-        later terms sum to at most t / (1 - t) times the maximum of the current one."""
+        """Return, for each of the f starts in `firsts`, the sum of T^k `sent` over k from the start
+        to `last`: (f, n, bands). The operator T multiplies the maximum by at most a factor t, its
+        norm. So if t < 1, all later terms sum to at most t / (1 - t) times the maximum of the
+        current one."""
         found, whole = np.zeros((len(firsts), *sent.shape)), np.zeros_like(sent)
         t = self.transport.norm
         for k in range(1, min(last, _MOST) + 1):
@@ -185,15 +188,16 @@ class Onward:
 
 
 def largest(cells: Cells, values: np.ndarray) -> np.ndarray:
-    """Return the largest of the values, (c, bands), over the cells of each surface, (n, bands)."""
+    """Return the maximum of the values of c cells, (c, bands), over the cells of each of n
+    surfaces: (n, bands)."""
     return np.maximum.reduceat(values, starts(cells), axis=0)
 
 
 def gathered(shares: np.ndarray, sent: np.ndarray) -> np.ndarray:
-    """Return an upper bound on the light that arrives at each of i surfaces, (i, bands), from n
-    senders of radiance `sent`, (n, bands). The share of each sender is at most `shares`, (i, n),
-    and the shares of one receiver sum to at most 1. The largest shares go to the brightest senders
-    first."""
+    """Return an upper bound on the light that arrives at each of i receiving surfaces, (i, bands),
+    from n sending surfaces of radiance `sent`, (n, bands). The share of the received light that
+    comes from each sender is at most `shares`, (i, n). The shares of one receiver sum to at most 1.
+    The bound assigns shares to the brightest senders first."""
     found = np.zeros((len(shares), sent.shape[1]))
     for band, own in enumerate(sent.T):
         order = np.argsort(-own)

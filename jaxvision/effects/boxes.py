@@ -1,8 +1,9 @@
-"""The range of a fit's free parameters: a mapping from the names of fields to their smallest and
-largest values. A name is the path of a field, as in
+"""Read and set fields of a scene or camera by name, and give a fit's free parameters their smallest
+and largest values. The name of a field is its path in the record, such as
 
 "surfaces[0].material.specular", "lights[1].position", "ambient.radiance", "view.focal_length",
-"sensor.gain". Values are in the unit of the field.
+"sensor.gain". Free parameters are given as a mapping from such names to the smallest and largest
+values, in the unit of the field.
 """
 
 import re
@@ -58,7 +59,7 @@ def _at(record: Any, step: str | int) -> Any:
 
 
 def value_at(record: Any, name: str) -> Any:
-    """Return the field with that name, or None if the record has none."""
+    """Return the value of the field with that name, or None if the record has no such field."""
     for step in steps_of(name):
         record = _at(record, step)
     return record
@@ -76,8 +77,7 @@ def put(record: Any, steps: list[str | int], value: Any) -> Any:
 
 
 def setting(name: str, *, to: Any = None) -> Drop:
-    """Return a function that sets the field with that name, such as "camera.sensor.bits", in a
-    draft of the pruned records."""
+    """Return a function that sets one field of a `Draft`, such as "camera.sensor.bits", to `to`."""
     return lambda draft: put(draft, steps_of(name), to)
 
 
@@ -94,10 +94,10 @@ def _names(record: Any, prefix: str) -> Iterator[str]:
 
 
 def ends_of(scene: Scene, camera: Camera, free: Box | None) -> tuple[Ends[Scene], Ends[Camera]]:
-    """Return the scene and the camera with the free fields at their smallest and at their largest
-    values. `free` maps the names of fields to these two values, in the field's unit. A scene or
-    camera without free fields is the same record at both ends. `InputError` is raised for an
-    unknown name, and for values that do not fit the field."""
+    """Return the scene and the camera as `Ends`: copies with the free fields at their smallest and
+    at their largest values. `free` maps the names of fields to these two values, in the field's
+    unit. If a scene or camera has no free field, both copies are the same record. `InputError` is
+    raised for an unknown name, and for values that do not fit the field."""
     scenes, cameras = [scene, scene], [camera, camera]
     if not isinstance(free or {}, Mapping):
         raise InputError(f"free must map names of fields to their two ends, got {free!r}.")
@@ -113,7 +113,8 @@ def ends_of(scene: Scene, camera: Camera, free: Box | None) -> tuple[Ends[Scene]
 
 
 def _checked(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndarray]:
-    """Return the smallest and the largest value in the shape and dtype of the field."""
+    """Return the smallest and the largest value of a free field in the shape and dtype of the
+    field."""
     try:
         low, high = (np.broadcast_to(np.asarray(v, float), own.shape) for v in values)
     except (TypeError, ValueError):
@@ -128,8 +129,8 @@ def _checked(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndar
 
 
 def keeps(draft: Draft, name: str, scene: Scene, camera: Camera) -> bool:
-    """Return whether a draft still has the field with that name, with its original shape and
-    meaning."""
+    """Return whether a `Draft`, after effects were dropped, still has the field with that name,
+    with its original shape and meaning."""
     place = re.match(r"surfaces\[(\d+)\]", name)
     if place is not None and draft.unmet and int(place[1]) >= min(draft.unmet):
         return False  # another surface would have its number
@@ -149,8 +150,8 @@ def same(a: Any, b: Any) -> bool:
 
 
 def corners(ends: Ends[Any]) -> list[Any]:
-    """List the record with each free number at its smallest or largest value, in all
-    combinations."""
+    """List copies of a record with the free numbers in all combinations of their smallest and
+    largest values."""
     low, tree = jax.tree.flatten(ends.low)
     high = jax.tree.leaves(ends.high)
     choices = [(a,) if np.array_equal(a, b) else (a, b) for a, b in zip(low, high, strict=True)]

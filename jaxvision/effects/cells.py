@@ -50,7 +50,7 @@ _TRIANGLES = 400  # triangles of a mesh, up to which each is its own cell
 
 
 class Cells(NamedTuple):
-    """Bounds on the points and normals of c cells, in the order of their surfaces."""
+    """Bounds on the points and normals of c cells. The cells are in the order of their surfaces."""
 
     centre: np.ndarray  # (c, 3) m
     # (c,) m, radius of a ball around it that contains the cell; inf for an endless one
@@ -120,15 +120,17 @@ def lens_radius(lens: ThinLens) -> float:
 
 
 def anywhere(eye: Eye) -> Eye:
-    """Replace the eye by an arbitrary viewer, such as another surface that receives the light."""
+    """Return an eye that stands for a viewer at any position, such as another surface that receives
+    the light."""
     return eye._replace(everywhere=True)
 
 
 def in_view(eye: Eye, bodies: Bodies) -> np.ndarray:
-    """Return flags, (n,): whether any pixel may see a part of each body. A flag False is certain. A
-    ray through a thin lens starts at most the lens's radius r, in m, from its centre. Its slope
-    exceeds that of the pixel's chief ray by at most r / z_f, with the focus distance z_f. So at
-    depth z it is at most r (1 + z / z_f) from the chief ray."""
+    """Return flags, (n,): whether any pixel may see a part of each body. No pixel sees a body whose
+    flag is False. A ray through a thin lens of radius r starts at a distance of at most r from the
+    centre of the lens. The slope of this ray exceeds that of the pixel's chief ray by at most r /
+    z_f, with the focus distance z_f. So at depth z the two rays are at most r (1 + z / z_f) apart.
+    """
     if eye.everywhere:
         return np.ones(len(bodies.points), bool)
     moved = Bodies(bodies.points - eye.place, bodies.radii)
@@ -136,8 +138,8 @@ def in_view(eye: Eye, bodies: Bodies) -> np.ndarray:
 
 
 def cells_of(surfaces: Sequence[Ends[Surface]], *, about: np.ndarray) -> Cells:
-    """Divide all surfaces into cells. A two-sided surface gets the cells of both sides. `about`,
-    (3,) m, is the centre of the relevant part of an infinite surface."""
+    """Divide all surfaces into cells. A two-sided surface has cells for each of its sides. An
+    infinite plane has one cell, centred at the point of the plane nearest to `about`, (3,) m."""
     side = int(np.sqrt(_BUDGET / max(len(surfaces), 1) / 3))
     side = min(max(side, _COARSEST), _FINEST)
     found = []
@@ -206,7 +208,8 @@ def _disc_cells(shape: Disc, side: int) -> Parts:
 
 
 def _sphere_cells(shape: Sphere, side: int) -> Parts:
-    """Return the cells of a sphere: those of a cube around it, projected onto the sphere."""
+    """Return the cells of a sphere: the squares of a grid on the surrounding cube, projected onto
+    the sphere."""
     axis, spread = _sphere_axes(side)
     r = float(shape.radius)
     return [numbers(shape.centre) + r * axis, 2 * r * np.sin(spread / 2), axis, spread]
@@ -214,8 +217,8 @@ def _sphere_cells(shape: Sphere, side: int) -> Parts:
 
 @cache
 def _sphere_axes(side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the axes, (c, 3), and the largest angles of normals to them, (c,) rad, of the cells of
-    a sphere."""
+    """Return, for each cell of a sphere, the axis of its cone of normals, (c, 3), and the largest
+    angle of a normal to this axis, (c,) rad."""
     t = np.tan(np.pi / 4 * np.linspace(-1, 1, side + 1))
     middle, edge = np.tan(np.pi / 4 * (np.linspace(-1, 1, 2 * side + 1)[1::2])), t
     a, b = (x.ravel() for x in np.meshgrid(middle, middle, indexing="ij"))
@@ -251,13 +254,13 @@ def _box_cells(shape: Box, side: int) -> Parts:
 
 
 def has_faces_apart(shape: TriangleMesh) -> bool:
-    """Return whether each triangle of a mesh is a cell of its own."""
+    """Return whether each triangle of a mesh is a separate cell."""
     return len(shape.faces) <= _TRIANGLES
 
 
 def _mesh_cells(shape: TriangleMesh) -> Parts:
-    """Return one cell for each triangle, or for each run of successive triangles if the mesh has
-    many."""
+    """Return the cells of a mesh: one for each triangle, or one for several successive triangles if
+    the mesh has many triangles."""
     vertices = numbers(shape.vertices)
     faces = faces_of(shape)
     own = vertices[faces]
@@ -281,7 +284,7 @@ def _mesh_cells(shape: TriangleMesh) -> Parts:
 
 
 def part_of(cells: Cells, surface: int) -> slice:
-    """Return the slice of a surface's cells, which are contiguous."""
+    """Return the slice of the array of cells that holds the cells of one surface."""
     return slice(*np.searchsorted(cells.surface, [surface, surface + 1]))
 
 

@@ -1,14 +1,15 @@
-"""Records of the effects that are kept and dropped, with upper bounds on the change of the picture.
+"""Records that list which effects were kept and which were dropped, with upper bounds on the change
+of the picture.
 
 A bound is a supremum over all pixels. The change of a pixel is the distance between the
 distributions of its value before rounding, with and without an effect: sqrt((m_1 - m_2)^2 + (s_1 -
 s_2)^2) with means m and standard deviations s. For Gaussian distributions this is the 2-Wasserstein
-distance; `pixel` discusses others. A shift of the mean by d gives the distance d. Noise that is
-dropped gives the difference of the two standard deviations. The distance obeys the triangle
-inequality, so the bounds of effects that are dropped one after another add. `place` is a separate
-bound: the largest displacement in the picture, in pixels. At an edge, a displacement gives no bound
-on the value of a pixel. Bounds refer to the exact integrals over lights, not to a sampling rule for
-them.
+distance; the docstring of the module `pixel` discusses other distributions. A shift of the mean by
+d gives the distance d. Noise that is dropped gives the difference of the two standard deviations.
+The distance obeys the triangle inequality, so the bounds of effects that are dropped one after
+another add. `place` is a separate bound: the largest displacement in the picture, in pixels. A
+displacement is bounded separately because, at an edge, even a small one may change a pixel by any
+amount. The bounds are for exact integrals over the area of lights, not for a sampling rule.
 """
 
 import math
@@ -43,8 +44,8 @@ class Tolerance:
 
     Attributes:
         value: largest distance, as defined in `effects.certificate`, >= 0, in `unit`.
-        unit: "relative": radiance relative to the level of the certificate; "DN"; "sigma": the
-            smallest noise of the sensor, which it has in the dark.
+        unit: "relative": radiance divided by the reference radiance `level` of the certificate;
+            "DN"; "sigma": the sensor's noise in the dark, which is its smallest noise.
         place: largest displacement in the image, pixels; None for 0.1, or 0 if the value is 0.
         rare: largest expected number of pixels that differ by any amount, such as dead ones; None
             for 0.01, or 0 if the value is 0.
@@ -88,8 +89,8 @@ def parse(text: str, *, place: float | None = None, rare: float | None = None) -
         The tolerance.
 
     Raises:
-        InputError: for any other text, and for a number of 1 or more without a unit, which is
-            100 % of the picture and probably a forgotten per cent.
+        InputError: for any other text, and for a number of 1 or more without a unit: it would mean
+            at least 100 %, so a "%" is probably missing.
 
     Example:
         >>> from jaxvision import effects
@@ -121,21 +122,22 @@ class Effect:
     Attributes:
         name: path of the field in the original scene: "lights[2]", "shadows[2]",
             "surfaces[0].material.specular", "sensor.read_noise".
-        present: whether the records contain it.
-        why: reason for the bound, or for its absence, in a few words.
+        present: whether the scene or camera contains the effect.
+        why: reason for the bound, or for there being none, in a few words.
         bound: largest change of the result without the effect, in `unit`; inf where there is no
             bound.
         place: largest displacement in the image without the effect, pixels.
-        unit: unit of `bound`: that of the stage ("W m^-2 sr^-1", "W m^-2", "DN"), or that of the
-            certificate.
-        rank: "exact": proved to change nothing; "bound": proved; "estimate": sampled, and not part
-            of the proof.
-        saves: share of a picture's computation that the effect takes, from a table of benchmarks; 0
-            where it is removed together with another effect.
+        unit: unit of `bound`. In a certificate, "relative", "DN" or "sigma"; in the list of
+            `inspect`, "W m^-2 sr^-1" for effects of the scene, "W m^-2" for effects of the lens,
+            and "DN" for effects of the sensor.
+        rank: "exact": proved to change nothing; "bound": `bound` is proved; "estimate": `bound` is
+            only an estimate from samples or tables.
+        saves: share of the rendering time that the effect takes, from a table of benchmarks; 0 for
+            an effect that is removed together with another effect.
         free: whether a fit may change the effect; then it is never removed.
         rare: expected number of pixels that the effect changes by any amount.
-        seconds: time that the effect takes of a picture, s, as `inspect(..., time=True)` measured
-            it on this machine; None if not measured.
+        seconds: rendering time that dropping the effect saves, s, as `inspect(..., time=True)`
+            measured it on this machine; None if not measured.
     """
 
     name: str
@@ -164,7 +166,8 @@ class Certificate:
         place: largest displacement in the image, pixels.
         tolerance: the allowed distance, in `unit`.
         unit: "relative", "DN" or "sigma".
-        level: radiance that "relative" refers to, W m^-2 sr^-1; None for other units.
+        level: radiance by which bounds in the unit "relative" are divided, W m^-2 sr^-1; None for
+            other units.
         assumptions: assumptions of the bounds, one sentence each.
         rare: expected number of pixels that differ by any amount.
     """
@@ -182,8 +185,8 @@ class Certificate:
 
     @property
     def saves(self) -> float:
-        """The share of the picture's work that dropping the effects saves. Each effect saves its
-        share of the work that the effects before it leave."""
+        """The share of the rendering time that dropping the effects saves. Dropping the effects one
+        after another, each saves its share of the time that remains."""
         return 1 - math.prod(1 - effect.saves for effect in self.dropped)
 
     def _repr_html_(self) -> str:
@@ -203,12 +206,12 @@ class Pruned:
         camera: the reduced camera; a view where only a view was given.
         samples: `PixelSamples` for `render`, or None.
         moments: number of times at which a motion is rendered.
-        expand: (bands, r) no unit; the radiance of all bands is that of the r bands of `scene`
-            times its transpose. None where the bands are unchanged.
+        expand: (bands, r) no unit; the radiance of all bands is the radiance of the r bands of
+            `scene` times the transpose of `expand`. None if the bands are unchanged.
         certificate: certificate of the kept and removed effects.
         depth: number of segments of a path, or None for direct light.
-        threshold: W m^-2 sr^-1 for `render`, which then leaves out lights that together
-            contribute at most this radiance; None: all lights are used.
+        threshold: argument of `render`, W m^-2 sr^-1: at each point, lights that together
+            contribute at most this radiance are left out. None: all lights are used.
     """
 
     scene: Scene
@@ -227,7 +230,8 @@ def _headings(certificate: Certificate) -> tuple[str, ...]:
 
 
 def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
-    """Yield ("kept" or "dropped", table cells) for each effect of a certificate."""
+    """Yield, for each effect of a certificate, the word "kept" or "dropped" and the cells of its
+    table row."""
     for word, found in (("dropped", certificate.dropped), ("kept", certificate.kept)):
         for effect in found:
             why = f"free; {effect.why}" if effect.free else effect.why
@@ -239,8 +243,8 @@ def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
 
 
 def summary(certificate: Certificate) -> str:
-    """Summarise a certificate in one sentence: how many effects were dropped, and the bound on
-    their change in its unit (relative, DN or sigma)."""
+    """Summarise a certificate in one sentence: the number of dropped effects, and the bound on
+    their total change in the unit of the certificate (relative, DN or sigma)."""
     c, unit = certificate, "" if certificate.unit == "relative" else f" {certificate.unit}"
     count = len(c.dropped) + len(c.kept)
     line = (

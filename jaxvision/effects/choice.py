@@ -1,8 +1,8 @@
 """Choose the effects to drop: those with the smallest bound per saved time first, until the
 tolerance is used up.
 
-Effects with bound 0 are dropped first. Bounds add, by the triangle inequality. The bound of an
-effect is valid for every picture between the full and the pruned one.
+Effects with bound 0 are dropped first. The bounds of dropped effects add, by the triangle
+inequality. The bound of an effect is valid whichever other effects were dropped before.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -28,7 +28,7 @@ _TRIES = 64  # largest number of thresholds, each at most half of the previous o
 
 @dataclass(frozen=True)
 class Chain:
-    """The `Row` of every effect, from the scene to the raw data, and the factors that convert their
+    """The `Row` of every effect, from the scene to the raw data, with the factors that convert all
     bounds to one unit."""
 
     rows: tuple[Row, ...]  # of all effects
@@ -45,7 +45,8 @@ def concerns(field: str, effect: str) -> bool:
 
 
 class Choice:
-    """The scene and camera that remain, the dropped effects, and their bound so far."""
+    """The state of the choice: the scene and camera with the remaining effects, the effects dropped
+    so far, and the bound on their total change."""
 
     def __init__(
         self,
@@ -111,9 +112,8 @@ class Choice:
             self._order_lights()
 
     def _order_lights(self) -> None:
-        """Spend the remaining tolerance on leaving out, at each point, the lights that contribute
-        least there.
-        """
+        """Use the remaining tolerance to leave out, at each point of the scene, the lights that
+        contribute least at that point."""
         scene = finished(self.records[0], self.draft)
         if not _many(scene):
             return
@@ -190,9 +190,8 @@ class Choice:
         return both[0], both[1]
 
     def _take_bands(self, draft: Draft) -> bool:
-        """Return whether a camera can use fewer bands: no free spectrum loses bands, and the
-        sensor, if there is one, can take them.
-        """
+        """Return whether the number of bands can be reduced: no free spectrum loses bands, and the
+        sensor, if there is one, works with the remaining bands."""
         if any(_is_spectrum(name, *self.records) for name in self.free):
             self.all_bands = "a free spectrum has all of them"
             return False
@@ -266,8 +265,8 @@ class Choice:
 
 
 def _many(scene: Scene) -> bool:
-    """Return whether tracing lights in the order of their contribution saves more shadow rays than
-    finding the order costs."""
+    """Return whether it pays to trace the lights in the order of their contribution: whether that
+    saves more shadow rays than the ordering costs."""
     blocking = range(len(scene.surfaces)) if scene.occluders is None else scene.occluders
     shapes = [scene.surfaces[i].shape for i in blocking]
     meshes = any(isinstance(shape, TriangleMesh) for shape in shapes)
@@ -294,8 +293,8 @@ def _is_spectrum(name: str, scene: Scene, camera: Camera) -> bool:
 
 
 def bands_of(draft: Draft) -> int:
-    """Count the bands of the picture of the records that remain. Neutral mirrors alone do not
-    determine this number."""
+    """Count the bands of the picture that a `Draft` renders: the largest number of bands of any
+    material, emission or light."""
     counts = [1]
     for surface in draft.left:
         material = surface.material
@@ -312,8 +311,8 @@ def bands_of(draft: Draft) -> int:
 
 
 def finished(scene: Scene, draft: Draft) -> Scene:
-    """Return the scene of the records that remain in a draft. If no shadow remains, its `occluders`
-    are `()`."""
+    """Return the scene of a `Draft`, with only the lights and surfaces that were not dropped. If
+    all shadows were dropped, the scene's `occluders` are `()`."""
     left = [k for k, light in enumerate(draft.lights) if light is not None]
     rules = scene.rules
     if rules is not None:

@@ -2,10 +2,10 @@
 
 Tolerances in DN refer to the raw data. Of the development, only steps that change nothing are
 dropped. The product of the factors converts a bound on the raw data to one on the developed
-picture. A factor is the step's Lipschitz constant in the maximum norm over pixels. If every input
-number changes by at most d (in root mean square, for some coupling of the two random images), every
-output number changes by at most the factor times d. A step without a finite factor states the
-reason.
+picture. The factor of a step is its Lipschitz constant in the maximum norm over pixels: if every
+input number changes by at most d, every output number changes by at most the factor times d. For
+random images, d is the root mean square change in some coupling of the two images. A step without a
+finite factor gives the reason.
 """
 
 import math
@@ -35,7 +35,7 @@ SRGB_SLOPE = 12.92
 
 
 class Factor(NamedTuple):
-    """The factor by which a development step magnifies a change of its input."""
+    """The largest factor by which a development step magnifies a change of its input."""
 
     value: float  # the factor, in the unit of the output per unit of the input; inf: there is none
     why: str  # reason for the factor, or for its absence
@@ -71,8 +71,8 @@ def demosaicing(development: Development) -> Factor:
 
 
 def white_balance(development: Development) -> Factor:
-    """Return the largest white-balance gain. There is no bound if the gains are computed from the
-    picture, because they are ratios of means that may vanish."""
+    """Return the largest white-balance gain. There is no bound for gains that are computed from the
+    picture, because such gains are ratios of means, which may be 0."""
     match development.white_balance:
         case WhiteBalance(gains=gains):
             gains = np.asarray(gains, float)
@@ -83,8 +83,7 @@ def white_balance(development: Development) -> Factor:
 
 
 def saturation(development: Development) -> Factor:
-    """Return the factor of clipping at the level that the white-balance gains determine, which is
-    1."""
+    """Return the factor of clipping, 1. The clipping level follows from the white-balance gains."""
     return Factor(1.0, "clipping")
 
 
@@ -126,10 +125,10 @@ def tone_map(development: Development) -> Factor:
 
 
 def tone(development: Development) -> Factor:
-    """Return the largest slope of an encoding curve. That of sRGB is its slope at 0. The rounded
-    constants of sRGB cause a step of 3e-8 at 0.0031308, which is ignored. A power function has an
-    infinite slope at 0 if its exponent is below 1, and a growing slope at large values if it is
-    above 1."""
+    """Return the largest slope of an encoding curve. The slope of the sRGB curve is largest at 0.
+    The rounded constants of sRGB cause a step of 3e-8 at 0.0031308, which is ignored. A power
+    function has an infinite slope at 0 if its exponent is below 1, and a growing slope at large
+    values if it is above 1."""
     match development.tone:
         case SRGB():
             return Factor(SRGB_SLOPE, "slope of sRGB at 0")
@@ -142,7 +141,8 @@ def tone(development: Development) -> Factor:
 
 
 def sharpening(development: Development) -> Factor:
-    """Return the factor of sharpening, 1 + 2 |a| for f + a (f - g * f) with a kernel g of sum 1."""
+    """Return the factor of sharpening: 1 + 2 |a| for the sharpened picture f + a (f - g * f), where
+    f is the picture, a the amount and g a blur kernel of sum 1."""
     how = development.sharpening
     assert how is not None
     amount = abs(float(how.amount))
@@ -166,8 +166,8 @@ def lipschitz(development: Development | None) -> Factor:
         development: the steps; None for no step.
 
     Returns:
-        The product of the Lipschitz constants of its steps, picture per DN; or inf with the names
-        of the steps that have none.
+        The product of the Lipschitz constants of the steps, picture per DN; or inf, with the names
+            of the steps that have no finite constant.
 
     Raises:
         ValueError: for a development with traced numbers.

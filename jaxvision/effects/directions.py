@@ -5,8 +5,8 @@ Matte surfaces, emitters and lamps of uniform radiance look the same from all di
 focus on them therefore looks the same through every part of the lens. The radiance of a specular
 lobe changes by at most its slope times the angle that the lens subtends, and by at most its largest
 value. The radiance of a diffuse part that is not Lambertian changes by at most twice its difference
-from a Lambertian surface, and by at most its whole value. A mirror or glass shows different objects
-through each part of the lens: there is no bound.
+from a Lambertian surface, and by at most its whole value. A mirror or glass may show different
+objects to different parts of the lens, so there is no bound.
 """
 
 import numpy as np
@@ -58,7 +58,8 @@ def _plain(sums: Sums) -> np.ndarray:
 
 
 def _is_smooth(shape: Shape) -> bool:
-    """Return whether a shape has shading normals, which may face away from a part of the lens."""
+    """Return whether a shape has shading normals. A shading normal may face one part of the lens
+    and not another."""
     return isinstance(shape, TriangleMesh) and shape.normals is not None
 
 

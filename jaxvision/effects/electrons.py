@@ -35,7 +35,7 @@ def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
 
 
 def detected(sensor: Mapping[str, Any], photons: np.ndarray) -> float:
-    """Return the number of photoelectrons behind all filters, in the pixel that has most."""
+    """Return the number of photoelectrons in the pixel with the most light behind its filters."""
     electrons = photons
     with np.errstate(invalid="ignore"):  # 0 times inf: no bound is known
         for factor in (sensor["infrared_cut"], sensor["quantum_efficiency"]):
@@ -48,8 +48,8 @@ def detected(sensor: Mapping[str, Any], photons: np.ndarray) -> float:
 
 
 def beside_light(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
-    """Return the largest number of electrons that the light offset adds to a pixel or removes from
-    it."""
+    """Return the largest number of electrons that the sensor's light offset adds to a pixel or
+    removes from it."""
     match sensor["light_offset"]:
         case None:
             return 0.0
@@ -67,14 +67,15 @@ def share_of_light(aperture: PixelAperture) -> float:
 
 
 def exposure(sensor: Mapping[str, Any]) -> float:
-    """Return the exposure time, in s, or 1 if rates are already counts."""
+    """Return the exposure time, in s, or 1 for a sensor without exposure time, whose rates are
+    counts per exposure."""
     return 1.0 if sensor["exposure_time"] is None else float(sensor["exposure_time"])
 
 
 def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
-    """Return the variances, in electrons^2 by the name of the field, of all noise that is added
-    after the conversion, both fixed-pattern and temporal. `sensor` holds the fields of a sensor by
-    name, with None for dropped effects."""
+    """Return the variance, in electrons^2, of each noise or fixed pattern that is added after the
+    charge is converted to a voltage, by the name of its field. `sensor` holds the fields of a
+    sensor by name, with None for dropped effects."""
     found = {}
     for name in ("dsnu", "column_dsnu", "row_dsnu", "row_noise", "column_noise", "frame_noise"):
         if sensor[name] is not None:

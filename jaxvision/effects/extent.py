@@ -1,20 +1,22 @@
 """Bound the change if a rectangular light is replaced by a small light at its centre.
 
-At a receiver point x, the integrand over lamp points y is cos_l cos_s / r^2 = H (n.(y - x)) / r^4.
-Here r is the distance |y - x|, n the receiver's normal, and H its constant height above the lamp's
-plane. The second derivative along a unit vector t in the lamp's plane is H r^-5 [(24 c^2 - 4) cos_s
-- 8 c n.t], with c = t.(y - x) / r. Over all normals it is at most H r^-5 sqrt((16 c^2 - 4)^2 + 64
-c^2 (1 - c^2)), which is largest at c = 1: 12 H r^-5. The error of the midpoint rule is at most half
-of that times m2 = (u^2 + v^2) / 12, the mean square distance of lamp points from the centre, with u
-and v the lamp's sides:
+The irradiance of a receiver point x is an integral over the lamp's points y. Its integrand is cos_l
+cos_s / r^2 = H (n.(y - x)) / r^4, where r is the distance |y - x|, cos_l and cos_s are the cosines
+at lamp and receiver, n is the receiver's normal, and H is the height of x above the lamp's plane.
+The second derivative of the integrand with respect to y, along a unit vector t in the lamp's plane,
+is H r^-5 [(24 c^2 - 4) cos_s - 8 c n.t], with c = t.(y - x) / r. For any normal n, this derivative
+is at most H r^-5 sqrt((16 c^2 - 4)^2 + 64 c^2 (1 - c^2)), which is at most 12 H r^-5, its value at
+c = 1. The error of the midpoint rule is at most half of 12 H r^-5 times m2 = (u^2 + v^2) / 12. Here
+u and v are the lamp's sides, and m2 is the mean square distance of lamp points from the centre. So
+the irradiance E of the lamp and E_middle of the small light differ by
 
     |E - E_middle| <= L A / d^2 (H / d) [6 m2 / (d^2 (1 - q)^5) + kink],   q = half diagonal / d
 
-Here L is the radiance, A the area, and d the distance from the centre. The term kink = sqrt(m2) /
-(2 d (1 - q)^4) is needed only if the receiver's horizon can cross the lamp. The light of a specular
-lobe changes by its slope along the lamp, and by at most its largest value under either light. The
-latter is also the bound for points in a penumbra, and for lobes that end at a horizon which can
-cross the lamp. Lengths in m.
+Here L is the lamp's radiance, A its area, and d the distance of x from its centre. The term kink =
+sqrt(m2) / (2 d (1 - q)^4) is needed only if the receiver's horizon can cross the lamp. The light of
+a specular lobe changes by its slope along the lamp, and by at most its largest value under either
+light. This largest value is also the bound for points in a penumbra, and for lobes that become 0 at
+a horizon which can cross the lamp. Lengths in m.
 """
 
 import numpy as np
@@ -83,7 +85,7 @@ def _distance(place: Source, cells: Cells) -> np.ndarray:
 
 
 def _height(place: Source, cells: Cells) -> np.ndarray:
-    """Return the largest height of each cell above the lamp's plane, (c,) m."""
+    """Return the largest distance of a point of each cell above the lamp's plane, (c,) m."""
     over = (cells.centre - place.places[0]) @ place.normal
     return np.maximum(over + cells.radius, 0)
 
@@ -109,8 +111,8 @@ def _lobes(
     lamp: tuple[np.ndarray, np.ndarray, float],
 ) -> np.ndarray:
     """Bound the change of the light of specular lobes, (c, bands), by the lobe's slope along the
-    lamp and by the change of the irradiance. `either` bounds that light under either lamp.
-    """
+    lamp and by the change of the irradiance. `either` bounds the light of the lobes under the
+    rectangular lamp and under the small light."""
     q, d, rms = lamp
     of_cell = sums.cells.surface
     along = times(slopes(sums)[of_cell], peak * rms / (d * (1 - q)))

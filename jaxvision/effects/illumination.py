@@ -1,11 +1,11 @@
 """Bound the light that reaches each cell from each light.
 
-A light is represented by a few balls, each with an intensity. A point is one ball; a rectangle is
-divided into pieces. The irradiance E of a surface that faces the light is at most the sum of I
-cos(theta) / d^2 over the balls, where I is the intensity, d a lower bound of the distance, and the
-cosine of emission has its largest value. A light of radiance L gives at most pi L if weighted by
-the receiver's cosine, and at most 2 pi L without it. E is given per unit of the light's own
-`spectrum`. Lengths are in m.
+A light is represented by a few balls, each with an intensity. A point light is one ball. A
+rectangular light is divided into pieces, with one ball each. The irradiance E of a surface that
+faces the light is at most the sum of I cos(theta) / d^2 over the balls, where I is the intensity, d
+a lower bound of the distance, and the cosine of emission has its largest value. The integral of a
+light's radiance L over directions is at most pi L if weighted by the receiver's cosine, and at most
+2 pi L without the cosine. E is given per unit of the light's `spectrum`. Lengths are in m.
 """
 
 from collections.abc import Sequence
@@ -22,15 +22,15 @@ from .cells import Cells, Eye
 
 
 def has_size(light: Light) -> bool:
-    """Return whether light from this source may reach a point from many directions. This is assumed
-    of types that are not registered."""
+    """Return whether light from this source may reach a point from many directions. The answer for
+    a type of light that is not registered is True."""
     own = kinds().get(type(light))
     return own is None or hasattr(own, "seen")
 
 
 def source_of(light: Ends[Any]) -> Source:
-    """Return the bounds that a light has over the range of its free parameters; inf for a type
-    without a bound."""
+    """Return bounds on a light over the range of its free parameters; inf for a type without a
+    bound."""
     own = kinds().get(type(light.low))
     if own is not None and own.bound is not None:
         return own.bound(light)
@@ -58,7 +58,7 @@ class Arrived(NamedTuple):
 
 def arriving(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
     """Bound the light from one light source on the cells. `least`, (c,) m, is a known lower bound
-    of their distance."""
+    on the distance of each cell from the light."""
     count = len(cells.radius)
     if source.kind == "sky":
         e = np.full((count, 1), 2 * np.pi * source.share)
@@ -82,8 +82,8 @@ def of_lobes(
     arrived: Arrived, source: Source, lobes: Sequence[Lobe | None], cells: Cells, eye: Eye
 ) -> np.ndarray:
     """Return the largest product E f_r cos / k_s, (c,), of the irradiance E and the lobe's shading
-    toward the eye, per unit of the light's spectrum. A surface without a lobe, None in `lobes`, has
-    0. Lengths in m."""
+    f_r cos toward the eye, divided by the lobe's reflectance k_s, per unit of the light's spectrum.
+    The product is 0 for a surface without a lobe (None in `lobes`). Lengths in m."""
     found, e = np.zeros(len(cells.radius)), arrived.e
     has = np.array([own is not None for own in lobes], bool)[cells.surface]
     angles = None
@@ -115,9 +115,9 @@ def times(a: np.ndarray, b: np.ndarray | float) -> np.ndarray:
 def _toward_places(
     source: Source, cells: Cells, least: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return, for each cell and light position, the unit direction to the light, (c, s, 3), its
-    variation over the cell, rad, the largest cosine of incidence, and the largest E, (c, s)
-    each."""
+    """Return the unit direction from each cell to each light position, (c, s, 3). Also return the
+    variation of this direction over the cell, in rad, the largest cosine of incidence, and the
+    largest irradiance E, (c, s) each."""
     apart = source.places - cells.centre[:, None]
     distance = np.linalg.norm(apart, axis=-1)
     wi, size = unit(apart), cells.radius[:, None] + source.size

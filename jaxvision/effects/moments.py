@@ -24,8 +24,8 @@ def scene_rows(
     bound on the light at the camera.
 
     If the scene moves, the sensor's exposure time and shutter determine the times, in s, of the
-    bounds. A moving scene keeps its lights and bands, because the motion may refer to them by
-    index.
+    bounds. No light and no band of a moving scene is dropped, because the motion may refer to
+    lights and bands by index.
     """
     depth, caustics, motion = method.depth, method.caustics, method.motion
     rows, arriving, sums = scene_stage(scene, view, depth=depth, caustics=caustics)
@@ -66,14 +66,15 @@ def _uncut(row: Row) -> Row:
 
 
 def _ladder_order(row: Row) -> float:
-    """Return the sort key that puts each `Row` of a path length last, from short to long paths."""
+    """Return the sort key of a `Row`. The rows that limit the number of path segments come last,
+    smallest limit first."""
     return -row.saves if row.ladder == "bounces" else -2.0
 
 
 def _moved(
     scene: Ends[Scene], view: Ends[View], motion: Motion, times: Sequence[float] | np.ndarray
 ) -> Iterator[tuple[Ends[Scene], Ends[View]]]:
-    """Yield the scene and the view at each time, in s, as records without free parameters."""
+    """Yield the scene and the view at each time, in s. All their parameters are fixed."""
     dtype = view.low.pixel_pitch.dtype
     for time in times:
         there, seen = motion(scene.low, view.low, jnp.asarray(time, dtype))
@@ -81,8 +82,8 @@ def _moved(
 
 
 def _unique_rows(moments: Sequence[Sequence[Row]]) -> Iterator[Row]:
-    """Return the `Row` of each effect once, with its largest bound over all times. An object that
-    the motion adds or removes is never dropped."""
+    """Return one `Row` for each effect, with the largest bound over all times. An object that the
+    motion adds or removes is never dropped."""
     found: dict[str, list[Row]] = {}
     for rows in moments:
         for row in rows:

@@ -1,15 +1,16 @@
 """Bound the displacement of points in the picture by motion during an exposure.
 
-Rendering evaluates a motion at a few times, and the bound uses exactly these. A body is the convex
-hull of its corners, which move with it: its point x = sum w_i x_i moves to x' = sum w_i x'_i. With
-coordinates X across and Z along the camera's axis, a visible point of slope up to M moves by
+Rendering evaluates a motion at a few times, and the bound is computed for exactly these times. A
+body is the convex hull of its corners x_i. A point x = sum w_i x_i of the body, with weights w_i,
+moves to x' = sum w_i x'_i, where x'_i are the moved corners. With coordinates X across and Z along
+the camera's axis, a visible point with |X / Z| <= M moves in the picture by
 
     |X' / Z' - X / Z| = |(X' - X) - (X / Z)(Z' - Z)| / Z' <= (max |dX_i| + M max |dZ_i|) / min Z_i,
 
-divided by the pixel pitch and multiplied by the distance to the sensor, in pixels. Rays through a
-point of the aperture at most r from the axis have slopes up to M + r / z_f, with the focus distance
-z_f. There is no bound on the change of shading: a body that rotates or passes a lamp changes its
-own shading and the shadows around it. The result is therefore an estimate, unless nothing moves.
+times the distance to the sensor over the pixel pitch, in pixels. Rays through a point of the
+aperture at most r from the axis have slopes up to M + r / z_f, with the focus distance z_f. There
+is no bound on the change of shading: a body that rotates or passes a lamp changes its own shading
+and the shadows around it. The result is therefore an estimate, unless nothing moves.
 """
 
 from collections.abc import Callable, Sequence
@@ -50,9 +51,9 @@ def motion_stage(
     sensor: Ends[Sensor],
     moments: int | None,
 ) -> tuple[Row, ...]:
-    """Return a `Row` "motion" and a `Row` "sensor.shutter", if there are any. They compare the
-    scene at rest with the scene at `moments` times of the exposure, over the range of the free
-    parameters."""
+    """Return a `Row` "motion" and a `Row` "sensor.shutter" if the scene moves or the sensor has a
+    shutter. Both bounds compare the scene at rest with the scene at `moments` times of the
+    exposure, over the range of the free parameters."""
     shutter = sensor.high.shutter
     if motion is None:
         why = "nothing moves: all rows see the same scene"
@@ -179,7 +180,8 @@ def _camera_coordinates(view: View, points: np.ndarray) -> np.ndarray:
 
 
 def _points(shape: Any) -> np.ndarray | None:
-    """Return corners, (n, 3) m, that move with a shape, or None for an unbounded one."""
+    """Return the corners, (n, 3) m, of a convex body that contains a shape and moves with it, or
+    None for an unbounded shape."""
     if isinstance(shape, TriangleMesh):
         return np.asarray(shape.vertices, float)
     if isinstance(shape, np.ndarray):
@@ -188,7 +190,7 @@ def _points(shape: Any) -> np.ndarray | None:
 
 
 def _without_places(scene: Scene, view: View) -> tuple[Any, ...]:
-    """Return the parts of a scene and a view that a pure motion leaves unchanged."""
+    """Return the parts of a scene and a view that do not change if objects only move."""
     surfaces = [(s.material, s.emission) for s in scene.surfaces]
     optics = {k: v for k, v in vars(view).items() if k not in ("position", "rotation")}
     return scene.lights, scene.ambient, surfaces, optics

@@ -1,11 +1,10 @@
 """Bound the change of irradiance, and the displacement of light, by each part of a lens.
 
 The gain from radiance to irradiance of each pixel, its `brightness`, is the picture of a scene of
-radiance 1. Parts that change this gain (rim, distortion) are bounded by the change of the gain over
-all pixels, times the largest radiance. Parts that move light (distortion, defocus, sampling inside
-a pixel) are bounded by the largest displacement in pixels. The irradiance of a pixel is then a mean
-over points up to this distance away. Defocus is also bounded by the difference of a point's
-radiance between parts of the lens.
+radiance 1. The bound for parts that change this gain (rim, distortion) is the largest change of the
+gain over all pixels, times the largest radiance. The bound for parts that move light (distortion,
+defocus, sampling inside a pixel) is the largest displacement in pixels. Defocus has a second bound,
+the difference in a point's radiance between parts of the lens.
 """
 
 import math
@@ -35,7 +34,7 @@ def optics_stage(
     view: Ends[View], arriving: Arriving, *, samples: Any = None, oversampling: int = 1
 ) -> tuple[tuple[Row, ...], OnSensor]:
     """Return a `Row` for each part of a view, and the largest irradiance and gain on the sensor.
-    The lens is evaluated on a grid that is finer than the pixels by `oversampling`."""
+    The lens is evaluated on a grid that has `oversampling` times as many points per pixel side."""
     radiance = np.asarray(arriving.radiance, float)
     grids = _Grids(view, oversampling)
     opening = grids.opening
@@ -58,8 +57,8 @@ def optics_stage(
 
 
 class _Grids:
-    """Cached pictures of a scene of radiance 1, with and without parts of the lens, on the grid of
-    all samples of the pixel apertures."""
+    """Caches pictures of a scene of radiance 1, with and without parts of the lens. The grid of the
+    pictures contains all samples of the pixel apertures."""
 
     def __init__(self, view: Ends[View], oversampling: int) -> None:
         self.view, self.oversampling = view, oversampling
@@ -67,8 +66,8 @@ class _Grids:
         self.slopes = cache(self._slopes)
 
     def without(self, *parts: str) -> View:
-        """Return the view without some of its parts, with pixels as fine as the samples of the
-        pixel aperture."""
+        """Return the view without some of its parts, with one pixel for each sample of the pixel
+        apertures."""
         view, n = self.view.high, self.oversampling
         rows, columns = view.resolution
         view = replace(view, resolution=(n * rows, n * columns), pixel_pitch=view.pixel_pitch / n)
@@ -132,8 +131,8 @@ _brightness_of = jax.jit(sensor_irradiance)
 
 def opening_of(view: View) -> float:
     """Return the gain on the axis, in W m^-2 per W m^-2 sr^-1: pi / (4 N^2) for a given f-number N,
-    or the aperture's area over the squared distance to the sensor. A view that returns radiance has
-    1. Rim, distortion and diffraction are not included."""
+    or the aperture's area over the squared distance to the sensor. The gain is 1 for a view that
+    returns radiance. Rim, distortion and diffraction are not included."""
     if isinstance(view, ThinLens):
         area = float(aperture_area(view.aperture, view.focal_length / view.f_number))
         return area * float(sensor_vergence(view)) ** 2
@@ -141,8 +140,8 @@ def opening_of(view: View) -> float:
 
 
 def rim(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
-    """Bound the light that the rim of the lens removes: the largest difference of the gain without
-    the rim and with it.
+    """Bound the light that the rim of the lens removes by the largest difference between the gains
+    without and with the rim.
 
     The bound is exactly 0 if every pixel sees the whole aperture through the rim. The bound is
     valid with and without the distortion of the lens.
@@ -160,8 +159,8 @@ def rim(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
 
 def _passes(grids: _Grids, *gone: str) -> bool:
     """Return whether the rim clears the aperture for every pixel: r |1 - l / z_f| + l t <= R. Here
-    r is the radius of the aperture's farthest point, l the rim's distance from the lens, z_f the
-    focus distance, t the largest slope of a chief ray, and R the rim's radius."""
+    r is the distance of the aperture's farthest point from the axis, l the rim's distance from the
+    lens, z_f the focus distance, t the largest slope of a chief ray, and R the rim's radius."""
     view = grids.view.high
     assert isinstance(view, ThinLens)
     assert view.rim is not None
@@ -194,11 +193,11 @@ def diffraction(
     view: Ends[View], irradiance: np.ndarray, oversampling: int
 ) -> tuple[np.ndarray, float, str]:
     """Bound the change of irradiance E by diffraction: (1 - k_0) sup E, where k_0 is the kernel's
-    value at its centre. The library's kernel is positive and has sum 1.
+    value at its centre. This holds because the kernel of the diffraction is positive and has sum 1.
 
     For a lens with free parameters, k_0 is at least the share of the widest diffraction pattern
-    that falls on its central pixel. A narrower pattern has a larger share there, and normalising
-    the kernel to sum 1 does not reduce it.
+    that falls on its central pixel. A narrower pattern has a larger share on its central pixel.
+    Normalising the kernel to sum 1 does not reduce this share.
     """
     middles, lenses = [], corners(view)
     for lens in lenses:
@@ -224,8 +223,9 @@ def diffraction(
 
 
 def middle_pixel_share(width: np.ndarray) -> np.ndarray:
-    """Return the smallest share of its light that an Airy pattern puts on the pixel at its centre,
-    (...) no unit. The pattern has lambda N of at most `width` pixels.
+    """Return the smallest share of the light of an Airy pattern that falls on the pixel at the
+    pattern's centre, (...) no unit. The product lambda N of the pattern's wavelength and f-number
+    is at most `width` pixels. The share is
 
         1 - integral (J_0^2 + J_1^2) / (2 pi r^2) (r . n) ds   around the pixel
 
@@ -243,17 +243,18 @@ def middle_pixel_share(width: np.ndarray) -> np.ndarray:
 
 
 def defocus(view: Ends[View], near: float, far: float, *, wider: float = 1.0) -> float:
-    """Return the largest displacement of a ray, pixels: r z_i |1 / z - 1 / z_f| over the pitch.
+    """Return the largest displacement of a ray by defocus, pixels: r z_i |1 / z - 1 / z_f| over the
+    pitch.
 
     `near` and `far` are the smallest and largest depths in the picture, in m; inf is allowed.
     `wider` is the largest factor by which distortion magnifies small distances. The result is inf
     if objects may touch the lens.
 
-    Here r is the radius of the aperture's farthest point, z_i the distance to the sensor, z the
-    depth and z_f the focus distance. For a round aperture the result is half the diameter of the
-    largest circle of confusion. The displacement is monotone in 1 / z, the focal length, the
-    f-number and the focus distance. Its largest value is therefore at an end of the range of depths
-    and of each free parameter.
+    Here r is the distance of the aperture's farthest point from the axis, z_i the distance to the
+    sensor, z the depth and z_f the focus distance. For a round aperture the result is half the
+    diameter of the largest circle of confusion. The displacement is monotone in 1 / z, the focal
+    length, the f-number and the focus distance. Its largest value is therefore at an end of the
+    range of depths and of each free parameter.
 
     Source:
         Szeliski, Computer Vision, section 2.2.3.
@@ -274,8 +275,9 @@ def defocus(view: Ends[View], near: float, far: float, *, wider: float = 1.0) ->
 
 def stretch(view: Pinhole | ThinLens, steepest: float) -> float:
     """Return the largest relative factor, >= 1, by which distortion magnifies small distances on
-    the sensor. The norm of its derivative is at most 1 + sum (2 i + 1) |k_i| r^2i + 6 |p| r, with r
-    the largest slope of a chief ray in the picture."""
+    the sensor. The norm of the derivative of the distortion is at most 1 + sum (2 i + 1) |k_i| r^2i
+    + 6 |p| r, with the radial coefficients k_i, the tangential coefficients p, and the largest
+    slope r of a chief ray in the picture."""
     if view.distortion is None:
         return 1.0
     radial = np.abs(np.asarray(view.distortion.radial, float))
@@ -290,8 +292,8 @@ def stretch(view: Pinhole | ThinLens, steepest: float) -> float:
 
 def _defocus_row(view: Ends[View], grids: _Grids, arriving: Arriving, radiance: np.ndarray) -> Row:
     """Return the `Row` for replacing a lens by a pinhole with the same sensor distance and gain.
-    The replacement displaces light that is out of focus. It changes the brightness of a point whose
-    radiance differs between parts of the lens."""
+    The replacement displaces light that is out of focus. The replacement also changes the
+    brightness of a point whose radiance differs between parts of the lens."""
     lens = view.high
     assert isinstance(lens, ThinLens)
     wider = 1.0

@@ -1,20 +1,22 @@
 """Bound how far a random charge exceeds a level, by its moment-generating function.
 
-For every theta > 0 and x >= 0, x <= exp(theta x) / (e theta) and x^2 <= (2 / (e theta))^2 exp(theta
-x). With x = (N - w)+, the excess of a charge N over the level w, this gives (Chernoff)
+Let N be the random charge, w the level, and (N - w)+ the excess, which is 0 below the level. For
+every theta > 0, x <= exp(theta x) / (e theta) and x^2 <= (2 / (e theta))^2 exp(theta x) for all x
+>= 0. With x = (N - w)+, the expectations satisfy Chernoff's bounds
 
     E (N - w)+    <=  E exp(theta (N - w)) / (e theta),
     E (N - w)+^2  <=  E exp(theta (N - w)) (2 / (e theta))^2,
 
-and the smallest value over a grid of theta is the bound. A charge of mean m has E exp(theta N) =
-exp(m u), where u depends on the counting statistics:
+and the smallest value over a grid of theta is used. A charge of mean m has E exp(theta N) = exp(m
+u), where u depends on how the electrons are counted:
 
-    u = theta                 not counted
-    u = exp(theta) - 1        counted, Poisson
-    u = theta + theta^2 / 2   counted, Gaussian
+    u = theta                 no shot noise
+    u = exp(theta) - 1        Poisson shot noise
+    u = theta + theta^2 / 2   Gaussian shot noise
 
-The mean m is itself random: m = light max(1 + p g, 0) + dark + the excess of a hot pixel, where p
-is the PRNU, g is standard normal and the excess is exponential.
+The mean m varies between pixels: m = light max(1 + p g, 0) + dark + hot, where light and dark are
+the expected electrons, p is the PRNU, g is standard normal, and the electrons hot of a hot pixel
+are exponentially distributed.
 """
 
 import math
@@ -71,7 +73,8 @@ def excess(charge: Charge, level: float) -> Excess:
 
 
 def _log_tail(charge: Charge, level: float) -> np.ndarray:
-    """Compute ln E exp(theta (N - w)) at each theta of the grid; inf where it is not finite."""
+    """Compute ln E exp(theta (N - w)) for a charge N and a level w, at each theta of the grid; inf
+    where the expectation is not finite."""
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         match charge.counting:
             case "none":
@@ -96,8 +99,8 @@ def _below(rms: float) -> float:
 
 
 def _tail_mean(rms: float) -> float:
-    """Return E max(1 + rms g, 0) - 1 for a standard normal g: the increase of the mean sensitivity
-    by clipping at 0."""
+    """Return E max(1 + rms g, 0) - 1 for a standard normal g: the increase of the mean of a pixel's
+    relative sensitivity by clipping at 0."""
     if rms == 0:
         return 0.0
     z = 1 / rms
