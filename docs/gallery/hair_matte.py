@@ -23,7 +23,7 @@ picture = (picture + rng.normal(0, 0.004, picture.shape)).clip(0)
 trimap = np.where(x < 38, 1.0, np.where(x > 84, 0.0, 0.5))
 found = jv.matting.matte_errors(jax.random.key(0), picture, trimap)
 error = np.abs(found.alpha[..., 0] - cover)
-figure, axes = plt.subplots(1, 4, figsize=(9, 2.3))
+figure, axes = plt.subplots(1, 4, figsize=(6.6, 1.8))
 axes[0].imshow(jv.srgb_encode(picture.clip(0, 1)))
 axes[1].imshow(found.alpha[..., 0], cmap="gray", vmin=0, vmax=1)
 for axis, shown in zip(axes[2:], (found.alpha_sd[..., 0], error), strict=True):
