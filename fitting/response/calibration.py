@@ -39,10 +39,11 @@ class ChannelResponse:
         curve: log exposure of every code.
         gamma: fit of the best pure gamma curve.
         radiance: the merged map.
-        clear: whether the curve omits pixels near clipped ones; it does unless too few pixels would
-            remain.
-        hidden_peaks: whether there are clipped peaks whose codes do not show it.
-        clear_of_hidden: whether the curve also omits pixels near hidden peaks.
+        clear: whether the fit of the curve omits pixels near clipped pixels. False if too few
+            pixels would remain.
+        hidden_peaks: whether the images have clipped peaks that a blur reduced to codes below the
+            clip level.
+        clear_of_hidden: whether the fit of the curve also omits pixels near such hidden peaks.
         shared_rounding: rms error, in DN, from JPEG's colour rounding that all pixels of a code
             share; 0 if there is none.
     """
@@ -82,8 +83,8 @@ def calibrate(
 ) -> ResponseCalibration:
     """Calibrate the response of every plane of a stack.
 
-    A plane that cannot be calibrated (too dark, all clipped) is listed in `skipped` with the
-    reason.
+    A plane that cannot be calibrated, for example because all its pixels are clipped, is listed in
+    `skipped` with the reason.
 
     Args:
         stack: exposures of still scenes.
@@ -113,8 +114,9 @@ def calibrate(
 def _recalibrate_with_exact_times(
     stack: ExposureStack, channels: list[ChannelResponse], sampling: Emcee | None, seed: int
 ) -> tuple[ExposureStack, list[ChannelResponse]]:
-    """If the stated exposure times are rounded for display and the images agree with exact times,
-    return the stack and its calibration with exact times; else return both unchanged."""
+    """Return the stack and its calibration with exact exposure times if the stated times are
+    rounded for display and the images agree with the exact times. Otherwise return both
+    unchanged."""
     stated = _shutter_error_of(channels)
     times = np.unique(np.concatenate([channel.plane.exposures for channel in channels]))
     for exact in exact_times(times) if stated else ():
@@ -144,14 +146,15 @@ def _recalibrate_with_exact_times(
 
 
 def _shutter_error_of(channels: Sequence[ChannelResponse]) -> float:
-    """Return the largest shutter error of the channels; 0 if none shows one."""
+    """Return the largest shutter error of the channels; 0 if no channel has a measurable shutter
+    error."""
     return max(channel.curve.shutter_error or 0.0 for channel in channels)
 
 
 def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> str:
-    """Return a sentence on the images without which all others agree; empty if there are none.
-    (There may be several, because a free curve can adapt to a wrong image near the end of a
-    stack.)"""
+    """Return a sentence that names the images without which all others agree on a curve. The
+    sentence is empty if there are no such images. Several images may qualify, because a free curve
+    can adapt to a wrong image near the end of a stack."""
     count = len(plane.files)
     if count < FEWEST_TO_LEAVE_OUT:
         return ""
@@ -236,9 +239,9 @@ def _calibrate(
 def _first_that_fits(
     curve_of: Callable[..., ResponseCurve], attempts: Sequence[np.ndarray]
 ) -> tuple[ResponseCurve, np.ndarray]:
-    """Return the curve of the first set of codes for which the fit succeeds, and these codes. Sets
-    are first tried for a curve through mid-scale, then for any curve. If no fit succeeds, raise the
-    last error."""
+    """Return the first set of codes for which a curve can be fitted, and the curve. All sets are
+    first tried for a curve through mid-scale, then for a curve without that condition. If no fit
+    succeeds, raise the last error."""
     *others, (last, dim) = [(codes, dim) for dim in (False, True) for codes in attempts]
     for codes, may_be_dim in others:
         with contextlib.suppress(InputError):
@@ -279,8 +282,9 @@ def crop_alike(planes: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
-    """Combine the radiance maps of a colour's taps to one map. Radiances of a tap are relative to
-    its own mid-scale, so neighbouring pixels determine the ratio between taps."""
+    """Combine the radiance maps of a colour's amplifier taps to one map. The radiances of each tap
+    are relative to the mid-scale of that tap, so the ratio between two taps is estimated from
+    neighbouring pixels."""
     first = taps[0]
     bins, factor = first.curve.bins, np.float32(1)
     if bins.anchor is not None:  # no pixel is at mid-scale, where relative exposure is 1
@@ -312,7 +316,8 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
 
 
 def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
-    """Insert the map of a part of the frame, scaled so that there is no step at the border."""
+    """Insert the radiance map of a part of the frame into `whole`, scaled so that there is no step
+    at the border."""
     own = part.radiance.radiance
     (row, column), (height, width) = part.plane.start, own.shape
     rows, columns = np.s_[row : row + height], np.s_[column : column + width]
@@ -331,7 +336,8 @@ def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
 
 
 def _border_values(lines: np.ndarray) -> np.ndarray:
-    """Extrapolate from the first two lines to half a line before the first."""
+    """Extrapolate an image from its first two lines to the border half a line before the first
+    line."""
     return lines[0] if len(lines) < 2 else 1.5 * lines[0] - 0.5 * lines[1]
 
 

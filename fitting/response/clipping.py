@@ -1,14 +1,16 @@
 """Detection of pixels that are too dark because their neighbours clipped.
 
 Demosaicking, resampling, denoising and JPEG blocks mix neighbours after the sensor has clipped, so
-a pixel near a clipped one is too dark. The error is the same in every tile and exposure, so no
-other check reveals it. Such pixels count as clipped.
+a pixel near a clipped one is too dark. This error is the same in every tile and exposure, so no
+comparison of tiles or exposures reveals the error. Therefore pixels near clipped pixels count as
+clipped.
 
-A camera that blurs its picture may also hide a clipped peak: after the blur its codes are below the
-clip level. The next shorter exposure reveals such peaks. If there are hidden peaks, the pixels
-around them are darker in the longer exposure than other pixels with the same code in the shorter
-one. If there are none, they are equally bright. If the difference is significant given its scatter
-over tiles of the picture, pixels around such peaks also count as clipped.
+A camera that blurs its picture may also hide a clipped peak: after the blur, the codes of the peak
+are below the clip level. The next shorter exposure reveals such hidden peaks. Pixels around a
+hidden peak are darker in the longer exposure than other pixels with the same code in the shorter
+exposure. Without hidden peaks, pixels with the same code in the shorter exposure are equally bright
+in the longer exposure. If the mean difference is significant given its scatter over tiles of the
+picture, pixels around the hidden peaks also count as clipped.
 """
 
 import numpy as np
@@ -38,10 +40,10 @@ def clear_of_clipping(
         codes: (exposures, h, w) DN, by exposure time.
         clip: DN from which a code is saturated.
         mask: (h, w), true where the scene may be used; None for all pixels.
-        hidden: whether to look for clipped peaks whose codes do not show it.
+        hidden: whether to search for clipped peaks that a blur reduced to codes below `clip`.
 
     Returns:
-        Codes of the same shape. Within `MIXED` pixels of a clipped code or of a hidden peak they
+        Codes of the same shape. Codes within `MIXED` pixels of a clipped code or of a hidden peak
         are set to `clip`, rounded up.
 
     Example:
@@ -67,8 +69,9 @@ def _around(mask: np.ndarray) -> np.ndarray:
 
 
 def _lost_peaks(codes: np.ndarray, clip: float, contrast: float, scene: np.ndarray) -> np.ndarray:
-    """Return a mask of probable hidden peaks: where the shorter exposure, after its contrast to the
-    mean of 3 x 3 pixels is increased, reaches the codes that clip in the longer one."""
+    """Return a mask of probable hidden peaks. The contrast of the shorter exposure to the mean of 3
+    x 3 pixels is increased, to undo a blur. A peak is probable where the result reaches the codes
+    that clip in the longer exposure."""
     lost = np.zeros(codes.shape, bool)
     for shorter, longer, where in zip(codes, codes[1:], lost[1:], strict=False):
         clipped = (longer >= clip) & scene
@@ -82,9 +85,9 @@ def _lost_peaks(codes: np.ndarray, clip: float, contrast: float, scene: np.ndarr
 def _darker_p_value(
     codes: np.ndarray, clip: float, lost: np.ndarray, left_out: np.ndarray
 ) -> float:
-    """Test whether pixels around hidden peaks are darker than others with the same code in the
-    shorter exposure. Return the p-value, from the scatter over tiles; 1 if nothing can be
-    compared."""
+    """Test whether, in the longer exposure, pixels around hidden peaks are darker than other pixels
+    with the same code in the shorter exposure. Return the p-value, from the scatter over tiles; 1
+    if no pixels can be compared."""
     rows, columns = np.indices(codes.shape[1:])
     tile = rows * SIDE // codes.shape[1] * SIDE + columns * SIDE // codes.shape[2]
     width = max(1, round(clip / INTERVALS))

@@ -41,9 +41,9 @@ class CodeBins:
         return (np.log(above) + np.log(self.edges[1:] - self.black)) / 2
 
     def pace(self, codes: Float[np.ndarray, " codes"]) -> Float[np.ndarray, " codes"]:
-        """Return the derivative of a scale on which measured curves have about constant roughness,
-        per DN: 1 / z + sqrt(F) / (F - z)^1.5, with z the code above black and F the full scale
-        above black."""
+        """Return, per DN, the derivative of a scale of codes on which measured curves have about
+        constant roughness. The derivative is 1 / z + sqrt(F) / (F - z)^1.5, with z the code above
+        black and F the full scale above black."""
         z = codes - self.black
         full = self.edges[-1] - self.black + 0.5
         return 1 / z + np.sqrt(full) / (full - z) ** 1.5
@@ -65,8 +65,9 @@ def code_bins(
     origin: int = 0,
     black_sd: float = 0.0,
 ) -> CodeBins:
-    """Make bins of codes: one for each code if there are at most `count`. Otherwise make bins of
-    equal width in sqrt(DN - black), in proportion to shot noise."""
+    """Make bins of codes. If there are at most `count` codes, each code has a bin. Otherwise the
+    bins have equal width in sqrt(DN - black), so that their width in DN is proportional to shot
+    noise."""
     first = int(np.floor((black - origin) / step)) + 1
     last = min(int(np.ceil((clip - origin) / step)), (2**bits - 1 - origin) // step) - 1
     if last - first + 1 <= count:

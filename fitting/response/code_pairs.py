@@ -1,22 +1,25 @@
 """The sufficient statistics of a response curve: weighted counts of the pairs of codes that a pixel
 has in two exposures.
 
-Each pixel has an unknown irradiance. Pixel i has in exposure j the residual r_ij = g(z_ij) - s_j -
-ln E_i, with weight w_ij. The weighted sum of squares, minimised over ln E_i, is
+Each pixel i has an unknown irradiance E_i. Pixel i with the code z_ij in exposure j has the
+residual r_ij = g(z_ij) - s_j - ln E_i, with weight w_ij. The weighted sum of squares, minimised
+over ln E_i, is
 
     chi^2 = sum_ij w_ij (g(z_ij) - s_j)^2 - sum_i (sum_j w_ij (g(z_ij) - s_j))^2 / sum_j w_ij
           = theta^T A theta,    theta = (g, s),
 
-where g is the curve's mean over each bin of codes and s the log exposure times. Thus A contains all
-information of the pixels about the curve. The expected gradient of chi^2 at the true curve, the
-score b, is not zero:
+where g is the curve's mean over each bin of codes and s the log exposure times. Thus the matrix A
+contains all information of the pixels about the curve. The expected gradient of chi^2 at the true
+curve, the score b, is not zero. Four effects contribute to b, given here for a change h(z) of the
+curve g, the weights w and residuals r of a pixel, and the share of noise in the variance of ln X:
 
-- noise in a code shifts its own g: E[w r h(z)] = (1 - w / sum w) (share) h' / g', the share
-  of the variance that is independent of the light;
-- rounding without noise depends on the light, not the code, and shifts the g of the pixel's other
-  codes instead: E[w r h(z)] = (w / sum w) h' / g' sum over the others of (1 - share);
-- noise before the curve lowers a logarithm, on average by half its variance;
-- a weight that changes across an interval of codes favours one of its ends.
+- Noise in a code shifts the g of that code: E[w r h(z)] = (1 - w / sum w) share h' / g', where
+  `share` is the share of the variance that is independent of the light.
+- A rounding error without noise is a function of the light. It shifts the g of the pixel's codes in
+  other exposures: E[w r h(z)] = (w / sum w) h' / g' times the sum of (1 - share) over these
+  exposures.
+- Noise before the response curve lowers the mean of ln X by half the variance of ln X.
+- A weight that changes across an interval of codes favours one end of the interval.
 
 Codes are DN; log exposures are relative.
 """
@@ -44,7 +47,7 @@ class PairStatistics:
         matrix: the matrix A.
         score: the score b.
         pixels: number of pixels.
-        observations: (exposures,) number of observations.
+        observations: (exposures,) number of pixels with a positive weight in each exposure.
         chi_square: of the residuals at the curve from which the weights were computed.
     """
 
@@ -77,8 +80,9 @@ def statistics_of_parts(
     rule: WeightRule,
     means: Float[np.ndarray, " bins"],
 ) -> list[PairStatistics]:
-    """Compute A and b for each of several sets of pixels. Their sums are A and b of all pixels,
-    because the scale of the noise and the density of codes come from all sets together."""
+    """Compute A and b for each of several sets of pixels. The scale of the noise and the density of
+    codes are estimated from all sets together, so that the A and b of the sets sum to those of all
+    pixels."""
     every = []
     for part in parts:
         sums = _Sums(len(rule.by_bin), len(means), len(log_t))
@@ -189,10 +193,11 @@ def _count_score(sums: _Sums, seen: Observations, rule: WeightRule) -> None:
 def _pull_of_noise(
     of_all: np.ndarray, bins: CodeBins, means: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the factors by which the bins below and above each edge contribute to sum (noise
-    share) h' / g', because noise moves codes across the edge, where h has a step. They follow from
-    the density of observations there, which is exact if it is exponential over both bins. Each bin
-    gets half, so that sets of pixels can be added."""
+    """Return two factors for each edge between bins: the contributions of the bin below and of the
+    bin above to sum (noise share) h' / g'. Noise moves codes across the edge, where the function h,
+    constant in each bin, has a step. The factors are exact if the density of observations is
+    exponential over both bins. Each of the two bins contributes half of the effect, so that sets of
+    pixels can be added."""
     width = np.diff(bins.edges)
     near, far = width[:-1], width[1:]
     below, above = of_all[:-1] / near, of_all[1:] / far
@@ -214,8 +219,9 @@ def _mean_over_centre(x: np.ndarray) -> np.ndarray:
 
 
 def _slope_at_ends(means: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """Return dg / dcode at the edges of bins. The exponent is smoothed, because errors in the slope
-    of a noisy curve correlate with the noise to be corrected."""
+    """Return dg / dcode at the edges of bins. The local exponent dg / d ln(code - black) is
+    smoothed, because errors in the slope of a noisy curve correlate with the noise to be
+    corrected."""
     apart, step = np.diff(bins.centres), np.diff(bins.log_codes)
     clock = np.cumsum(apart * bins.pace(bins.edges[1:-1]))
     near = step * np.exp(-(((clock[:, None] - clock) / SMOOTHED) ** 2) / 2)

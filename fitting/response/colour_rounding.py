@@ -5,10 +5,11 @@ A JPEG picture holds integers Y, Cb and Cr, from which the decoder computes (ITU
     R = Y + 1.402 Cr,   G = Y - 0.344136 Cb - 0.714136 Cr,   B = Y + 1.772 Cb,
 
 and rounds each product again. In a scene of several hues, pixels with equal codes have different
-rounding errors, which average out. In a scene of one hue the errors are equal, in every exposure
-and every part of the picture. The codes then deviate from a smooth response by half a code rms,
-which the scatter of pixels does not reveal. The variance of Cb and Cr among pixels of equal code
-determines how much the rounding errors average out (`weights.undithered_share`).
+rounding errors, which average out. In a scene of one hue, the rounding errors are equal in every
+exposure and every part of the picture. The codes of that scene deviate from a smooth response by
+half a code rms, and the scatter of pixels does not reveal this deviation. The variance of Cb and Cr
+among pixels of equal code determines how much the rounding errors average out
+(`weights.undithered_share`).
 """
 
 from collections.abc import Sequence
@@ -63,8 +64,8 @@ def shared_rounding(
 
 
 def add_shared_rounding(curve: ResponseCurve, shared: Float[np.ndarray, "256"]) -> ResponseCurve:
-    """Return the curve with a covariance that includes the shared rounding error of each code, and
-    of mid-scale, where g = 0."""
+    """Return the curve with a covariance that includes two shared rounding errors: that of each
+    code, and that of the code at mid-scale, where g = 0."""
     error = shared[np.rint(curve.codes).astype(int)] * np.gradient(curve.log_exposure, curve.codes)
     middle, variance = curve.bins.middle, error**2
     added = np.diag(variance) + variance[middle]

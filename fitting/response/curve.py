@@ -1,32 +1,37 @@
 """Fit of a response curve: the log exposure of every code, from all pixels of an exposure stack.
 
 Debevec & Malik (SIGGRAPH 1997) write g(z_ij) = ln E_i + s_j + noise for the code z of pixel i in
-image j. Here g is the log exposure, E_i the irradiance, and s_j = ln t_j + delta_j the log exposure
-time with a shutter error delta_j ~ N(0, tau^2) that all pixels of an image share. With weights w =
-1 / variance, the irradiances are eliminated in closed form (`code_pairs.py`). The remaining normal
-equations have the size of the curve, for any number of pixels:
+image j. Here g is the log exposure of a code, E_i is the irradiance, and s_j = ln t_j + delta_j is
+the log exposure time. All pixels of image j share its shutter error delta_j ~ N(0, tau^2). With
+weights w = 1 / variance, the irradiances are eliminated in closed form (`code_pairs.py`). The
+remaining normal equations have one row for each bin of the curve and for each exposure, whatever
+the number of pixels:
 
-    A (g, s) = b,    precision of the posterior = A / phi + prior    (`solve.py`).
+    A (g, s) = b, precision of the posterior = A / phi + prior, phi the design effect (`solve.py`).
 
 With b = 0, as in least squares, the curve would be too flat, because the codes are noisy. Therefore
-the score b is the expected gradient at the true curve (the corrected score of Nakamura, Biometrika
-77, 1990).
+the score b is set to the expected gradient at the true curve (the corrected score of Nakamura,
+Biometrika 77, 1990).
 
-The covariance of the posterior is enlarged for errors that this fit does not include. Shutter
-errors that are constant (delta ~ 1) or proportional to ln t are indistinguishable from another
-curve, so the fit omits them. The covariance that the latter cause, g g^T tau^2 / sum (ln t -
-mean)^2, is added, averaged over tau (`shutter.py`). For the remaining bias of noisy logarithms,
-each code gets an error of 5 % of a pixel's variance of ln X. For the slope, a relative error of
-half the pixels' variance that does not fall with the light is added. That variance comes from
-misregistration and compression, which are not noise of single codes, so their effect on the score
-is unknown.
+The covariance of the posterior is enlarged for errors that this fit does not include:
 
-If places with much detail and flat places give different curves, the curve is corrected to that of
-flat places (`flat_places.py`). If tiles of the picture or exposures of the stack differ by more
-than the posterior explains, a jackknife over them (`repeats.py`) gives the errors.
+- Shutter errors delta that are equal for all exposures, or proportional to ln t, cannot be
+  distinguished from another curve, so the fit omits them. Errors proportional to ln t have the
+  covariance g g^T tau^2 / sum (ln t - mean)^2, which is added, averaged over tau (`shutter.py`).
+- The remaining bias of noisy logarithms is represented by an error of each code: 5 % of a pixel's
+  variance of ln X.
+- Misregistration and compression cause a variance of ln X that does not decrease with the light.
+  This variance is not noise of single codes, so its effect on the score is unknown. Half of it is
+  added as a relative error of the slope of the curve.
 
-The code is NumPy, because `np.bincount` counts code pairs 3 to 5 times faster than XLA's scatter on
-a CPU, and nothing here is differentiated. Codes are DN; exposures are relative, g = 0 at mid-scale.
+If parts of the picture with much detail and flat parts give different curves, the curve is
+corrected to the curve of the flat parts (`flat_places.py`). If curves from different tiles of the
+picture, or from different exposures of the stack, differ by more than the posterior explains, a
+jackknife over tiles and exposures (`repeats.py`) gives the errors.
+
+The module uses NumPy, because `np.bincount` counts code pairs 3 to 5 times faster than XLA's
+scatter on a CPU, and no derivatives are needed. Codes are DN; exposures are relative, g = 0 at
+mid-scale.
 """
 
 from dataclasses import dataclass, replace
@@ -102,9 +107,10 @@ class ResponseCurve:
         shutter_error: tau; None where the data show no shutter errors.
         shutter_bound: upper limit of tau, 95 %.
         smoothness: precision of the smoothness prior.
-        design_effect: phi, the number of pixels that count as one independent pixel.
-        clustering: design effect of neighbours with shared errors, without a limit on the number of
-            effective pixels.
+        design_effect: phi, the number of pixels that contain as much information as one independent
+            pixel.
+        clustering: design effect of errors that neighbouring pixels share, before the limit on the
+            effective number of pixels is applied.
         noise: noise model of the pixels, from the flattest places.
         statistics: sufficient statistics of the pairs of codes.
         held_out: prediction errors of each exposure from the others; None with fewer than three.
@@ -151,7 +157,8 @@ class ResponseCurve:
 
     @property
     def monotone(self) -> bool:
-        """Whether g rises with the code over the observed codes, within three standard errors."""
+        """Whether g rises with the code over the observed codes, or decreases by less than three
+        standard errors."""
         g, covariance = self.log_exposure[self.seen], self.covariance[np.ix_(self.seen, self.seen)]
         step = np.diff(g)
         variance = np.diagonal(np.diff(np.diff(covariance, axis=0), axis=1))
@@ -159,14 +166,15 @@ class ResponseCurve:
 
 
 def slope_error(noise: NoiseModel) -> float:
-    """Return the relative error of a curve's slope, and of gamma, because the correction for
-    variance that does not fall with the light is uncertain."""
+    """Return the relative error of a curve's slope, and of gamma, that comes from variance in
+    proportion to the squared light (`noise.relative`). The cause of this variance is unknown, so
+    the correction of the slope for it is uncertain."""
     return DOUBTFUL * noise.relative
 
 
 def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> float:
-    """Return the standard deviation, in ln X, of a ripple in g that widely spaced exposures do not
-    reveal."""
+    """Return the standard deviation, in ln X, of a periodic error of g. Exposures cannot reveal an
+    error whose period is the step of ln t between them."""
     # From the errors of simulated stacks with S-shaped and sRGB responses: .01 at 2 1/4 stops, .038
     # at three; smaller for a smoother curve, in proportion to the prior's 1 / sqrt(smoothness).
     steps = np.diff(np.unique(np.log(exposures)))
@@ -177,8 +185,8 @@ def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> flo
 
 
 def _room(smoothness: float) -> float:
-    """Return the share, 0 to 1, of the errors for a rough curve that a curve of this smoothness may
-    have."""
+    """Return a factor, 0 to 1, on the errors for a rough curve. The factor decreases with the
+    smoothness."""
     return min(1.0, float(np.sqrt(BENT / smoothness)))
 
 
@@ -210,14 +218,14 @@ def fit_response_curve(
             independent.
         least_error: smallest assumed error of ln t by the shutter.
         most_bins: largest number of bins of codes.
-        rounds: largest number of solutions for the curve, each followed by an update of smoothness
-            and shutter error.
+        rounds: largest number of iterations. Each iteration solves for the curve, then updates
+            smoothness and shutter error.
         step: DN between neighbouring codes.
         origin: DN of one code, less than a step.
         black_sd: standard deviation of the black level, DN; 0 where exact. A wrong black level
             bends a pure gamma.
-        dim: whether to accept a stack in which too few pixels pass mid-scale; g = 0 then lies in
-            the middle of the observed codes.
+        dim: whether to accept a stack in which too few pixels exceed mid-scale. For such a stack, g
+            = 0 in the middle of the observed codes.
 
     Returns:
         The curve.
@@ -313,8 +321,8 @@ def _require_rising(curve: ResponseCurve) -> None:
 
 
 def _sample(classes: np.ndarray, linked: np.ndarray) -> np.ndarray:
-    """Select the pixels for the pilot fit, about the same number from each class, among those that
-    are `linked` (well exposed in two images)."""
+    """Select the pixels for the pilot fit among those that are `linked` (well exposed in two
+    images), about the same number from each class of steepness."""
     picked = []
     for kind in range(int(classes.max()) + 1):
         own = np.flatnonzero(linked & (classes == kind))
@@ -392,10 +400,10 @@ def _image_information(found: Solution) -> tuple[np.ndarray, np.ndarray]:
 def _end_errors(
     density: np.ndarray, g: np.ndarray, noise: np.ndarray, seen: np.ndarray
 ) -> Float[np.ndarray, "2 bins"]:
-    """Return the error of g that a rough curve may have near the first and near the last observed
-    code, and beyond. It is above 0 where the density of pixels over ln X at the end is less than
-    half of that further inside. The codes at such an end are mostly those of pixels that noise
-    moved there, which bends the curve."""
+    """Return the error of g that a rough curve may have near the first and the last observed code,
+    and at codes beyond them. The error is above 0 at an end of the observed codes where the density
+    of pixels over ln X is less than half of that further inside. Most codes at such an end belong
+    to pixels that noise moved to these codes, which bends the curve."""
     bent = np.zeros((2, len(g)))
     places = np.flatnonzero(seen)
     for row, end in zip(bent, places[[0, -1]] if len(places) else (), strict=False):

@@ -135,9 +135,9 @@ def offsets_figure(calibration: ResponseCalibration) -> "Figure":
 def radiance_figure(
     calibration: ResponseCalibration, images: dict[str, Float[np.ndarray, "h w *rgb"]]
 ) -> "Figure":
-    """Draw the radiance map of each group next to its middle exposure alone, first at the map's
-    white and then brightened to show its shadows. Both show radiance through the same tone
-    curve."""
+    """Draw the radiance map of each group next to the radiance from its middle exposure alone,
+    through the same tone curve. Each pair is drawn twice: at the map's white, and brightened to
+    show the shadows."""
     from matplotlib.figure import Figure
 
     shown = list(images.items())[:MOST_MAPS]
@@ -161,8 +161,8 @@ def radiance_figure(
 
 
 def coverage_figure(calibration: ResponseCalibration) -> "Figure":
-    """Draw the number of exposures used for each pixel, in the channel of the group with the
-    fewest."""
+    """Draw, for each group, the number of exposures used for each pixel, in the channel that uses
+    the fewest exposures."""
     figure, panels = _panels(calibration, height=4.0)
     drawn = None
     most = max(len(channels[0].plane.exposures) for _, channels in panels)

@@ -107,8 +107,9 @@ def _lowest_above_assumed_black(channels: Sequence[ChannelResponse]) -> int | No
 
 
 def _own_blacks_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding on separate black points of images: all images have the same lowest code,
-    although few pixels have it at the longest exposure."""
+    """Return a finding that each image may have been scaled to its own black point. The sign is
+    that all images have the same lowest code, although few pixels have this code at the longest
+    exposure."""
     for channel in channels:
         plane = channel.plane
         lowest = np.array([int(image.min()) for image in plane.codes])
@@ -196,8 +197,8 @@ def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding on significant deviations from a gamma at codes outside those tested, if
-    they are larger; else an empty string."""
+    """Return a finding if deviations from a gamma at codes outside the tested range are significant
+    and larger than those within; else an empty string."""
     found = []
     for channel in channels:
         curve, gap, error = (
@@ -221,8 +222,8 @@ def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _extrapolated_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding on the codes of each channel at which the curve is extrapolated, if there
-    are many; else an empty string."""
+    """Return a finding that states for each channel at which codes the curve is extrapolated, if
+    many codes are; else an empty string."""
     sentences = []
     for channel in channels:
         curve = channel.curve
@@ -336,8 +337,8 @@ def _one_hue_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _colours_apart_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding if the exposures of red and blue codes are powers of those of green, as with
-    a varying white balance."""
+    """Return a finding if the exposure of a red or blue code is a power of the exposure of the same
+    green code, as with a varying white balance."""
     powers = []
     for green in (c for c in channels if c.plane.channel == "green"):
         for other in channels:
@@ -356,8 +357,9 @@ def _colours_apart_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _power_of(curve: ResponseCurve, reference: ResponseCurve) -> tuple[float, float]:
-    """Return the exponent that relates the exposures of two curves, and its error on the assumption
-    that errors of all codes are fully correlated."""
+    """Return the exponent p for which the exposures of one curve are those of another to the power
+    p, and the standard error of p. The error assumes that the errors of all codes are fully
+    correlated."""
     codes = curve.codes[curve.seen]
     x = np.interp(codes, reference.codes, reference.log_exposure)
     x = np.where(np.interp(codes, reference.codes, reference.seen) > 0.5, x, 0.0)
@@ -388,8 +390,8 @@ def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _rough_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding on channels with a curve at the roughest limit, except where it is a gamma
-    within its errors."""
+    """Return a finding on channels whose curve has the least smoothness that the fit allows, except
+    where the curve is a gamma within its errors."""
     if not any(c.curve.smoothness <= ROUGHEST for c in channels):
         return ""
     rough = [

@@ -1,20 +1,21 @@
 """Correction of a response curve to that of flat parts of the picture.
 
 A camera that sharpens adds to each code a fraction of its difference from the surrounding codes.
-Where the picture has detail, pixels with equal light then have different codes. This is not noise.
-Unless the response is a pure gamma, it biases the curve in proportion to the activity a, the local
-variance of the log code. The pixels are divided into classes by activity. Let g_(k) be the curve
-fitted without class k, and a_(k) the mean activity of the pixels used for it. These determine the
-slope of g over a, and with it the deviation d of the curve of all pixels from that of flat places:
+Where the picture has detail, pixels with equal light then have different codes. Unless the response
+is a pure gamma, these differences bias the curve in proportion to the activity a, the local
+variance of the log code. To estimate the bias, the pixels are divided into classes by activity. Let
+g_(k) be the curve fitted without class k, and a_(k) the mean activity of the pixels used for that
+fit. A regression of g_(k) on a_(k) gives the slope of the curve over the activity. The deviation d
+of the curve of all pixels, whose mean activity is a_all, from the curve of flat parts is
 
     d = a_all  sum_k (a_(k) - m) g_(k) / sum_k (a_(k) - m)^2,    m the mean of the a_(k).
 
-The covariance V of d comes from the scatter of the score over tiles of the picture. If d is
-significant by an F test of the mean q of d^2 / V over the codes, lambda d = (1 - 1 / q) d is
-subtracted (James & Stein 1961). Because d is a bias only with probability lambda, the covariance
-grows by lambda^2 V + lambda (1 - lambda) d d^T. Nothing is subtracted if activity is equal
-everywhere, or if it depends on the code, as on a ramp. Misregistered images are not corrected
-either, because their errors are not proportional to a.
+The covariance V of d comes from the scatter of the score over tiles of the picture. Let q be the
+mean of d^2 / V over the codes. If an F test of q is significant, d is multiplied by lambda = 1 - 1
+/ q and subtracted (James & Stein 1961). Because d is a bias only with probability lambda, the
+covariance grows by lambda^2 V + lambda (1 - lambda) d d^T. Nothing is subtracted if the activity is
+equal everywhere, or if the activity is a function of the code, as on a ramp. Misregistered images
+are not corrected either, because errors from misregistration are not proportional to the activity.
 """
 
 from collections.abc import Sequence
@@ -36,8 +37,8 @@ APART = 0.5  # least spread of the activity at a code, relative to its mean
 
 
 def is_registered(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
-    """Return whether the images are registered: steep places then have less than twice the noise of
-    flat ones."""
+    """Return whether the images are registered. They count as registered if the noise variance at
+    steep places is less than twice that of flat places."""
     if any(noise is None for noise in noises):
         return False
     at = np.zeros(1)  # mid-scale
@@ -86,8 +87,8 @@ def correct_to_flat_places(
 
 def _separation(weights: np.ndarray, activity: np.ndarray) -> float:
     """Return the standard deviation of the activity among observations of the same code, as a
-    median over codes. It is small if activity is equal everywhere, or if it depends on the code, as
-    on a ramp. `weights` has the shape (classes, bins)."""
+    median over codes. This deviation is small if the activity is equal everywhere, or if the
+    activity is a function of the code, as on a ramp. `weights` has the shape (classes, bins)."""
     seen = weights[:, weights.sum(axis=0) > 0]
     mean = activity @ seen / seen.sum(axis=0)
     variance = activity**2 @ seen / seen.sum(axis=0) - mean**2
@@ -97,9 +98,9 @@ def _separation(weights: np.ndarray, activity: np.ndarray) -> float:
 def _subtract_departure(
     found: Solution, departure: np.ndarray, by_tile: np.ndarray, seen: np.ndarray
 ) -> Solution:
-    """Subtract the deviation `departure` from the solution, shrunk according to its noise;
-    `by_tile` (tiles, bins) is its scatter over tiles. An insignificant deviation is not
-    subtracted."""
+    """Subtract the deviation `departure` from the solution, shrunk according to its noise, which
+    `by_tile` (tiles, bins), the scatter of the deviation over tiles, gives. An insignificant
+    deviation is not subtracted."""
     deviation = np.sqrt(np.sum(by_tile**2, axis=0))
     if not (deviation[seen] > 0).all():
         return found

@@ -26,7 +26,7 @@ def from_stack(
     Args:
         images: (h, w) or (h, w, 3) integer DN each, in any order.
         exposures: of the images, s.
-        camera: its bits, and other known properties.
+        camera: the camera's bits, and other known properties.
         mask: (h, w), true where the scene may be used; None for all pixels.
         exposure_sd: relative standard deviation of each exposure's error; None where it is unknown
             and estimated from the images.

@@ -1,21 +1,21 @@
 """Fit of a pure gamma response, f(x) = x^(1/gamma), with an uncertainty that includes shutter
 errors.
 
-The log exposure of a pure gamma, g(z) = gamma ln(z - black) + const, is linear in gamma. All pixels
-therefore enter through a few sums of the code-pair statistics (`code_pairs.py`), and a step of a
-sampler costs microseconds. The score corrects for the attenuation of the slope that noisy and
-rounded codes cause in a regression.
+The log exposure of a pure gamma, g(z) = gamma ln(z - black) + const, is linear in gamma. Therefore
+a few sums of the code-pair statistics (`code_pairs.py`) contain all information of the pixels about
+gamma, and a step of a sampler costs microseconds. In a regression, noisy and rounded codes would
+reduce the slope. The score corrects for this attenuation.
 
-The pixels of one image share the error of its exposure time, delta_j ~ N(0, tau^2). Its component
-delta = c (ln t - mean) is indistinguishable from another gamma and changes it by the factor 1 + c
-with Var(c) = tau^2 / sum (ln t - mean)^2. The other components contradict the images, so they are
-visible and determine tau. Therefore
+The pixels of image j share the error delta_j ~ N(0, tau^2) of its exposure time t_j. A component of
+these errors that is c (ln t - mean) cannot be distinguished from another gamma. This component
+multiplies gamma by 1 + c, with Var(c) = tau^2 / sum (ln t - mean)^2. The other components
+contradict the images, so they are visible and determine tau. Therefore
 
     gamma | tau ~ N(q / P, 1 / P + (q / P)^2 tau^2 / sum (ln t - mean)^2),
 
 where P and q are the information and the score of gamma after marginalising over the visible
-shutter errors. The posterior of gamma is integrated over ln tau. It is a Student's t if the images
-determine tau, and follows the prior on tau if they are few.
+shutter errors. The posterior of gamma is integrated over ln tau. This posterior is a Student's t if
+the images determine tau. With few images its width follows from the prior on tau.
 """
 
 from dataclasses import dataclass, replace
@@ -66,15 +66,15 @@ class GammaSums(eqx.Module):
         + gamma mixed . d + information_d . d^2 / 2 - pull_d . d.
 
     Attributes:
-        information: about gamma.
+        information: Fisher information about gamma.
         pull: score of gamma.
-        mixed: (free,) information about gamma and d together.
-        information_d: (free,) about d.
+        mixed: (free,) Fisher information between gamma and d, its off-diagonal part.
+        information_d: (free,) Fisher information about d.
         pull_d: (free,) score of d.
         spread: sum of squares of the log exposure times about their mean.
-        known: stated tau, added in quadrature to the fitted one; None for 0.
-        added: variance of gamma from other sources: black level, systematic errors, choice of
-            weights.
+        known: the tau that the rig states, added in quadrature to the fitted tau; None for 0.
+        added: variance of gamma from sources other than tau and noise: black level, systematic
+            errors and choice of weights.
         most: upper limit of the fitted tau.
         median: of the prior of the fitted tau.
         log_sd: standard deviation of its logarithm in that prior.
@@ -137,7 +137,7 @@ class Mixture:
         return quantile_estimate(what, centre, spread, ends, method="marginal", group=group)
 
     def tau_estimate(self, what: Parameter, group: str, *, stated: float = 0.0) -> Estimate:
-        """Return the estimate of tau, whose value is the median."""
+        """Return the estimate of tau, whose value is the posterior median."""
         tau = np.hypot(np.exp(self.log_tau), stated)
         ends = np.interp(QUANTILES, np.cumsum(self.weights), tau)
         spread = float(np.sqrt(self.weights @ (tau - self.weights @ tau) ** 2))
@@ -160,14 +160,15 @@ class GammaFit:
     Attributes:
         gamma: estimate with intervals.
         shutter_error: tau, rms of the error of ln t.
-        posterior: of (gamma, tau); where tau is stated, its second number is the error in addition
-            to the stated one.
+        posterior: of (gamma, tau); if the rig states an exposure error, tau is the error in
+            addition to the stated error.
         departure: (bins,) ln X of the measured curve minus ln X of the best gamma; NaN for codes
             without observations.
         srgb_departure: (bins,) the same difference from the sRGB curve.
-        dispersion: misfit of the best gamma divided by the misfit of the free curve.
-        findings: sentences on what the data cannot distinguish.
-        left_out: errors that the rig states and that are negligible.
+        dispersion: chi-square of the best gamma divided by that of the free curve.
+        findings: sentences on parameters that the data cannot distinguish.
+        left_out: errors stated in the rig that the fit neglects because they are too small to
+            matter.
     """
 
     gamma: Estimate
@@ -297,8 +298,8 @@ def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
 
 
 def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[Array, ""]:
-    """Return the log posterior density of (ln gamma, ln tau) up to a constant, with a flat prior on
-    gamma."""
+    """Return the log posterior density of (ln gamma, ln tau), up to a constant, for a prior that is
+    flat in gamma."""
     gamma, tau = to_natural(SPACE, vector)
     given = given_shutter(sums, tau)
     miss = (gamma - given.mean) ** 2 / given.variance
@@ -325,8 +326,8 @@ def _spread(given: GivenShutter, log_tau: np.ndarray, weights: np.ndarray) -> np
 
 
 def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
-    """Return the chi-square of the best gamma over that of the free curve, at least 1. It widens
-    the intervals of a curve that is not a gamma."""
+    """Return the chi-square of the best gamma over that of the free curve, at least 1. This ratio
+    widens the intervals of gamma if the response is not a pure gamma."""
     matrix = curve.statistics.matrix
     log_t = np.log(curve.exposures) + curve.shutter_offsets
     of_gamma = np.concatenate([_least_squares(curve, column) * column, log_t])
@@ -335,7 +336,8 @@ def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
 
 
 def _least_squares(curve: ResponseCurve, column: np.ndarray) -> float:
-    """Return the least-squares gamma, given the curve's estimates of the shutter errors."""
+    """Return the least-squares gamma, with the shutter errors fixed at the estimates of the free
+    curve."""
     matrix, size = curve.statistics.matrix, len(column)
     log_t = np.log(curve.exposures) + curve.shutter_offsets
     return -float(
@@ -346,9 +348,9 @@ def _least_squares(curve: ResponseCurve, column: np.ndarray) -> float:
 def _other_variance(
     curve: ResponseCurve, sums: GammaSums, dispersion: float, black_sd: float
 ) -> Array:
-    """Return the variance of gamma from sources that the weighted fit omits: the black level, the
-    correction for errors that are not noise, and the change of gamma with another weighting beyond
-    the error of that change (Hausman, Econometrica 46, 1978)."""
+    """Return the variance of gamma from three sources that the weighted fit omits. These are the
+    black level, the correction for errors that are not noise, and the change of gamma under another
+    weighting in excess of the standard error of that change (Hausman, Econometrica 46, 1978)."""
     tau = jnp.asarray(SHUTTER_PRIOR.median)
     mean = float(given_shutter(sums, tau).mean)
     shifted = log_code_means(curve, shift=BLACK_STEP)
@@ -384,8 +386,8 @@ def _gamma_sums(
     known: float = 0.0,
     stated: float = 0.0,
 ) -> GammaSums:
-    """Return the sums over all pixels. `known` is the stated shutter error, or 0 if it is
-    negligible; even then, `stated` determines the prior."""
+    """Return the sums over all pixels. `known` is the stated shutter error, or 0 if the stated
+    error is negligible. In both cases `stated` determines the prior on tau."""
     overstated = dispersion * curve.design_effect
     size, matrix = len(column), curve.statistics.matrix / overstated
     score = curve.statistics.score / overstated
@@ -420,8 +422,8 @@ def _tabulate(sums: GammaSums, log_tau: Float[Array, " grid"]) -> GivenShutter:
 
 
 def _departure(curve: ResponseCurve, model: np.ndarray) -> np.ndarray:
-    """Return measured minus modelled log exposure at observed codes, without their weighted
-    mean."""
+    """Return measured minus modelled log exposure at observed codes, after subtraction of the
+    weighted mean of these differences."""
     gap = np.where(curve.seen, curve.log_exposure - model, np.nan)
     weight = np.where(curve.seen, 1 / np.maximum(curve.standard_error, 1e-3) ** 2, 0)
     return gap - np.nansum(weight * gap) / weight.sum()

@@ -1,9 +1,9 @@
 """Test whether the exposures of a stack are registered, as with a camera on a tripod.
 
-Each image is thresholded at a quantile of its codes (Ward, J. Graphics Tools 8, 2003). The mask of
-bright pixels that results is the same for any exposure and response. The shift between two images
-is the one at which most pixels of their masks agree. A shift is accepted if significantly more
-pixels agree than without a shift.
+Each image is thresholded at a quantile of its codes (Ward, J. Graphics Tools 8, 2003). The
+resulting mask of bright pixels is the same for any exposure and response. The shift between two
+images is the shift at which most pixels of the two masks agree. A shift is accepted if
+significantly more pixels agree than without a shift.
 """
 
 from collections.abc import Sequence
@@ -34,9 +34,9 @@ def moved_exposures(
     full_scale: float,
     cell: tuple[int, int] = (1, 1),
 ) -> tuple[list[OddFrames], dict[str, tuple[int, int]]]:
-    """Return the exposures that are displaced by at least two pixels relative to most others. For
-    images displaced by less, also return, by name, the rows and columns by which they are
-    displaced."""
+    """Return the exposures that are displaced by at least two pixels relative to most others. Also
+    return, by image name, the displacements in rows and columns of images that are displaced by
+    less than two pixels."""
     if len({np.shape(frame) for frame in frames}) != 1:
         return [], {}  # sizes differ; refused where frames are read
     size: Any = list(cell)  # SciPy's types know one number for all axes only
@@ -114,8 +114,9 @@ def _shift(
 def _cut(
     one: np.ndarray, other: np.ndarray, quantile: float, full_scale: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Threshold two images at a quantile: 1 where a pixel is brighter, -1 where it is darker, 0
-    where it is NaN. None if the quantile is black or saturated in either image."""
+    """Threshold two images at a quantile of their codes: 1 where a pixel is brighter than the
+    quantile, -1 where it is darker, 0 where it is NaN. Return None if the quantile is black or
+    saturated in either image."""
     found = []
     for image in (one, other):
         level, black = np.nanquantile(image, quantile), float(np.nanmin(image))

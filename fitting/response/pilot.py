@@ -46,9 +46,10 @@ class Pilot:
 
     Attributes:
         means: (bins,) means of the rising curve over coarse bins.
-        noises: noise model of each class of pixels; None where no noise model fits the images.
-        rule: rule for weights from these noise models.
-        solution: of the last round.
+        noises: noise model of each class of steepness; None for classes whose pixels no noise model
+            fits.
+        rule: the weights of observations, computed from these noise models.
+        solution: the posterior of the last of the four passes.
     """
 
     means: Float[np.ndarray, " bins"]
@@ -65,8 +66,8 @@ def fit_pilot(
     *,
     least_error: float = STEADIEST,
 ) -> Pilot:
-    """Fit the pilot curve in four passes. The first uses the weights of Debevec & Malik, because a
-    noise model needs a curve."""
+    """Fit the pilot curve in four passes. The first pass uses the weights of Debevec & Malik,
+    because a noise model can only be fitted once there is a curve."""
     x = bins.log_codes
     means, binned = x - x[bins.middle], bins.lookup[codes]
     count = int(classes.max()) + 1
@@ -137,9 +138,9 @@ def fit_noise(
     log_t: Float[np.ndarray, " exposures"],
     means: Float[np.ndarray, " bins"],
 ) -> NoiseModel:
-    """Fit the three variances of a noise model to one class of pixels. The data are mean squared
-    residuals, clipped at three standard deviations, in cells of predicted log exposure; the fit is
-    non-negative least squares."""
+    """Fit the three variances of a noise model to one class of pixels by non-negative least
+    squares. The data are the mean squared residuals in cells of predicted log exposure, clipped at
+    three standard deviations."""
     used = (seen.weights > 0) & of_class
     predicted = (seen.log_irradiance + log_t[:, None])[used]
     free = (1 - seen.weights / seen.total)[used]

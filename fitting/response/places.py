@@ -1,12 +1,13 @@
-"""Properties of the scene around each pixel (steepness and activity), by which pixels are classed,
-and tiles of the picture.
+"""The steepness and the activity of the scene around each pixel, by which pixels are divided into
+classes, and the division of the picture into tiles.
 
-If an image is misregistered by half a pixel, ln E has an error of half its local slope. JPEG edges
-and moving leaves have similar errors. Such errors are far larger at steep places and are not pixel
-noise. Therefore pixels are divided into classes of steepness, each with its own noise model.
-Sharpening causes errors where the picture has detail, measured by the activity (`flat_places.py`).
-Errors of neighbouring pixels are correlated, so large tiles of the picture, not pixels, are treated
-as independent.
+If an image is misregistered by half a pixel, the log irradiance ln E has an error of half its local
+slope per pixel. JPEG edges and moving leaves cause similar errors. Errors of this kind are far
+larger where the slope of ln E is steep, and they are not pixel noise. Therefore pixels are divided
+into classes by steepness, the squared local slope, and each class has its own noise model.
+Sharpening causes errors where the picture has detail, which is measured by the activity, the local
+variance (`flat_places.py`). Errors of neighbouring pixels are correlated, so large tiles of the
+picture, not pixels, are treated as independent.
 """
 
 from dataclasses import dataclass
@@ -23,13 +24,13 @@ TILES = 16  # a power of two
 
 @dataclass(frozen=True)
 class Layout:
-    """Steepness, activity and position of the pixels in a scene's mask, in the order of
+    """The steepness, activity and position of the pixels that a mask selects, in the order of
     `codes[:, mask]`.
 
     Attributes:
         steepness: (pixels,) squared slope of ln(code - black), per pixel squared.
-        activity: (pixels,) variance of ln(code - black) over the 24 surrounding pixels, less that
-            of noise; it may be negative.
+        activity: (pixels,) variance of ln(code - black) over the 24 surrounding pixels, from which
+            the variance by noise is subtracted. The estimate may be negative.
         rows: (pixels,) row of each pixel.
         columns: (pixels,) column of each pixel.
     """
@@ -54,10 +55,11 @@ def layout_of(
 ) -> Layout:
     """Compute steepness, activity and position of a plane's pixels.
 
-    The squared slope is averaged over exposures with Debevec & Malik's hat, squared, as the weight.
-    The slope is the difference between a pixel's neighbours, so that the pixel's own noise does not
-    affect its class. The activity is the covariance between successive exposures over the 24
-    surrounding pixels, to which noise does not contribute, averaged in the same way.
+    The slope at a pixel is the difference between its neighbours, so that the pixel's own noise
+    does not affect its class. The squared slope is averaged over exposures, with the squared hat
+    function of Debevec & Malik as the weight. The activity is the covariance of ln(code - black)
+    between successive exposures over the 24 surrounding pixels. Noise does not contribute to this
+    covariance, which is averaged over exposures in the same way as the squared slope.
 
     Args:
         codes: (exposures, h, w) DN.
@@ -99,8 +101,8 @@ def _around(image: np.ndarray) -> np.ndarray:
 def equal_classes(
     values: Float[np.ndarray, " pixels"], counted: Bool[np.ndarray, " pixels"]
 ) -> Int[np.ndarray, " pixels"]:
-    """Return the class of each pixel by steepness or activity; all classes contain the same number
-    of counted pixels."""
+    """Return the class of each pixel by `values`, its steepness or activity. The limits between
+    classes are quantiles, so that all classes have the same number of `counted` pixels."""
     edges = np.quantile(values[counted], np.arange(1, CLASSES) / CLASSES)
     return np.digitize(values, edges).astype(np.int32)
 

@@ -9,10 +9,11 @@ where the weight u_ij is computed at the predicted exposure, so that it does not
 of X_ij. Codes that are clipped or within three standard deviations of clipping are not used. Noisy
 codes are used only if there is no better exposure.
 
-A pixel without such an observation uses all of its unclipped codes together, with coverage 0. Noise
-may reduce the code of such a pixel to black or below. Such a code counts as a negative exposure,
-X(black - d) = -X(black + d), because the codes above black alone are only the upper half of the
-noise. The code 0, at which a camera clips noise, gives only a bound, like a code clipped at white.
+If all observations of a pixel are clipped or noisy, its radiance comes from all of its unclipped
+codes together, and its coverage is 0. Noise may reduce the code of a dark pixel to black or below.
+A code d below black counts as a negative exposure, X(black - d) = -X(black + d), because the mean
+of the codes above black alone would be biased. The code 0, at which a camera clips noise, gives
+only a bound, like a code clipped at white.
 
 Radiance is relative, per second, with g = 0 at mid-scale.
 """
@@ -35,7 +36,7 @@ class RadianceMap:
 
     Attributes:
         radiance: relative, per second; noise can make it negative in dark pixels.
-        relative_error: its relative standard deviation, where the scene is flat.
+        relative_error: relative standard deviation of the radiance, where the scene is flat.
         coverage: number of exposures that were used; 0 where the radiance is only a bound, or the
             codes are mostly noise.
     """
@@ -52,8 +53,8 @@ def merge(
     *,
     signed: bool = True,
 ) -> RadianceMap:
-    """Merge codes to a radiance map. The exposure times are taken as exact, because an apparent
-    shutter offset may be a slight misfit of the curve."""
+    """Merge codes to a radiance map. The estimated shutter offsets are not applied to the exposure
+    times, because an apparent shutter offset may be a slight misfit of the curve."""
     flat = codes.reshape(len(exposures), -1)
     count = flat.shape[1]
     radiance, error = np.empty(count, np.float32), np.empty(count, np.float32)
@@ -103,8 +104,8 @@ def exposure_of_codes(curve: ResponseCurve) -> Float[np.ndarray, " codes"]:
 def _noise_radiance(
     codes: np.ndarray, times: np.ndarray, curve: ResponseCurve
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return radiance and relative error of pixels whose exposures are all either clipped or within
-    the noise of black."""
+    """Return radiance and relative error of pixels whose codes are, in every exposure, either
+    clipped or within the noise of black."""
     table, t = exposure_of_codes(curve), times[:, None]
     x = table[codes]
     used = (codes > 0) & (codes < curve.bins.edges[-1])

@@ -43,9 +43,9 @@ class Plane:
     """The codes of one channel of one group of images.
 
     Attributes:
-        group: of the rig.
+        group: name of the group of images in the rig.
         channel: colour or mosaic site.
-        files: names, in the order of `exposures`.
+        files: names of the image files, in the order of `exposures`.
         exposures: (exposures,) s, ascending.
         codes: (exposures, h, w) DN.
         mask: (h, w), true where the scene may be used.
@@ -53,11 +53,12 @@ class Plane:
         clip: DN from which a pixel is saturated.
         black_sd: standard deviation of the black level, DN; 0 where exact.
         exposure_sd: rms of the stated relative errors of the exposures; 0 where none is stated.
-        start: row and column of its first pixel in the plane of its colour.
-        step: distance of its pixels there, in rows and columns; more than 1 with several amplifier
-            taps.
-        black_measured: whether the black level is stated or measured on darks, not estimated from
-            the images.
+        start: row and column of the plane's first pixel among all pixels of its colour. With one
+            amplifier tap, (0, 0).
+        step: distance of the plane's neighbouring pixels among all pixels of its colour, in rows
+            and columns; more than 1 if several amplifier taps alternate.
+        black_measured: true if the black level is stated or measured on darks, false if it is
+            estimated from the images.
     """
 
     group: str
@@ -89,11 +90,11 @@ class ExposureStack:
     """An exposure stack: the planes of all channels and groups of images of a rig.
 
     Attributes:
-        planes: in the order of the groups.
+        planes: all planes, in the order of the groups in the rig.
         bits: of the camera.
         step: DN between neighbouring codes; 16 for 12 bits that are stored in the upper bits of 16.
-        origin: DN of one code, less than a step.
-        remarks: sentences on the images.
+        origin: the DN of every code is `origin` plus a multiple of `step`; 0 <= `origin` < `step`.
+        remarks: findings on the images, as sentences.
     """
 
     planes: tuple[Plane, ...]
@@ -115,9 +116,10 @@ def read_exposure_stack(
 ) -> ExposureStack:
     """Read a rig's `[[exposure]]` images and split each group into planes.
 
-    The black level of a channel or site is the stated one, else its mean in the `[[dark]]` frames,
-    else the code of dark pixels that do not change with the exposure time. The clip level is the
-    stated saturation, else the code of bright pixels that do not change.
+    The black level of a channel or site is the level that the rig states. If it states none, the
+    black level is the mean of the `[[dark]]` frames or, without darks, the code of dark pixels that
+    do not change with the exposure time. The clip level is the saturation that the rig states or,
+    if it states none, the code of bright pixels that do not change with the exposure time.
 
     Args:
         rig: with `[[exposure]]`, or its folder or file.
@@ -157,7 +159,8 @@ def read_exposure_stack(
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
-    """Return the rig without the exposures whose metadata contradict it, and findings on these."""
+    """Return the rig without the exposures whose metadata contradict the rig, and findings on these
+    exposures."""
     groups = list(dict.fromkeys(entry.group for entry in rig.exposure))
     stated = [
         Stated(entry.file, rig.path(entry.file), entry.exposure, groups.index(entry.group))
@@ -173,8 +176,8 @@ def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
 def _without_odd_images(
     rig: Rig, entries: tuple[Exposure, ...], images: dict[str, np.ndarray], remarks: list[str]
 ) -> tuple[Exposure, ...]:
-    """Return the exposures whose images show one still scene, with brightness in the order of
-    exposure times. Add findings on all others to `remarks`."""
+    """Return the exposures whose images show one still scene and get brighter with the exposure
+    time. Add findings on all other exposures to `remarks`."""
     top, seen = rig.camera.at(rig.camera.sites[0]).clip_level, []
     for entry in entries:
         frame = images[entry.file]
@@ -208,8 +211,8 @@ def _without_odd_images(
 
 
 def _grid_of(converter: Converter) -> tuple[int, int]:
-    """Return step and origin of the grid of codes; 1 and 0 if the numbers lie on no coarser even
-    grid."""
+    """Return the step between possible codes and the origin of their grid: all codes are the origin
+    plus a multiple of the step. Return 1 and 0 if no step above 1 explains all codes."""
     step = round(converter.step)
     even = converter.even and step > 1 and step == converter.step
     return (step, round(converter.origin)) if even else (1, 0)
@@ -353,8 +356,8 @@ def unchanged(codes: Codes, exposures: Float[np.ndarray, " exposures"]) -> Bool[
 def _painted(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], black: float, clip: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of pixels that do not show the scene, such as overlays: unchanged, not clipped,
-    and too bright to be dark pixels."""
+    """Return a mask of pixels that do not show the scene, such as overlays. The codes of such
+    pixels do not change with the exposure, are not clipped and are too high for dark pixels."""
     lit = codes[0] > black + DIM * (clip - black)
     return unchanged(codes, exposures) & lit & (codes[0] < clip)
 
@@ -362,9 +365,9 @@ def _painted(
 def ceiling_level(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera, *, step: int = 1
 ) -> float:
-    """Estimate the clip level from pixels above half scale whose code changes by at most one step
-    while the exposure grows by a factor of at least 1.9. It is a low quantile of their codes,
-    because these vary between pixels."""
+    """Estimate the clip level as a low quantile of the codes of pixels that clip. Pixels count as
+    clipping if their code is above half scale and changes by at most one step while the exposure
+    grows by a factor of at least 1.9."""
     shorter = np.flatnonzero(exposures * BRIGHTER <= exposures[-1])
     if not len(shorter):
         return float(camera.full_scale)

@@ -1,14 +1,15 @@
 """Jackknife errors of a curve: its scatter over tiles of the picture, and over exposures.
 
-Both are jackknives. For the fit without tile k, the equations of the other tiles are added. For the
-fit without exposure j, the codes of a sample of pixels are counted again, because the mean of each
-pixel changes. With T fits,
+A jackknife repeats the fit without each tile, or without each exposure. For the fit without tile k,
+the normal equations of the other tiles are added. For the fit without exposure j, the statistics of
+a sample of pixels are computed again, because the mean of each pixel over exposures changes. From T
+fits with the curves g_(k), the covariance of the curve is
 
     V = (T - 1) / T  sum_k (g_(k) - mean)(g_(k) - mean)^T.
 
-The jackknife over exposures also contains pixel noise, which is subtracted (two-way clustering:
-Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011). The fit without an exposure also predicts
-that exposure, which is an independent test.
+Both jackknives also contain pixel noise, which is subtracted because the covariance of the fit
+contains it (two-way clustering: Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011). The fit
+without an exposure predicts that exposure, and the error of the prediction is an independent test.
 """
 
 from collections.abc import Sequence
@@ -33,7 +34,8 @@ FEWEST_PREDICTED = 30  # fewest pixels for the prediction error of a left-out ex
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The errors of predicting each exposure by a curve and a radiance that were fitted without it.
+    """The errors of predicting the codes of each exposure by a curve and a radiance that were
+    fitted to the other exposures.
 
     Attributes:
         rms: (exposures,) rms error of each prediction, DN; NaN where too few pixels can be
@@ -78,8 +80,8 @@ class Repeats:
     def beyond(
         self, explained: Float[np.ndarray, " bins"], lost: int
     ) -> tuple[Float[np.ndarray, " bins"], int]:
-        """Return the variance in excess of `explained`, where it is significant, and its degrees of
-        freedom, the number of fits minus `lost`."""
+        """Return the jackknife variance in excess of `explained`, 0 where the excess is not
+        significant, and its degrees of freedom, the number of fits minus `lost`."""
         freedom = len(self.departures) - lost
         likely = chdtri(freedom, CHANCE) / freedom * explained
         return np.where(self.variance > likely, self.variance - explained, 0), freedom
@@ -110,8 +112,8 @@ def exposure_jackknife(
     bins: CodeBins,
     fraction: float,
 ) -> tuple[Repeats | None, HeldOut | None]:
-    """Fit the curve without each exposure; return the deviations, and the errors of predicting the
-    exposure left out."""
+    """Fit the curve without each exposure. Return the deviations of these fits, and the errors of
+    predicting each exposure from the others."""
     if len(log_t) < FEWEST_PREDICTING:
         return None, None
 
@@ -144,9 +146,11 @@ def widen(
     tiles: Repeats | None,
     exposures: Repeats | None,
 ) -> tuple[Float[np.ndarray, "bins bins"], Float[np.ndarray, " bins"]]:
-    """Return a covariance enlarged to the observed scatter, and Satterthwaite's degrees of freedom
-    for each bin. It includes the scatter of tiles beyond pixel noise, the scatter of exposures
-    beyond pixel noise and shutter errors, and the shutter errors themselves (`shutter.py`)."""
+    """Enlarge the covariance of g to the scatter between repeated fits, and return it with
+    Satterthwaite's degrees of freedom for each bin. Three variances are added to the diagonal, and
+    the correlations are retained: the jackknife variance over tiles in excess of pixel noise, the
+    jackknife variance over exposures in excess of pixel noise and shutter errors, and the variance
+    from shutter errors (`shutter.py`)."""
     parts = []
     if tiles is not None:
         parts.append(tiles.beyond(tiles.pixels, 1))
@@ -185,7 +189,7 @@ def _prediction_error(
     pilot: Pilot,
 ) -> float:
     """Return the rms difference, DN, between the codes of exposure j and their prediction from the
-    others."""
+    other exposures."""
     kept = np.arange(len(log_t)) != j
     g = np.maximum.accumulate(fit.means) + 1e-9 * np.arange(len(fit.means))
     binned, rule = coarse.lookup[codes], pilot.rule

@@ -1,15 +1,16 @@
 """Test whether a response is a pure gamma, given the errors of its curve.
 
-Among hundreds of codes, the largest deviation from a gamma may be large by chance. So the
-deviations of all codes are tested together. d = P g is the residual of the measured curve after a
-straight line in ln (code - black) is removed. If C is the covariance of g, that of d is P C P^T.
-The largest of
+Among hundreds of codes, the largest deviation from a gamma may be large by chance. Therefore the
+deviations of all codes are tested together. The deviations d = P g are the residuals of the
+measured curve g after a straight line in ln (code - black) is removed, where P is the matrix of
+that projection. If C is the covariance of g, the covariance of d is P C P^T. The largest of
 
     |d_i| / sqrt((P C P^T)_ii + v_i^2)
 
-is compared with the largest of as many simulated Gaussian numbers with the same correlation. v_i,
-the variance of one pixel's ln X, is the size of second-order terms of the noise in a mean of
-logarithms. The response counts as not a pure gamma if a significant deviation exceeds 5 %.
+over the codes i is compared with the largest of as many simulated Gaussian numbers with the same
+correlation. Here v_i is the variance of one pixel's ln X, which is the size of second-order terms
+of the noise in a mean of logarithms. The response counts as not a pure gamma if a significant
+deviation exceeds 5 %.
 """
 
 from collections.abc import Sequence
@@ -37,11 +38,13 @@ class Shape:
     tested.
 
     Attributes:
-        size: largest departure, in ln exposure; NaN where no code can be judged.
-        code: DN of that departure.
-        significant: largest significant departure; 0 where none is significant.
-        significant_code: DN of that departure.
-        significant_error: its standard error, in ln exposure.
+        size: largest deviation from the best gamma, in ln exposure; NaN where no code can be
+            tested.
+        code: DN at which the deviation is `size`.
+        significant: largest significant deviation, in ln exposure; 0 where no deviation is
+            significant.
+        significant_code: DN at which the deviation is `significant`.
+        significant_error: standard error of `significant`, in ln exposure.
     """
 
     size: float
@@ -68,15 +71,15 @@ def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
 def largest_departure(
     curve: ResponseCurve, departure: Float[np.ndarray, " bins"]
 ) -> tuple[float, float]:
-    """Return the largest deviation among the tested codes, and its code."""
+    """Return the largest deviation among the tested codes, and the code at which it occurs."""
     return largest(curve, departure, judged_codes(curve))
 
 
 def largest(
     curve: ResponseCurve, departure: Float[np.ndarray, " bins"], counted: Bool[np.ndarray, " bins"]
 ) -> tuple[float, float]:
-    """Return the largest deviation among the codes `counted`, and its code; NaN if there are
-    none."""
+    """Return the largest deviation among the codes `counted`, and the code at which it occurs; NaN
+    if no code is counted."""
     counted = counted & np.isfinite(departure)
     if not counted.any():
         return float("nan"), float("nan")
@@ -91,8 +94,8 @@ def error_of_departure(curve: ResponseCurve) -> Float[np.ndarray, " bins"]:
 
 
 def shapes(channels: Sequence[ChannelResponse]) -> list[Shape]:
-    """Test the shape of each channel. The probability of a false finding is that of all channels
-    together."""
+    """Test the shape of each channel. The significance level is divided among the channels, so that
+    it holds for all channels together."""
     chance = CHANCE / max(len(channels), 1)
     return [_shape(channel.curve, channel.gamma.departure, chance) for channel in channels]
 
@@ -116,8 +119,8 @@ def _shape(curve: ResponseCurve, departure: np.ndarray, chance: float) -> Shape:
 def _beyond_chance(
     curve: ResponseCurve, judged: np.ndarray, chance: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a mask of the codes with a significant deviation from a straight line, in a common
-    test of all, and the standard errors of the deviations."""
+    """Test the deviations of all codes from a straight line together. Return a mask of the codes
+    with a significant deviation, and the standard errors of the deviations."""
     log_z = np.log(curve.codes[judged] - curve.bins.black)
     line = np.stack([np.ones(len(judged)), log_z], axis=1)
     weight = np.maximum(curve.standard_error[judged], SURELY_KNOWN) ** -2

@@ -1,16 +1,19 @@
 """The error of a response curve from errors of the exposure times, delta_j ~ N(0, tau^2).
 
-If all times were raised to a common exponent, the images would be explained by another curve, so
-this error is invisible. Its expected size depends on tau, which the visible errors determine.
-However, few errors are visible. With three exposures only one is visible, and it may be small by
-chance although tau is large. Therefore the error of the curve is a mixture over a grid of tau,
+Suppose the true times are the stated times raised to a common exponent. Then another curve explains
+the images equally well, so the images cannot reveal this error of the times: the error is
+invisible. Its expected size depends on tau, the rms of the errors delta_j of ln t. All other errors
+of the times contradict the images. These visible errors determine tau, but they are few. With three
+exposures there is only one visible error, which may be small by chance although tau is large.
+Therefore the error of the curve is modelled as a mixture over a grid of values tau_k,
 
-    sum_k w_k N(0, v + r tau_k^2),    w_k ~ p(shown errors | tau_k) p(tau_k),
+    sum_k w_k N(0, v + r tau_k^2), w_k ~ p(visible errors | tau_k) p(tau_k),
 
-where v is the variance from other sources and r = g^2 / sum (ln t - mean)^2. Intervals from the
-most likely tau alone, by Student's t with the number of visible errors as degrees of freedom, would
-be too narrow if these errors happen to be small. The mixture is represented by the Student's t with
-the same 68 and 95 % intervals.
+where w_k is the weight of tau_k, v is the variance of the curve g from other sources, and r = g^2 /
+sum (ln t - mean)^2 is the variance from the common exponent per unit of tau^2. Student's t
+intervals at the most likely tau alone, with the number of visible errors as degrees of freedom,
+would be too narrow if the visible errors happen to be small. The mixture is represented by the
+Student's t that has the same 68 and 95 % intervals.
 """
 
 from dataclasses import dataclass
@@ -41,8 +44,8 @@ RATIOS = stdtrit(FREEDOMS, LEVELS[1]) / stdtrit(FREEDOMS, LEVELS[0])
 
 @dataclass(frozen=True)
 class Shutter:
-    """The variance of a curve from the invisible error of the times, their common exponent, and the
-    posterior of tau.
+    """The variance of a curve from the invisible error of the exposure times (a common exponent),
+    and the posterior of tau.
 
     Attributes:
         per_square: (bins,) variance of g per unit of tau^2.
@@ -63,9 +66,10 @@ class Shutter:
 
 
 def prior_of(shown: int, *, stated: float = 0.0) -> LogNormal:
-    """Return the prior on tau. If an error is stated, it is the prior on the error in addition to
-    that. If no error is visible, the prior alone determines the interval. In that case a narrower
-    prior, near the errors of real cameras, is used."""
+    """Return the prior on tau, for `shown`, the number of visible errors. If a shutter error is
+    stated, the prior is on the error in addition to the stated one. If no error is visible, the
+    prior alone determines the width of the interval, so a narrower prior, near the errors of real
+    cameras, is used."""
     if stated > STEADIEST:
         return LogNormal(median=BEYOND * stated, log_sd=BEYOND_LOG_SD)
     return SHUTTER_SHOWN if shown else SHUTTER_PRIOR
@@ -97,8 +101,9 @@ def tau_posterior(
 def mix_over_tau(
     variance: Float[np.ndarray, " bins"], freedom: Float[np.ndarray, " bins"], shutter: Shutter
 ) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, " bins"]]:
-    """Combine a variance from other sources with the shutter errors, mixed over tau. Return the
-    squared scale and the degrees of freedom of an equivalent Student's t at each bin."""
+    """Add the variance from shutter errors, mixed over tau, to a `variance` from other sources with
+    `freedom` degrees of freedom. Return the squared scale and the degrees of freedom of an
+    equivalent Student's t at each bin."""
     parts = variance[:, None] + shutter.per_square[:, None] * shutter.tau**2
     some = np.where(parts > 0, parts, 1)  # none at mid-scale, where g = 0 by definition
     uncertain = np.where(variance > 0, variance, 1)[:, None]

@@ -1,23 +1,25 @@
 """Bayesian fit of the curve and the shutter errors to the code-pair statistics, with a smoothness
 prior.
 
-In the prior, the local exponent dg / d ln(z - black) is a random walk in the variable of
-`CodeBins.pace`, in which the 201 measured curves of Grossberg & Nayar (2003) have about constant
-roughness. A pure gamma, whose exponent is constant, has no prior cost. If the black level has the
-standard deviation `black_sd`, the change of a gamma curve by another black level costs only what
-that error costs. The precision of the prior and tau maximise the marginal likelihood (MacKay's
-fixed point, Neural Computation 4, 1992).
+In the prior, the local exponent dg / d ln(z - black) of the curve g(z) is a random walk. The
+variable of the walk is that of `CodeBins.pace`, in which the 201 measured curves of Grossberg &
+Nayar (2003) have about constant roughness. A pure gamma has a constant exponent, so its prior
+energy is 0. If the black level has the standard deviation `black_sd`, a gamma curve that is bent by
+an error b of the black level has the prior energy (b / black_sd)^2 / 2. The precision of the prior
+and the shutter error tau maximise the marginal likelihood (MacKay's fixed point, Neural Computation
+4, 1992).
 
-Pixels with common errors contain less information than independent ones. With u_k the gradient of
-tile k's chi^2 / 2 at the fitted curve,
+Pixels with common errors contain less information than independent pixels. Let A be the information
+matrix of the pixels (`code_pairs.py`), and u_k the gradient of tile k's chi^2 / 2 at the fitted
+curve. Then
 
     phi = tr(C sum u_k u_k^T) / tr(C A) >= 1,    C = (A / phi + prior)^-1,
 
-is the factor (the design effect of survey sampling) by which A overstates the information. phi is
-at least the number of pixels over `COUNTED`, because the residual of the score's corrections is the
-same in all pixels. Without this limit, a fit to very many pixels would take this residual for
-roughness of the curve. For simulated cameras of 700,000 pixels, the 95 % bands then covered only .2
-to .9 of the codes.
+is the factor (the design effect of survey sampling) by which A overstates the information. The
+design effect phi is at least the number of pixels over `COUNTED`, because the error that remains
+after the score's corrections is the same in all pixels. Without this limit, a fit to very many
+pixels would treat this error as roughness of the curve. For simulated cameras of 700,000 pixels
+without the limit, the 95 % bands covered the true curve at only 20 to 90 % of the codes.
 """
 
 from collections.abc import Sequence
@@ -47,8 +49,8 @@ class Hyperparameters:
 
     Attributes:
         smoothness: precision of the prior.
-        shutter_error: tau.
-        design_effect: phi.
+        shutter_error: tau, rms of the errors of ln t.
+        design_effect: phi, the factor by which the pixels overstate the information.
     """
 
     smoothness: float
@@ -71,21 +73,21 @@ class Equations:
 
 @dataclass(frozen=True)
 class Solution:
-    """The Gaussian posterior of (bin means of g, visible shutter errors), and the hyperparameters
-    for the next round.
+    """The Gaussian posterior of the bin means of g and the visible shutter errors, and
+    hyperparameters for the next iteration.
 
     Attributes:
         means: (bins,) means of g over the bins.
         free: (free,) visible shutter errors d.
         covariance: (unknowns, unknowns) covariance C of both.
         basis: (exposures, free) basis of the visible shutter errors: delta = basis d.
-        used: hyperparameters of this solution.
-        suggested: hyperparameters for the next round.
+        used: hyperparameters with which this solution was computed.
+        suggested: updated hyperparameters for the next iteration.
         equations: normal equations of each tile of the picture.
         prior: (unknowns, unknowns) precision of the prior.
-        clustering: phi as estimated from the tiles, without its lower limit.
-        log_evidence: log marginal likelihood of the hyperparameters used, up to a constant for one
-            set of statistics.
+        clustering: phi as estimated from the tiles, before its lower limit is applied.
+        log_evidence: log marginal likelihood of the hyperparameters used, up to a constant that is
+            the same for all hyperparameters.
     """
 
     means: Float[np.ndarray, " bins"]
@@ -110,8 +112,9 @@ class Solution:
 
 
 def exponent_increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
-    """Return D of the prior energy smoothness |D g|^2 / 2: increments of the local exponent
-    dg / d ln(z - black), over the square roots of the steps of the variable of `CodeBins.pace`."""
+    """Return the matrix D of the prior energy smoothness |D g|^2 / 2. D g are the increments of the
+    local exponent dg / d ln(z - black), divided by the square roots of the steps of the variable of
+    `CodeBins.pace`."""
     z, step = bins.centres, 1 / np.diff(bins.log_codes)
     clock = (z[2:] - z[:-2]) / 2 * bins.pace(z[1:-1])
     rows = np.arange(len(z) - 2)
@@ -122,8 +125,8 @@ def exponent_increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
 
 
 def shutter_basis(log_t: Float[np.ndarray, " exposures"]) -> Float[np.ndarray, "exposures free"]:
-    """Return an orthonormal basis of the visible shutter errors, which are orthogonal to a common
-    factor and to a common exponent of the times."""
+    """Return an orthonormal basis of the visible shutter errors. They are orthogonal to the two
+    invisible errors, a common factor and a common exponent of the times."""
     absorbed = np.stack([np.ones_like(log_t), log_t], axis=1)
     return np.linalg.svd(absorbed)[0][:, 2:]
 
@@ -138,7 +141,7 @@ def solve(
     rounds: int = 1,
 ) -> Solution:
     """Solve for the curve and the shutter errors, and update the hyperparameters by MacKay's fixed
-    point. Each precision becomes the number of well-determined parameters over their sum of
+    point. Each updated precision is the number of well-determined parameters over the sum of their
     squares."""
     basis = shutter_basis(log_t)
     equations = tuple(equations_of(tile, log_t, basis) for tile in tiles)
@@ -204,8 +207,8 @@ def solve(
 def _shift_by_black(
     bins: CodeBins, matrix: Float[np.ndarray, "bins bins"], right: Float[np.ndarray, " bins"]
 ) -> Float[np.ndarray, " bins"]:
-    """Return the change of the best gamma curve if black is lower by one standard deviation; 0 if
-    the pixels contain no information on gamma."""
+    """Return the change of the best gamma curve if the black level is lower by one standard
+    deviation; 0 if the pixels contain no information on gamma."""
     column = bins.log_codes - bins.log_codes[bins.middle]
     known = column @ matrix @ column
     gamma = column @ right / known if known > 0 else 0.0

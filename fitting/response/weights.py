@@ -3,7 +3,7 @@
 Weights come from a noise model, var(ln X) = relative + shot / X + read / X^2 + (width of the
 interval)^2 / 12, at the PREDICTED exposure X = E_i t_j. Observations are also selected by the
 predicted exposure, because weights or selections that depend on the noisy code would bias the
-curve. Each class of pixels (`places.py`) has its own noise model.
+curve. Each class of steepness (`places.py`) has its own noise model.
 
 Codes are DN; log exposures are relative.
 """
@@ -32,8 +32,8 @@ class NoiseModel:
     """The variance of ln X at the relative exposure X: relative + shot / X + read / X^2.
 
     Attributes:
-        relative: variance by unequal gains of the pixels and other errors in proportion to the
-            light.
+        relative: variance by errors in proportion to the light, such as unequal gains of the
+            pixels.
         shot: variance by shot noise at mid-scale (X = 1).
         read: variance by read noise at mid-scale (X = 1).
     """
@@ -53,8 +53,8 @@ def noise_variance(
 
 @dataclass(frozen=True)
 class WeightRule:
-    """Tables of weights over a uniform grid of log exposure. They have one row for each class of
-    pixels and an empty cell at either end.
+    """Tables of weights over a uniform grid of log exposure. Each table has one row for each class
+    of steepness, and an empty cell at either end.
 
     Attributes:
         by_bin: (classes, bins) initial weight by observed code.
@@ -64,7 +64,7 @@ class WeightRule:
         weight: (classes, cells) fraction of the precision that is used as weight.
         share: (classes, cells) share of the variance that is independent between exposures: noise,
             and rounding where noise dithers it.
-        bias: (classes, cells) mean of weight times residual.
+        bias: (classes, cells) expected weight times residual at the true curve.
     """
 
     by_bin: Float[np.ndarray, "classes bins"]
@@ -101,8 +101,8 @@ class Observations:
 
 
 def hat_rule(bins: CodeBins, *, classes: int = 1) -> WeightRule:
-    """Make weights that depend on the observed code, highest at mid-scale and falling to both ends
-    (Debevec & Malik's hat, squared)."""
+    """Make weights that depend on the observed code: the squared hat function of Debevec & Malik,
+    which is highest at mid-scale and falls to both ends of the scale."""
     height = np.minimum(bins.centres - bins.black, bins.edges[-1] - bins.centres)
     hat = height / height.max()
     by_bin = np.where(hat > HAT_BRIM, (hat / HAT_DEVIATION) ** 2, 0)
@@ -115,8 +115,8 @@ def noise_rule(
     *,
     coarsest: float = np.inf,
 ) -> WeightRule:
-    """Make weights that depend on the predicted exposure, from a curve and a noise model for each
-    class."""
+    """Make weights that depend on the predicted exposure, from a curve and from the noise model of
+    each class of steepness."""
     grid = np.linspace(means[0], means[-1], 4 * len(means))
     absent = np.zeros(len(means)), *(np.zeros(len(grid) + 2) for _ in range(4))
     rows = [absent if n is None else _class_tables(n, means, grid, coarsest) for n in noises]
@@ -125,8 +125,8 @@ def noise_rule(
 
 
 def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
-    """Return the largest rms rounding, in ln X, up to which codes are used in a fit if no noise
-    dithers the rounding."""
+    """Return the largest rms rounding error, in ln X, of codes that a fit uses although no noise
+    dithers their rounding."""
     # The rounding error of a code is the same in all pixels. It adds a ripple to the curve, with
     # the period of the exposures, which the exposures do not contradict. Linear 8-bit cameras with
     # little noise had half of their codes outside the band. Exposures far apart need all codes.
@@ -164,15 +164,16 @@ def _class_tables(
 def undithered_share(
     variance: Float[np.ndarray, " points"],
 ) -> Float[np.ndarray, " points"]:
-    """Return the covariance of the rounding error with the light, relative to that without noise.
+    """Return the covariance of the rounding error with the light, as a share of this covariance
+    without noise.
 
     Let u be the error of rounding x + n, with light x and noise n. If n is normal with the variance
     s^2, in squared rounding intervals,
 
         Cov(u, x) = -sum_k exp(-2 pi^2 k^2 s^2) / (2 pi^2 k^2),
 
-    which is -1/12 for s = 0. With at least half an interval of noise this effect vanishes, and
-    rounding is an independent error (Widrow and Kollar, "Quantization Noise", 2008).
+    which is -1/12 for s = 0. If s is at least half an interval, this covariance vanishes and the
+    rounding error is independent of the light (Widrow and Kollar, "Quantization Noise", 2008).
     """
     squares = np.arange(1, HARMONICS + 1)[:, None] ** 2
     decay = np.exp(-2 * np.pi**2 * squares * variance) / squares
@@ -188,7 +189,8 @@ def observe(
     *,
     screened: bool = True,
 ) -> Observations:
-    """Compute weights and residuals; return those of linked pixels without outliers."""
+    """Compute the weights and residuals of linked pixels (with at least two positive weights),
+    without outliers."""
     by_each, weights = means[binned] - log_t[:, None], weights_by_code(rule, binned, classes)
     cells = np.zeros_like(binned)
     if rule.weight is not None:
@@ -229,8 +231,8 @@ def predicted_weights(
     log_t: Float[np.ndarray, " exposures"],
     classes: Int[np.ndarray, " pixels"],
 ) -> tuple[Float[np.ndarray, "exposures pixels"], Int[np.ndarray, "exposures pixels"]]:
-    """Return the weights from a rule's table at the exposures that each pixel's weighted mean
-    predicts, and the cells of the table."""
+    """Return weights at predicted exposures, and the cells of the rule's table from which they
+    come. A pixel's exposures are predicted from the weighted mean of its log irradiance."""
     assert table is not None
     cells = cells_of(rule, weighted_mean(weights, by_each) + log_t[:, None], classes)
     return np.where(weights > 0, table.ravel()[cells], 0), cells
