@@ -94,16 +94,16 @@ def register(
         shading: `shading(material, wi, wo)`, (bands,) sr^-1; without it the BRDF times the cosine
             of incidence.
         bound: `bound(ends) -> effects.Reflection`, the suprema of the shading, for the material at
-            both ends of the range of a fit; without it `effects` keeps everything that depends on
+            both ends of the range of a fit; without it `effects` neglects nothing that depends on
             the material.
-        word: the name of its `family` in scene files; None for the name of the record in snake
-            case, "" for a material that scene files cannot contain.
+        word: the name of the `family` in scene files. None takes the name of the class in snake
+            case; "" excludes the material from scene files.
         from_file: function that makes the record from the keys of a file, if the keys are not the
             fields of the record. The names, defaults and docstring of its parameters define the
             keys; `**fields` takes all other fields of the record.
 
     Raises:
-        ValueError: for one of `sample` and `pdf` without the other.
+        ValueError: if only one of `sample` and `pdf` is given.
     """
     if (sample is None) != (pdf is None):
         given, missing = ("pdf", "sample") if sample is None else ("sample", "pdf")
@@ -206,8 +206,8 @@ def suprema(material: Ends[Any]) -> Reflection:
     """Return upper bounds on a material's shading over all directions.
 
     Args:
-        material: at both ends of the range of a fit; for a map, the smallest and largest values
-            count.
+        material: the material at both ends of the range of a fit; of a map, the smallest and
+            largest values are used.
 
     Returns:
         The suprema, sr^-1; inf for a family without a registered bound.
@@ -230,7 +230,7 @@ def is_delta(material: Any) -> bool:
         material: any registered material.
 
     Returns:
-        Whether it is a delta distribution, a Python bool, no unit.
+        Whether the BRDF is a sum of delta functions, a Python bool, no unit.
 
     Example:
         >>> print(jv.brdf.is_delta(jv.Mirror([0.9])), jv.brdf.is_delta(jv.Lambert([0.1])))
@@ -247,7 +247,7 @@ def is_body(material: Any) -> bool:
         material: any registered material.
 
     Returns:
-        Whether light passes through a body of it, a Python bool, no unit.
+        Whether light passes through a body of this material, a Python bool, no unit.
 
     Example:
         >>> print(jv.brdf.is_body(jv.Glass(1.5)), jv.brdf.is_body(jv.Mirror([0.9])))
@@ -261,7 +261,7 @@ def lambertian(material: Any) -> Material:
     of a material.
 
     Args:
-        material: with `diffuse` and `ambient`.
+        material: a material with the fields `diffuse` and `ambient`.
 
     Returns:
         The material with its Lambertian and ambient parts only.
@@ -302,7 +302,7 @@ def specular(material: Any, w: Vector) -> Specular:
         The directions, unit, local, and their shares of the flux, (bands,) no unit.
 
     Raises:
-        ValueError: for a material with a density.
+        ValueError: for a material that is neither a mirror nor clear.
     """
     of_family = family(material).specular
     if of_family is None:

@@ -65,8 +65,8 @@ class Coated(Material):
         distribution: "ggx" or "beckmann"; static.
 
     Raises:
-        ValueError: for another index, and if the body is a mirror or glass, or reflects more than
-            it receives.
+        ValueError: for an index outside this range, and if the body is a mirror or glass, or
+            reflects more than it receives.
 
     Example:
         >>> white, up = jv.Lambert([1 / np.pi]), jnp.array([0.0, 0.0, 1.0])

@@ -47,7 +47,8 @@ class Separation(Shown):
     Attributes:
         body: (...) >= 0, the geometry factor m_b for a body colour of unit length, in the picture's
             unit.
-        interface: (...) >= 0, the geometry factor m_i, likewise.
+        interface: (...) >= 0, the geometry factor m_i for an illuminant of unit length, in the
+            picture's unit.
         residual: (...) distance of each pixel from the fit, in the picture's unit.
         body_colour: (bands,) of length 1, no unit.
         illuminant: (bands,) of length 1, no unit.
@@ -99,7 +100,8 @@ def separate(
     Args:
         image: (..., bands) linear, relative.
         illuminant: (bands,) relative colour of the light, as the camera sees a white surface.
-        body: (bands,) relative colour of the material, or None: `body_colour` finds it.
+        body: (bands,) relative colour of the material, or None, which estimates it by
+            `body_colour`.
         valid: (...) pixels that `body_colour` uses; all by default.
         quantile: as for `body_colour`, in (0, 1), no unit.
 

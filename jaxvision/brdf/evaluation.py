@@ -26,7 +26,8 @@ def evaluate(material: Material, wi: Direction, wo: Direction) -> Colour:
         f_r, (bands,) in sr^-1; 0 where wi.z <= 0 or wo.z <= 0.
 
     Raises:
-        ValueError: for a direction of another shape; so do the functions below.
+        ValueError: for a direction whose shape is not (3,). The other functions that take
+            directions raise it too.
 
     Example:
         >>> up = jnp.array([0.0, 0.0, 1.0])

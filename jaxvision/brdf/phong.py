@@ -97,9 +97,10 @@ def phong_lobe(log_cos_mirror: Scalars, exponent: Scalars) -> Scalars:
     """Return the Phong lobe max(cos(theta_s), 0) ** exponent, given the logarithm of cos(theta_s).
 
     Args:
-        log_cos_mirror: (...) log of the cosine between view and mirror direction, <= 0, no unit,
-            as `log_cos_between` returns it. The value that it returns for a right angle or more
-            stands for a cosine of 0; there the lobe and its gradients are 0 for every exponent.
+        log_cos_mirror: (...) log of the cosine between view and mirror direction, <= 0, no unit, as
+            `log_cos_between` returns it. For an angle of 90 degrees or more, the value of
+            `log_cos_between` stands for a cosine of 0; there the lobe and its gradients are 0 for
+            every exponent.
         exponent: (...) >= 0, no unit; the arguments broadcast.
 
     Returns:

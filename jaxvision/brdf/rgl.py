@@ -53,14 +53,15 @@ class RGL(Material):
     Attributes:
         theta: (t,) rad, increasing, grid of polar angles of `wo`.
         phi: (p,) rad, increasing, grid of azimuths of `wo`.
-        values: (p, t, n, n, bands) f_r cos(theta_i), or a factor of it (see `scaled`), over the
-            unit square.
+        values: (p, t, n, n, bands) f_r cos(theta_i) over the unit square, or one factor of it if
+            `scaled` is true.
         ndf: (rows, columns) over the square of half vectors, no unit.
         sigma: (rows, columns) over the square of directions, no unit.
         vndf: warp of the unit square for each (phi, theta).
         luminance: warp of the unit square for each (phi, theta).
         wavelengths: (bands,) m, or None for RGB.
-        scaled: whether ndf / (4 sigma) is a factor on the values (the file's `jacobian`); static.
+        scaled: whether `values` must be multiplied by ndf / (4 sigma) (the file's `jacobian`);
+            static.
         symmetry: number of equal azimuth sectors of `wo`; the grid covers one of them; static.
 
     Example:

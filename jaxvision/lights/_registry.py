@@ -127,9 +127,9 @@ def register(
             a light at a finite distance emits rays uniformly in all directions, with the flux that
             `incident` implies, and a light at infinity emits parallel rays through the whole scene.
         bound: `bound(ends) -> effects.Source`, the largest emission, for the light at both ends of
-            the range of a fit; without it `effects` keeps everything that depends on the light.
-        word: the name of its `kind` in scene files; None for the name of the class in snake case,
-            without "Light", "" for a light that scene files cannot contain.
+            the range of a fit; without it `effects` neglects nothing that depends on the light.
+        word: the name of the `kind` in scene files. None takes the name of the class in snake case,
+            without "Light"; "" excludes the light from scene files.
         from_file: function that makes the light from the keys of a file, if the keys are not the
             fields of the light. The names, defaults and docstring of its parameters define the
             keys; `**fields` takes all other fields of the light.
@@ -157,10 +157,10 @@ def register_extended(
         light: the class of the light.
         seen: `seen(light, ray) -> Seen`.
         sample: `sample(light, point, u) -> Incident`, a map of the unit square, `u` (2,), onto
-            directions toward the light. Its irradiance is radiance over density, so that the mean
-            over the square is the irradiance of the light.
+            directions toward the light. The irradiance of a sample is radiance over density, so
+            that the mean over the square is the irradiance of the light.
         pdf: `pdf(light, point, wi)`, () in sr^-1, the density of the directions of `sample`.
-        node: as `sample`, but smooth in `u`, for quadrature; `sample` by default.
+        node: a map like `sample`, but smooth in `u`, for quadrature; by default `sample` itself.
         nodes: function from an order of quadrature to static nodes, (n, 2), and weights, (n,).
         emitted: as in `register`. If omitted, a light at a finite distance cannot be used in light
             tracing.
@@ -198,7 +198,7 @@ def can_be_seen(light: Light) -> bool:
         light: any registered light.
 
     Returns:
-        Whether it can be seen, a Python bool, no unit.
+        Whether a ray can hit the light, a Python bool, no unit.
 
     Example:
         >>> print(jv.lights.can_be_seen(jv.PointLight([0, 0, 2], [8.0])))

@@ -91,7 +91,7 @@ def rule_for(rule: AnyRule, number: Integer[Array, ""]) -> AnyRule:
         number: () whole number that identifies the point, for example a pixel, no unit.
 
     Returns:
-        The rule with its own key; a rule of fixed nodes is returned unchanged.
+        The rule with a random key for this point; a rule with fixed nodes is returned unchanged.
     """
     if isinstance(rule, MonteCarlo | Balanced):
         return type(rule)(jax.random.fold_in(rule.key, number), rule.samples)
@@ -107,8 +107,9 @@ def rules_of(
     Args:
         scene: gives the lights, and their rules if they have any.
         rule: sampling rule for all lights without a rule of their own.
-        numbers: () each, which identify a pixel and its sample, or another point. Random rules draw
-            other samples for other numbers; empty leaves the rules unchanged.
+        numbers: () each, whole numbers that identify a pixel and its sample, or another point.
+            Random rules draw other samples for other numbers. Without numbers, rules are returned
+            unchanged.
         count: number of sources: first the scene's lights, then surfaces that emit, which use
             `rule`; None for the lights alone.
 

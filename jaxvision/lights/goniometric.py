@@ -57,11 +57,11 @@ class GoniometricLight(Light):
 
     Attributes:
         position: (3,) m.
-        intensity: (bands,) W sr^-1 for a distribution of 1.
+        intensity: (bands,) W sr^-1, where the distribution is 1.
         distribution: (v, h) relative intensity, no unit, at the nodes.
         vertical: (v,) rad, increasing nodes, at least two.
-        horizontal: (h,) rad, increasing nodes; one node for a lamp that is the same all around. In
-            system C the nodes span a whole turn.
+        horizontal: (h,) rad, increasing nodes; a single node for a lamp that is rotationally
+            symmetric. In system C the nodes span a whole turn.
         rotation: (3, 3), rows the lamp's x, y and z axes in the world, no unit.
         system: "C", "B" or "A"; static.
 
@@ -100,7 +100,7 @@ class GoniometricAreaLight(Light):
         corner: (3,) m.
         edge_u: (3,) m, from the corner along the lamp's x.
         edge_v: (3,) m, along the other side, at a right angle to the first.
-        intensity: (bands,) W sr^-1 for a distribution of 1, of the whole lamp.
+        intensity: (bands,) W sr^-1 of the whole lamp, where the distribution is 1.
         distribution, vertical, horizontal, system: as of `GoniometricLight`.
 
     Example:
@@ -222,7 +222,8 @@ def flux(light: Goniometric) -> Colour:
         light: the lamp.
 
     Returns:
-        (bands,) W, the integral of its intensity in W sr^-1 over all directions; lm for cd.
+        (bands,) W, the integral of the intensity in W sr^-1 over all directions; in lm if the
+        intensity is in cd.
 
     Example:
         >>> even = np.ones((2, 1)), [0, np.pi], [0.0]

@@ -183,7 +183,8 @@ def daylight(
         ValueError: for a sun below the horizon, and another kind.
 
     Warns:
-        UserWarning: if the formula falls below 0 somewhere, which counts as 0.
+        UserWarning: if the formula is negative in some direction, where the radiance is then set to
+        0.
 
     Example:
         >>> sky = jv.lights.daylight(16, [0, 0, 1], irradiance=[100.0])

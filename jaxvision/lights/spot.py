@@ -45,9 +45,10 @@ class SpotLight(Light):
         position: (3,) m.
         direction: (3,) of the axis, away from the lamp (its length is ignored).
         intensity: (bands,) W sr^-1 within the inner cone.
-        inner: () rad, the half angle up to which the intensity is full, at least 0.
-        outer: () rad, the half angle beyond which it is dark, above `inner` and at most pi.
-        falloff: "smooth" in the cosine, or "linear" in the angle; static.
+        inner: () rad, half angle of the inner cone, at least 0.
+        outer: () rad, half angle of the outer cone, above `inner` and at most pi.
+        falloff: how the intensity decreases between the cones: "smooth" in the cosine, or "linear"
+            in the angle; static.
 
     Example:
         >>> spot = jv.SpotLight([0, 0, 2], [0, 0, -1], [8.0], np.radians(20), np.radians(40))

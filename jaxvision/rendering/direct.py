@@ -360,12 +360,12 @@ def render(
             rules of single lights.
         view: any view; a thin lens needs `samples` to defocus.
         rule: sampling rule for extended lights without their own. A random rule draws new samples
-            for each pixel and sample. The default, `Quadrature(8)`, suits diffuse surfaces. For
-            gloss of roughness 0.03 it may lose half of a lamp's highlight, while `Balanced` is
-            accurate (`lights.rules` has the figures).
+            for each pixel and sample. The default, `Quadrature(8)`, suits diffuse surfaces. On a
+            glossy surface of roughness 0.03 it may miss half of a lamp's highlight, while
+            `Balanced` is accurate (`lights.rules` gives the errors).
         samples: rays of each pixel, whose mean is taken; None for one ray through each pixel's
             centre.
-        edges: moving edges in derivatives; None neglects them.
+        edges: how moving edges are included in derivatives; None neglects them.
         threshold: W m^-2 sr^-1, largest radiance that each pixel may lose; None loses nothing. For
             every 256 successive pixels, lights are traced in order of the largest radiance that
             each can add there. The last lights, which together add at most the threshold to any of

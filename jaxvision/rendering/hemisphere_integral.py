@@ -32,7 +32,8 @@ class Estimate(Shown):
 
     Attributes:
         value: (bands,) W m^-2 sr^-1.
-        error: (bands,) W m^-2 sr^-1; the function that returns it defines its kind.
+        error: (bands,) W m^-2 sr^-1; the function that returns the estimate describes what kind of
+            error this is.
 
     Example:
         >>> up, grey = jnp.array([0.0, 0.0, 1.0]), jv.Lambert([0.5 / np.pi])
@@ -71,9 +72,10 @@ def hemisphere_radiance(
         azimuths: static, nodes in phi, >= 2.
 
     Returns:
-        The integral. Its error is the difference from the result with half as many nodes along each
-        axis. It is far above the true error for smooth light and surfaces, and close to it for
-        light with edges. Neither rule sees a lobe or a light between all nodes, such as a mirror's.
+        The integral. The error is the difference from the result with half as many nodes along each
+        axis. This difference is far above the true error for smooth light and surfaces, and close
+        to the true error for light with edges. Both results miss a lobe or a light that lies
+        between all nodes, such as the lobe of a mirror.
 
     Raises:
         ValueError: for fewer than 2 nodes along an axis.

@@ -84,8 +84,8 @@ class Traced(Shown):
 
     Attributes:
         radiance: (..., bands) W m^-2 sr^-1, the mean of the samples.
-        error: (..., bands) W m^-2 sr^-1, standard error for independent samples. It is too low if
-            no sample meets a rare bright path, and inf for one sample.
+        error: (..., bands) W m^-2 sr^-1, the standard error for independent samples. The standard
+            error is too low if no sample hits a rare bright path, and inf for one sample.
 
     Example:
         All paths in this room give the same radiance, so their mean has no error.

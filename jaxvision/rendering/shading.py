@@ -94,9 +94,9 @@ def outgoing_radiance(
         tangent: (3,) of any length, for an anisotropic material; None: any tangent.
         rule: sampling rule of extended lights, one for all or one for each light. The default,
             `Quadrature(8)`, suits diffuse surfaces under area lights; a glossy surface, or a sky
-            with a sun, needs `Balanced` (`lights.rules` has the figures).
-        occluders: the shapes that block light, the surface's own included if it can; None or an
-            empty sequence for none, without shadow rays.
+            with a sun, needs `Balanced` (`lights.rules` gives the errors).
+        occluders: the shapes that block light, including the surface's own shape if it can shadow
+            itself. For None or an empty sequence no shadow rays are traced.
         leaving: offset of shadow rays from the surface, needed for an interpolated `normal` or a
             surface of known size; None for an offset along `normal`.
 

@@ -322,12 +322,12 @@ class Development(Shown):
 
     Attributes:
         black_level: () DN, subtracted first.
-        white_level: () DN that becomes 1, above the black level; None keeps DN.
+        white_level: () DN that becomes 1, above the black level; None leaves the picture in DN.
         demosaicing: interpolation from one band per pixel to all.
         white_balance: gains, or a method to estimate them.
         saturation: () > 0, the value at which the bands clip, in the unit after scaling (1 with a
-            white level). It clips highlights to neutral white after the gains, so that it needs a
-            `white_balance`.
+            white level). After the gains are applied, highlights are clipped to neutral white, so a
+            `white_balance` is needed.
         denoising: a filter of linear light.
         colour_matrix: (3, 3) no unit, from the camera's RGB to that of the picture.
         tone_map: a curve for linear light.

@@ -199,9 +199,10 @@ class Distortion(Shown):
     Attributes:
         radial: (terms,) k_1, k_2, ..., no unit; k_1 < 0 is a barrel, k_1 > 0 a pincushion.
         tangential: (2,) p_1, p_2 for a decentred lens, no unit, or None.
-        shift: (2,) right and down, of the optical axis from the middle of the picture, relative to
-            the image distance, no unit, or None.
-        stretch: () of the image downwards, > 0, no unit: fy / fx; None for 1.
+        shift: (2,) displacement of the optical axis from the middle of the picture, right and down,
+            divided by the image distance, no unit, or None.
+        stretch: () factor by which the image is stretched downwards, > 0, no unit: fy / fx; None
+            for 1.
 
     Source:
         Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971), with the

@@ -87,7 +87,7 @@ class HotPixels(Shown):
     """Pixels with additional dark current, whose rate is exponentially distributed.
 
     Attributes:
-        fraction: () of the pixels, in [0, 1], no unit.
+        fraction: () fraction of the pixels that are hot, in [0, 1], no unit.
         rate: () e- s^-1, mean of the excess, >= 0.
 
     Example:
@@ -201,7 +201,7 @@ class TelegraphNoise(Shown):
     with probability 1/2, and +amplitude with probability 1/4.
 
     Attributes:
-        fraction: () of the pixels, in [0, 1], no unit.
+        fraction: () fraction of the pixels that have a trap, in [0, 1], no unit.
         amplitude: () e-, >= 0.
 
     Example:

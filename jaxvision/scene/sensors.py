@@ -146,10 +146,10 @@ class BrighterFatter(Shown):
     Attributes:
         kernel: (rows, columns) per electron, K at offsets of 0, 1, ... rows and columns, even in
             both; 0 beyond. About 1e-6 / 4 at offset 0 for a CCD of 100 um thickness.
-        steps: number of parts of the exposure, >= 2; static. Electrons of one part do not repel
-            each other, and the kernel is scaled by steps / (steps - 1) instead. This is exact to
-            first order in K, with an error of about 1 / (5 steps) of the second order, which is
-            (2/3) (a_00 mu)^2 of the variance.
+        steps: number of parts of the exposure, >= 2; static. Electrons that arrive in the same part
+            do not repel each other; to compensate, the kernel is scaled by steps / (steps - 1). The
+            variance is then exact to first order in K. Its second-order term, which is (2/3) (a_00
+            mu)^2 of the variance, has a relative error of about 1 / (5 steps).
 
     Example:
         No electron is lost.
@@ -177,9 +177,10 @@ class ChargeTransfer(Shown):
     Attributes:
         inefficiency: () share of a charge packet that is lost per row transfer, in [0, 1/2], no
             unit.
-        serial_inefficiency: () the same along the columns of the serial register, or None.
-        trail: number of pixels over which the lost charge is followed, >= 1; static. Charge that
-            lags further is read in the last of them.
+        serial_inefficiency: () share that is lost per transfer along the serial register, in [0,
+            1/2], no unit, or None.
+        trail: number of pixels behind a packet in which its lost charge is computed, >= 1; static.
+            Charge that lags farther is read in the last of these pixels.
 
     Example:
         >>> sensor = jv.Sensor(charge_transfer=jv.ChargeTransfer(inefficiency=0.01))
@@ -248,7 +249,8 @@ class Taps(Shown):
         read_noise: (taps,) factors on `Sensor.read_noise`, >= 0, no unit, or None.
         prnu: (taps,) factors on `Sensor.prnu`, >= 0, no unit, or None.
         quantum_efficiency: (taps,) factors on `Sensor.quantum_efficiency`, >= 0, no unit, or None.
-            For the sites of a mosaic, they hold in the light of the camera's calibration.
+            For the sites of a mosaic, the factors are valid only for the light of the camera's
+            calibration.
         stretched: whether the pattern covers the frame once instead of being repeated: ((0, 1), (2,
             3)) are then its quadrants. Static.
         cell: rows and columns of the mosaic in each part of a stretched pattern. The pattern lists
@@ -318,25 +320,25 @@ class Sensor(Shown):
     in the pixel (from `shot_noise` on), and during read-out (from `charge_transfer` on).
 
     Attributes:
-        photon_conversion: None for input in photons per pixel and second, or per pixel and exposure
-            without an `exposure_time`.
+        photon_conversion: conversion of irradiance to photons; None for input in photons per pixel
+            and second, or per pixel and exposure without an `exposure_time`.
         light_offset: () or (bands,) photons per pixel that reach the sensor with each exposure in
-            addition to the input; may be negative. It also describes a longer exposure than stated.
-            A frame behind a closed shutter has none: leave it out there.
+            addition to the input; may be negative. The offset also describes an exposure that is
+            longer than stated. For a frame behind a closed shutter, set it to None.
         infrared_cut: (bands,) transmission of a filter in front of the sensor, in [0, 1], no unit.
         quantum_efficiency: () or (bands,) electrons per photon, in [0, 1].
-        colour_filter: None for every band at every pixel.
-        pixel_aperture: None for light from the whole pixel.
-        shutter: None for a global shutter.
+        colour_filter: filter over each pixel; None if every pixel measures every band.
+        pixel_aperture: light-sensitive area of a pixel; None for the whole pixel.
+        shutter: rolling shutter; None for a global shutter.
         exposure_time: () s, >= 0; None for input in counts per exposure.
         crosstalk: () share of a pixel's electrons that drift to each of its four neighbours, in [0,
             1/4], no unit.
-        smear: () dwell time under each other row while a CCD shifts its frame, over the exposure
-            time; >= 0, no unit.
+        smear: () time that a CCD's charge spends under each other row while the frame is shifted,
+            divided by the exposure time; >= 0, no unit.
         prnu: () relative rms of the pixels' sensitivities, in [0, 0.5], no unit (1 % is 0.01).
         dead_pixels: () fraction of the pixels that do not respond to light, in [0, 1], no unit.
-        dark_current: () e- s^-1 per pixel, >= 0, or its temperature law. Its electrons are counted
-            with those of the light and have the same shot noise.
+        dark_current: () e- s^-1 per pixel, >= 0, or its temperature law. Dark electrons are counted
+            together with photoelectrons and have the same shot noise.
         hot_pixels: pixels with excess dark current.
         shot_noise: distribution of the electron count; None for the expectation.
         brighter_fatter: repulsion of later charge by the charge in a pixel.
@@ -353,7 +355,7 @@ class Sensor(Shown):
         dsnu: () e- rms of the offsets of pixels, >= 0.
         column_dsnu: () e- rms of the offsets of columns, >= 0.
         row_dsnu: () e- rms of the offsets of rows, >= 0.
-        reset_noise: None where correlated double sampling removes it.
+        reset_noise: kTC noise of the sense node; None if correlated double sampling removes it.
         read_noise: () e- rms per read-out, Gaussian, >= 0, or a distribution with a longer tail.
         telegraph_noise: pixels that switch between two levels.
         row_noise: () e- rms of an offset that each row draws anew in each frame, >= 0.
@@ -362,10 +364,10 @@ class Sensor(Shown):
             drift.
         banding: an offset that oscillates over the rows.
         column_prnu: () relative rms of the gains of the column amplifiers, in [0, 0.5], no unit.
-        gain: () DN per e-, > 0. It is proportional to a camera's ISO setting (ISO 12232 by
-            saturation: 78 over the lx s that just fill the ADC's range).
+        gain: () DN per e-, > 0. The gain is proportional to a camera's ISO setting (by saturation,
+            ISO 12232 defines the speed as 78 divided by the lx s that just fill the ADC's range).
         offset: () DN added before conversion (the black level).
-        taps: readout amplifiers or mosaic sites with parameters of their own.
+        taps: parameters that differ between read-out amplifiers or sites of a mosaic.
         bits: () of the ADC, a whole number from 1 to the largest that the dtype represents exactly
             (11, 24 and 53 for float16, float32 and float64). The output is rounded to whole DN and
             clipped to [0, 2^bits - 1].

@@ -39,7 +39,7 @@ class Surface(Shown):
 
     Attributes:
         shape: geometry of the surface.
-        material: its reflection; any number of it may be a `Map`.
+        material: reflectance model of the surface; any of its parameters may be a `Map`.
         emission: (bands,) radiance of its front, equal in all directions, W m^-2 sr^-1, or None.
         two_sided: whether both sides are fronts, with the normal flipped towards the viewer;
             otherwise a surface is black from behind. Static.
@@ -104,10 +104,10 @@ class Scene(Shown):
         lights: any number; a single record is accepted too.
         ambient: uniform light from all directions, or None.
         occluders: indices of the surfaces that may block direct light; None for all; () for none,
-            without shadow rays. In `transport`, which follows light from surface to surface, every
-            surface blocks. Static.
-        rules: sampling rule of each light, one `lights.Rule` or None (the rule of the call) for
-            each; None for the rule of the call for all.
+            in which case no shadow rays are traced. In `transport`, which follows light from
+            surface to surface, every surface blocks. Static.
+        rules: sampling rule of each light: a `lights.Rule`, or None for the rule that is passed to
+            the integrator. None instead of the tuple uses that rule for all lights.
 
     Example:
         >>> ball = jv.Surface(jv.Sphere([0, 0, 0], 1), jv.Lambert([0.5 / np.pi]))

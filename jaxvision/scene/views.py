@@ -107,7 +107,8 @@ class ThinLens(Shown):
         aperture: its shape.
         rim: a second aperture that blocks oblique light, or None.
         distortion: of the image, or None.
-        diffraction: at a round aperture, also with aberrations, or None.
+        diffraction: `Diffraction` at a round aperture, or `Wavefront` to include aberrations, or
+            None.
 
     Example:
         >>> lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(1, 1), f_number=2.0)

@@ -49,9 +49,10 @@ def register(
         moments: `moments(effect, moments) -> Moments`, mean and variance of the charge of a pixel
             in uniform light; without it `expected_signal` and related functions reject the sensor.
         bound: `bound(ends, electrons) -> (moved, grows)`, for the effect at both ends of the range
-            of a fit. `moved`: largest RMS change of a pixel's electrons, if no pixel holds more
-            than `electrons` RMS. `grows`: largest factor on charge, or on a change of charge, >= 1.
-            Without it `effects` keeps all effects of the sensor that act before.
+            of a fit. `moved` is the largest RMS change of a pixel's electrons, if no pixel contains
+            more than `electrons` RMS. `grows` is the largest factor by which the effect multiplies
+            charge, or a change of charge, >= 1. Without `bound`, `effects` neglects no effect of
+            the sensor that acts before this one.
 
     Example:
         >>> class Loss(jv.SensorEffect):
@@ -78,10 +79,10 @@ def register_curve(
 
     Args:
         effect: the class of the record.
-        curve: `curve(effect, electrons) -> electrons`, elementwise; 0 stays 0.
+        curve: `curve(effect, electrons) -> electrons`, elementwise, with the value 0 at 0.
         slopes: `slopes(ends) -> (least, most)`, smallest and largest slope of the curve at any
-            charge, over the whole range of a fit; without it `effects` keeps all effects of the
-            sensor that act before.
+            charge, over the whole range of a fit; without it `effects` neglects no effect of the
+            sensor that acts before this one.
         inverse: `inverse(effect, signal) -> electrons`; without it `correct` rejects the sensor.
 
     Example:

@@ -108,13 +108,13 @@ class Part(Shown):
     """One part of the error of a corrected frame, such as its shot noise.
 
     Attributes:
-        name: source of the error; persistent parts of one name have the same draws in all frames.
-            Static.
-        amplitude: (..., h, w, bands) standard deviation in the unit of the frame; its sign matters
-            where draws persist.
+        name: source of the error. Parts with the same name whose draws are the same in all frames
+            cancel in differences. Static.
+        amplitude: (..., h, w, bands) standard deviation in the unit of the frame. The sign matters
+            if the draws are the same in all frames.
         kernel: (rows, columns) no unit, with which the error is convolved, or None.
-        along: which pixels share a draw: none ("pixels"), the pixels of a row or a column, or all
-            pixels of one "frame"; with "all" the draw also persists over frames. Static.
+        along: which pixels have the same draw: none ("pixels"), those of a row or of a column, or
+            all of one "frame"; with "all" the draw is also the same in all frames. Static.
         lasts: whether the draws are the same in all frames. Static.
 
     Example:

@@ -80,7 +80,7 @@ def at_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -
         base_iso: () ISO speed of the given sensor.
 
     Returns:
-        The sensor with another gain; a gain of None counts as 1 DN per electron.
+        The sensor with another gain; a gain of None stands for 1 DN per electron.
 
     Example:
         >>> print(jv.sensor.at_iso(jv.Sensor(gain=0.25, bits=12), 400).gain)

@@ -195,7 +195,7 @@ def neighbour_covariances(
     Args:
         sensor: the sensor.
         irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel. The
-            neighbourhood of each pixel counts as uniform.
+            neighbourhood of each pixel is assumed to be uniform.
         reach: largest offset in pixels, at least 0; static.
 
     Returns:

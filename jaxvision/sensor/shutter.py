@@ -108,11 +108,11 @@ def exposed(
         shutter: the rolling shutter; None for a global shutter.
         exposure_time: () s.
         picture_at: function from a time () in s to the picture (rows, w, bands) in any unit, or to
-            a record of several such pictures. It is called once for each slot without compilation:
-            wrap it in `jax.jit` if this is slow.
+            a record of several such pictures. The function is called once for each slot without
+            compilation; wrap it in `jax.jit` if this is slow.
         rows: number of rows, static.
         slots: number of times at which the picture is evaluated, static; for a smooth motion the
-            error falls with the square of it.
+            error is inversely proportional to the square of this number.
 
     Returns:
         What `picture_at` returns, averaged over time, in its unit.

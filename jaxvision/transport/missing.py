@@ -93,11 +93,11 @@ def missing_light(
         depth: largest number of segments of a path (no unit); for "rays" number of rays of the
             tree. With `view` it is compared with the number of glass faces and mirrors that a ray
             meets in succession. None omits this check.
-        rule: of the samples of lights without a rule of their own, for "direct", "rays" and
+        rule: sampling rule of lights without a rule of their own, for "direct", "rays" and
             "radiosity"; None for the integrator's default.
-        samples: paths of each pixel, for "path". With it, a sentence about rarely sampled light
-            says which share of the pixels samples it; the standard errors of all other pixels omit
-            this light. None: the sentence states the probability alone.
+        samples: paths of each pixel, for "path". If it is given, a message about rarely sampled
+            light states the share of pixels that sample the light; the standard errors of all other
+            pixels omit it. If it is None, the message states the probability alone.
         view: the camera; None assumes that it sees every mirror and glass.
         surfaces: name of each surface; None for their indices in the scene.
         lights: name of each light; None for their indices in the scene.

@@ -80,8 +80,9 @@ class Paths(Shown):
             fastest, and as good for diffuse surfaces under lamps that are not large. "surfaces": by
             surface samples only, except for lights without size.
         roulette: index of the vertex (0 is the first) from which a path ends at random, with a
-            probability of 1 minus its weight; None for never. It adds no bias at any `depth`, and
-            the loop stops when all paths have ended. There are no reverse-mode gradients then.
+            probability of 1 minus its weight; None for never. Roulette adds no bias at any `depth`,
+            and the loop stops when all paths have ended. With roulette there are no reverse-mode
+            gradients.
 
     Raises:
         ValueError: for a count below its lower limit or an unknown strategy.

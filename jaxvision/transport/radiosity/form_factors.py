@@ -426,8 +426,9 @@ def polygon_to_polygon(first: Polygon, second: Polygon, *, order: int = 4) -> Ex
         order: static, >= 2.
 
     Returns:
-        The factor, no unit. Its error is the difference from the result of the next lower order.
-        It is far above the true error for distant polygons, and close to it where they touch.
+        The factor, no unit. The error is the difference from the result of the next lower order.
+        This difference is far above the true error for distant polygons, and close to the true
+        error where polygons touch.
 
     Raises:
         ValueError: for an order below 2.

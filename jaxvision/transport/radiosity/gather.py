@@ -77,9 +77,9 @@ def radiosity_along(
         rule: sampling rule for extended lights without a rule of their own, see
             `direct_irradiance`.
         gather: sampling rule for the rays that collect indirect light at the point; None
-            interpolates indirect light between the surrounding elements. Rays show contacts and
-            creases as sharply as the pixels allow, with noise of about 0.7 / sqrt(rays) of the
-            indirect light. For another point, `lights.rule_for` draws both `rule` and `gather`
+            interpolates indirect light between the surrounding elements. With such rays, contacts
+            and creases are as sharp as the pixels allow, with noise of about 0.7 / sqrt(rays) of
+            the indirect light. For another point, `lights.rule_for` draws both `rule` and `gather`
             anew.
 
     Returns:

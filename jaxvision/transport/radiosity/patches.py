@@ -38,7 +38,8 @@ class Patches(Shown):
         area: (n,) m^2.
         bulge: (n,) m, height of the surface above the flat patch.
         surface: (n,) number of the surface in the scene.
-        plane: (n,) index that patches of one flat face share: they do not see each other.
+        plane: (n,) index of the flat face that contains the patch; patches with the same index do
+            not see each other.
     """
 
     corners: tuple[Vec, Vec, Vec, Vec]

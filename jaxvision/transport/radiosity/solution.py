@@ -39,8 +39,8 @@ class Solution(Shown):
     Attributes:
         radiosity: (patches, bands) W m^-2.
         irradiance: (elements, bands) W m^-2 from all patches, without direct light.
-        sent: (elements, bands) radiosity, W m^-2, without the emission of quads, which count as
-            lights.
+        sent: (elements, bands) radiosity, W m^-2, without the emission of quads, which is treated
+            as that of lights.
         covered: (elements,) whether the element lies inside another body, where there is no light.
     """
 

@@ -61,7 +61,7 @@ def solve_radiosity(
         method: static. "direct": LU, exact to rounding, at a cost of patches^3. "iterative": GMRES,
             until the residual is `tolerance` of the largest `sent`, or as small as rounding allows.
             "progressive": `shoot`, until the error of every patch is below `tolerance` of the
-            brightest, or after `limit` shots; the remaining light is then lost.
+            brightest, or until `limit` shots; the remaining light is then neglected.
         tolerance: static, relative to the brightest patch.
         limit: static, largest number of shots.
 
@@ -69,8 +69,9 @@ def solve_radiosity(
         (patches, bands) B, W m^-2.
 
     Raises:
-        ValueError: for an unknown method, or one that needs the table itself; for a table that is
-            not square; for an albedo above 1, in this and the functions below.
+        ValueError: for an unknown method, for a function in place of the table unless the method is
+            "iterative", for a table that is not square, and for an albedo above 1. The functions
+            below also refuse an albedo above 1.
 
     Example:
         Two patches that see only each other, albedo 1/2, one emitting 3: B = (4, 2).
@@ -182,15 +183,15 @@ def shoot(
 
     Args:
         table, albedo, sent: as in `solve_radiosity`.
-        tolerance: static; the method ends when unshot light can add at most this fraction of the
-            brightest patch so far to any patch.
+        tolerance: static; the method ends when light that has not been distributed can add at most
+            this fraction of the brightest patch to any patch.
         limit: static, largest number of shots. If it is reached, the remaining light may be large:
             in a closed room of albedo rho up to the brightest unshot light times rho / (1 - rho),
             and n patches need about n / (1 - rho) shots.
 
     Returns:
-        B and its unshot part, (patches, bands) each, W m^-2; `ambient_estimate` adds the effect of
-        the unshot light.
+        B, and the part of it that has not been distributed, (patches, bands) each, W m^-2;
+        `ambient_estimate` estimates the effect of this part.
 
     Source:
         Cohen, Chen, Wallace and Greenberg, "A Progressive Refinement Approach to Fast Radiosity
