@@ -259,11 +259,11 @@ def rgb_to_reflectance(
     """Return a smooth reflectance whose colour under D65 is the given linear sRGB.
 
     The result is the sum of the basis reflectances of red, green and blue, each times its component
-    of the colour. It is linear in the colour, and within [0, 1] for colours within [0, 1]. Many
-    reflectances have that colour: under another lamp, or seen by another camera, a real surface of
-    the same colour may look different. If the reflectance is converted back to RGB, the error is at
-    most 2.4e-4 with samples every 5 nm from 380 to 780 nm, and 1.1e-2 with samples every 10 nm from
-    400 to 700 nm.
+    of the colour. The reflectance is linear in the colour, and within [0, 1] for colours within [0,
+    1]. Many reflectances have that colour: under another lamp, or seen by another camera, a real
+    surface of the same colour may look different. If the reflectance is converted back to RGB, the
+    error is at most 2.4e-4 with samples every 5 nm from 380 to 780 nm, and 1.1e-2 with samples
+    every 10 nm from 400 to 700 nm.
 
     Args:
         rgb: (..., 3) linear sRGB, relative; or k_d in sr^-1.

@@ -1,13 +1,13 @@
 """Colorimetric tables of the library colour-science, interpolated to the caller's wavelengths.
 
-The functions run eagerly, not under `jit`. The first that reads a table of colour-science imports
-it, which takes about two seconds. The usual RGB spaces, adaptations, luma weights and white points
-are defined here and do not import it. Wavelengths are in m everywhere; `nanometres` converts.
-colour-science interpolates smooth tables (Sprague's quintic on an even grid, a cubic spline
-elsewhere). Outside the wavelengths of its table, an observer or a sensitivity is 0, and a
-reflectance keeps its end value. An illuminant raises an error there, unless the CIE gives a formula
-for it: "A" has one at every wavelength, daylight from 300 to 830 nm. An unknown name raises an
-`InputError` that lists the known ones.
+The functions run eagerly, not under `jit`. The first call that needs a table of colour-science
+imports that library, which takes about two seconds. The usual RGB spaces, adaptations, luma weights
+and white points are defined here and do not import it. Wavelengths are in m everywhere;
+`nanometres` converts. colour-science interpolates smooth tables (Sprague's quintic on an even grid,
+a cubic spline elsewhere). Outside the wavelengths of its table, an observer or a sensitivity is 0,
+and a reflectance keeps its end value. An illuminant raises an error there, unless the CIE gives a
+formula for it: "A" has one at every wavelength, daylight from 300 to 830 nm. An unknown name raises
+an `InputError` that lists the known ones.
 """
 
 from collections.abc import Mapping
@@ -268,8 +268,8 @@ def rgb_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3"]:
     `spectra.rgb_to_reflectance`.
 
     The reflectances are Mallett's and Yuksel's table from 380 to 780 nm, interpolated linearly and
-    continued by its end values. All are in [0, 1]. In each band their sum is between 1 - 1e-5 and
-    1.
+    continued by its end values. All three reflectances are in [0, 1]. In each band their sum is
+    between 1 - 1e-5 and 1.
 
     Args:
         wavelengths: (bands,) m.

@@ -12,7 +12,7 @@ same integer as libjpeg with its accurate integer transform and its chroma filte
 that rounding. "cubic" rounds only the coefficients, by the differentiable round(x) + (x -
 round(x))^3 (Shin and Song, "JPEG-resistant adversarial images", NIPS workshop 2017).
 
-The quality, 1 to 100, is libjpeg's (Independent JPEG Group). It scales the quantisation tables of
+The quality, 1 to 100, is libjpeg's (Independent JPEG Group), and scales the quantisation tables of
 T.81, annex K.
 """
 

@@ -26,7 +26,7 @@ def white_balance(
 
     A pixel that is saturated in all bands would take the colour of the gains, usually magenta. With
     `saturation`, values are clipped at `saturation` times the smallest gain, the brightest value
-    that all bands can reach. Such a pixel then becomes neutral.
+    that all bands can reach. A pixel that is saturated in all bands then becomes neutral.
 
     Args:
         image: (h, w) or (..., h, w, bands) linear, DN or relative.

@@ -25,7 +25,7 @@ x 15 and "fft" beyond.
 "fft" is about as accurate as the other methods. In a picture with a range of eight decades the
 relative error of a pixel is at most 1e-4. Sums of non-negative numbers are not negative, and a
 window of zeros gives exactly 0. If some windows are 100 times darker than the picture's root mean
-square, as bright spots cause, the sums are computed in float64 and tile by tile. That takes two to
+square, as bright spots cause, the sums are computed in float64 and tile by tile, which takes two to
 three times as long. For numbers of either sign the error is relative to the largest value in the
 window.
 
@@ -36,7 +36,7 @@ that XLA generates.
 For a kernel without negative entries, such as a disc, the sum of separable passes may lose accuracy
 by cancellation. Then "separable" is replaced by the method that "auto" would choose.
 
-Derivatives with respect to picture and kernel are again correlations. They exist to any order, in
+Derivatives with respect to picture and kernel are again correlations, and exist to any order, in
 forward and reverse mode.
 """
 

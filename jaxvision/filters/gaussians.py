@@ -141,7 +141,8 @@ def gaussian_kernel(
     """Return the weights of a Gaussian, or of its derivative, centred in the kernel.
 
     The weights of order n are those of order 0 times He_n(x / sigma) / sigma^n, with the Hermite
-    polynomial He_n. Their sign makes them a correlation kernel.
+    polynomial He_n. The weights are a correlation kernel, so a derivative is positive where the
+    picture increases.
 
     Args:
         sigma: () in pixels; at least 0.01.

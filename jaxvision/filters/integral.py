@@ -1,7 +1,7 @@
 """Integral images (Crow 1984; Viola & Jones 2001): the sum over any box from four entries.
 
-They are exclusive, as in OpenCV's `integral`: entry (i, j) is the sum over rows < i and columns <
-j. The integral image has one more row and one more column than the picture, and its first row and
+The sums are exclusive, as in OpenCV's `integral`: entry (i, j) is the sum over rows < i and columns
+< j. The integral image has one more row and one more column than the picture, and its first row and
 column are 0. scikit-image's `integral_image` has no such row and column: its entry (i, j) is our (i
 + 1, j + 1).
 

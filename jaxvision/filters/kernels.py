@@ -1,8 +1,8 @@
 """Kernels as NumPy arrays, whose numbers are known before tracing.
 
-All are correlation kernels, (taps,) down a column or along a row, or (kh, kw). Correlation kernels
-are not rotated, so a derivative is positive where the picture increases to the right or downwards.
-Distances are in pixels; weights have no unit unless stated.
+All functions return correlation kernels, (taps,) down a column or along a row, or (kh, kw).
+Correlation kernels are not rotated, so a derivative is positive where the picture increases to the
+right or downwards. Distances are in pixels; weights have no unit unless stated.
 """
 
 import math

@@ -1,5 +1,5 @@
-"""Approximation of a kernel by the sum of a few separable kernels. Their number, the rank, sets the
-accuracy, and the error is reported.
+"""Approximation of a kernel by the sum of a few separable kernels. The number of separable kernels,
+the rank, sets the accuracy, and the error is reported.
 
 The best approximation of each rank is the truncated singular value decomposition (Eckart and Young
 1936; for filters: Treitel and Shanks 1971). Kernels and pictures may be in any unit.

@@ -124,8 +124,8 @@ def _(primals: tuple[tuple[Array, ...]], tangents: tuple[tuple[Array, ...]]) -> 
 @cache
 def _selection_network(n: int, rank: int) -> Comparators:
     """Return comparators (i, j) with i < j, in the order of their use. Each puts the smaller of the
-    values on wires i and j on i and the larger on j. They bring the element of rank `rank` (0 the
-    smallest) to wire `rank`.
+    values on wires i and j on i and the larger on j. Together the comparators bring the element of
+    rank `rank` (0 the smallest) to wire `rank`.
     """
     needed, kept = {rank}, []
     for i, j in reversed(_merge_sort(n)):

@@ -1,12 +1,13 @@
 """Filters whose kernel changes from pixel to pixel: lens blur, defocus by depth, foveation.
 
-There are three methods, from general to fast. The first takes a kernel for each pixel and is exact.
-The second takes radial kernels that depend on the pixel through one number, the scale; it is exact
-and stores no kernels. The third blends a bank of ordinary filters; the number of filters sets the
-accuracy. Pictures and borders are as in `convolution`, in any unit. The kernel of a pixel contains
-the weights with which THAT pixel gathers its neighbours. Gathering keeps a flat picture flat, but
-does not conserve the sum of light. To scatter instead, so that each pixel spreads its light by its
-rotated kernel and the sum is conserved, take the transpose: `operators.adjoint` of the same filter.
+There are three methods, from general to fast. `correlate_per_pixel` takes a kernel for each pixel
+and is exact. `radial_blur` takes radial kernels that depend on the pixel through one number, the
+scale; it is exact and stores no kernels. `correlate_bank` blends a bank of ordinary filters, whose
+number sets the accuracy. Pictures and borders are as in `convolution`, in any unit. The kernel of a
+pixel contains the weights with which THAT pixel gathers its neighbours. Gathering keeps a flat
+picture flat, but does not conserve the sum of light. To scatter instead, so that each pixel spreads
+its light by its rotated kernel and the sum is conserved, take the transpose: `operators.adjoint` of
+the same filter.
 """
 
 from collections.abc import Callable, Sequence

@@ -104,9 +104,9 @@ def quadrature_basis(
 ) -> QuadratureBasis:
     """Compute the seven separable responses from which G2 and H2 follow at every orientation.
 
-    For a width of at least 2, the squared weights of G2 sum to 1 (within 4e-5). Those of H2, the
-    paper's fit to a Hilbert transform, sum to 0.99. Narrower filters are sampled too coarsely: at
-    width 1 the two sums are 1.18 to 1.41 and 0.53 to 0.81, depending on the angle.
+    For a width of at least 2, the squared weights of G2 sum to 1 (within 4e-5). The squared weights
+    of H2, the paper's fit to a Hilbert transform, sum to 0.99. Narrower filters are sampled too
+    coarsely: at width 1 the two sums are 1.18 to 1.41 and 0.53 to 0.81, depending on the angle.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.

@@ -3,8 +3,8 @@ over the hemisphere.
 
 The local frame has the normal along +z. Directions are unit vectors that point away from the
 surface; densities and weights are per solid angle, in sr^-1 and sr. Functions take one direction;
-use `jax.vmap` for many. Sampling functions return a `Vec`. Rotations return the type they were
-given.
+use `jax.vmap` for many. Sampling functions return a `Vec`. `to_local` and `to_world` return vectors
+of the type they were given.
 """
 
 import equinox as eqx
@@ -174,8 +174,8 @@ def product_nodes(
     polar: int, azimuths: int
 ) -> tuple[Float[np.ndarray, "nodes 3"], Float[np.ndarray, " nodes"]]:
     """Return unit local directions, (nodes, 3), and weights, (nodes,) sr, in NumPy float64. The
-    rule is Gauss-Legendre in cos(theta) times the trapezium rule in phi. It integrates polynomials
-    in the direction's components exactly up to degree min(2 polar - 1, azimuths - 1).
+    rule is Gauss-Legendre in cos(theta) times the trapezium rule in phi. The rule integrates
+    polynomials in the direction's components exactly up to degree min(2 polar - 1, azimuths - 1).
     """
     if polar < 1 or azimuths < 1:
         raise ValueError(f"polar and azimuths must be at least 1, got {polar} and {azimuths}.")

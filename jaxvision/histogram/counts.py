@@ -114,8 +114,9 @@ def soft_histogram(
     Weight that would lie outside the range is added to the end bin, so the counts sum to the number
     of values in the range, within a millionth for 25 million equal values in 256 bins. An integer
     code lies at the centre of its bin of width 1. `departure` is the difference from the exact
-    histogram. It grows with the number of bins, because fewer values lie near a bin's centre. For
-    data that are smooth on the scale of a bin it decreases as the square of the bin's width.
+    histogram. The departure grows with the number of bins, because fewer values lie near a bin's
+    centre. For data that are smooth on the scale of a bin it decreases as the square of the bin's
+    width.
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.

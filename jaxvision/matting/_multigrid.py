@@ -88,8 +88,8 @@ def _coarse_shape(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _galerkin(stencil: Stencil) -> Float[Array, "5 5 _ _"]:
-    """Return the coarse stencil P^T A P, from its products with 25 combs of pixels five apart. Such
-    pixels do not interact in a 5 x 5 stencil, so the products contain every coefficient.
+    """Return the coarse stencil P^T A P, from its products with 25 combs of pixels five apart.
+    Pixels five apart do not interact in a 5 x 5 stencil, so the products contain every coefficient.
     """
     shape = stencil.shape[2:]
     rows, columns = _coarse_shape(shape)

@@ -79,10 +79,10 @@ def over(front: Layer, back: Layer) -> Layer:
 def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
     """Composite F_A front + F_B back, for any of Porter and Duff's thirteen operators.
 
-    "in" is the front where the back covers, "out" where it does not, "atop" the front within the
-    outline of the back, and "xor" each where the other is absent. "back ..." exchanges the roles.
-    "plus" adds light and coverage (for a cross-dissolve of two dissolved layers); its alpha may
-    exceed 1.
+    "in" shows the front where the back covers, and "out" shows the front where the back does not
+    cover. "atop" shows the front over the back, within the outline of the back. "xor" shows each
+    layer where the other is absent. "back ..." exchanges the roles of front and back. "plus" adds
+    light and coverage (for a cross-dissolve of two dissolved layers), and its alpha may exceed 1.
 
     Args:
         front: (..., bands + 1) premultiplied relative light and coverage.

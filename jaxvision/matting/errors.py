@@ -64,9 +64,9 @@ def matte_errors(
     The standard deviations include errors from texture and noise of foreground and background.
     Errors from colours that are absent in the known regions, and from a wrong trimap, are not
     included. On simulated hair the true errors are 1 to 1.2 times the standard deviations if
-    foreground and background have an even colour with noise. They are 1.4 times on average (up to
-    2) where textures vary by a fifth of the contrast or more. The computation takes as long as
-    `draws` mattes.
+    foreground and background have an even colour with noise. Where textures vary by a fifth of the
+    contrast or more, the true errors are 1.4 times the standard deviations on average (up to 2
+    times). The computation takes as long as `draws` mattes.
 
     Args:
         key: of the draws.

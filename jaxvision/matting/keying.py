@@ -1,9 +1,9 @@
 """Mattes from a known background: its picture, its colour, or several known backgrounds.
 
 Pictures are (..., bands) in linear light of any unit; alpha is (..., 1), clipped to [0, 1]. If the
-background gives no information, the matte is opaque and the layer is the picture itself. This holds
-for a background that is the same behind every picture, or equal to the foreground, within eight
-rounding errors. A NaN affects only its own pixel. Integer codes are a `ValueError`.
+background gives no information, the matte is opaque and the layer is the picture itself. A
+background gives no information if it is the same behind every picture, or equal to the foreground,
+within eight rounding errors. A NaN affects only its own pixel. Integer codes are a `ValueError`.
 """
 
 import jax.numpy as jnp

@@ -1,9 +1,9 @@
 """Diffraction at a round aperture, which limits the sharpness of every image.
 
-All lengths are m on the sensor, frequencies in cycles per m (m^-1). The f-number is the working
-f-number, image distance over lens diameter (`working_f_number`), which equals that of the lens at
-infinity focus. Arguments are elementwise and broadcast: wavelengths (bands,) give a result for each
-band.
+All lengths are in m on the sensor, and frequencies in cycles per m (m^-1). The f-number is the
+working f-number, image distance over lens diameter (`working_f_number`), which equals that of the
+lens at infinity focus. Arguments are elementwise and broadcast: wavelengths (bands,) give a result
+for each band.
 
 Source:
     Born and Wolf, Principles of Optics, sections 8.5.2 and 9.5.
@@ -58,7 +58,7 @@ def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
 def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Scalars:
     """Return the irradiance of the Airy pattern, (2 J_1(x) / x)^2 with x = pi r / (lambda N).
 
-    Multiplied by pi / (2 lambda N)^2, its integral over the plane is 1.
+    Multiply the pattern by pi / (2 lambda N)^2 to make its integral over the plane 1.
 
     Args:
         radius: (...) m from the middle.
@@ -94,15 +94,16 @@ def airy_kernel(
     """Return the share of a point's light that falls on each pixel around it.
 
     Pixels up to 3 lambda N use Gauss-Legendre quadrature of the pattern over each pixel. Larger
-    pixels contain too many rings for the quadrature. For these, the light that leaves a pixel is
-    integrated along its edges. By Gauss's theorem, with Rayleigh's encircled energy 1 - J_0(x)^2 -
-    J_1(x)^2 in x = pi r / (lambda N), a pixel keeps
+    pixels contain too many rings for the quadrature. For larger pixels, the light that leaves the
+    pixel is integrated along its edges. By Gauss's theorem, with Rayleigh's encircled energy 1 -
+    J_0(x)^2 - J_1(x)^2 in x = pi r / (lambda N), a pixel keeps
 
         [1 in the middle, else 0] - integral (J_0^2 + J_1^2) / (2 pi r^2) (r . n) ds
 
     with the edge's normal n. The integrand J_0^2 + J_1^2 hardly oscillates. The share of light
     beyond the distance R is about 2 lambda N / (pi^2 R). The kernel is rescaled to sum 1, which
-    includes the light outside it. At a wavelength or an f-number of 0, all light is in the middle.
+    distributes the light outside the window over its pixels. At a wavelength or an f-number of 0,
+    all light falls on the middle pixel.
 
     Args:
         wavelength: () or (bands,) m.
@@ -159,8 +160,9 @@ def _leaving(scale: Scalar, size: int, order: int) -> Float[Array, "size size"]:
 
 
 def _outside(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Return J_0(x)^2 + J_1(x)^2, the share of light outside x, by Hankel's expansion. Its relative
-    error is 3e-6 for x >= 3 pi / 2. Source: DLMF 10.17.3."""
+    """Return J_0(x)^2 + J_1(x)^2, the share of light outside x, by Hankel's expansion. The
+    expansion's relative error is 3e-6 for x >= 3 pi / 2. Source: DLMF 10.17.3.
+    """
     far = jnp.maximum(x, 1)
     inverse = 1 / far
     wave = jnp.cos(far - np.pi / 4), jnp.sin(far - np.pi / 4)
@@ -272,8 +274,8 @@ def diffraction_mtf(
     on.
 
     The contrast is the overlap of the pupil with a copy of itself, shifted by 2 lambda N
-    `frequency` pupil radii. For a full disc it is (2 / pi) (arccos v - v sqrt(1 - v^2)), with v the
-    ratio of the frequency to the cut-off.
+    `frequency` pupil radii. For a full disc the contrast is (2 / pi) (arccos v - v sqrt(1 - v^2)),
+    with v the ratio of the frequency to the cut-off.
 
     Args:
         frequency: (...) m^-1.

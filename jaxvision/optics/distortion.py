@@ -93,7 +93,7 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
     """Return the slopes of the chief ray that meets the sensor at a position: invert `distort`.
 
     A strong barrel distortion folds the plane, and no ray is imaged beyond the fold. For a position
-    there, the result is a slope near the fold, with gradient 0. NaN stays NaN.
+    beyond the fold, the result is a slope near the fold, with gradient 0. NaN stays NaN.
 
     Args:
         distortion: coefficients.

@@ -20,7 +20,8 @@ def overlap_of_discs(distance: Scalars, first_radius: Scalars, second_radius: Sc
 
     The area is the sum of two circular segments, r^2 (alpha - sin alpha cos alpha), with alpha half
     the angle of the arc. The half-angle formula gives alpha from the sides of the triangle of both
-    centres and an intersection of the circles. It is accurate even if the circles just touch.
+    centres and an intersection of the circles. That formula is accurate even if the circles just
+    touch.
 
     Args:
         distance: (...) m between the centres, >= 0.

@@ -82,16 +82,16 @@ region than elsewhere: the error of JAX's `log1p` in float64 near -0.4 is 128 UL
 SECOND = """
 ## Compositions
 
-These functions are compositions of others. Their float32 result is compared with their float64
-result, on the examples of `tests/examples/`; other tests check the formulas. The column "of the
-largest" gives errors in ULP of the largest number of the result, the column "of each" in ULP of
+These functions are compositions of others. The float32 result of each function is compared with its
+float64 result, on the examples of `tests/examples/`; other tests check the formulas. The column "of
+the largest" gives errors in ULP of the largest number of the result, the column "of each" in ULP of
 each number. The latter is meaningless for numbers that cancel to nearly 0, as in kernels and
 Fourier transforms.
 
 One example does not cover other sizes. `pytest -m slow tests/stability/test_scaled.py` therefore
 scales the arguments by powers of ten between -3 and 2, eight times each. The test allows an error
-of 32 times the error expected from the rounding of the arguments and of the result. Its file lists
-ten exceptions, each with its reason.
+of 32 times the error expected from the rounding of the arguments and of the result. The test file
+lists ten exceptions, each with its reason.
 
 | function | of the largest | of each | bound |
 | --- | --- | --- | --- |
