@@ -1,10 +1,11 @@
 """Estimates of a camera's brighter-fatter effect and of the linear mixing of neighbouring pixels.
 
-Each electron in a pixel changes the area of the pixel i rows and j columns away by the share a_ij
-(Astier et al. 2019). The variances and covariances together give a_00, the covariances give the
-a_ij of the neighbours, and all of them give the kernel of a sensor. For linear mixing after charge
-collection, the likelihood gives the share of the variance that a pixel loses, and the covariances
-give its distribution over the neighbours.
+Each electron in a pixel changes the area of the pixel i rows and j columns away by the fraction
+a_ij (Astier et al. 2019). Variances and covariances together determine a_00. The covariances
+determine the a_ij of the neighbours. The kernel of a sensor is fitted to all a_ij. For linear
+mixing after charge collection, the likelihood determines the share of the variance that a pixel
+loses to its neighbours. The covariances determine how that share is distributed over the
+neighbours.
 """
 
 from dataclasses import dataclass
@@ -67,8 +68,8 @@ def fitted_area_changes(
 
 
 def electrons_and_steps(fit: LikelihoodFit) -> tuple[Array, np.ndarray]:
-    """Return the expected electrons mu of each level, and the DN per additional electron at that
-    level."""
+    """Return the expected number mu of electrons at each level, and the DN per additional electron
+    at that level."""
     values, data = fit.values, fit.data
     mu = jax.vmap(lambda *at: expected_electrons(values, data, *at))(
         data.light, data.lit, data.exposure
@@ -81,8 +82,8 @@ def electrons_and_steps(fit: LikelihoodFit) -> tuple[Array, np.ndarray]:
 def _fitted(
     own: Array, mu: Array, found: Array, variances: Array, *, mixing: bool
 ) -> tuple[Array, Array]:
-    """Fit the a_ij at fixed a_00; return them and their standard errors. If pixels are mixed, a
-    term linear in mu is fitted at each offset."""
+    """Fit the a_ij at fixed a_00, and return their values and standard errors. If the model
+    includes linear mixing, a term proportional to mu is also fitted at each offset."""
     size = (REACH + 1) ** 2 - 1
     weight = 1 / jnp.sqrt(variances)
 
@@ -109,7 +110,8 @@ def _fitted(
 def fitted_kernel(
     measurement: PhotonTransfer, usable: np.ndarray
 ) -> Float[np.ndarray, "rows columns"]:
-    """Return the kernel, scaled to a_00 = -1, whose area changes fit the measured ones best."""
+    """Return the kernel, scaled to a_00 = -1, whose area changes fit the measured area changes
+    best."""
     weight = np.sqrt(np.maximum(COPIES, 1))
     of_kernel = np.asarray(jax.jacfwd(area_changes)(jnp.zeros((REACH, REACH))))
     design = (weight[:, :, None, None] * of_kernel).reshape(weight.size, -1)
@@ -123,8 +125,8 @@ def fitted_effect(
     values: dict[str, Array],
     top: Array | np.ndarray,
 ) -> BrighterFatter | None:
-    """Return the fitted brighter-fatter effect as a field of a sensor; None if it was not
-    fitted."""
+    """Return the fitted brighter-fatter effect as a field of a `Sensor`; None if this effect was
+    not fitted."""
     if kernel is None or "brighter_fatter" not in values:
         return None
     change = jnp.maximum(values["brighter_fatter"], 0) * values["system_gain"] / top
@@ -134,8 +136,9 @@ def fitted_effect(
 def fitted_mixing(
     shares: Lags | Float[Array, "lags lags"] | None, values: dict[str, Array]
 ) -> Mixing | None:
-    """Return the fitted mixing as a field of a sensor; None if it was not fitted. Its kernel is
-    even in both axes, and its autocorrelation gives the covariances of neighbours.
+    """Return the fitted linear mixing of neighbouring pixels as a field of a `Sensor`; None if
+    mixing was not fitted. The kernel of the mixing is even in rows and in columns. The
+    autocorrelation of the kernel reproduces the fitted covariances of neighbouring pixels.
     """
     if shares is None or "pixel_mixing" not in values:
         return None

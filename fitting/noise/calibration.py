@@ -2,13 +2,14 @@
 
 The figures of the EMVA 1288 data sheet are computed twice, by the standard's regressions
 (`emva1288`) and by maximum likelihood (`model`). The likelihood weights every level by its
-precision. It also tests the response for nonlinearity; for a nonlinear camera it gives gain and
-efficiency at zero signal. Every figure has a standard error and 68 % and 95 % intervals. If the
-measurement cannot give a figure, the sheet states the reason instead.
+precision. The likelihood also tests the response for nonlinearity, and for a nonlinear camera it
+gives gain and efficiency at zero signal. Every figure has a standard error and 68 % and 95 %
+intervals. If the measurement cannot give a figure, the data sheet states the reason instead.
 
 If rows or columns share more noise in flats than in darks, as under flickering light with a rolling
-shutter, the excess is subtracted before the fits. No model includes it, and in the variance it
-resembles shot noise. An analysis of variance detects this noise and estimates the part to subtract.
+shutter, the excess is subtracted before the fits. No model includes this excess noise, and its
+variance resembles that of shot noise. An analysis of variance detects the excess and estimates its
+size.
 """
 
 from dataclasses import dataclass, replace
@@ -82,8 +83,8 @@ def extra_in_flats(
 
 
 def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> PhotonTransfer:
-    """Return the measurement with the row and column noise of its flats reduced to that of the
-    darks."""
+    """Return the measurement after reduction of the row and column noise of its flats to that of
+    its darks."""
     bright = measurement.bright
     if not flicker or bright.shared is None:
         return measurement
@@ -125,16 +126,18 @@ class NoiseCalibration(ShownInNotebooks):
         measurement: the calibrated levels.
         within: levels that enter each regression, by the standard.
         usable: indices of the bright levels below saturation.
-        standard: the sheet by the standard's regressions.
+        standard: the EMVA 1288 data sheet by the standard's regressions.
         likelihood: the fit by maximum likelihood; None where the likelihood has no maximum.
-        no_likelihood: why there is no such fit, in a sentence; empty where there is one.
-        sheet: figures of the chosen model.
+        no_likelihood: a sentence that states why the likelihood has no maximum; empty where it has
+            one.
+        sheet: the figures of the EMVA 1288 data sheet by the chosen model.
         patterns: DSNU and PRNU by the standard and by the fit to all levels; None where only
             temporal sums are known.
         left_out: effects that the likelihood omits because no fit can determine them.
-        flicker: noise of rows and columns in the flats beyond that of the darks; the measurement is
-            without it.
-        periodic: rows, columns, cells and halves that differ, although the rig does not state it.
+        flicker: noise of rows and columns in the flats in excess of that of the darks, which was
+            subtracted from the measurement.
+        periodic: classes of pixels (rows, columns, mosaic sites or halves of the frame) that differ
+            although the rig does not state this.
         counted: fit to histograms of codes at levels of few electrons; None without such
             histograms.
     """
@@ -290,8 +293,8 @@ def calibrate(
 
 
 def refitted(calibration: NoiseCalibration, terms: tuple[Parameter, ...]) -> NoiseCalibration:
-    """Return the calibration with `terms` added to the chosen model; if the model lacks any, it is
-    fitted again with Laplace's approximation."""
+    """Return the calibration with `terms` added to the chosen model. A model that lacks any of
+    these terms is fitted again with Laplace's approximation."""
     chosen, likelihood = calibration.chosen, calibration.likelihood
     lacking = tuple(term for term in terms if term not in chosen.space)
     if not lacking or likelihood is None:
@@ -303,8 +306,8 @@ def refitted(calibration: NoiseCalibration, terms: tuple[Parameter, ...]) -> Noi
 
 
 def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternVariance:
-    """Return the fixed pattern with the likelihood's estimate of DSNU if rounding distorts the
-    measured one."""
+    """Return the fixed pattern. If rounding distorts the measured DSNU, the DSNU is the estimate by
+    the likelihood."""
     labels = names(posterior.space)
     if OFFSET_SPREAD.name not in labels:
         return pattern
@@ -318,7 +321,8 @@ def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternV
 
 def _posterior(fit: LikelihoodFit, sampling: Emcee | None, seed: int) -> Posterior:
     """Return the posterior of the chosen model. If the model has a random scatter of levels, the
-    posterior is taken about its own mode, because the prior of the scatter shifts the mode."""
+    mode of the posterior is searched again, because the prior of the scatter shifts it from the
+    maximum of the likelihood."""
     vector, covariance = fit.optimum.vector, fit.inflation * fit.covariance
     problem = posterior_problem(fit)
     if problem.inputs.jeffreys:
@@ -334,8 +338,8 @@ def _posterior(fit: LikelihoodFit, sampling: Emcee | None, seed: int) -> Posteri
 def _likelihood_estimates(
     fit: LikelihoodFit, posterior: Posterior, within: Ranges, usable: np.ndarray
 ) -> tuple[Estimate, ...]:
-    """Return the sheet of the chosen model, with errors by the delta method (Laplace) or from the
-    draws (emcee)."""
+    """Return the data sheet of the chosen model, with errors by the delta method (Laplace) or from
+    the posterior draws (emcee)."""
     linearity = np.zeros(fit.data.lit.size, bool)
     linearity[: len(usable)] = np.asarray(within.linearity)[usable]
     args = (fit.space, fit.data, jnp.asarray(linearity))
@@ -364,12 +368,13 @@ def widened(estimate: Estimate, unequal: float) -> Estimate:
 
 
 def lamp_error(fit: LikelihoodFit) -> float:
-    """Relative error of all lights if the lamp drifts over the series and it is unknown at which
-    level its light was the stated one; 0 if the levels show no drift.
+    """Return the relative error that the stated light of all levels shares if the lamp drifts over
+    the series; 0 if the levels show no drift. The error arises because the level at which the
+    stated light was correct is unknown.
 
-    The unknown factor is taken as uniform within the largest deviation of any level. A scatter of
-    the light may be a drift if successive levels differ by less than independent ones do, for
-    which von Neumann's ratio is 2.
+    The unknown factor on the light is assumed uniform within the largest deviation of any level. A
+    scatter of the light counts as a drift if successive levels differ by less than independent
+    levels would. The test is von Neumann's ratio, which is 2 for independent levels.
     """
     if LIGHT_DRIFT not in fit.space and LIGHT_SCATTER not in fit.space:
         return 0.0
@@ -385,14 +390,15 @@ def lamp_error(fit: LikelihoodFit) -> float:
 
 @eqx.filter_jit
 def _means(values: dict[str, Array], data: NoiseData) -> Array:
-    """The expected means, DN, in the stated light."""
+    """Return the expected mean of each level in the stated light, DN."""
     return predicted_moments(values, data, data.light).mean
 
 
 def _widened_by_lamp(
     sheet: tuple[Estimate, ...], fit: LikelihoodFit | None
 ) -> tuple[Estimate, ...]:
-    """The sheet with the error of a lamp that drifts, which only figures per photon have."""
+    """Return the data sheet with the error of a drifting lamp added to the figures per photon, the
+    only figures that it affects."""
     relative = 0.0 if fit is None else lamp_error(fit)
     if not relative:
         return sheet
@@ -409,15 +415,16 @@ def _widened_by_lamp(
 
 
 def finest_read_noise(fit: LikelihoodFit) -> float:
-    """Return the read noise, in e-, below which rounding leaves only an upper limit; 0 if read
-    noise is large enough to ignore rounding."""
+    """Return the read noise, e-, below which only an upper limit can be given because of rounding.
+    Return 0 if read noise is large enough for rounding to be negligible."""
     if fit.data.window is None:
         return 0.0
     return FINEST_READ_NOISE * fit.data.converter.step / float(fit.values["system_gain"])
 
 
 def _with_limits(sheet: tuple[Estimate, ...], fit: LikelihoodFit) -> tuple[Estimate, ...]:
-    """Return the sheet, with an upper limit in place of a read noise that rounding hides."""
+    """Return the data sheet. If rounding hides the read noise, its value is replaced by an upper
+    limit."""
     finest, found = finest_read_noise(fit), []
     for one in sheet:
         low, high = one.interval_95 or (0.0, 0.0)
@@ -431,8 +438,8 @@ def _with_limits(sheet: tuple[Estimate, ...], fit: LikelihoodFit) -> tuple[Estim
 
 @compiled_briefly
 def _sheet_and_slopes(mode: Array, saturation: Array | None, args: tuple) -> tuple[dict, dict]:
-    """Return the sheet, and the derivatives of each figure with respect to the parameters and to
-    the saturation point."""
+    """Return the figures of the data sheet, and the derivatives of each figure with respect to the
+    parameters and to the saturation point."""
     slopes = jax.jacfwd(likelihood_sheet, argnums=(0, 1))(mode, saturation, args)
     return likelihood_sheet(mode, saturation, args), slopes
 
@@ -471,6 +478,6 @@ def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) ->
 
 
 def sheet_estimate(quantity: Quantity, value: float, error: float, method: str) -> Estimate:
-    """Return a figure of the sheet as an estimate. Its intervals are symmetric in the value, or in
-    its logarithm if it must be positive."""
+    """Return a figure of the data sheet as an estimate. The intervals are symmetric in the value,
+    or in its logarithm if the figure must be positive."""
     return gaussian_estimate(quantity, value, error, method=method, log_scale=quantity.positive)

@@ -1,22 +1,24 @@
-"""Histograms of codes at light levels of few electrons: which levels are counted, the counts, and
-the fit to them.
+"""Histograms of codes at light levels of few electrons: the choice of levels, the counts, and the
+fit to the histograms.
 
 If read noise is below about one electron, the histogram of the codes has a peak for each number of
-electrons, or is skewed. Mean and variance lose most of this information. The black levels of
-pixels differ (DSNU), which would blur the peaks. Therefore each pixel's own black level is
-subtracted from its codes; it is the pixel's mean over the dark frames of the same exposure. The
-noise of that mean is known and enters the fit, and no distribution of the black levels is assumed.
-Only levels are counted at which unequal gains of the pixels shift the codes by less than a fifth of
-the read noise.
+electrons, or is skewed. Mean and variance do not contain most of this information. The black levels
+of pixels differ (DSNU), which would blur the peaks. Therefore the black level of each pixel is
+subtracted from its codes. It is estimated by the pixel's mean over the dark frames of the same
+exposure. The noise of that mean is known and enters the fit, and no distribution of the black
+levels is assumed. A histogram is used only at levels where unequal gains of the pixels shift the
+codes by less than a fifth of the read noise.
 
 The fit uses the exact distribution of a code at level l,
 
     c = black + K (n + sigma_d z) rounded,   n ~ Poisson(mu_l)
 
-with one gain K (DN/e-) and read noise sigma_d (e-) for all levels. Each exposure of the darks has
-its own black level, with the standard error of its mean as the prior. The fit is a `Problem` with
-the likelihood `SensorCounts`. Its result, a Gaussian in the logarithms of K, sigma_d and mu_l,
-replaces the means and variances of these levels in the likelihood of photon transfer.
+with one gain K (DN/e-) and read noise sigma_d (e-) for all levels. Here z is a standard normal
+number, and mu_l is the mean number of electrons. The black level is a parameter for each exposure
+of the darks, with the mean of these darks and its standard error as the prior. The fit is a
+`Problem` with the likelihood `SensorCounts`. The result of the fit, a Gaussian in the logarithms of
+K, sigma_d and mu_l, replaces the means and variances of these levels in the likelihood of photon
+transfer.
 """
 
 from collections.abc import Callable, Sequence
@@ -51,7 +53,8 @@ PLACES = 8  # most classes of the pixels' black level between two codes
 
 
 def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
-    """Return the bright levels whose codes are counted, or the reason why there are none."""
+    """Return the bright levels for which histograms of codes are made, or the reason why there are
+    none."""
     none, usable = np.zeros(0, int), linear_levels(measurement)
     bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
     signal, excess = signal_of(measurement)[usable], shot_of(measurement)[usable]
@@ -177,7 +180,7 @@ class CodeFit:
 def counts_problem(
     measurement: PhotonTransfer, tables: CodeTables
 ) -> tuple[Problem, dict[str, np.ndarray]]:
-    """Return the problem for histograms of codes, and its starting point from means and
+    """Return the problem for histograms of codes, and the starting point of its fit, from means and
     variances."""
     dark, converter = measurement.dark, measurement.converter
     levels, level = np.unique(np.asarray(tables.level), return_inverse=True)
@@ -281,9 +284,9 @@ def _dark_signal(measurement: PhotonTransfer) -> np.ndarray:
 def _frames_in_common(
     measurement: PhotonTransfer, tables: CodeTables, read_noise: float, log_gain: float
 ) -> float:
-    """Return the factor by which the covariance grows because all flats of a pixel share the error
-    of its black level. If the codes of a pixel in F flats have correlation rho, their squares have
-    correlation rho^2, so the factor is 1 + (F - 1) rho^2."""
+    """Return the factor by which the covariance of the fit grows because all flats of a pixel share
+    the error of its black level. If the codes of a pixel in F flats have correlation rho, the
+    squares of the codes have correlation rho^2. Therefore the factor is 1 + (F - 1) rho^2."""
     step, most = measurement.converter.step, 1.0
     own = (read_noise * np.exp(log_gain)) ** 2 + measurement.converter.rounding
     for d in np.unique(np.asarray(tables.dark)):

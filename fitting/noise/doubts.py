@@ -47,7 +47,7 @@ def multiplied(
     flats: Sequence[Sequence[FrameSample]],
     darks: Sequence[Sequence[FrameSample]],
 ) -> Doubt | None:
-    """Return a doubt if dim flats are as skewed as multiplied electrons."""
+    """Return a doubt if dim flats are as skewed as after electron multiplication."""
     bright, dark = measurement.bright, measurement.dark
     if bright.spatial_variance is None or dark.spatial_variance is None:
         return None
@@ -192,7 +192,8 @@ def doubts(
     flats: Sequence[Sequence[FrameSample]],
     darks: Sequence[Sequence[FrameSample]],
 ) -> tuple[Doubt, ...]:
-    """Run the checks and return their doubts, each with the figures that must not be reported."""
+    """Run the checks and return the resulting doubts. Each doubt names the figures that must not be
+    reported."""
     found = (
         _fading(measurement, darks),
         multiplied(measurement, flats, darks),
@@ -203,8 +204,8 @@ def doubts(
 
 
 def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[FrameSample]]) -> Doubt | None:
-    """Return a doubt if darks decrease from frame to frame in proportion to the flats of their
-    exposure."""
+    """Return a doubt if the darks decrease from frame to frame in proportion to the signal of the
+    flats at the same level."""
     dark, matched = measurement.dark, np.asarray(measurement.dark_of)
     signal = signal_of(measurement)
     there = [i for i in range(len(darks)) if (matched == i).any()]
@@ -246,7 +247,7 @@ def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[FrameSample]])
 
 
 def _averaged(measurement: PhotonTransfer) -> Doubt | None:
-    """Return a doubt if either the flats or the darks have fractional values, but not both."""
+    """Return a doubt if only the flats, or only the darks, have fractional values."""
     bright, dark = (levels.converter.step for levels in (measurement.bright, measurement.dark))
     if bright == dark:
         return None
@@ -271,9 +272,9 @@ def _step(
     errors: Float[np.ndarray, " levels"],
     levels: Int[np.ndarray, " levels"],
 ) -> _Step | None:
-    """Split successive levels into two groups with a sudden step between two nearly constant
-    positive values; None if there is no such step. `errors` are relative standard errors, and
-    `levels` are the indices of the levels."""
+    """Find a level at which a positive quantity jumps from one nearly constant value to another,
+    and return the two groups of levels; None if there is no such step. `errors` are the relative
+    standard errors of the values, and `levels` the indices of the levels."""
     best, place, logs = np.inf, None, np.log(values)
     for i in range(2, len(logs) - 1):
         left = float(sum(np.sum((part - part.mean()) ** 2) for part in (logs[:i], logs[i:])))

@@ -13,11 +13,12 @@ prescribes.
     fixed pattern   s^2 = s^2_measured - var_y / L;  DSNU = s_dark / K;
                     PRNU = sqrt(s_50^2 - s_dark^2) / (mu_50 - mu_dark)
 
-The limits in per cent are of the saturation signal. The sheet is a differentiable function of the
-measured means and variances, so the delta method gives each figure's standard error from their
-sampling covariance. If measured values scatter about their regression more than pixel noise
-explains (p < 1 %), their sampling variances are multiplied by chi-square per degree of freedom
-(Birge 1932). This widens the errors but leaves the standard's estimates unchanged.
+The limits in per cent are shares of the saturation signal. The figures are a differentiable
+function of the measured means and variances, so the delta method gives the standard error of each
+figure from the sampling covariance of the means and variances. If measured values scatter about
+their regression more than pixel noise explains (p < 1 %), their sampling variances are multiplied
+by chi-square per degree of freedom (Birge 1932). This widens the errors but leaves the standard's
+estimates unchanged.
 
 Decibels are 20 log10. Usable bits are the base-2 logarithm of the dynamic range.
 """
@@ -55,7 +56,7 @@ Sheet = dict[str, Float[Array, ""]]
 
 
 class Ranges(eqx.Module):
-    """The ranges of bright levels that enter each regression."""
+    """The bright levels that enter each regression."""
 
     sensitivity: Bool[Array, " levels"]  # indices of the levels for responsivity and gain
     linearity: Bool[Array, " levels"]  # indices of the levels for the linearity errors
@@ -69,7 +70,7 @@ class Ranges(eqx.Module):
 
 
 class Statistics(eqx.Module):
-    """The measured statistics from which the sheet is computed."""
+    """The measured statistics from which the data sheet is computed."""
 
     bright_mean: Float[Array, " levels"]  # DN
     bright_variance: Float[Array, " levels"]  # DN^2
@@ -79,7 +80,7 @@ class Statistics(eqx.Module):
 
 
 class Evaluation(eqx.Module):
-    """The figures of a sheet with their standard errors."""
+    """The figures of a data sheet with their standard errors."""
 
     values: Sheet  # figures by name
     errors: Sheet  # their standard errors
@@ -217,8 +218,8 @@ def derived_figures(
 def linearity_errors(
     light: Float[Array, " levels"], signal: Float[Array, " levels"], within: Bool[Array, " levels"]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return the smallest and the largest relative deviation, in per cent, of the signal from a
-    line. The line minimises the sum of (deviation / signal)^2.
+    """Return the smallest and the largest relative deviation of the signal from a line, in per
+    cent. The line is the one that minimises the sum of (deviation / signal)^2.
     """
     deviation = linearity_deviation(light, signal, within)
     return (
@@ -248,8 +249,8 @@ def evaluate(
     shared: SharedNoise | None = None,
     figures: Callable[[Statistics, PhotonTransfer, Ranges], Sheet] = sheet,
 ) -> Evaluation:
-    """Compute a sheet with standard errors by the delta method. `figures` is the function for a
-    release of the standard."""
+    """Compute a data sheet with standard errors by the delta method. `figures` is the function that
+    computes the figures by one release of the standard."""
     stats = statistics(measurement, within.saturation)
     values = figures(stats, measurement, within)
     bright, dark, factors = _sampling(stats, measurement, within, values["system_gain"], shared)
@@ -290,8 +291,8 @@ def _sampling(
     gain: Array,
     shared: SharedNoise | None,
 ) -> tuple[SamplingErrors, SamplingErrors, Float[Array, "4"]]:
-    """Return the sampling errors of the bright and the dark levels, inflated where a regression has
-    a significant misfit, and the four inflation factors."""
+    """Return the sampling errors of the bright and the dark levels, and the four factors by which
+    the errors were inflated because a regression has a significant misfit."""
     shot = _shot_variance(stats, measurement)
     bright = sampling_errors(measurement.bright, shot, gain, shared=shared)
     unlit = jnp.zeros_like(stats.dark_mean)

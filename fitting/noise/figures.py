@@ -28,7 +28,7 @@ POINTS = 300  # points of a drawn curve
 
 
 def noise_pictures(calibration: NoiseCalibration) -> tuple[Picture, ...]:
-    """Return the four figures of a calibration, each drawn when it is requested."""
+    """Return the four figures of a calibration, as functions that draw them."""
     return (
         Picture(
             "photon_transfer",
@@ -66,8 +66,8 @@ def noise_pictures(calibration: NoiseCalibration) -> tuple[Picture, ...]:
 
 
 def photon_transfer_figure(calibration: NoiseCalibration) -> "Figure":
-    """Draw the photon transfer curve, variance against mean on logarithmic axes; below, the
-    residuals."""
+    """Draw the photon transfer curve, variance against mean on logarithmic axes, with a second
+    panel of the residuals."""
     measurement = calibration.measurement
     signal, shot = signal_of(measurement), shot_of(measurement)
     gain = float(calibration.standard.values["system_gain"])
@@ -114,7 +114,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> "Figure":
 
 
 def responsivity_figure(calibration: NoiseCalibration) -> "Figure":
-    """Draw the signal against light; below, the deviations from linearity."""
+    """Draw the signal against light, with a second panel of the deviations from linearity."""
     measurement = calibration.measurement
     light = np.asarray(measurement.bright.light)
     signal = signal_of(measurement)
@@ -233,8 +233,8 @@ def _model_curve(
     calibration: NoiseCalibration, *, spacing: str = "log", faintest: float | None = None
 ) -> tuple[np.ndarray, Moments, Moments]:
     """Return light values, and the chosen model's mean and variance with that light and without
-    light, at the median exposure. The model's light offset is set to 0, because it is a property of
-    the test bench."""
+    light, at the median exposure. The light offset of the model is set to 0, because the offset is
+    a property of the test bench."""
     fit = calibration.chosen
     data = fit.data
     bright = np.asarray(data.light)[np.asarray(data.lit) > 0]

@@ -66,8 +66,8 @@ def processing(calibration: NoiseCalibration) -> list[str]:
 
 
 def _efficiency(kind: str, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the quantum efficiency if it is of this kind: too low for a sensor ("low"), impossibly
-    high ("high"), or above 1 within its error ("one"); else None."""
+    """Return the quantum efficiency if `kind` applies: too low for a sensor ("low"), impossibly
+    high ("high"), or above 1 within its error ("one"). Else return None."""
     value = calibration.efficiency
     if value is None:
         return None
@@ -77,8 +77,8 @@ def _efficiency(kind: str, calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
-    """Return the periodic structure, without periods that the blocks of a compression or resizing
-    explain."""
+    """Return the periodic structure, without periods that blocks of a compression or a resizing of
+    the frames explain."""
     blocks = compressed_in_words(calibration.measurement, calibration.usable)
     return tuple(
         one for one in calibration.periodic if not (blocks and BLOCK % (one.period or 3) == 0)
@@ -87,7 +87,7 @@ def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
 
 def periodic_findings(calibration: NoiseCalibration, *, apart: bool = False) -> list[str]:
     """Return findings on rows, columns, mosaic sites and parts of the frame that differ from each
-    other. `apart` states that they were calibrated separately."""
+    other. `apart` states that these classes of pixels were calibrated separately."""
     spacing = 1 if calibration.measurement.pattern is None else 2
     return periodic_in_words(_periodic(calibration), calibration.gain, apart=apart, spacing=spacing)
 
@@ -139,8 +139,10 @@ def _contradicted(calibration: NoiseCalibration) -> tuple[str, ...]:
 
 
 def _lamp(kind: str, calibration: NoiseCalibration) -> Numbers | None:
-    """The drift of the light over the series: of the light alone, beside a curve of the response
-    that looks the same, or seen as scatter of successive levels that is alike."""
+    """Return the numbers for the finding on a drift of the light over the series, or None if the
+    finding of this `kind` does not apply. The kinds are a drift alone ("drift"), a drift that
+    cannot be distinguished from a curved response ("either"), and a scatter that is similar at
+    successive levels ("scatter")."""
     if calibration.likelihood is None:
         return None
     drifts, bends = _has("light_drift", calibration), _has("compression", calibration)
@@ -184,8 +186,8 @@ def _drifting(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _unequal_steps(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding on unequal steps of the converter; None unless they change
-    the read noise by half its error."""
+    """Return the numbers for the finding on unequal steps of the converter; None unless these steps
+    change the read noise by at least half its error."""
     converter = calibration.measurement.converter
     read = next((one for one in calibration.sheet if one.name == "read_noise"), None)
     if not converter.imbalance or read is None or not read.value or not read.standard_error:
@@ -254,7 +256,7 @@ def _compression(calibration: NoiseCalibration) -> Numbers | None:
 
 def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | None:
     """Return the numbers for the finding on a light offset (the light at zero exposure), as a time
-    or as photons; None if it is not significant."""
+    or as photons; None if the offset is not significant."""
     if not _has("light_offset", calibration) or calibration.chosen.data.photons_known == in_time:
         return None
     offset, error = _shown(calibration, "light_offset")
@@ -279,7 +281,7 @@ def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | Non
 
 def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
     """Return the numbers for the finding that the light offset may be a difference in black level
-    between darks and flats. That difference, DN, is the offset times the responsivity."""
+    between darks and flats. The difference in DN is the light offset times the responsivity."""
     shifted = _light_offset(True, calibration) or _light_offset(False, calibration)
     if not shifted or not _linear(False, calibration):
         return None
@@ -350,8 +352,9 @@ def _variance_scatter(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _rest(explained: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding on the chosen model's chi-square, either if its misfit is
-    significant or (`explained`) if only the linear model's is; else None."""
+    """Return the numbers for the finding on the chosen model's chi-square; None if it does not
+    apply. With `explained`, the finding applies if only the misfit of the linear model is
+    significant. Otherwise it applies if the misfit of the chosen model is significant."""
     if calibration.likelihood is None or (calibration.chosen.inflation == 1) != explained:
         return None
     chosen = calibration.chosen
@@ -362,8 +365,8 @@ def _rest(explained: bool, calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _counted(failed: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding on histograms of codes that replaced means and variances,
-    or whose fit `failed`; None if it does not apply."""
+    """Return the numbers for the finding on histograms of codes that replaced means and variances
+    or, with `failed`, on histograms whose fit failed. Return None if the finding does not apply."""
     counted = calibration.counted
     if counted is None or calibration.likelihood is None or bool(counted.failures) != failed:
         return None
@@ -389,8 +392,8 @@ def _standard_scatter(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _exact(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the number of levels whose rounding and clipping is computed exactly; None if there
-    are none."""
+    """Return the number of levels at which rounding and clipping are computed exactly; None if
+    there are none."""
     window = None if calibration.likelihood is None else calibration.chosen.data.window
     if window is None:
         return None
@@ -399,8 +402,9 @@ def _exact(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _floored(bent: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the standard's minimum of the dark variance if the extrapolated variance is below it
-    and each single dark is above it (`bent`), or is not; else None."""
+    """Return the standard's minimum of the dark variance if the dark variance, extrapolated to zero
+    exposure, is below that minimum; else None. With `bent`, the finding is for series in which each
+    single dark is above the minimum. Without `bent`, it is for all other series."""
     measurement = calibration.measurement
     least = least_dark_variance(measurement)
     above = float(np.min(np.asarray(measurement.dark.variance))) > least
@@ -463,9 +467,9 @@ def _glow(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _dark_currents(kind: str, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the dark currents from mean and variance if they disagree for the reason `kind`:
-    variances scatter ("scattered"), rounding biases both ("biased"), or neither ("plain"). Else
-    None."""
+    """Return the dark currents from means and from variances if the two disagree for the reason
+    `kind`; else None. The reasons are that variances scatter ("scattered"), that rounding biases
+    both ("biased"), or neither of these ("plain")."""
     values, errors = calibration.standard.values, calibration.standard.errors
     if "dark_current_mean" not in values:
         return None

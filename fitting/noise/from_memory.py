@@ -102,7 +102,8 @@ def _rig_of(
     camera: Camera,
     dark_exposures: Sequence[float] | None,
 ) -> tuple[Rig, Load]:
-    """Return a rig that describes frames in memory, and the function that loads these frames."""
+    """Return a rig that describes frames in memory, and a function that returns a frame by its name
+    in the rig."""
     require_frames("flats", flats)
     require_frames("darks", darks)
     exposures = each("exposures", exposures)

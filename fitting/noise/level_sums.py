@@ -33,9 +33,10 @@ def temporal_variance(
     live: LivePixels, pixels: float, rows: float, columns: float, frames: float
 ) -> TemporalVariance:
     """Divide the temporal variance into parts of pixels, rows, columns and whole frames, DN^2. The
-    arguments are variances between frames: T of a pixel about the frame's mean (`pixels`), Q_rows
-    and Q_columns of the means of rows and columns about the frame's mean, and W of the frames'
-    means (`frames`). The parts solve
+    arguments `pixels`, `rows`, `columns` and `frames` are variances between frames: T of a pixel
+    about the frame's mean, Q_rows and Q_columns of the means of rows and of columns about the
+    frame's mean, and W of the frames' means. In the formulas, pixels, rows, columns and frames are
+    the returned parts, which solve
 
         (T, Q_rows, Q_columns) = A (pixels, rows, columns),
         frames = W - b (pixels, rows, columns),
@@ -48,8 +49,8 @@ def temporal_variance(
         frames = W - rows / h - columns / w - pixels / (h w).
 
     Each estimate is unbiased, whatever the sizes of the other parts. Without noise of rows and
-    columns, the expected sum of the first three parts is T (h w) / (h w - 1). If a frame is a
-    single row or column, all noise counts as noise of pixels.
+    columns, the expected sum of the parts of pixels, rows and columns is T (h w) / (h w - 1). If a
+    frame is a single row or column, all noise counts as noise of pixels.
     """
     parts = _parted(live, pixels, rows, columns)
     pixels, rows, columns = parts.tolist()
@@ -60,9 +61,9 @@ def temporal_variance(
 def fixed_variance(
     live: LivePixels, average: np.ndarray, temporal: TemporalVariance, count: int
 ) -> tuple[float, float]:
-    """Return the variances of rows and of columns that are the same in all frames, DN^2, from the
-    average of `count` frames. The temporal noise left in the average is subtracted. Both are 0 if a
-    frame is a single row or column."""
+    """Return the fixed variances of rows and of columns, which are the same in all frames, DN^2,
+    from the average of `count` frames. The temporal noise that remains in the average is
+    subtracted. Both variances are 0 if a frame is a single row or column."""
     if min(live.shape) == 1:
         return 0.0, 0.0
     away = average - live.mean(average)
@@ -126,8 +127,8 @@ class ReducedLevel(NamedTuple):
 
 
 class LevelSums:
-    """Running sums over the frames of a level. They sum deviations from the first frame, which are
-    small, so that differences of sums keep their precision.
+    """Running sums over the frames of a level. The sums are of deviations from the first frame,
+    which are small, so that differences of sums are accurate.
 
     `top` is the DN from which a pixel is saturated, `unlit` has mean and variance of a flat's
     darks, and `corner` is the row and column of the frame's first pixel in its file."""
@@ -178,10 +179,11 @@ class LevelSums:
         """Remove from the sums the temporal variance that a flickering lamp causes where its light
         is uneven. Return the factor by which the remaining variance is still too large.
 
-        A frame with a relative excess e_f of light exceeds the mean by e_f P at a pixel that
-        differs by P from the mean. Let d_f be the deviation of frame f and s^2 the sum of e_f^2.
-        The component sum_f (e_f / s) d_f then contains s P, which is subtracted; all orthogonal
-        components contain no P. P is estimated by the average frame, including its noise.
+        Let P be the deviation of a pixel's light from the mean of the frame, e_f the relative
+        excess of light in frame f, and d_f the deviation of the pixel in frame f from its mean over
+        frames. The flicker adds e_f P to d_f. With s^2 the sum of e_f^2, the component sum_f (e_f /
+        s) d_f contains s P, which is subtracted. Components orthogonal to this one do not contain
+        P. The deviation P is estimated by the average frame, including its noise.
         """
         if self._unlit is None:
             return 1.0

@@ -52,8 +52,8 @@ def knee_of(
     shot: Float[np.ndarray, " levels"],
     error: Float[np.ndarray, " levels"],
 ) -> Knee | None:
-    """Find the knee of a response with two slopes, from signal and shot variance; None if there is
-    none."""
+    """Find the knee of a response with two slopes, from signal and shot variance; None if the
+    response has no knee."""
     known = (signal > 0) & (shot > 0) & (error < shot / 4)
     places = np.flatnonzero(known)
     s, v, e = signal[places], shot[places], error[places] / shot[places]
@@ -114,9 +114,9 @@ class Levels(eqx.Module):
         flicker: (2, levels) noise of rows and of columns that was subtracted from `variance`, DN^2;
             None if none was subtracted.
         converter: grid of the values.
-        covariances: (levels, lags, lags) of neighbouring pixels, at offsets of 0 to `REACH` rows
-            and columns, with the variance at (0, 0), DN^2; None without frames or where the pixels
-            are not adjacent.
+        covariances: (levels, lags, lags) covariances of neighbouring pixels, at offsets of 0 to
+            `REACH` rows and columns, with the variance at (0, 0), DN^2; None without frames or
+            where the pixels are not adjacent.
         residues: (levels, 2, 5, residues) means of the average frame and of its variance, by row,
             by column and by position in a cell (`periodic`); None without frames.
         quarters: (levels, 2, 8) means of the average frame and of its variance for the quarters of
@@ -127,7 +127,7 @@ class Levels(eqx.Module):
             modulo 8, DN^2; None without frames or where the pixels are not adjacent.
         combs: (levels, steps, 8, 8) test of JPEG compression by `raw_frames.combs`; None without
             frames or where the pixels are not adjacent.
-        left_out: frames that do not match the others, and why, in sentences.
+        left_out: sentences on frames that were left out because they do not match the others.
         trend: (levels,) slope of the frames' means over their order, DN per frame; None where only
             sums over the frames are known.
     """
@@ -159,7 +159,7 @@ class Levels(eqx.Module):
 
     @property
     def unsteady(self) -> Float[Array, " levels"] | None:
-        """Variance of a frame's mean because of `flicker`, DN^2."""
+        """The variance of a frame's mean that `flicker` causes, DN^2."""
         if self.flicker is None or self.shared is None:
             return None
         return jnp.sum(self.flicker / self.shared.shape[:, None], axis=0)
@@ -174,11 +174,11 @@ class Doubt(NamedTuple):
 
 
 class CodeTables(eqx.Module):
-    """Histograms of codes at levels of few electrons. Codes are relative to the pixel's own black
-    level.
+    """Histograms of codes at levels of few electrons. Codes are relative to the black level of each
+    pixel.
 
-    A pixel's black level is its mean over the dark frames. The pixels are divided into several
-    tables by the position of their black level between two codes.
+    The black level of a pixel is its mean over the dark frames. The pixels are divided into several
+    histograms by the position of their black level between two codes.
     """
 
     level: Int[Array, " tables"]  # index of the bright level
@@ -205,12 +205,13 @@ class PhotonTransfer(eqx.Module):
         full_scale: largest DN, None where unknown.
         remarks: sentences on what was done in reading the files.
         lossy: names of frames whose files are JPEG.
-        doubts: figures that the frames do not determine, and why.
+        doubts: contradictions in the frames, with the figures that are not reported because of
+            them.
         site: name of the amplifier tap or mosaic site of these pixels; None for all pixels.
-        pattern: phase of that mosaic; None without one.
+        pattern: phase of the Bayer mosaic; None without a mosaic.
         tables: histograms of codes at levels of few electrons; None where means and variances
             contain as much information, and where only sums are known.
-        stated: numbers stated in the rig that the frames determine, too: (key of the rig, name of
+        stated: numbers that both the rig states and the frames determine: (key of the rig, name of
             the estimate, value, standard deviation).
     """
 
@@ -247,8 +248,8 @@ class PhotonTransfer(eqx.Module):
 
     @property
     def knee(self) -> Knee | None:
-        """The knee at which the response changes to a second slope, below full scale; None if there
-        is none."""
+        """The knee at which the response changes to a second slope, below full scale; None if the
+        response has no knee."""
         clear = self.clear
         end = len(clear) if clear.all() else int(np.argmin(clear))
         levels = signal_of(self), shot_of(self), self.bright.variance_error
@@ -278,8 +279,8 @@ def reached(levels: Levels) -> Float[np.ndarray, " levels"]:
 
 
 def saturation_index(levels: Levels) -> int | None:
-    """Return the level of largest variance, the standard's saturation point; None unless the
-    variance decreases above it."""
+    """Return the index of the level with the largest variance, which is the standard's saturation
+    point; None unless the variance decreases above this level."""
     variance = np.asarray(levels.variance)
     peak = int(np.argmax(variance))
     least = variance[peak] - SATURATED_DROP * levels.variance_error[peak]
@@ -287,7 +288,8 @@ def saturation_index(levels: Levels) -> int | None:
 
 
 def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
-    """Return the indices of the bright levels that full well and ADC range do not affect."""
+    """Return the indices of the bright levels that neither the full well nor the end of the ADC
+    range affects."""
     bright = measurement.bright
     usable = (np.asarray(bright.variance) > 0) & measurement.clear
     knee, saturated = measurement.knee, measurement.saturated
@@ -303,5 +305,5 @@ def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
 
 
 def rounding_step(amounts: np.ndarray) -> float:
-    """Return the rounding step of photon counts: 1 if all are whole numbers, else 0."""
+    """Return the rounding step of photon counts: 1 if all counts are whole numbers, else 0."""
     return 1.0 if np.array_equal(amounts, np.round(amounts)) else 0.0

@@ -1,11 +1,18 @@
 """A photon transfer measurement from a CSV table: one row per level, bright and dark at the same
 exposure.
 
-The columns are `photons_per_pixel`; one of `exposure_s`, `_ms`, `_us`, `_ns`; the four moments
-`mean_bright_DN`, `var_bright_DN2`, `mean_dark_DN`, `var_dark_DN2`, or the sums `bright_sum` (the
-sum of S1 over the pixels), `bright_pvar` (the sum of L (L S2 - S1^2) over the pixels), `dark_sum`,
-`dark_pvar`; `frames` (L, default 2); and `pixels`, which may be missing if both sums and means are
-given. Lines that start with # are skipped.
+The table has these columns:
+
+- `photons_per_pixel`.
+- `exposure_s`, `exposure_ms`, `exposure_us` or `exposure_ns`.
+- Either the moments `mean_bright_DN`, `var_bright_DN2`, `mean_dark_DN` and `var_dark_DN2`, or the
+  sums `bright_sum`, `bright_pvar`, `dark_sum` and `dark_pvar`. A `sum` is the sum of S1 over the
+  pixels, and a `pvar` is the sum of L (L S2 - S1^2) over the pixels, where S1 is the sum of a
+  pixel's numbers over the frames and S2 the sum of their squares.
+- `frames`, the number L of frames (default 2).
+- `pixels`, which may be missing if both sums and means are given.
+
+Lines that start with # are skipped.
 """
 
 import csv
@@ -119,7 +126,8 @@ def _column(file: Path, columns: dict[str, np.ndarray], name: str) -> np.ndarray
 
 
 def _pixels(file: Path, columns: dict[str, np.ndarray], frames: np.ndarray) -> int:
-    """Return the number of pixels: the table's, or that which its sums and means imply."""
+    """Return the number of pixels: the number in the table, or the number that its sums and means
+    imply."""
     if PIXELS_COLUMN in columns:
         counts = columns[PIXELS_COLUMN]
     elif "bright_sum" in columns and "mean_bright_DN" in columns:
@@ -141,8 +149,8 @@ def _pixels(file: Path, columns: dict[str, np.ndarray], frames: np.ndarray) -> i
 def _moments(
     file: Path, columns: dict[str, np.ndarray], frames: np.ndarray, pixels: int
 ) -> tuple[np.ndarray, ...]:
-    """Return (bright mean, bright variance, dark mean, dark variance) of each row. They come from
-    the sums if the table has these, because sums are exact."""
+    """Return (bright mean, bright variance, dark mean, dark variance) of each row. If the table has
+    sums, the moments are computed from the sums, because sums are exact."""
     if not any(name in columns for name in COUNT_COLUMNS):
         return tuple(_column(file, columns, name) for name in MOMENT_COLUMNS)
     sums = [_column(file, columns, name) for name in COUNT_COLUMNS]
@@ -153,8 +161,9 @@ def _moments(
 def _refuse_deviations(
     file: Path, mean: np.ndarray, variance: np.ndarray, unlit: np.ndarray, of_dark: np.ndarray
 ) -> None:
-    """Raise InputError if a column of variances seems to contain standard deviations. In that case
-    the squares of its values are proportional to the signal, but the values are not."""
+    """Raise InputError if a column of variances seems to contain standard deviations. The sign of
+    this error is that the squares of the values are proportional to the signal, but the values are
+    not."""
     signal = mean - unlit
     seen = (signal > 0) & (variance > of_dark) & (mean <= mean[np.argmax(variance)])
     if seen.sum() < FEWEST_FOR_POWER or np.ptp(np.log(signal[seen])) < np.log(LIGHTS):
@@ -174,8 +183,8 @@ def _refuse_deviations(
 def _depth(
     file: Path, bits: int | None, mean: np.ndarray, variance: np.ndarray
 ) -> tuple[float | None, tuple[str, ...]]:
-    """Return (full scale in DN, remarks). Full scale follows from `bits`, or from saturated levels
-    at which every pixel has the same number."""
+    """Return (full scale in DN, remarks). Full scale is computed from `bits`, or from saturated
+    levels at which every pixel has the same number."""
     brightest = float(mean.max())
     if bits is not None:
         if brightest > 2**bits - 1:

@@ -2,11 +2,13 @@
 fitted separately, then all are fitted together.
 
 Full well and fixed pattern, which do not depend on the gain, are averaged over settings. All
-settings use the same pixels, so their estimates differ only by temporal noise. The error because
-these n pixels are one sample of their population is common to all settings and is added once, to
-the average. The full well comes from the settings at which the well fills before the converter's
-range ends. The settings have the same or similar light levels, whose spacing limits the full well,
-so its error is that of the best setting and does not decrease by averaging.
+settings use the same pixels, so the pattern estimates of the settings differ only by temporal
+noise. A sampling error arises because these n pixels are one sample of their population. This
+sampling error is common to all settings, so it is added once, to the average. The full well is
+averaged over the settings at which the well fills before the converter's range ends. The spacing of
+the light levels limits the accuracy of the full well. The settings have the same or similar levels,
+so averaging does not reduce the error of the full well, and the average has the error of the best
+setting.
 """
 
 from collections.abc import Sequence
@@ -57,13 +59,14 @@ class Pooled:
 
     @property
     def serves(self) -> bool:
-        """Whether the report gives one value for all settings, because they agree or differ by less
-        than 10 %."""
+        """Whether the report gives one value for all settings, because the values of the settings
+        agree or differ by less than 10 %."""
         return self.holds or self.spread < ALIKE * abs(self.value)
 
     @property
     def known_to(self) -> float:
-        """Standard error, including the scatter between settings if they disagree."""
+        """Standard error of the average, including the scatter between settings if the settings
+        disagree."""
         return self.error if self.holds else float(np.hypot(self.error, self.spread))
 
     @property
@@ -91,8 +94,8 @@ def full_well(calibrations: Sequence[NoiseCalibration | None]) -> Pooled | None:
 def pattern(
     calibrations: Sequence[NoiseCalibration | None], gains: np.ndarray, which: str
 ) -> Pooled | None:
-    """Average the variance of DSNU (e-^2) or PRNU (relative) over the settings, whose gains are in
-    DN/e-; None if only sums over pixels are known."""
+    """Average the variance of DSNU (e-^2) or PRNU (relative) over the settings; None if only sums
+    over pixels are known. The gains of the settings are in DN/e-."""
     found = []
     for i, one in enumerate(calibrations):
         if one is None or one.patterns is None:
@@ -130,7 +133,7 @@ class CameraCalibration(ShownInNotebooks):
         full_well: e-, from settings at which the pixel fills before the ADC's range ends.
         dsnu: variance of DSNU, e-^2; None if no setting has frames of pixels.
         prnu: relative variance of PRNU; None if no setting has frames of pixels.
-        left_out: settings that the fit omits, and why, in sentences.
+        left_out: sentences that name each setting omitted from the fit, with the reason.
     """
 
     frames: tuple[FramesOfSetting, ...]
@@ -180,9 +183,10 @@ def calibrate_settings(
 ) -> CameraCalibration:
     """Calibrate a camera's noise over its gains and temperatures.
 
-    The model has one quantum efficiency for all settings, a read noise from parts before and behind
-    the amplifier, and a dark current by Arrhenius' law. Each of these assumptions is tested and
-    dropped if it fails. A setting whose separate fit fails is left out, and `left_out` names it.
+    The model has one quantum efficiency for all settings, a read noise with a part before and a
+    part behind the amplifier, and a dark current that follows Arrhenius' law. Each of these
+    assumptions is tested, and dropped if its test fails. A setting whose separate fit fails is left
+    out and listed in `left_out`.
 
     Args:
         frames: of at least two settings, as `read_by_setting` returns them.
@@ -194,7 +198,7 @@ def calibrate_settings(
 
     Raises:
         InputError: for two settings of equal gain and temperature, for fewer than two settings that
-            can be fitted, and where they leave a parameter undetermined.
+            can be fitted, and where the settings do not determine a parameter.
     """
     settings = [one.setting for one in frames]
     if len({*settings}) < max(len(settings), 2):
@@ -247,8 +251,8 @@ def calibrate_one(
     one: FramesOfSetting, *, sampling: Emcee | None, seed: int
 ) -> NoiseCalibration | InputError | None:
     """Fit one setting separately, by emcee or Laplace's approximation. Return None for a setting of
-    darks alone, and the InputError if the likelihood has no maximum or the gain is not
-    identifiable."""
+    darks alone. If the likelihood has no maximum or the gain is not identifiable, return the
+    InputError as a value."""
     if isinstance(one.frames, Levels):
         return None
     try:

@@ -23,7 +23,7 @@ ZERO_CELSIUS = 273.15  # K
 
 
 def camera_pictures(calibration: CameraCalibration) -> tuple[Picture, ...]:
-    """Return the figures that show how settings differ. Each is drawn when it is requested."""
+    """Return the figures that show how settings differ, as functions that draw them."""
     gains = {setting.gain for setting in calibration.settings}
     found = []
     if len(gains) > 1:
@@ -64,8 +64,8 @@ def camera_pictures(calibration: CameraCalibration) -> tuple[Picture, ...]:
 
 
 def gain_figure(calibration: CameraCalibration) -> "Figure":
-    """Draw the conversion gain K against the stated gain; below, the deviations of K from
-    proportionality."""
+    """Draw the conversion gain K against the stated gain, with a second panel of the deviations of
+    K from proportionality."""
     fit = calibration.fit
     factor = np.array([setting.gain_factor for setting in calibration.settings])
     proportion = proportional_gain(fit)
@@ -98,8 +98,8 @@ def gain_figure(calibration: CameraCalibration) -> "Figure":
 
 
 def read_noise_figure(calibration: CameraCalibration) -> "Figure":
-    """Draw read noise against the conversion gain, with its law (parts before and behind the
-    amplifier)."""
+    """Draw read noise against the conversion gain, with the fitted law (a part before and a part
+    behind the amplifier)."""
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
     figure, axis, lower = two_panels(height=1.6)
@@ -177,8 +177,8 @@ def dark_current_figure(calibration: CameraCalibration) -> "Figure":
 def _draw_law(
     upper: "Axes", lower: "Axes", x: np.ndarray, curve: np.ndarray, drawn: np.ndarray, label: str
 ) -> float:
-    """Draw a fitted law with the 95 % band of its posterior draws; below, the band in per cent of
-    the law. Return the lowest value of the band."""
+    """Draw a fitted law with the 95 % band of its posterior draws and, in the lower panel, the band
+    in per cent of the law. Return the lowest value of the band."""
     band = np.quantile(drawn, HALF_BAND, axis=0)
     upper.plot(x, curve, color=ORANGE, lw=1.5, label=label)
     for axis, (low, high) in ((upper, band), (lower, 100 * (band / curve - 1))):
@@ -195,8 +195,8 @@ def _draw_settings(
     off: np.ndarray,
     error: np.ndarray,
 ) -> None:
-    """Draw the separate estimates of the settings with 95 % bars; below, their deviations from the
-    joint fit in per cent."""
+    """Draw the separate estimates of the settings with 95 % bars and, in the lower panel, the
+    deviations of these estimates from the joint fit in per cent."""
     style = {"fmt": ".", "color": BLUE, "lw": 0.8}
     upper.errorbar(x, value, bars, ms=6, label="each setting by itself", **style)
     lower.errorbar(x, 100 * off, 196 * error, ms=5, **style)
@@ -213,7 +213,7 @@ def _alone(calibration: CameraCalibration, name: str) -> tuple[np.ndarray, np.nd
 
 
 def _beside(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
-    """Return factors for the abscissas that move points of equal abscissa apart."""
+    """Return factors on the abscissas that separate points of equal abscissa in a figure."""
     order = np.zeros(len(x))
     for place in np.unique(x):
         own = np.flatnonzero(x == place)

@@ -1,5 +1,5 @@
 """The findings on a camera at several settings, each with the condition under which it is reported.
-Assumptions that failed, so that settings have separate values, come before all others."""
+Findings on assumptions that failed, so that settings have separate values, come first."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -31,8 +31,8 @@ def findings(calibration: CameraCalibration) -> tuple[str, ...]:
 
 
 def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
-    """Return the numbers for the finding on an assumption that failed: its largest deviations and
-    its test; None if it did not fail."""
+    """Return the numbers for the finding on an assumption that failed: the largest deviations from
+    the assumption and the result of its test. Return None if the assumption did not fail."""
     claim = next((one for one in calibration.fit.claims if one.law == law), None)
     if claim is None or claim.holds:
         return None
@@ -51,8 +51,8 @@ def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _rivals(law: Law, calibration: CameraCalibration) -> Numbers | None:
-    """Return the numbers for the finding on other assumptions that failed together with this one,
-    but passed after it was dropped; None if there are none."""
+    """Return the numbers for the finding on assumptions that failed together with this assumption,
+    but passed after this one was dropped; None if there are none."""
     claim = _claim(law, calibration)
     return claim if claim and claim["rivals"] else None
 
@@ -115,8 +115,9 @@ def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _unknown_dark_law(determined: bool, calibration: CameraCalibration) -> bool:
-    """Whether dark current at several temperatures has no law although none was rejected;
-    `determined` selects whether the fit includes it."""
+    """Whether dark current at several temperatures has no fitted law although no law was rejected.
+    `determined` selects the case in which the fit includes dark current, or the case in which it
+    does not."""
     fit = calibration.fit
     free = {parameter.name for parameter in fit.fit.problem.free}
     several = len({setting.temperature for setting in fit.settings}) > 1
@@ -140,8 +141,8 @@ def _energy(calibration: CameraCalibration) -> Numbers | None:
 
 
 def _differs(name: str, calibration: CameraCalibration) -> Numbers | None:
-    """Return the numbers for the finding on an average over settings that disagree; None if they
-    agree."""
+    """Return the numbers for the finding on an average over settings that disagree; None if the
+    settings agree."""
     pooled = getattr(calibration, name)
     if pooled is None or pooled.holds:
         return None

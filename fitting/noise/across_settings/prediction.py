@@ -1,8 +1,8 @@
 """Prediction of held-out light levels by the joint fit to all settings of a camera.
 
 Each setting is fitted again without every second level, and the joint fit is repeated with these
-estimates. The sensor of the joint fit at each setting is written to a file, read back, and predicts
-the levels left out.
+estimates. For each setting, the sensor of this joint fit is written to a file, read back, and used
+to predict the levels left out.
 """
 
 from dataclasses import replace
@@ -58,8 +58,8 @@ def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
 
 
 def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
-    """Return findings on how well the held-out levels are predicted and, if badly, on the effects
-    that the model lacks."""
+    """Return findings on the accuracy of the predictions of held-out levels. If a prediction fails,
+    the findings name the effects that the model lacks."""
     if not predictions:
         return ()
     sums: dict[str, Agreement] = {}

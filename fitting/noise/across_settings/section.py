@@ -55,7 +55,8 @@ OWN_HEADINGS = {
 
 
 def section(calibration: CameraCalibration) -> Section:
-    """Return the report section of the joint fit: the shared parameters, and those of each gain."""
+    """Return the report section of the joint fit: the parameters that all settings share, and the
+    parameters of each gain."""
     gains = dict.fromkeys((s.gain, s.gain_label) for s in calibration.settings)
     writers = {
         f"sensor_{word_for_file(t)}".rstrip("_"): partial(write_sensor_at, calibration, g)
@@ -86,15 +87,15 @@ def section(calibration: CameraCalibration) -> Section:
 
 
 def sections(calibration: CameraCalibration) -> list[Section]:
-    """Return the report section of the joint fit, then one of each setting."""
+    """Return the report section of the joint fit, then a section for each setting."""
     return [section(calibration), *_of_settings(calibration.frames, calibration.calibrations)]
 
 
 def records_of_sites(
     calibrations: Mapping[str, CameraCalibration], camera: Camera
 ) -> dict[str, Callable[[Path], None]]:
-    """Return, by file name, a function for each gain that writes one sensor for all sites of the
-    mosaic; empty if any site has no sensor."""
+    """Return a function for each gain, by file name, that writes the sensors of all mosaic sites as
+    one file; empty if any site has no sensor."""
     each = calibrations.values()
     if len(calibrations) < len(camera.sites) or any(c.is_impossible or c.processed for c in each):
         return {}
@@ -112,7 +113,7 @@ def without_whole(
     calibrations: Sequence[NoiseCalibration | InputError | None],
     why: str,
 ) -> list[Section]:
-    """Return a section that states why the joint fit failed, then one of each setting."""
+    """Return a section that states why the joint fit failed, then a section for each setting."""
     return [failed_section(KIND, TITLE, why), *_of_settings(frames, calibrations)]
 
 
@@ -200,8 +201,9 @@ def _root(
     scale: float = 1.0,
     parts: tuple[Part, ...] = (),
 ) -> Estimate:
-    """Return the standard deviation for an estimated variance `square`, or an upper bound if it is
-    not significant. `parts` are components known from few samples."""
+    """Return the standard deviation for an estimated variance `square`, or an upper bound if the
+    variance is not significant. `parts` are components of the variance that are known from few
+    samples."""
     if square < SEEN * error:
         bound = scale * np.sqrt(max(square, 0) + SEEN * error)
         return not_determined(what, f"below {bound:.3g} {what.unit}, hidden under {under}")

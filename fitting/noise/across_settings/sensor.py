@@ -1,10 +1,10 @@
 """Conversion of a calibrated camera to a sensor at any gain and temperature in the measured range.
 
 The shared parameters (gain, efficiency, read noise, dark current, fixed pattern) come from the
-joint fit to all settings. All other effects come from the nearest setting with flats, whose fit is
-conditioned on the shared parameters. Let a draw of that setting's own fit be (s, r), with s the
-shared parameters, r the others and C their covariance. If s* is a draw of the joint fit, r becomes
-r + C_rs C_ss^-1 (s* - s).
+joint fit to all settings. All other effects come from the separate fit of the nearest setting with
+flats, conditioned on the shared parameters. Let (s, r) be a draw of that separate fit, with s the
+shared parameters, r the other parameters and C the covariance of both. If s* is a draw of the
+shared parameters from the joint fit, r is replaced by r + C_rs C_ss^-1 (s* - s).
 
 Source:
     Journel & Huijbregts, "Mining Geostatistics", 1978, section VII.A (Matheron's conditioning).
@@ -55,24 +55,26 @@ def sensor_at(
 ) -> tuple[Sensor, Sensor]:
     """Return the sensor of a calibrated camera at one gain and temperature.
 
-    Between two measured gains, ln K is linear in the logarithm of the stated gain. The black level
-    and, if it has no law, the logarithm of the read noise are interpolated in the same way. Dark
-    current follows its law of temperature (`ArrheniusDarkCurrent`) if there is one. Otherwise dark
-    current is interpolated linearly between the temperatures. Compression, light offset, mixing,
-    the brighter-fatter effect and noise of rows, columns and frames are those of the nearest
-    setting with flats, in electrons. The full well comes from settings at which the well fills
-    before the converter's range ends. In every draw, DSNU and PRNU have the values of the best fit.
-    The sensor's exposure time is the median of the flats' exposures, and its light is in photons
-    per pixel and second. If all numbers in the frames of the nearest setting are multiples of a
-    step, as left-aligned numbers are, the sensor's output is the number divided by that step.
+    Between two measured gains, the logarithm of the conversion gain K is linear in the logarithm of
+    the stated gain. The black level is interpolated in the same way, and so is the logarithm of the
+    read noise if the read noise has no fitted law. Dark current follows a law of temperature
+    (`ArrheniusDarkCurrent`) if one was fitted. Otherwise dark current is interpolated linearly
+    between the temperatures. Compression, light offset, mixing, the brighter-fatter effect and
+    noise of rows, columns and frames are those of the nearest setting with flats, in electrons. The
+    full well comes from settings at which the well fills before the converter's range ends. In
+    every draw, DSNU and PRNU have the values of the best fit. The sensor's exposure time is the
+    median of the flats' exposures, and its light is in photons per pixel and second. If all numbers
+    in the frames of the nearest setting are multiples of a step, as left-aligned numbers are, the
+    sensor's output is the number divided by that step.
 
     Args:
-        calibration: of the camera.
-        gain: in the unit of the settings (an ISO speed, or dB); None where there is only one.
-        temperature: K; None where there is only one.
+        calibration: the calibration of the camera at several settings.
+        gain: stated gain in the unit of the settings (an ISO speed, or dB); None if there is only
+            one gain.
+        temperature: K; None if there is only one temperature.
 
     Returns:
-        The best fit; and the same sensor with a leading axis of draws at every number.
+        Two sensors: the best fit, and one whose numbers have a leading axis of posterior draws.
 
     Raises:
         InputError: for a gain or a temperature outside the measured range, and for more electrons
@@ -88,7 +90,8 @@ def sensor_without(
     gain: float | None,
     temperature: float | None,
 ) -> tuple[Sensor, Sensor]:
-    """Like `sensor_at`, from fits of the settings without the levels in `left_out`."""
+    """Return the sensors of `sensor_at`, computed from fits of the settings without the levels in
+    `left_out`."""
     if calibration.is_impossible:
         raise InputError("More electrons are counted than photons arrive; correct the photons.")
     settings, posterior = calibration.settings, calibration.posterior
@@ -144,8 +147,9 @@ def sensor_without(
 
 
 def _sensor(own: Sensor, shared: dict[str, Array], law: tuple[Array, ...] | None) -> Sensor:
-    """Return one draw of a setting's own sensor, with the fields that the settings share replaced
-    by their joint values."""
+    """Return a sensor from the separate fit of one setting, in which the values of the joint fit
+    replace the fields that all settings share. If `law` is given, dark current follows Arrhenius'
+    law; else the sensor has the dark current in `shared`, or none."""
     if law is not None:
         current, warmth, reference, energy = law
         current = ArrheniusDarkCurrent(
@@ -188,8 +192,8 @@ def _given_all(
     at: Figures,
     left_out: Bool[np.ndarray, " levels"] | None,
 ) -> Numbers:
-    """Return draws of the parameters of setting `i` by its own fit, conditioned on the shared
-    parameters of the joint fit."""
+    """Return draws of the parameters of setting `i` from its separate fit, conditioned on the
+    shared parameters of the joint fit."""
     own, known = calibration.calibrations[i], calibration.fit.by_setting[i].names
     assert own is not None
     numbers, covariance = drawn_numbers(own, left_out=left_out), own.posterior.covariance
@@ -216,8 +220,8 @@ def _given_all(
 def _black_level(
     calibration: CameraCalibration, i: int, at: Figures, numbers: Numbers | None
 ) -> Float[np.ndarray, " draws"]:
-    """Return the black level without dark current, DN: from the setting's own fit, or from all its
-    darks if it has no flats."""
+    """Return the black level of a setting without dark current, DN. The black level comes from the
+    separate fit of the setting, or from all darks of the setting if it has no flats."""
     frames = calibration.frames[i].frames
     darks = frames if isinstance(frames, Levels) else frames.dark
     weight = np.asarray(darks.frames) / np.asarray(darks.variance)
@@ -251,8 +255,8 @@ def _pattern(calibration: CameraCalibration) -> dict[str, float]:
 
 
 def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Path) -> None:
-    """Write the sensor at a stated gain and the warmest temperature, and its posterior draws to a
-    second file."""
+    """Write the sensor at a stated gain and the warmest temperature to a file, and its posterior
+    draws to a second file."""
     warmest = calibration.fit.reference
     best, draws = sensor_at(calibration, gain=gain, temperature=warmest)
     at = Setting(gain, calibration.settings[0].gain_unit, warmest)
@@ -269,7 +273,8 @@ def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Pa
 def write_sensor_of_sites_at(
     calibrations: Mapping[str, CameraCalibration], camera: Camera, gain: float | None, path: Path
 ) -> None:
-    """Like `write_sensor_at`, for a camera whose mosaic sites were calibrated separately."""
+    """Write sensor and draws as `write_sensor_at` does, for a camera whose mosaic sites were
+    calibrated separately."""
     warmest = next(iter(calibrations.values())).fit.reference
     each = [sensor_at(calibrations[s], gain=gain, temperature=warmest) for s in camera.sites]
     best, draws = joined_sensors(each, camera)

@@ -1,16 +1,16 @@
 """Reduction of a rig's flats and darks, setting by setting, and each setting's estimates of the
 parameters that settings share.
 
-From flats and darks, the estimates are ln K (gain), ln R (responsivity), ln sigma_d (read noise)
-and the dark current I of the likelihood fit, with their covariance. The other parameters of that
-fit are marginalised. For darks alone, weighted lines over the exposure t,
+From flats and darks, the likelihood fit gives ln K (gain), ln R (responsivity), ln sigma_d (read
+noise) and the dark current I, with their covariance. The other parameters of that fit are
+marginalised. From darks alone, weighted lines over the exposure t,
 
     mean      y   = black + K I t
     variance  s^2 = K^2 sigma_d^2 + 1/12 + K^2 I t
 
-give K I, K^2 sigma_d^2 and K^2 I. The standard error of K I, from the means, is relatively a
-hundred times smaller than that of K^2 I, from the variances. The correlation between means and
-variances by the skewness of shot noise is neglected.
+give the products K I, K^2 sigma_d^2 and K^2 I. The relative standard error of K I, from the means,
+is a hundred times smaller than that of K^2 I, from the variances. Skewed shot noise correlates
+means and variances; this correlation is neglected.
 """
 
 import os
@@ -66,15 +66,15 @@ class SettingEstimates:
 
     def of(self, name: str) -> tuple[float, float]:
         """Return the value and standard error of a quantity; NaN if this setting does not determine
-        it."""
+        the quantity."""
         if name not in self.names:
             return np.nan, np.nan
         place = self.names.index(name)
         return float(self.values[place]), float(np.sqrt(self.covariance[place, place]))
 
     def dark_current(self, gain: float) -> tuple[float, float]:
-        """Return the dark current and its standard error, e-/s. The gain, DN/e-, is used for darks
-        alone."""
+        """Return the dark current and its standard error, e-/s. A setting of darks alone needs the
+        gain, DN/e-, for the conversion to electrons."""
         if "dark_current" in self.names:
             return self.of("dark_current")
         rate, error = self.of("dark_signal_rate")
@@ -84,9 +84,9 @@ class SettingEstimates:
 def estimates_from_calibration(
     calibration: NoiseCalibration, *, left_out: Bool[np.ndarray, " levels"] | None = None
 ) -> SettingEstimates:
-    """Return the estimates from flats and darks: ln K, ln R if photons are known, ln sigma_d if it
-    is determined, and I if it was fitted. `left_out` marks levels that are excluded from the
-    fit."""
+    """Return the estimates from flats and darks: ln K, ln R if photons are known, ln sigma_d if
+    read noise is determined, and I if dark current was fitted. `left_out` marks levels that are
+    excluded from the fit."""
     posterior = calibration.posterior
     labels = names(posterior.space)
     present = [name for name in FROM_BOTH if name in labels]
@@ -166,8 +166,9 @@ def reduce_by_setting(
     channel: str = "",
     failed: dict[Setting, InputError] | None = None,
 ) -> tuple[FramesOfSetting, ...]:
-    """Like `read_by_setting`, for a loaded rig. Unusable settings are left out and added to
-    `failed` with the reason. If `failed` is None, an unusable setting raises InputError."""
+    """Reduce the frames of a loaded rig as `read_by_setting` does. Unusable settings are left out
+    and added to `failed` with the reason. If `failed` is None, an unusable setting raises
+    InputError."""
     rigs = by_setting(rig)
     found: dict[Setting, FramesOfSetting] = {}
     lit = {setting.gain for setting, own in rigs.items() if own.flat}
@@ -188,7 +189,7 @@ def reduce_by_setting(
 def _reduced(
     place: Path, setting: Setting, own: Rig, lit: set[float | None], channel: str
 ) -> FramesOfSetting:
-    """Reduce the frames of one setting. `lit` holds the gains that have flats."""
+    """Reduce the frames of one setting. `lit` is the set of gains for which the rig has flats."""
     if not own.dark:
         raise InputError(f"{place}: its flats have no darks of their gain and temperature.")
     if own.flat:

@@ -19,11 +19,11 @@ r be the residuals, J their derivatives with respect to the parameters, and D th
 respect to deviations from the assumption, all whitened. The test projects r on the part D' of D
 that the parameters cannot explain:
 
-    D' = D - J J^+ D,    chi^2 = |P_D' r|^2    with rank(D') degrees of freedom,
+    D' = D - J J^+ D,    chi^2 = |P_D' r|^2 with rank(D') degrees of freedom,
 
-This chi^2 is the decrease of chi-square that dropping the assumption would give; it needs no second
-fit. Of the assumptions that fail (p < 0.1 %) the worst is dropped, and the fit and the tests are
-repeated.
+where P_D' is the projection on the columns of D'. This chi^2 is the decrease of chi-square that
+dropping the assumption would give, computed without a second fit. Of the assumptions that fail (p <
+0.1 %), the most significant is dropped, and the fit and the tests are repeated.
 
 Source:
     Janesick, "Photon Transfer", 2007, chapters 7 and 11; EMVA 1288, release 4.0 (linear model);
@@ -93,8 +93,8 @@ class Figures(eqx.Module):
 
 
 def figures(values: Values, inputs: Mapping[str, Array]) -> Figures:
-    """Return the camera's parameters at each setting, from the laws plus `deviations` of ln K, ln
-    eta, ln sigma_d and I."""
+    """Return the camera's parameters at each setting: the values by the laws, plus `deviations` of
+    ln K, ln eta, ln sigma_d and I."""
     off_gain, off_efficiency, off_read_noise, off_dark = values["deviations"]
     log_gain = jnp.log(values["system_gain"])[inputs["system_gain"]]
     log_efficiency = dark = None
@@ -137,10 +137,10 @@ def predict(values: Values, inputs: Mapping[str, Array]) -> Float[Array, " data"
 
 @dataclass(frozen=True)
 class OwnDeviation:
-    """The deviation of one gain, or of one temperature, from the assumption that all settings
-    share. `value` and `error` are differences of logarithms. For dark current they are relative
-    (over gain) or in e-/s (over temperature), and for the proportionality of gains they are
-    relative."""
+    """The deviation of one gain, or of one temperature, from an assumption such as a common value
+    for all settings. The deviation `value` and its standard `error` are differences of logarithms,
+    with two exceptions. Deviations of dark current are relative (over gain) or in e-/s (over
+    temperature), and deviations from proportionality of gains are relative."""
 
     label: str
     value: float
@@ -149,7 +149,7 @@ class OwnDeviation:
 
 @dataclass(frozen=True)
 class Claim:
-    """An assumption of the model, with its test."""
+    """An assumption of the model, with the result of its test."""
 
     quantity: Quantity  # the claim is that it follows its law, or that settings share it
     axis: Axis  # over these settings
@@ -170,7 +170,8 @@ class Claim:
     @property
     def significance(self) -> float:
         """The test's chi-square as an equivalent number of standard deviations of a normal
-        variable, finite where p underflows to 0 (Wilson & Hilferty, PNAS 17, 1931)."""
+        variable. This number is finite even where p underflows to 0 (Wilson & Hilferty, PNAS 17,
+        1931)."""
         spread = 2 / (9 * self.degrees)
         return ((self.chi_square / self.degrees) ** (1 / 3) - (1 - spread)) / spread**0.5
 
@@ -266,8 +267,8 @@ def _stated(
     freed: frozenset[Law],
     reference: float | None,
 ) -> tuple[Problem, dict[str, Any], dict[str, tuple[str, ...]]]:
-    """Return the problem without the dropped assumptions `freed`, its starting point, and labels
-    for parameters that have several values."""
+    """Return the problem without the dropped assumptions `freed`, the starting point of its fit,
+    and labels for parameters that have several values."""
     table = np.array(
         [[one.of(name) for name in ESTIMATED] for one in estimates]
     )  # (settings, quantities, 2)
@@ -293,8 +294,8 @@ def _stated(
     labels: dict[str, tuple[str, ...]] = {}
 
     def averages(name: str, values: np.ndarray) -> np.ndarray:
-        """Average `values` over the settings that share each value of a parameter, or over all
-        settings if these have no estimate."""
+        """Average `values` over the settings that share each value of a parameter. If none of these
+        settings has an estimate, average over all settings."""
         labels[name] = tuple(dict.fromkeys(shared[name]))
         inputs[name] = np.array([labels[name].index(word) for word in shared[name]])
         known = np.isfinite(values)
@@ -392,7 +393,8 @@ def _slopes(vector: Array, problem: Problem) -> tuple[Array, Array, Array, Array
 def _tested(
     problem: Problem, vector: np.ndarray, settings: Sequence[Setting], freed: frozenset[Law]
 ) -> tuple[Claim, ...]:
-    """Test the assumptions that were not dropped; return those that the data can contradict."""
+    """Test the assumptions that were not dropped. Return the results for the assumptions that the
+    data could contradict."""
     missed, by_vector, by_deviation, dark = (
         np.asarray(x) for x in _slopes(jnp.asarray(vector), problem)
     )
@@ -426,10 +428,12 @@ def _tested(
 
 
 def proportional_gain(fit: SharedFit) -> tuple[float, float, tuple[OwnDeviation, ...]] | None:
-    """Test whether the measured gain K is c times the stated gain, by generalised least squares of
-    ln K; None if there is only one gain. Return c in DN/e- per stated unit, the p-value, and the
-    relative deviations of outlying gains, worst first. If there are outliers, c comes from the
-    other gains."""
+    """Test by generalised least squares of ln K whether the measured gains K are proportional to
+    the stated gains. While the test fails, the gain that deviates most significantly is left out
+    and the test is repeated. Return the factor c in K = c times the stated gain, in DN/e- per
+    stated unit, from the remaining gains; the p-value of the first test; and the relative
+    deviations of the gains left out, the most significant first. Return None if there is only one
+    gain."""
     labels = fit.labels["system_gain"]
     index = np.asarray(fit.fit.problem.inputs["system_gain"])
     first = [int(np.argmax(index == i)) for i in range(len(labels))]
