@@ -140,7 +140,7 @@ class BrighterFatter(Shown):
     therefore flows across the border between the pixels p and q. Here I is the rate at which charge
     arrives, K the kernel, and phi = K * Q a convolution. No electron is lost. In uniform light this
     model is that of Antilogus et al. (JINST 9 C03048, 2014) and Astier et al. (A&A 629 A36, 2019).
-    The area changes a per electron are the discrete Laplacian of K
+    The relative change of a pixel's area per electron, a, is the discrete Laplacian of K
     (`jaxvision.sensor.area_changes`). K is the kernel of Coulton et al. (AJ 155 258, 2018).
 
     Attributes:

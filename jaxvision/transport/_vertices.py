@@ -3,7 +3,7 @@ continues.
 
 Directions are unit vectors that point away from the surface; `back` points to where the ray came
 from. Paths from the eye and paths from a light are computed alike, except for the factor of a
-reflection, which `carries` selects. S being the material's shading (f_r cos(theta_i) for a BRDF),
+reflection, which `carries` selects. With the material's shading S (f_r cos(theta_i) for a BRDF),
 the factor is
 
     radiance   S(wi = onward, wo = back)
