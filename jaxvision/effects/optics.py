@@ -34,7 +34,7 @@ def optics_stage(
     view: Ends[View], arriving: Arriving, *, samples: Any = None, oversampling: int = 1
 ) -> tuple[tuple[Row, ...], OnSensor]:
     """Return a `Row` for each part of a view, and the largest irradiance and gain on the sensor.
-    The lens is evaluated on a grid that has `oversampling` times as many points per pixel side."""
+    The lens is evaluated on a grid with `oversampling` points along each side of a pixel."""
     radiance = np.asarray(arriving.radiance, float)
     grids = _Grids(view, oversampling)
     opening = grids.opening
@@ -227,7 +227,10 @@ def middle_pixel_share(width: np.ndarray) -> np.ndarray:
     pattern's centre, (...) no unit. The product lambda N of the pattern's wavelength and f-number
     is at most `width` pixels. The share is
 
-        1 - integral (J_0^2 + J_1^2) / (2 pi r^2) (r . n) ds   around the pixel
+        1 - integral (J_0^2 + J_1^2) / (2 pi r^2) (r . n) ds
+
+    over the pixel's border, where the vector r goes from the centre to the border, n is the outward
+    unit normal, and the argument of the Bessel functions J is pi |r| / `width`.
 
     Source:
         Rayleigh's encircled energy and Gauss's theorem; Born and Wolf, Principles of Optics,

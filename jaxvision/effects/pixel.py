@@ -5,11 +5,11 @@ The squared distance of two distributions with means m and rms s is
 
     D^2 = (m_1 - m_2)^2 + (s_1 - s_2)^2.
 
-D is the 2-Wasserstein distance for Gaussian distributions, and a lower bound of it for others
-(Gelbrich, "On a formula for the L2 Wasserstein metric", Mathematische Nachrichten 147 (1990)). D is
-the distance of two points (m, s) in a plane, so the bounds of successive changes add. The rms of a
-sum of independent parts is the length of the vector of their rms values. It changes by at most the
-length of the change of that vector.
+For Gaussian distributions, D is the 2-Wasserstein distance. For other distributions, D is a lower
+bound on that distance (Gelbrich, "On a formula for the L2 Wasserstein metric", Mathematische
+Nachrichten 147 (1990)). D is the distance of two points (m, s) in a plane, so the bounds of
+successive changes add. The rms of a sum of independent parts is the length of the vector of their
+rms values. So the rms of the sum changes by at most the length of the change of that vector.
 
 If the number of counted electrons changes in the presence of Gaussian noise of 1 e- rms, the
 Wasserstein distance is at most 1.03 times the bound. With less noise the ratio is larger (1.3 at
@@ -18,18 +18,18 @@ the draws by a whole electron.
 
 The signal of a pixel passes these steps:
 
-    charge      light r + dark,  counted          r: 1 + PRNU
-    acted on    by the effects on charge          mixing, a curve, and those from outside
+    charge      light r + dark, with shot noise   r: 1 + PRNU
+    changed     by the effects on charge          mixing, nonlinearity, user-defined effects
     converted   charge (1 + c)                    c: rms of the conversion gains
     read        (converted + offsets + noise) (1 + q),   q: rms of the column gains
     DN          K read + offset
 
-If the charge changes by D, the reading changes by at most K sqrt((1 + c^2)(1 + q^2)) D in DN. The
-more noise there is, the less a change of the variance changes the rms. Every pixel has at least the
-noise of a dark pixel.
+If the charge changes by D, the reading changes by at most K sqrt((1 + c^2)(1 + q^2)) D in DN. A
+given change of the variance changes the rms least where there is most noise. Every pixel has at
+least the noise of a dark pixel.
 
-All quantities are NumPy float64, in electrons unless stated otherwise. A quantity that reduces a
-bound is taken at the end of its range where it reduces the bound least.
+All quantities are NumPy float64, in electrons unless stated otherwise. If a bound decreases with a
+parameter, the parameter has its smallest value.
 """
 
 import math
@@ -65,8 +65,8 @@ ASSUMED = (
 
 
 class Flood(NamedTuple):
-    """The charge that one pixel receives from the overflow of all others: the sum of their shares,
-    and the root of the sum of their squares, no unit."""
+    """The shares of the overflow of all other pixels that reach one pixel: `all` is the sum of the
+    shares, and `independent` the root of the sum of their squares; no unit."""
 
     all: float
     independent: float
@@ -97,7 +97,8 @@ def growth(before: float, by: float) -> float:
 
 @dataclass(frozen=True)
 class Pixel:
-    """A sensor without the dropped effects, and the largest irradiance on any of its pixels."""
+    """A sensor without the dropped effects, with bounds on the value of any pixel under the largest
+    irradiance."""
 
     # the fields of the sensor at both ends, by name; None for dropped ones
     sensor: Ends[Mapping[str, Any]]
@@ -127,8 +128,9 @@ class Pixel:
 
     @cached_property
     def light(self) -> float:
-        """The largest number of photoelectrons in any pixel, including smear, m (1 + s (rows - 1)),
-        and repulsion."""
+        """The largest number of photoelectrons in any pixel. Smear s increases the photoelectrons m
+        of the irradiance to m (1 + s (rows - 1)), and repulsion increases them by the factor
+        `pushing`."""
         return self._arriving * self.pushing
 
     @cached_property
@@ -151,8 +153,9 @@ class Pixel:
     @cached_property
     def repulsion(self) -> float:
         """The largest relative change of a pixel's charge by the brighter-fatter effect, c = 2 m
-        (D_rows + D_columns) for a charge m. D is half of the sum of |K_l - K_(l + neighbour)| over
-        the kernel K, so D m bounds a difference of potentials."""
+        (D_rows + D_columns) for a charge m. For each direction, D is half of the sum of |K_l - K_(l
+        + neighbour)| over the offsets l of the kernel K. So D m bounds the difference of the
+        potentials of two neighbours."""
         effect = self.sensor.high["brighter_fatter"]
         if effect is None:
             return 0.0
@@ -161,15 +164,15 @@ class Pixel:
 
     @cached_property
     def pushing(self) -> float:
-        """The largest factor, e^c, of the brighter-fatter effect on a charge q or a change d of it,
-        which grow at most as q' = 1 + c q and d' = e^(c t) + c d during the exposure, t from 0 to
-        1."""
+        """The largest factor, e^c with c the `repulsion`, by which the brighter-fatter effect
+        multiplies a charge q or a change d of the charge. During the exposure, t from 0 to 1, they
+        grow at most as q' = 1 + c q and d' = e^(c t) + c d."""
         return math.exp(self.repulsion) if self.repulsion < 700 else INF
 
     @cached_property
     def smearing(self) -> float:
-        """The largest factor by which smear increases the brightest pixel, if its whole column is
-        equally bright."""
+        """The factor by which smear increases the charge of the brightest pixel if its whole column
+        is equally bright."""
         return 1 + self.high("smear") * (self.shape[0] - 1)
 
     @cached_property
@@ -195,8 +198,8 @@ class Pixel:
 
     @cached_property
     def bright(self) -> float:
-        """The electrons of the brightest pixel. If it is hot, the root mean square of its excess is
-        included."""
+        """The electrons of the brightest pixel, including the root mean square of the excess of a
+        hot pixel."""
         return self.light + self.dark + math.sqrt(2) * self.hot
 
     @property
@@ -206,8 +209,8 @@ class Pixel:
 
     @cached_property
     def variances(self) -> Ends[dict[str, float]]:
-        """The variances of the read-out (`read_out_variances`) at both ends of the free
-        parameters."""
+        """The variances of the read-out noise (`read_out_variances`) at both ends of the range of
+        the free parameters."""
         return Ends(read_out_variances(self.sensor.low), read_out_variances(self.sensor.high))
 
     def added(self, name: str = "") -> float:
@@ -217,8 +220,9 @@ class Pixel:
 
     @property
     def surely_counted(self) -> float:
-        """The smallest certain variance of the brightest charge. It is 0 if a full well may limit
-        the charge or if charges repel each other, because both reduce the variance."""
+        """A lower bound on the variance of the brightest charge. The bound is 0 if a full well may
+        limit the charge or if charges repel each other, because a full well and repulsion reduce
+        the variance."""
         sure = self.counted and self.spilt.rms < 1e-6 and self.repulsion == 0 and not self.acting
         return self.light + self.dark if sure else 0.0
 
@@ -230,9 +234,9 @@ class Pixel:
 
     @cached_property
     def counted_dark(self) -> float:
-        """The smallest variance of any charge: that of the counted dark electrons, less those that
-        charge transfer loses. A full well that clips a charge reduces its rms by at most the
-        excess."""
+        """The smallest variance of any charge: the number of counted dark electrons, less the
+        electrons that charge transfer loses. A full well that clips a charge reduces its rms by at
+        most the excess."""
         if not self.counted or self.acting or self.sensor.high["brighter_fatter"] is not None:
             return 0.0
         dark = max(min(self._darks) - self.missing, 0.0)
@@ -250,29 +254,29 @@ class Pixel:
 
     @cached_property
     def quiet(self) -> float:
-        """The smallest variance of any pixel, that of the darkest, expressed as a variance of its
-        charge."""
+        """The smallest variance of any pixel, which is the variance of the darkest pixel, converted
+        to a variance of the charge."""
         larger = (1 + self.high("conversion_prnu") ** 2) * self.grown**2
         return self.counted_dark + self.added() / larger
 
     @cached_property
     def behind_column(self) -> float:
-        """The change in DN for one electron added after the conversion: K sqrt(1 + q^2)."""
+        """The change in DN for one electron added after the conversion: K sqrt(1 + q^2), with gain
+        K and column PRNU q."""
         return self.gain * math.hypot(1, self.high("column_prnu"))
 
     @cached_property
     def behind_charge(self) -> float:
         """The change in DN for one electron of arriving charge: K sqrt((1 + c^2)(1 + q^2)), with
-        the largest factors of all effects on charge. The brighter-fatter effect adds a factor e^(3
-        c), or e^(2 c) for variances divided by an rms that is smaller by up to e^-c, where c is
-        `repulsion`."""
+        the largest factors of all effects on charge, conversion PRNU c and column PRNU q. The
+        brighter-fatter effect of `repulsion` b multiplies the change by at most e^(3 b): a variance
+        grows by up to e^(2 b), and the rms by which it is divided shrinks by up to e^-b."""
         return self.behind_own * self.pushing**3
 
     @cached_property
     def behind_own(self) -> float:
-        """The change in DN for one electron of arriving charge, with the largest factor of the
-        effects on charge.
-        """
+        """The change in DN for one electron of arriving charge, as `behind_charge` but without the
+        brighter-fatter effect."""
         return self.behind_conversion * self.grown
 
     @cached_property
@@ -282,20 +286,20 @@ class Pixel:
 
     @cached_property
     def own(self) -> tuple[Ends[Any], ...]:
-        """The external effects on charge, which were registered."""
+        """The user-defined effects on charge, which were registered."""
         both = (end["own"] or () for end in self.sensor)
         return tuple(Ends(low, high) for low, high in zip(*both, strict=True))
 
     @cached_property
     def acting(self) -> tuple[Ends[Any], ...]:
-        """All effects on charge: the external ones, mixing, and the nonlinearity."""
+        """All effects on charge: user-defined effects, mixing, and the nonlinearity."""
         last = (Ends(*(end[name] for end in self.sensor)) for name in ("mixing", "nonlinearity"))
         return (*self.own, *(ends for ends in last if ends.low is not None))
 
     def moved_by(self, effect: Ends[Any]) -> float:
-        """Return the root mean square change, in electrons, that an effect on charge makes in any
-        pixel. A curve g moves charges of mean m and rms s by |g(m) - m| + L s, where L is the
-        largest deviation of its slope from 1."""
+        """Return the largest root mean square change, in electrons, of any pixel by an effect on
+        charge. A curve g changes charges of mean m and rms s by at most |g(m) - m| + L s, where L
+        is the largest deviation of the slope of g from 1."""
         curve, electrons = stage_of(effect.low).curve, self.rms * self.grown
         leaning = own_bound(effect, 1.0)[0]
         known = effect.low is effect.high and math.isfinite(electrons * leaning)
@@ -323,12 +327,14 @@ class Pixel:
 
     @cached_property
     def behind_conversion(self) -> float:
-        """The change in DN for one electron of charge: K sqrt((1 + c^2)(1 + q^2))."""
+        """The change in DN for one electron of charge: K sqrt((1 + c^2)(1 + q^2)), with gain K,
+        conversion PRNU c and column PRNU q."""
         return self.behind_column * math.hypot(1, self.high("conversion_prnu"))
 
     @cached_property
     def charge(self) -> Charge:
-        """The brightest charge before any full well; that of a hot pixel if there are any."""
+        """The random charge of the brightest pixel before any full well. This pixel is hot if the
+        sensor has hot pixels."""
         gaussian = isinstance(self.sensor.high["shot_noise"], GaussianShotNoise)
         return Charge(
             self.light,
@@ -340,8 +346,8 @@ class Pixel:
 
     @cached_property
     def spilt(self) -> Excess:
-        """Bounds on the excess of the brightest charge over the full well. The excess is 0 without
-        a full well."""
+        """Bounds on the excess of the brightest charge over the full well. Without a full well, the
+        excess is 0."""
         well = self.sensor.low["full_well"]
         return Excess(0.0, 0.0) if well is None else excess(self.charge, float(well))
 
@@ -376,18 +382,19 @@ class Pixel:
 
     def read(self, by: float) -> float:
         """Return the largest change of a reading, in DN, if every charge before the full wells
-        changes by at most `by` electrons. Overflow adds up along a column. Half of each change
-        arrives from either side where charge overflows, and all of it where a well on the way
-        becomes full. The change is also at most the sum of the charges received before and after
-        it."""
+        changes by at most `by` electrons. Overflow adds up along a column. Half of the change of
+        another pixel arrives if its charge overflows, and all of the change if a well on the way
+        becomes full. The change of the reading is also at most the sum of the charges received
+        before and after the change."""
         if self.received == 0:
             return self.behind_charge * by
         return self.behind_charge * min(by * (1 + 2 * self.flood.all), by + 2 * self.received)
 
     @cached_property
     def reach(self) -> float:
-        """The number of pixels that one charge may change: its own, the trail of charge transfer,
-        the column into which it may overflow, or all of them under the brighter-fatter effect."""
+        """The number of pixels whose values may depend on one pixel's charge: the pixel, the trail
+        of charge transfer, and the column into which the charge may overflow. Under the
+        brighter-fatter effect, this is every pixel."""
         pixels = math.prod(self.shape)
         mixing = self.sensor.high["mixing"]
         shared = 1 if mixing is None else mixing.kernel.size
@@ -426,10 +433,11 @@ class Pixel:
         """Return how a full well affects the distance between two charges that differ by d = `by`
         electrons.
 
-        The result is the largest certain variance, in electrons^2, and a number of electrons to add
-        to the distance. If charges rarely reach the well, it changes each of them by at most the
-        mean excess. Otherwise the well reduces the distance. Then the only certain noise is that of
-        the light, with a variance of at least a quarter of the well where it matters.
+        The result is an upper limit, in electrons^2, on the variance that may be assumed, and a
+        number of electrons to add to the distance. If charges rarely reach the full well, the well
+        changes each charge by at most the rms excess. Otherwise the well reduces the distance, and
+        the only noise that may be assumed is the shot noise, of a variance of at least a quarter of
+        the well.
         """
         if self.spilt.rms <= 1e-3 * by:
             return INF, 2 * self.spilt.rms
@@ -437,9 +445,9 @@ class Pixel:
 
 
 def own_bound(effect: Ends[Any], electrons: float) -> tuple[float, float]:
-    """Return upper bounds on the change of a pixel by an external effect, in electrons rms, and on
-    the factor by which the effect multiplies a change of charge. Both are inf for an effect without
-    a bound."""
+    """Return upper bounds on the change of a pixel by an effect on charge, in electrons rms, and on
+    the factor by which the effect multiplies a change of charge. For an effect without a bound,
+    both upper bounds are inf."""
     bound = stage_of(effect.low).bound
     if bound is None or not math.isfinite(electrons):
         return INF, 1.0 if bound is not None else INF
@@ -449,9 +457,9 @@ def own_bound(effect: Ends[Any], electrons: float) -> tuple[float, float]:
 def pixel_of(
     sensor: Ends[Sensor], irradiance: np.ndarray, shape: tuple[int, int], gone: Gone
 ) -> Pixel:
-    """Return the bounds of any pixel of a sensor with (rows, columns) pixels. `gone` names the
-    dropped effects, such as "sensor.read_noise". The irradiance of each pixel is at most
-    `irradiance`, (bands,) W m^-2."""
+    """Return the `Pixel` that bounds the value of any pixel of a sensor with (rows, columns)
+    pixels. `gone` names the dropped effects, such as "sensor.read_noise". The irradiance of each
+    pixel is at most `irradiance`, (bands,) W m^-2."""
 
     def left(of: Sensor, extreme: Callable[[Any], Any]) -> Mapping[str, Any]:
         fields = vars(of).items()

@@ -1,10 +1,11 @@
-"""Estimate the light of long paths from small pictures, where the proved bound is not sharp.
+"""Estimate the light of long paths from small pictures, because the proved bound may be far too
+large.
 
-In a bright closed room the proved bound of `bounces` is far too large: for the Cornell box it
-requires tens of path segments. Instead, pictures of 16 x 16 pixels with 64 paths each are rendered
-with n, n + 1 and n + 2 segments and the same random numbers. Their differences give the light D of
-each further segment and the factor r by which it decreases. The factor is assumed to be the same
-for all further segments, so paths of more than m segments add
+In the Cornell box, a bright closed room, the proved bound of `bounces` requires tens of path
+segments. For an estimate, pictures of 16 x 16 pixels with 64 paths each are rendered with n, n + 1
+and n + 2 segments and the same random numbers. The differences of the pictures give the light D
+that one further segment adds, and the factor r by which D decreases with each further segment. The
+factor is assumed to be the same for all further segments, so paths of more than m segments add
 
     sum over k > m of D r^(k - n - 1) = D r^(m - n) (1 - r^(depth - m)) / (1 - r)
 
@@ -28,9 +29,10 @@ ASSUMED = "Each further segment of a path beyond the probed ones reduces its lig
 
 
 def probed_rows(scene: Scene, view: View, depth: int | None) -> tuple[Row, ...]:
-    """Return a `Row` "bounces", like those of `bounces.bounce_rows` but with rank "estimate", for
-    each path length in `bounces.shorter`. Free parameters are at their upper ends. The result is
-    empty for direct light (`depth` None), or for paths that are too short to estimate."""
+    """Return a `Row` "bounces" for each limit in `bounces.shorter` on the number of path segments,
+    as `bounces.bounce_rows` but with rank "estimate". Free parameters have their largest values.
+    The result is empty for direct light (`depth` None), or if `depth` is too small for an estimate.
+    """
     n = min(_SETTLED, (depth or 0) - 2)
     if depth is None or n < DIRECT:
         return ()

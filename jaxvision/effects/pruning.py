@@ -1,5 +1,5 @@
 """List the effects of a scene and a camera (`inspect`), and drop those within a tolerance
-(`prune`). These functions cannot be traced; radiance is in W m^-2 sr^-1."""
+(`prune`). `inspect` and `prune` cannot be traced by JAX. Radiance is in W m^-2 sr^-1."""
 
 from collections.abc import Callable, Collection
 from dataclasses import replace
@@ -50,8 +50,8 @@ def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
 
 
 def _chain_of(scene: Scene, camera: Camera, free: Box | None, method: Method) -> Chain:
-    """Return a `Row` for every effect. If a number is not finite or a map rotates normals, none has
-    a bound."""
+    """Return a `Row` for every effect. If a number is not finite or a map rotates normals, no `Row`
+    has a bound."""
     refuse_tracers(scene, camera)
     depth = method.depth
     if depth is not None and (depth < 1 or depth != int(depth)):
@@ -104,28 +104,30 @@ def inspect(
 
     Args:
         scene: surfaces and lights.
-        camera: a whole camera, or a view, which covers only what reaches the lens.
+        camera: a whole camera, or a view; with a view, only effects of the scene and the lens are
+            listed.
         free: names of fields that a fit may change, each with its smallest and its largest value,
             in the field's unit; all bounds are valid over this whole range.
         samples: as in `capture`; a thin lens needs them for defocus.
-        motion: as in `capture`, or None; it needs a camera whose sensor has an exposure time.
+        motion: as in `capture`, or None; a motion needs a camera whose sensor has an exposure time.
         moments: number of times at which a motion is evaluated, as in `capture`.
         depth: number of segments of the longest path, as in `transport.Paths`; None for direct
             light, as in `render`.
-        estimates: whether the contribution of long paths is also estimated, from a small picture.
-        whole_paths: whether the integrator follows paths to their end, as radiosity does, so that
-            none can be shortened.
+        estimates: whether the contribution of long paths is also estimated from small pictures.
+        whole_paths: whether the integrator follows all paths to their end, as radiosity does, so
+            that the number of path segments cannot be reduced.
         caustics: whether paths start at the lights, as in `light_traced`: mirrors and glass then
             focus the light of lamps without size, for which there is no bound.
-        time: whether to measure the time of each effect too: with and without it, alternately, at
-            most 256 pixels along each side. Each effect that changes the program needs a
-            compilation.
-        advance: with `time`, a function that is called with the number of compiled programs and of
-            all programs.
+        time: whether to measure the rendering time of each effect too. Pictures of at most 256
+            pixels along each side, with and without the effect, are timed alternately. Each effect
+            that changes the program needs a compilation.
+        advance: with `time`, a function that is called with two numbers: of programs compiled so
+            far, and of all programs.
 
     Returns:
-        One `Effect` for each, its bound in the unit of its stage: W m^-2 sr^-1 for a scene, W m^-2
-        for a lens, DN for a sensor; displacements in pixels.
+        An `Effect` for each effect. Bounds are in W m^-2 sr^-1 for effects of the scene, in W m^-2
+            for effects of the lens, and in DN for effects of the sensor; displacements are in
+            pixels.
 
     Raises:
         ValueError: for records with traced numbers.
@@ -159,7 +161,7 @@ def inspect(
 
 
 def _start(scene: Scene, camera: Camera, method: Method) -> Draft:
-    """Return the draft that contains all effects."""
+    """Return the `Draft` that contains all effects."""
     everything = scene.surfaces, scene.lights, frozenset[int](), scene.ambient, camera
     return Draft(*everything, method.samples, method.motion, method.moments, method.depth)
 
@@ -184,12 +186,12 @@ def prune(
     Args:
         scene, camera, free, samples, motion, moments, depth: as in `inspect`. Free fields are never
             removed.
-        tolerance: the record, or its text for `parse`. "relative" refers to `level`, and no effect
-            of the sensor is dropped; "DN" and "sigma" need a whole camera.
-        level: radiance that "relative" refers to, W m^-2 sr^-1; None renders a small picture and
-            takes its brightest pixel.
-        estimates: whether to remove effects by estimates too, which prove nothing; for long paths
-            these come from a small picture.
+        tolerance: the record, or its text for `parse`. A "relative" tolerance is a fraction of
+            `level`, and no effect of the sensor is dropped; "DN" and "sigma" need a whole camera.
+        level: reference radiance of a "relative" tolerance, W m^-2 sr^-1; None renders a small
+            picture and uses its brightest pixel.
+        estimates: whether to also remove effects whose bound is an estimate, not a proof; the
+            estimates for long paths come from small pictures.
         whole_paths, caustics: as in `inspect`.
 
     Returns:
@@ -199,7 +201,7 @@ def prune(
     Raises:
         ValueError: for records with traced numbers.
         InputError: as for `inspect`, for a unit that needs a camera where only a view is given, and
-            for a picture without light as level.
+            for a black picture if `level` is None.
 
     Example:
         >>> from jaxvision import effects
@@ -253,10 +255,10 @@ def prune(
 
 
 def looking_pays(scene: Scene, *, rays: int, nodes: int) -> bool:
-    """Return whether pruning probably pays: `prune` must take less than a twentieth of the render
-    time by direct light, without compilation. That time is at least a nanosecond for each ray and
-    surface. Both times are rough estimates. `nodes` is the number of nodes of the rule for lamps
-    with a size."""
+    """Return whether pruning probably pays: `prune` must take less than a twentieth of the time to
+    render direct light, without compilation. Rendering is assumed to take a nanosecond for each ray
+    and surface, and the time of `prune` is a rough estimate too. `nodes` is the number of nodes of
+    the rule for lamps with a size."""
     meshes = (s.shape for s in scene.surfaces if isinstance(s.shape, TriangleMesh))
     each = 2.5e-4 + 1.5e-4 * len(scene.lights)
     looking = 0.15 + each * len(scene.surfaces) + 5e-6 * sum(len(mesh.faces) for mesh in meshes)
@@ -267,9 +269,10 @@ def looking_pays(scene: Scene, *, rays: int, nodes: int) -> bool:
 def removals(
     scene: Scene, camera: Camera, **asked: Any
 ) -> tuple[dict[str, Effect], Callable[[Collection[str]], tuple[Scene, Camera] | None]]:
-    """Return the effects that can be dropped, by name, and a function from names to the records
-    without these effects, whatever their bounds. The function returns None if they cannot be
-    dropped together. `asked`: `free`, `samples` and `depth`, as in `inspect`."""
+    """Return the effects that can be dropped, by name, and a function that drops effects. The
+    function maps names of effects to the scene and camera without these effects, whatever their
+    bounds, and returns None if the effects cannot be dropped together. `asked` holds `free`,
+    `samples` and `depth`, as in `inspect`."""
     free, method = tuple(asked.pop("free", None) or ()), Method(**asked)
     chain, start = _chain_of(scene, camera, None, method), _start(scene, camera, method)
     parties: dict[str, list[Row]] = {}
@@ -293,8 +296,8 @@ def removals(
 
 
 def _new_kinds(scene: Scene, draft: Draft) -> tuple[str, ...]:
-    """Return the materials whose pruning would create a new type of material, and with it a further
-    shading program."""
+    """Return the names of the materials that dropped effects changed to a new type of material.
+    Each new type needs a further shading program."""
     before, after = (
         [jax.tree.structure(surface.material) for surface in surfaces]
         for surfaces in (scene.surfaces, draft.left)
@@ -308,8 +311,9 @@ def _new_kinds(scene: Scene, draft: Draft) -> tuple[str, ...]:
 
 
 def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> bool:
-    """Return whether the motion moves the pruned scene like the full one. A motion may refer to a
-    dropped record, which raises an error, or add it again, or apply it to another surface."""
+    """Return whether the motion changes the pruned scene as it changes the full scene. The answer
+    may be False because a motion may refer to a dropped surface or light, which raises an error, or
+    add the dropped record again, or move another surface in its place."""
     draft = choice.draft
     if motion is None or draft.motion is None:
         return True

@@ -1,9 +1,9 @@
 """Bound the change of radiance by each effect of a scene.
 
-Each function has the name of an effect and returns its `Row`. A bound is the supremum over all
-cells that a pixel may see. A bound ignores effects that only remove light, so that it is valid for
-every scene between the full and the pruned one. Radiance is in W m^-2 sr^-1, lengths in m; computed
-in NumPy float64.
+Each function has the name of an effect and returns the `Row` of that effect. A bound is the
+supremum over all cells of the surfaces that a pixel may see. A bound ignores effects that only
+remove light, so that it is valid for every scene between the full and the pruned one. Radiance is
+in W m^-2 sr^-1, lengths in m; computed in NumPy float64.
 """
 
 from collections.abc import Callable, Iterator
@@ -44,8 +44,9 @@ _OWN = 0.02  # the same for every other effect
 def scene_stage(
     scene: Ends[Scene], view: Ends[View], *, depth: int | None = None, caustics: bool = False
 ) -> tuple[tuple[Row, ...], Arriving, Sums]:
-    """Return a `Row` for every effect of a scene over the range of its free parameters, a bound on
-    the light at the camera, in W m^-2 sr^-1, and the suprema from which both follow.
+    """Return a `Row` for every effect of a scene over the range of its free parameters. Also return
+    bounds on the light at the camera, in W m^-2 sr^-1, and the suprema from which all bounds
+    follow.
 
     `depth` is the largest number of path segments, or None for direct light, as in `render`. With
     `caustics`, paths also start at the lights.
@@ -112,10 +113,11 @@ def _light_rows(sums: Sums, onward: Onward, k: int) -> Iterator[Row]:
 
 
 def light(sums: Sums, onward: Onward, k: int) -> Row:
-    """Bound the effect of dropping a light. A light that can be seen also hides objects behind it,
-    even if it is dark. At such pixels the picture changes by at most the light's own radiance or
-    the largest radiance of the picture. The same holds for lights that a mirror shows behind the
-    lamp. While shadows are kept, cells in full shadow of the light are excluded."""
+    """Bound the effect of dropping a light. A visible light also hides the objects behind it, even
+    if the light is dark. A pixel that sees the light changes by at most the larger of the light's
+    radiance and the largest radiance of the picture. Likewise, a mirror may show other lights that
+    were hidden behind the dropped light. As long as the light's shadows are not dropped, cells in
+    its full shadow are excluded."""
     source, dark = sums.sources[k], sums.dark[k]
     why = source.why or type(sums.lights[k].low).__name__
     hides = source.kind == "area" and (sums.visible[k] or onward.depth is not None)
@@ -144,8 +146,8 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
 
 
 def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
-    """Return the largest radiance, (bands,), that mirrors in the given cells, (c,), can show from
-    behind a lamp."""
+    """Return the largest radiance, (bands,), of other lights that mirrors in the cells flagged in
+    `within`, (c,), can show if a lamp no longer hides them."""
     if sums.sources[k].kind != "area":
         return np.zeros(sums.spectrum.shape[1])
     extended = np.array([own.extended for own in sums.sources])[:, None]
@@ -155,9 +157,8 @@ def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
 
 
 def shadows(sums: Sums, onward: Onward, k: int) -> Row:
-    """Bound the effect of a lamp's shadows by all light of the lamp on surfaces that may be shaded.
-    The bound is 0 if no surface can be shaded.
-    """
+    """Bound the effect of a lamp's shadows by all light that the lamp sends to surfaces that may be
+    in shadow. The bound is 0 if no surface can be in shadow."""
     count, whole = int(sums.blocked[k].sum()), sums.blocked[k].size
     amount = pictured(sums, sent(sums, k, only=sums.shaded[k]))
     why = f"{count} of {whole} pairs of receiver and occluder may block"
@@ -223,10 +224,10 @@ def _largest_sent(
     of_light: Callable[[int, bool], np.ndarray],
     others: np.ndarray,
 ) -> np.ndarray:
-    """Bound the light in the picture, (bands,), that a surface reflects from all lights and from
-    other surfaces, `others`, (bands,). `of_light` returns the part of a light, by index, from
-    each cell, (c, bands). That part goes to the eye or, if the second argument is true, to any
-    viewer."""
+    """Bound the light in the picture, (bands,), that surface i reflects from all lights and from
+    other surfaces. `others`, (bands,), bounds the light from other surfaces. `of_light(k, around)`
+    bounds the light of lamp k that each cell reflects, (c, bands), toward the eye or, if `around`,
+    toward any viewer."""
     part = part_of(sums.cells, i)
 
     def sent(around: bool) -> np.ndarray:
@@ -273,9 +274,8 @@ def _is_plain_without_lobe(material: Material) -> bool:
 
 
 def interface(sums: Sums, onward: Onward, i: int) -> Row:
-    """Bound the effect of the Fresnel reflectance of facets: at most the light that the lobe would
-    gain if the facets reflected all light.
-    """
+    """Bound the effect of the Fresnel reflectance of microfacets by the light that the specular
+    lobe would gain if the facets reflected all light."""
     facets = sums.reflections[i].facets
     assert facets is not None
     full: list[Lobe | None] = [None] * len(sums.surfaces)
@@ -314,15 +314,16 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def _unbent(surface: Surface) -> Surface:
-    """Return a surface without its map of normals. `pruning` proves nothing about scenes with such
-    a map."""
+    """Return a surface without its map of normals. For scenes with such a map, the module `pruning`
+    returns no bounds."""
     return surface if surface.normals is None else replace(surface, normals=None)
 
 
 def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
-    """Bound the change if a map is replaced by its mean. A map of k_d or k_s changes the light of
-    the diffuse part or the specular lobe by at most the relative range of the map, if that light is
-    proportional to it. Any other map changes at most all light that the surface reflects."""
+    """Bound the change if a map is replaced by its mean. If the light of the diffuse part is
+    proportional to k_d, a map of k_d changes this light by at most the relative range of the map.
+    The same holds for the specular lobe and k_s. For any other map, the bound is all light that the
+    surface reflects."""
     own, material = sums.reflections[i], sums.surfaces[i].of("material")
     bands, field = sums.k_body.shape[1], place.removeprefix("material.")
     of_body = of_lobe = np.ones(bands)
@@ -377,9 +378,10 @@ def emission(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def absorption(sums: Sums, onward: Onward, i: int) -> Row:
-    """Bound the effect of absorption in glass: 1 - exp(-a x) of all light, with the absorption
-    coefficient a and the path length x. Each crossing is at most as long as the diameter. A surface
-    that is not closed has no bound. Under direct light, glass is black, and the effect is 0."""
+    """Bound the effect of absorption in glass: the share 1 - exp(-a x) of the largest radiance of
+    the picture, with the absorption coefficient a. The length x of a path inside the glass is at
+    most the number of segments times the diameter of the glass body. There is no bound for a
+    surface that is not closed. Under direct light, glass is black, and the effect is 0."""
     material, shape = sums.surfaces[i].of("material"), sums.surfaces[i].of("shape")
     a = np.max([numbers(end.absorption).max() for end in material])
     body = body_of(shape)
@@ -400,8 +402,8 @@ def absorption(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def ambient(scene: Ends[Scene], sums: Sums, onward: Onward) -> Row:
-    """Bound the effect of ambient light: k_a L_a of the visible surfaces. Transport ignores ambient
-    light."""
+    """Bound the effect of ambient light by the largest k_a L_a of a visible surface, with the
+    ambient reflectance k_a and the ambient radiance L_a. Light transport ignores ambient light."""
     present = scene.low.ambient is not None
     own = ambient_reflected(scene, sums.surfaces, sums.own.shape[1])
     if onward.depth is not None:

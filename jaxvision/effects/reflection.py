@@ -1,9 +1,9 @@
 """Bound the light that each type of material reflects.
 
-The shading f_r cos is that of a diffuse part, at most `body` times the cosine, plus that of a
-specular lobe, which is bounded by a function of the angles of a cell. A material type states these
-bounds in `register`. A type without bounds is unbounded, and effects that depend on it are kept.
-Values have no unit, except those in sr^-1.
+The shading f_r cos of a material is the sum of two terms. The diffuse part is at most `body` times
+the cosine. The specular lobe is bounded by a function of the angles of a cell. Each material type
+registers these bounds with `register`. Effects of a material type without registered bounds are
+never dropped. Values have no unit, except those in sr^-1.
 """
 
 from typing import Any
@@ -15,7 +15,7 @@ from ..core._bounds import Reflection as Reflection
 
 
 def fills(material: Any) -> bool:
-    """Return whether light enters the shape that a material covers."""
+    """Return whether light enters a shape with this material."""
     own = families().get(type(material))
     return own is not None and own.absorption is not None
 

@@ -1,4 +1,4 @@
-"""Bound the error of a single sample at a pixel's centre, as a displacement in pixels.
+"""Bound the error of taking a single sample at the centre of a pixel, as a displacement in pixels.
 
 The mean over a pixel is a mean over points at most half of the pixel's diagonal from its centre.
 """
@@ -21,7 +21,7 @@ _COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sq
 def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
     """Return the `Row` for replacing the rays of a pixel, which extend to its corners, by one ray.
     The one ray passes through the pixel's centre. `radiance`, (bands,) W m^-2 sr^-1, is the largest
-    in the picture. The blur of the lens must have been dropped before."""
+    radiance of the picture. The blur of the lens must have been dropped before."""
     nothing, why = np.zeros_like(radiance), "a pixel's rays reach its corners"
     needs = frozenset({"view.defocus"} if isinstance(view.high, ThinLens) else ())
     more = {"unit": IRRADIANCE, "place": _MIDDLE, "saves": 0.5, "needs": needs}
@@ -48,6 +48,6 @@ def oversampling_row(
 
 
 def times(radiance: np.ndarray, gain: float) -> np.ndarray:
-    """Multiply without a warning for 0 times infinity, which gives NaN."""
+    """Multiply two arrays; 0 times infinity is NaN without a warning."""
     with np.errstate(invalid="ignore"):
         return radiance * gain

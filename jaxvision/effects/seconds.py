@@ -4,8 +4,8 @@ without it.
 A picture is made by four programs, each with its own records: the scene, the lens, the sensor and
 the development. Dropping an effect changes the records of some programs. The difference of their
 times is the time of the effect. Programs whose records have the same structure and sizes, in any
-order of the surfaces, are compiled and timed only once. One program traces paths of any number of
-segments.
+order of the surfaces, are compiled and timed only once. The program that traces paths is the same
+for all numbers of segments.
 """
 
 import time
@@ -35,8 +35,8 @@ Advance = Callable[[int, int], Any]
 
 
 class _Part(NamedTuple):
-    """One program of a picture: its identity, a function that calls it, and the number of calls in
-    a picture."""
+    """One program of a picture: `kind` is equal for equal programs, `run` calls the program, and
+    `times` is the number of calls in a picture."""
 
     kind: Hashable
     run: Callable[[], Any]
@@ -46,12 +46,12 @@ class _Part(NamedTuple):
 def seconds_of(
     rows: Sequence[Row], start: Draft, scene: Scene, *, whole: bool, advance: Advance | None = None
 ) -> list[float | None]:
-    """Return the time, in s, that dropping each effect saves in a picture; it is negative if the
-    picture then takes longer. The time is None if the effect cannot be dropped alone. Effects that
-    can only be dropped together share the saved time equally.
+    """Return the time, in s, that dropping each effect saves in a picture; a negative time means
+    that the picture takes longer without the effect. The time is None if the effect cannot be
+    dropped alone. Effects that can only be dropped together share the saved time equally.
 
-    `start` is the draft with all effects. `whole` states whether a sensor and a development follow
-    the lens. `advance` is called with the number of finished programs and of all programs.
+    `start` is the `Draft` with all effects. `whole` states whether a sensor and a development
+    follow the lens. `advance` is called with the number of finished programs and of all programs.
     """
     view = start.camera.view
     scale = max(max(view.resolution) / _SIDE, 1.0)
@@ -92,8 +92,8 @@ def _without(party: Sequence[Row], start: Draft) -> Draft | None:
 
 
 class _Calls:
-    """Makes the programs of a draft. The lens and the sensor run on the light of the picture with
-    all effects."""
+    """Makes the programs of a `Draft`. The lens and the sensor are timed on the light of the
+    picture with all effects."""
 
     def __init__(self, scene: Scene, start: Draft, *, whole: bool) -> None:
         self.scene, self.whole = scene, whole

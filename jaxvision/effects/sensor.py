@@ -1,8 +1,9 @@
-"""Bound the effects of a sensor, and its change in DN for a change of light.
+"""Bound the change by each effect of a sensor, and the change of a reading, in DN, for a change of
+light.
 
-The bounds are in `sensor_light`, `sensor_charge` and `sensor_reading`, in the order in which light
-becomes a reading. Each bound is for the sensor without the effects that were dropped before. With
-less noise a further effect changes the distribution more, and the bounds of successive drops add.
+The bounds are in the modules `sensor_light`, `sensor_charge` and `sensor_reading`. Each bound is
+for the sensor without the effects that were dropped before, because with less noise, dropping a
+further effect changes the distribution more. The bounds of successive drops add.
 """
 
 import math
@@ -58,7 +59,8 @@ _ASSUMES = {
 def sensor_stage(
     sensor: Ends[Sensor], irradiance: np.ndarray, *, shape: tuple[int, int]
 ) -> tuple[tuple[Row, ...], Response]:
-    """Return a `Row` for each effect of a sensor, and its response to a change of light."""
+    """Return a `Row` for each effect of a sensor, and the `Response` of the sensor to a change of
+    light."""
     light = np.asarray(irradiance, float)
     arriving = jax.ShapeDtypeStruct((*shape, *light.shape), jnp.result_type(float))
     jax.eval_shape(lambda seen: mean_photoelectrons(sensor.high, seen), arriving)
@@ -128,8 +130,8 @@ def _row(
 
 
 def _field(name: str, bound: BoundOf, sensor: Ends[Sensor], pixel: Callable[[Gone], Pixel]) -> Row:
-    """Return the `Row` of one sensor field. Dropping it sets the field to None, and also the
-    factors of the taps on it."""
+    """Return the `Row` of the effect of one sensor field. Dropping the effect sets the field to
+    None, and also the factors by which read-out taps scale the field."""
     identity = _is_identity(name, sensor)
 
     def drop(draft: Draft) -> Draft:
@@ -154,7 +156,7 @@ def _unchanged(_: Pixel) -> Bound:
 
 
 def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Row:
-    """Return the `Row` of an external effect, with the bound that the effect states."""
+    """Return the `Row` of a user-defined effect, with the bound registered for that effect."""
 
     def bound(pixel: Pixel) -> Bound:
         dn, kind = clean(pixel.behind_own * pixel.moved_by(ends)), type(ends.low).__name__

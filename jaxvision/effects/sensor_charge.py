@@ -30,8 +30,8 @@ INVERSION = math.sqrt(1.4e-4)
 
 
 def shot_noise(pixel: Pixel) -> Bound:
-    """Bound the effect of shot noise: sqrt(V + m) - sqrt(V) at the largest mean m, with V the
-    variance of all other noise in the darkest pixel."""
+    """Bound the effect of shot noise by sqrt(V + m) - sqrt(V), where m is the largest mean charge
+    of any pixel and V the variance of all other noise in the darkest pixel."""
     rest = pixel.quiet - pixel.counted_dark
     counted = pixel.light + pixel.dark + pixel.hot
     if not math.isfinite(counted):
@@ -47,20 +47,21 @@ def exact_counting(pixel: Pixel) -> Bound:
 
 
 def whole_electrons(pixel: Pixel) -> Bound:
-    """Estimate the error of Gaussian counts with the moments of Poisson's, instead of whole numbers
-    of electrons. The mean and the rms do not change. The two distributions differ by at most 0.42
-    e-, according to a table over means."""
+    """Estimate the error if Poisson counts, which are whole numbers of electrons, are replaced by
+    Gaussian numbers of equal mean and variance. The mean and the rms do not change. A table over
+    means shows that the two distributions differ by at most 0.42 e-."""
     return Bound(pixel.read(WHOLE), "tabulated over means", rank="estimate")
 
 
 def brighter_fatter(pixel: Pixel) -> Bound:
-    """Bound the effect of repulsion between charges: the charge that it moves over the borders of
-    the brightest pixel, and the change of its noise.
+    """Bound the effect of repulsion between charges: the charge that moves over the borders of the
+    brightest pixel, and the change of that pixel's noise.
 
     With c = 2 m (D_rows + D_columns), as in `Pixel.repulsion`, the charge q, in units of its mean
     m, grows at most as q' = 1 + c q during the exposure. The mean therefore changes by m ((e^c - 1)
-    / c - 1). Covariances grow by c from either side. So the variance changes by m (e^c (e^(2 c) -
-    1) / (2 c) - 1), and that of a fixed pattern by the factor e^(2 c) - 1.
+    / c - 1). Covariances between pixels grow at the rate c from either of the two pixels. So the
+    variance changes by m (e^c (e^(2 c) - 1) / (2 c) - 1), and the variance of a fixed pattern by
+    the factor e^(2 c) - 1.
     """
     c, light = pixel.repulsion, pixel.light / pixel.pushing
     if c == 0:
@@ -79,7 +80,7 @@ def brighter_fatter(pixel: Pixel) -> Bound:
 
 def full_well(pixel: Pixel) -> Bound:
     """Bound the effect of the full well by the root mean square excess of the brightest charge
-    above it (`overflow`)."""
+    above the full well (module `overflow`)."""
     well = float(pixel.sensor.low["full_well"])
     why = f"at most {pixel.bright:.4g} e- expected in a well of {well:.4g}"
     return Bound(pixel.behind_charge * pixel.spilt.rms, why, rank=pixel.rank_of_counts)
@@ -125,8 +126,8 @@ def charge_effects(name: str, pixel: Pixel) -> Bound:
 
 
 def transfer_shares(transfer: ChargeTransfer, shape: tuple[int, int]) -> tuple[float, float]:
-    """Return the largest share of a charge packet that is not read in its own pixel, and the
-    largest sum of the shares of other packets that are read in a pixel."""
+    """Return the largest share of a charge packet that is not read in the packet's pixel, and the
+    largest sum, over the pixels, of the shares of other packets that are read in one pixel."""
     serial = transfer.serial_inefficiency
     rows = shares_along(float(transfer.inefficiency), shape[0], transfer.trail)
     columns = shares_along(0.0 if serial is None else float(serial), shape[1], transfer.trail)
@@ -135,12 +136,12 @@ def transfer_shares(transfer: ChargeTransfer, shape: tuple[int, int]) -> tuple[f
 
 
 def shares_along(inefficiency: float, size: int, trail: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for each place along a line of pixels, the share of its own packet that is read
-    there, and the sum of the shares of all packets.
+    """Return two numbers for each place i along a line of pixels: the share of charge packet i that
+    is read at place i, and the sum of the shares of all packets that are read there.
 
-    The packet of place i is transferred i + 1 times with inefficiency e. It is read k places behind
-    with the probability C(i + k, k) (1 - e)^(i + 1) e^k. Charge that falls `trail` or more places
-    behind is read `trail` places behind.
+    The packet of place i is transferred i + 1 times with inefficiency e. Each electron of the
+    packet is read k places behind with the probability C(i + k, k) (1 - e)^(i + 1) e^k. Charge that
+    falls `trail` or more places behind is read `trail` places behind.
     """
     row = np.arange(size)
     share = (1 - inefficiency) ** (row + 1)

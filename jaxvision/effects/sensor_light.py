@@ -54,8 +54,9 @@ def quantum_efficiency(pixel: Pixel) -> Bound:
 
 
 def pixel_aperture(pixel: Pixel) -> Bound:
-    """Bound the effect of the pixel aperture by the light outside the active area. It is inf if the
-    aperture is sampled more than once, because no bound on values covers an edge in the picture."""
+    """Bound the effect of the pixel aperture by the light outside the active area. The bound is inf
+    if the aperture is sampled more than once, because a displaced edge in the picture may change a
+    pixel by any amount."""
     low = pixel.sensor.low["pixel_aperture"]
     if low.oversampling > 1:
         return Bound(INF, f"light is sampled {low.oversampling} times along each side")
@@ -63,16 +64,17 @@ def pixel_aperture(pixel: Pixel) -> Bound:
 
 
 def crosstalk(pixel: Pixel) -> Bound:
-    """Bound the effect of crosstalk of the share c with each neighbour by 4 c m: a dark pixel gains
-    this among bright ones of mean m, and a bright one loses it among dark ones."""
+    """Bound the effect of crosstalk, a share c of the charge to each neighbour, by 4 c m with the
+    largest mean m: a dark pixel among bright pixels gains this charge, and a bright pixel among
+    dark pixels loses it."""
     share = 4 * pixel.high("crosstalk")
     why = f"{share:.3g} of the brightest charge drifts"
     return Bound(pixel.moved(share * pixel.light, patterned=True), why)
 
 
 def smear(pixel: Pixel) -> Bound:
-    """Bound the effect of smear by s (rows - 1) m: the light that a dark pixel collects in a column
-    of otherwise bright pixels."""
+    """Bound the effect of smear s by s (rows - 1) m: the charge that a dark pixel collects in a
+    column of otherwise bright pixels of mean charge m."""
     share = pixel.high("smear") * (pixel.shape[0] - 1)
     gathered = share * pixel.light / pixel.smearing
     why = f"{share:.3g} of the brightest charge, gathered along its column"
@@ -83,9 +85,9 @@ def prnu(pixel: Pixel) -> Bound:
     """Bound the effect of a PRNU p by sqrt(V + m + p^2 m^2) - sqrt(V + m), which is largest at the
     largest mean m.
 
-    If light is counted, its own noise, of variance m, hides a part of the pattern. V is the
-    variance of the later stages; it is omitted if a full well may be reached. Sensitivities are
-    clipped at 0, which also changes the mean.
+    The shot noise of the light, of variance m, hides a part of the pattern. V is the variance of
+    the noise that is added later; V is 0 in the bound if a full well may be reached. Sensitivities
+    are clipped at 0, which also changes the mean.
     """
     rms, light = pixel.high("prnu"), pixel.light
     if not math.isfinite(light):
@@ -107,9 +109,8 @@ def dead_pixels(pixel: Pixel) -> Bound:
 
 
 def dark_current(pixel: Pixel) -> Bound:
-    """Bound the effect of the dark current d and its noise. In the dark the rms changes by sqrt(V)
-    - sqrt(V - d).
-    """
+    """Bound the effect of the dark current, of d electrons, and its noise. In the dark, where the
+    noise has the variance V, the rms changes by sqrt(V) - sqrt(V - d)."""
     dark = pixel.dark
     rest = pixel.quiet - pixel.counted_dark
     most_quiet, cut = pixel.at_the_well(dark)
@@ -118,8 +119,9 @@ def dark_current(pixel: Pixel) -> Bound:
 
 
 def hot_pixels(pixel: Pixel) -> Bound:
-    """Bound the effect of hot pixels with an exponential excess of mean H. It changes the mean by H
-    and the variance by H^2, and by H more if electrons are counted."""
+    """Bound the effect of hot pixels with an exponential excess of mean H. The excess changes the
+    mean by H and the variance by H^2. Shot noise of the excess changes the variance by another H.
+    """
     fraction = float(pixel.sensor.high["hot_pixels"].fraction)
     rare = fraction * math.prod(pixel.shape) * pixel.reach
     hot = pixel.hot
@@ -130,8 +132,8 @@ def hot_pixels(pixel: Pixel) -> Bound:
 
 
 def _attenuator(pixel: Pixel, name: str, factor: float | np.ndarray, why: str) -> Bound:
-    """Bound the effect of a factor of at most 1 on each band by the light that it removes. If the
-    effect is dropped, pixels become brighter."""
+    """Bound the effect of a filter, which multiplies each band by a factor of at most 1, by the
+    light that the filter removes."""
     ends = (dict(end, **{name: None}) for end in pixel.sensor)
     without = replace(pixel, sensor=Ends(*ends))
     # no bound is known if the light is inf, even if the factor is 1

@@ -3,7 +3,8 @@ the ADC.
 
 Each function takes the sensor without the effects that were dropped before. It returns a bound in
 DN, on the distance defined in `pixel`. Noise of variance v in every pixel has its largest effect in
-the darkest pixel, whose other noise has variance V:
+the darkest pixel. With K the gain, q the column PRNU, and V the variance of that pixel's other
+noise, the effect is
 
     K sqrt(1 + q^2) (sqrt(V + v) - sqrt(V)).
 """
@@ -27,8 +28,8 @@ _BEYOND = 2.3e-19  # P(|g| > 9)
 
 
 def conversion_prnu(pixel: Pixel) -> Bound:
-    """Bound the effect of a conversion PRNU c by sqrt(V + m + c^2 (m + m^2)) - sqrt(V + m), which
-    is largest at the largest mean m."""
+    """Bound the effect of a conversion PRNU c by sqrt(V + m + c^2 (m + m^2)) - sqrt(V + m), with
+    the largest mean charge m and the variance V of the read-out noise."""
     rms, charge = pixel.high("conversion_prnu"), pixel.read_bright
     if not math.isfinite(charge):
         return Bound(INF, "the light is not bounded")
@@ -40,8 +41,8 @@ def conversion_prnu(pixel: Pixel) -> Bound:
 
 
 def column_prnu(pixel: Pixel) -> Bound:
-    """Bound the effect of a column PRNU q by sqrt(v + q^2 (v + m^2)) - sqrt(v) at the largest mean
-    m, with v the variance of all noise of that pixel."""
+    """Bound the effect of a column PRNU q by sqrt(v + q^2 (v + m^2)) - sqrt(v), with the largest
+    mean charge m of a pixel and the variance v of all noise of that pixel."""
     rms, charge = pixel.high("column_prnu"), pixel.read_bright
     if not math.isfinite(charge):
         return Bound(INF, "the light is not bounded")
@@ -66,8 +67,8 @@ def every_pixel(name: str, pixel: Pixel) -> Bound:
 
 
 def telegraph_noise(pixel: Pixel) -> Bound:
-    """Bound the effect of telegraph noise. A pixel with a trap has an error of +-a in half of its
-    frames, a variance of a^2 / 2."""
+    """Bound the effect of telegraph noise. A pixel with a trap has an error of +a or -a in half of
+    the frames, so the variance is a^2 / 2."""
     rare = float(pixel.sensor.high["telegraph_noise"].fraction) * math.prod(pixel.shape)
     trapped = _trap(pixel)
     rest = (1 + pixel.low("conversion_prnu") ** 2) * pixel.counted_dark + pixel.added()
@@ -82,14 +83,15 @@ def gain(pixel: Pixel) -> Bound:
 
 
 def offset(pixel: Pixel) -> Bound:
-    """Bound the effect of the offset, which changes the mean by its own value."""
+    """Bound the effect of the offset by its value, because the offset is added to every reading."""
     ends = (pixel.sensor.low["offset"], pixel.sensor.high["offset"])
     return Bound(max(abs(float(x)) for x in ends), "moves all numbers alike")
 
 
 def taps(pixel: Pixel) -> Bound:
-    """Bound the effect of read-out taps. Offsets change the mean of a tap. Factors change its gain,
-    read noise, fixed pattern and light, each by the difference of the factor from 1."""
+    """Bound the effect of read-out taps. Offsets change the mean of a tap. Factors change the gain,
+    read noise, fixed pattern and light of a tap. Each change is proportional to the difference of
+    the factor from 1."""
     named = ("offset", "gain", "read_noise", "prnu", "quantum_efficiency")
     offset, gain, read, pattern, light = (pixel.tap_change(name) for name in named)
     plain = pixel.sensor.high["untapped"]
@@ -146,8 +148,8 @@ def _gaussian(pixel: Pixel) -> float:
 
 def _widest(pixel: Pixel) -> float:
     """Return the variance of a Gaussian whose moment-generating function bounds that of all noise
-    after the conversion, in electrons^2. It is the wider part of a mixture, and a^2 for noise
-    within +-a."""
+    after the conversion, in electrons^2. A mixture counts with the variance of its wider part, and
+    noise between -a and +a with a^2."""
     variances = dict(pixel.variances.high)
     read = pixel.sensor.high["read_noise"]
     if isinstance(read, HeavyTailedReadNoise):
@@ -157,11 +159,12 @@ def _widest(pixel: Pixel) -> float:
 
 
 def _clipped(pixel: Pixel) -> float:
-    """Bound the root mean square of the part of a reading below 0 or above the largest number, in
-    DN.
+    """Bound the root mean square of the part of a reading that the ADC clips, below 0 or above the
+    largest number, in DN.
 
-    The gains of columns and pixels are random. Within 9 standard deviations they are replaced by
-    their largest values; beyond, the excess is bounded by its second moment.
+    The gains of columns and pixels are random. Gains within 9 standard deviations of the mean are
+    replaced by the largest such gain. For larger gains, the clipped part is bounded by its second
+    moment.
     """
     conversion, column = pixel.high("conversion_prnu"), pixel.high("column_prnu")
     if max(conversion, column) * _WIDE >= 1 or not math.isfinite(pixel.bright):
@@ -192,8 +195,9 @@ def _offsets(pixel: Pixel) -> list[float]:
 
 
 def _negative(pixel: Pixel) -> float:
-    """Return the root mean square of charges below 0, in electrons. They come from an offset that
-    removes light where there is none, and from negative entries of a mixing kernel."""
+    """Return the root mean square of charges below 0, in electrons. Charges below 0 come from a
+    light offset that removes light from a dark pixel, and from negative entries of a mixing kernel.
+    """
     mixing = [end["mixing"] for end in pixel.sensor]
     below = [float(-np.minimum(np.asarray(m.kernel), 0).sum()) for m in mixing if m is not None]
     return pixel.grown * (pixel.missing + max(below, default=0.0) * pixel.rms)
@@ -203,8 +207,9 @@ def _above(pixel: Pixel, level: float, noise: float) -> float:
     """Bound the root mean square of the sum of charge N and Gaussian noise G above a level w, in
     electrons.
 
-    The excess (N + G - w)+ is at most (N - s w)+ + (G - (1 - s) w)+ for any share s; the best of
-    several shares is used. A full well below s w makes the first term 0.
+    The excess (N + G - w)+ is at most (N - s w)+ + (G - (1 - s) w)+ for any s from 0 to 1. The
+    smallest bound over several values of s is used. The first term is 0 if the full well is below s
+    w.
     """
     if level <= 0:
         return INF
@@ -246,8 +251,8 @@ def _below(pixel: Pixel, offset: float) -> float:
 
 def _gaussian_excess(rms: float, level: float) -> float:
     """Return a bound on the root mean square of the part of a Gaussian above a level, sqrt((1 +
-    z^2) Q(z) - z phi(z)) rms with z = level / rms. The bound uses E x+^2 <= exp(-z^2 / 2) / 2 for z
-    >= 0."""
+    z^2) Q(z) - z phi(z)) rms where z = level / rms, Q is the Gaussian tail probability and phi the
+    Gaussian density. The bound uses E x+^2 <= exp(-z^2 / 2) / 2 for z >= 0."""
     if rms == 0:
         return max(-level, 0.0)
     z = level / rms

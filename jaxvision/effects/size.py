@@ -10,12 +10,13 @@ from ..scene import Scene, View
 
 
 def equations(scene: Scene, view: View) -> int:
-    """Count the equations of `render` before XLA compiles it; equations inside loops count once.
+    """Count the equations of the program of `render` before XLA compiles it. An equation inside a
+    loop counts once.
 
     Args:
         scene: surfaces and lights.
-        view: any view, with one ray for each pixel; the numbers of a lens are traced, so that
-            defocus is included.
+        view: any view; the program uses one ray for each pixel. The numbers of a lens are traced,
+            so that the program includes defocus.
 
     Returns:
         The number of equations, no unit.

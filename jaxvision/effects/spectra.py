@@ -1,11 +1,11 @@
 """Reduce the number of bands: all bands of the picture are reconstructed from a few.
 
-The radiance of a pixel is a sum of terms (`sums`). Each is a geometry that is equal in all bands,
-times a product of spectra. A few bands determine the others if the products of spectra are nearly
-linear in them. The bands are selected by pivoted QR of the table of products, weighted by the
-supremum of each geometry. Least squares reconstructs the other bands. The error of a pixel is
-bounded by the residuals of the products, weighted in the same way and summed over the terms of a
-cell.
+The radiance of a pixel is a sum of terms (module `sums`). Each term is a geometrical factor, equal
+in all bands, times a product of spectra. A few bands determine all bands if every product of
+spectra is nearly the same linear function of its values in the few bands. The few bands are
+selected by pivoted QR of the table of products, each weighted by the supremum of its geometrical
+factor. Least squares reconstructs the other bands. The error of a pixel is at most the sum of the
+weighted residuals of the products over the terms of a cell.
 """
 
 from collections.abc import Iterator
@@ -27,8 +27,8 @@ _ROUNDING = 1e-15  # relative rounding error of each term, and so of each pixel,
 
 
 def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
-    """Return a `Row` "bands" for each of several smaller numbers of bands, the fewest bands first.
-    At most one of them is dropped. The bounds are in W m^-2 sr^-1."""
+    """Return a `Row` "bands" for each of several reduced numbers of bands, the smallest number
+    first. At most one of these rows is chosen. The bounds are in W m^-2 sr^-1."""
     bands = sums.own.shape[1]
     if bands == 1:
         return ()
@@ -82,7 +82,7 @@ Terms = list[tuple[np.ndarray, np.ndarray]]
 
 
 def _terms(sums: Sums) -> Terms:
-    """Return the terms of each visible surface, and those of the lights that may be seen."""
+    """Return the terms of the radiance of each visible surface and of each visible light."""
     found: Terms = []
     for i in range(len(sums.surfaces)):
         own = part_of(sums.cells, i)
@@ -112,8 +112,8 @@ def _largest(terms: Terms, bands: int) -> np.ndarray:
 
 
 def _ladder(terms: Terms, bands: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield (kept bands, reconstruction matrix), from one band to all but one, selected by pivoted
-    QR."""
+    """Yield the indices of the kept bands and the reconstruction matrix, for one band up to all
+    bands but one. The bands are selected by pivoted QR."""
     weighted = []
     for g, p in terms:
         weight = g.max(0)
@@ -129,10 +129,9 @@ def _ladder(terms: Terms, bands: int) -> Iterator[tuple[np.ndarray, np.ndarray]]
 
 
 def _pivots(table: np.ndarray) -> np.ndarray:
-    """Return the columns of a table in the order of pivoted QR: each is the one farthest from the
-    span of those before. This is done in NumPy, because loading `scipy.linalg` takes longer than
-    all bounds of a scene.
-    """
+    """Return the indices of a table's columns in the order of pivoted QR: each column is the
+    farthest from the span of the columns before it. The computation is in NumPy, because loading
+    `scipy.linalg` takes longer than all bounds of a scene."""
     rest, order = table.astype(float), []
     for _ in range(table.shape[1]):
         size = (rest**2).sum(0)
@@ -181,14 +180,14 @@ def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
 
 
 def folded(camera: Camera, kept: np.ndarray, expand: np.ndarray) -> Camera | None:
-    """Return a camera whose colour filter covers all bands, changed so that the r kept bands stand
-    for all of them.
+    """Return a camera whose colour filter has r bands instead of all bands, so that the r kept
+    bands give the same electrons as all bands.
 
-    The transmission T of the filter becomes (T w) @ expand / w for the kept bands, where w are the
-    electrons per unit of irradiance in each band before the filter.
+    The transmission T of the filter becomes (T w) @ expand / w for the kept bands, where w is the
+    number of electrons per unit of irradiance in each band without the filter.
 
-    The result is None if no such camera exists: without a colour filter each band has its own raw
-    numbers, diffraction may differ between bands, and a transmission cannot be negative.
+    The result is None in three cases: the camera has no colour filter, so each band has separate
+    raw numbers; diffraction differs between bands; or a transmission would be negative.
     """
     sensor, diffraction = camera.sensor, getattr(camera.view, "diffraction", None)
     filters = sensor.colour_filter

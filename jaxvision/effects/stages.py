@@ -1,8 +1,9 @@
-"""The interface of the stages of a camera: each returns `Row` records, which consist of an effect,
-its bound and a way to drop it.
+"""The records that the modules of effects exchange. A stage is one step of image formation: the
+scene, the lens (optics), motion, the sensor or the development. The function of each stage returns
+a `Row` for each of its effects.
 
-Light passes scene -> optics -> sensor -> development, and each stage returns the data that the next
-one needs. All numbers are NumPy float64, computed outside `jit`.
+The function of a stage also returns the bounds on light that the function of the next stage needs.
+All numbers are NumPy float64, computed outside `jit`.
 
     scene_stage(scene, view)                -> rows, Arriving     radiance.py
     optics_stage(view, arriving, ...)       -> rows, OnSensor     optics.py
@@ -10,14 +11,15 @@ one needs. All numbers are NumPy float64, computed outside `jit`.
     sensor_stage(sensor, light, shape=...)  -> rows, Response     sensor.py
     development_stage(development)          -> rows               development.py
 
-Each record is given as `Ends`: two copies, with the free parameters at their smallest and largest
-values; the same record twice if no parameter is free. A bound uses the end at which it is larger:
-sizes, albedos, radiances, gains and noises at `high`, distances and full wells at `low`. If a bound
-does not depend monotonically on a field, it must be inf when the two ends of the field differ. A
-stage does not know which effects are free, because `prune` never drops a free effect.
+Scenes and cameras are given as `Ends`: two copies of a record, `low` with the free parameters at
+their smallest values and `high` with the largest values. If no parameter is free, both copies are
+the same record. A bound uses the copy for which the bound is larger: `high` for sizes, albedos,
+radiances, gains and noises, and `low` for distances and full wells. A bound that does not depend
+monotonically on a field must be inf if the field differs between the copies. The functions need not
+know which effects are free, because `prune` never drops a free effect.
 
-A bound must be valid for every picture between the full and the pruned one. Suprema therefore
-ignore everything that only removes light, such as shadows, rims and full wells.
+A bound must be valid whichever other effects were dropped before. So the bounds on light ignore
+effects that only remove light, such as shadows, rims and full wells.
 """
 
 from collections.abc import Callable, Mapping
@@ -54,7 +56,7 @@ class Draft:
 
     @property
     def left(self) -> tuple[Surface, ...]:
-        """The surfaces that were not dropped."""
+        """The surfaces of the scene that were not dropped."""
         return tuple(own for i, own in enumerate(self.surfaces) if i not in self.unmet)
 
 
@@ -104,12 +106,14 @@ class Row:
 
     @property
     def bound(self) -> float:
-        """The largest `amount` of any band."""
+        """The bound on the change if the effect is dropped: the largest `amount` of any band, in
+        `unit`."""
         return float(np.max(self.amount))
 
     @property
     def effect(self) -> Effect:
-        """The effect as `inspect` lists it, with its bound in the unit of its stage."""
+        """The `Effect` that `inspect` lists for this row. Its bound is in the `unit` of the row: W
+        m^-2 sr^-1, W m^-2 or DN."""
         exact = self.bound == 0 and self.place == 0
         rank = "estimate" if self.estimated else "exact" if exact else "bound"
         what = self.name, self.present, self.why, self.bound, self.place, self.unit, rank
@@ -117,19 +121,20 @@ class Row:
 
 
 def unproved(row: Row, why: str) -> Row:
-    """Return a `Row` without a bound, so that its effect is kept, with the reason."""
+    """Return a copy of a `Row` whose bound is inf, so that its effect is never dropped. `why` is
+    the reason."""
     amount = row.amount + np.inf
     return replace(row, why=why, amount=amount, estimated=False, after=None, drop=None)
 
 
 def by_field(record: type, functions: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the functions whose name is a field of the record, in the order of its fields."""
+    """Return the functions whose names are fields of a record type, in the order of the fields."""
     names = (field.name for field in fields(record))
     return {name: functions[name] for name in names if name in functions}
 
 
 class Method(NamedTuple):
-    """The settings with which a picture is rendered, as in `inspect`."""
+    """The arguments of `inspect` that describe how a picture is rendered."""
 
     whole: bool = True  # whether a sensor and a development follow the lens
     depth: int | None = None
@@ -162,10 +167,10 @@ class OnSensor(NamedTuple):
 
 
 class Response(NamedTuple):
-    """The response of the sensor to a change. `dn`: from a change of irradiance, (bands,) W m^-2,
-    in any pixel, and the names of dropped effects, to the largest change of a pixel's distribution,
-    DN. (With less noise a change of the shot noise has a larger effect.) `dark`: DN rms of all
-    noise in the dark, the unit "sigma"."""
+    """The response of the sensor to a change. `dn` maps a change of irradiance, (bands,) W m^-2, in
+    any pixel, and the names of dropped effects to the largest change of a pixel's distribution, in
+    DN. The names matter because a change of the shot noise has a larger effect if there is less
+    other noise. `dark` is the rms of all noise in the dark, in DN, which is the unit "sigma"."""
 
     dn: Callable[[np.ndarray, Gone], float]
     dark: float

@@ -1,11 +1,14 @@
 """Bound the light from each cell of a scene to the camera, separately for each light and term.
 
-The radiance of a point x in the band b is a sum of terms, each a geometry times a spectrum:
+The radiance L of a point x in the band b is a sum of terms. Each term is a geometrical factor times
+spectra:
 
     L(x, b) = sum_l E_l(x) s_l(b) k_d(b) + sum_l lobe_l(x) s_l(b) k_s(b) + emission + ambient
 
-This module computes the supremum of each geometry over each cell. A bound is the largest sum of
-some of these terms over the visible cells. Radiance is in W m^-2 sr^-1; computed in NumPy float64.
+Here l counts the lights, E_l is the irradiance, s_l the light's spectrum, lobe_l the shading of the
+specular lobe over its reflectance k_s, and k_d the diffuse reflectance. This module computes the
+supremum of each geometrical factor over each cell. A bound is the largest sum of some terms over
+the visible cells. Radiance is in W m^-2 sr^-1; computed in NumPy float64.
 """
 
 from collections.abc import Sequence
@@ -77,14 +80,15 @@ class Sums(NamedTuple):
 
 
 def pairs(low: Sequence, high: Sequence) -> tuple[Ends, ...]:
-    """Pair the records of two sequences, at low and high ends of the free parameters."""
+    """Pair the records of two sequences, which have the free parameters at their smallest and at
+    their largest values."""
     return tuple(Ends(a, b) for a, b in zip(low, high, strict=True))
 
 
 def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = False) -> Sums:
     """Compute all suprema of a scene over the range of its free parameters; lengths in m. With
-    `bounces`, light is reflected between surfaces, so that glass and mirrors may show
-    everything."""
+    `bounces`, light is reflected between surfaces, so that glass and mirrors may show any part of
+    the scene."""
     low, high = scene
     surfaces, lights = pairs(low.surfaces, high.surfaces), pairs(low.lights, high.lights)
     sources = tuple(source_of(light) for light in lights)
@@ -165,10 +169,10 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
 
 def _growth(surface: Ends[Surface], own: Reflection, eye: Eye) -> float:
     """Return the largest factor by which radiance may grow at a mirror or at an interface of glass,
-    no unit. Radiance over the squared refractive index is constant. So light that enters a body
-    with an index above 1 and leaves it again has not grown. It has grown inside such a body, where
-    the eye may be, and in a body with an index below 1. It may also grow at a surface that does not
-    bound a body and is hit only from behind."""
+    no unit. Radiance over the squared refractive index is constant. So radiance is unchanged after
+    light has entered and left a body with an index above 1. An eye inside such a body sees a larger
+    radiance, and a body with an index below 1 may also give a larger radiance. Radiance may also
+    grow at a surface that does not bound a body and is hit only from behind."""
     if own.indices is None:
         return 1.0
     (least, most), body = own.indices, body_of(surface.of("shape"))
@@ -227,9 +231,9 @@ def _geometry(
     cells: Cells,
     eye: Eye,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute `body`, `lobe` and `facing` of `Sums` for one light and the given lobes. The
-    supremum of E f_r cos / k_d is that of E cos, plus that of E for the share `grazing` of the
-    diffuse part."""
+    """Compute `body`, `lobe` and `facing` of `Sums` for one light and the given lobes. For the
+    share `grazing` of the diffuse part, the supremum of E f_r cos / k_d is the supremum of E; for
+    the rest, it is the supremum of E times the cosine."""
     grazing = np.array([own.grazing for own in reflections])[cells.surface]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         arrived = arriving(source, cells, nearest[cells.surface])
@@ -257,21 +261,21 @@ def geometry_of(
     sums: Sums, source: Source, nearest: np.ndarray, lobes: Sequence[Lobe | None]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute `Sums.body` and `Sums.lobe` of one light for the given lobes. `nearest`, (n,) m, are
-    lower bounds on its distances from the surfaces."""
+    lower bounds on the distances of the light from the surfaces."""
     return _geometry(source, nearest, sums.reflections, lobes, sums.cells, sums.eye)[:2]
 
 
 def slopes(sums: Sums) -> np.ndarray:
-    """Return the largest slopes of the lobes with respect to the light direction, (n,) sr^-1
-    rad^-1; inf if unknown. They also hold for the view direction."""
+    """Return the largest slopes of the lobes with respect to the light direction or the view
+    direction, (n,) sr^-1 rad^-1; inf if unknown."""
     lobes = [own.lobe for own in sums.reflections]
     found = [0.0 if own is None else own.slope for own in lobes]
     return np.array([np.inf if slope is None else slope for slope in found])
 
 
 def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np.ndarray:
-    """Return lower bounds on the distances between lights and surfaces, (l, n) m; 0 if either is
-    unbounded."""
+    """Return lower bounds on the distances between lights and surfaces, (l, n) m; 0 if the light or
+    the surface is unbounded."""
     found = np.zeros((len(sources), len(surfaces)))
     bodies, bounded = surface_bodies(surfaces)
     near = [k for k, source in enumerate(sources) if source.body is not None]
@@ -321,10 +325,9 @@ def lobe_sent(sums: Sums, k: int, *, around: bool = False) -> np.ndarray:
 
 
 def looked_at(sums: Sums, radiance: np.ndarray) -> np.ndarray:
-    """Return the largest radiance, (bands,), that a ray may see of lights with the given radiances,
-    (l, bands). A light at a finite distance hides the lights behind it, but the radiances of skies
-    add.
-    """
+    """Return the largest radiance, (bands,), that a ray may receive directly from lights of the
+    given radiances, (l, bands). A light at a finite distance hides the lights behind it, but the
+    radiances of skies add."""
     skies = np.array([source.kind == "sky" for source in sums.sources], bool)[:, None]
     around = np.where(skies, radiance, 0).sum(0)
     return np.maximum(around, np.where(skies, 0, radiance).max(0, initial=0))

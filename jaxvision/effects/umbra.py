@@ -2,11 +2,12 @@
 
 A cell cannot be shaded if the convex hull of the cell and the lamp is disjoint from every occluder
 that `blocking.may_block` allows. A cell is in the full shadow of a flat occluder under two
-conditions. It is beyond the occluder's plane, and for each corner of the lamp it is inside all
-planes through that corner and a side of the occluder. Every segment from the cell to such a corner
-then meets the occluder. The segments to the whole lamp do too, because a plane between two bodies
-cuts their convex hull in the hull of these points. The eye is treated in the same way: cells in its
-full shadow are not seen. Lengths in m.
+conditions. First, the cell is on the other side of the occluder's plane than the lamp. Second, for
+each corner of the lamp, the cell is inside all planes through that corner and a side of the
+occluder. Then every segment from the cell to a corner of the lamp meets the occluder. So does every
+segment from the cell to any point of the lamp, because these segments cross the plane within the
+convex hull of those crossing points. The eye is treated like a lamp: cells in the full shadow of
+the eye are not seen. Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -51,8 +52,8 @@ def shaded(
     wanted: np.ndarray,
 ) -> np.ndarray:
     """Return flags, (l, c): whether anything may lie between a light and a cell, for the pairs
-    flagged in `wanted`, (l, c). A flag False is certain for these pairs, and all other pairs are
-    False. `may`, (l, n, n), comes from `may_block`."""
+    flagged in `wanted`, (l, c). For a flagged pair, False means that nothing lies between light and
+    cell. All other pairs are False. `may`, (l, n, n), is the result of `blocking.may_block`."""
     found = wanted & np.any(may, axis=2)[:, cells.surface]
     count = sum(int((found[k][:, None] & may[k][cells.surface]).sum()) for k in range(len(found)))
     if not 0 < count <= _PAIRS:
@@ -85,8 +86,8 @@ def _meets(
 ) -> np.ndarray:
     """Return whether the convex hull of the light and each cell may intersect an occluder, for
     pairs of cells and occluders. Four tests follow each other: the horizon of a flat cell, the ball
-    around the occluder, fixed directions, and, for few remaining pairs, the best separating
-    direction."""
+    around the occluder, separating planes with fixed normals, and, for few remaining pairs, the
+    best separating plane."""
     cell, occluder = pairs
     tolerance = certain(reach)
     about, size = balls_about(occluders)
@@ -121,8 +122,8 @@ def _distance_to_segment(place: np.ndarray, start: np.ndarray, end: np.ndarray) 
 
 def outward(surfaces: Sequence[Ends[Surface]], cells: Cells) -> np.ndarray:
     """Return the side of a convex body that each cell belongs to, (c,): 1 for the outer side, -1
-    for the inner. It is 0 for other shapes, for shapes with free parameters, and for cells that
-    join several triangles of a mesh."""
+    for the inner. The result is 0 for other shapes, for shapes with free parameters, and for cells
+    that join several triangles of a mesh."""
     side = np.zeros(len(cells.radius))
     for i, surface in enumerate(surfaces):
         shape = surface.low.shape
@@ -171,7 +172,8 @@ class _Shadow(NamedTuple):
     size: float  # m, the largest coordinate of its rim
 
     def least(self, bodies: Bodies) -> np.ndarray:
-        """Return how far the worst point of each body is inside each half-space, (n, h) m."""
+        """Return the smallest signed distance of a point of each body from the border of each
+        half-space, positive inside, (n, h) m."""
         return -heights(bodies, -self.normals) - self.offsets
 
 
@@ -183,8 +185,8 @@ def in_umbra(
     occluders: Sequence[int] | None = None,
 ) -> np.ndarray:
     """Return flags, (l, c): whether a whole cell is in the full shadow that one flat occluder
-    casts; lengths in m. A flag True is certain, up to the rounding of coordinates. `occluders` are
-    the indices of the surfaces that may block light, all if None."""
+    casts; lengths in m. A cell whose flag is True certainly is, up to the rounding of coordinates.
+    `occluders` are the indices of the surfaces that may block light, all if None."""
     dark = np.zeros((len(sources), len(cells.radius)), bool)
     relative = touching(surfaces)
     whole, bounded = surface_bodies(surfaces)
@@ -230,8 +232,8 @@ def covered(
 
 
 def _eye_as_source(eye: Eye) -> Source | None:
-    """Return a light at the position of an eye that is a point, because no pixel sees points in the
-    full shadow of such a light; None for other eyes."""
+    """Return a light at the position of the eye, or None if the eye is not a single point. No pixel
+    sees a point in the full shadow of this light."""
     if eye.everywhere or eye.parallel or eye.size > 0:
         return None
     one, body = np.ones(1), (eye.place[None], np.zeros(1))
@@ -239,9 +241,9 @@ def _eye_as_source(eye: Eye) -> Source | None:
 
 
 def _shadow_of(shape: Ends[Shape], source: Source) -> _Shadow | None:
-    """Return the full shadow of an occluder, or None if there is none. That is so if the shape is
-    not flat or has free parameters, if the light is a sky, or if the light is not entirely on one
-    side of the shape."""
+    """Return the full shadow of an occluder, or None if there is none. There is none if the
+    occluder is not flat or has free parameters, if the light is a sky, or if the light is not
+    entirely on one side of the occluder."""
     plane = plane_between(shape)
     if plane is None:
         return None
@@ -272,8 +274,8 @@ def _shadow_of(shape: Ends[Shape], source: Source) -> _Shadow | None:
 
 
 def _rim(shape: Shape) -> np.ndarray:
-    """Return the corners, (m, 3) m in order, of a polygon inside a flat shape; none for an
-    unbounded plane."""
+    """Return the corners, (m, 3) m in order, of a polygon inside a flat shape; an unbounded plane
+    has no corners."""
     match shape:
         case Quad():
             corner, u, v = (numbers(x) for x in (shape.corner, shape.edge_u, shape.edge_v))
@@ -286,9 +288,9 @@ def _rim(shape: Shape) -> np.ndarray:
 def _beyond(
     cells: Cells, of_ball: np.ndarray, shadow: _Shadow, least: np.ndarray, deep: np.ndarray
 ) -> np.ndarray:
-    """Return flags, (c,): whether a cell is certainly beyond the occluder. The flag is False for
-    cells in the plane of the occluder, because rounding decides which is in front. A cell of a
-    ball, and a flat cell, may touch the occluder."""
+    """Return flags, (c,): whether a cell is certainly on the other side of the occluder than the
+    light. The flag is False for cells in the plane of the occluder, because rounding decides on
+    which side they are. A cell of a ball, and a flat cell, may touch the occluder."""
     normal, offset = shadow.normals[0], shadow.offsets[0]
     lean = np.sqrt(np.maximum(1 - (cells.axis @ normal) ** 2, 0))
     share = np.where(of_ball, 1.0, np.where(cells.spread == 0, lean, 0.0))

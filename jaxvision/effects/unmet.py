@@ -1,11 +1,11 @@
 """Find the surfaces that no ray of direct light meets, neither a ray from the eye nor a shadow ray.
 
 Rays from the eye stay in the picture's cone of view. A shadow ray goes from a point in that cone to
-a lamp, so it stays in the convex hull of the cone and the lamp. Along a direction u in which no ray
-of the cone falls, the lowest point of the hull is the cone's apex or a point of the lamp. No ray
-meets a body that is entirely lower along u, whatever else is in the scene. The directions u that
-are tried are the normals of the cone's planes, and of the planes through one of its edges and the
-lamp. Lengths are in m; computed in NumPy float64.
+a lamp, so it stays in the convex hull of the cone and the lamp. Let u be a direction with a scalar
+product u.d >= 0 with every ray direction d of the cone. Then u.x is smallest, over the points x of
+the hull, at the cone's apex or at a point of the lamp. No ray meets a body whose points all have a
+smaller u.x. The directions u that are tried are the normals of the cone's planes, and of the planes
+through one of its edges and the lamp. Lengths are in m; computed in NumPy float64.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -27,8 +27,8 @@ _LEVEL = 1e-9
 
 
 def unmet_rows(scene: Ends[Scene], sums: Sums) -> Iterator[Row]:
-    """Yield a `Row` of bound 0 W m^-2 sr^-1 for each surface that no ray of direct light meets,
-    unless no surface is met at all."""
+    """Yield a `Row` of bound 0 W m^-2 sr^-1 for each surface that no ray of direct light meets. If
+    no ray meets any surface, yield nothing."""
     low, never = scene.low, unmet(sums.surfaces, sums.sources, sums.eye, scene.low.occluders)
     if never.all():
         return
@@ -43,8 +43,8 @@ def unmet_rows(scene: Ends[Scene], sums: Sums) -> Iterator[Row]:
 
 
 def with_owners(rows: Iterable[Row], owners: Iterable[Row]) -> Iterator[Row]:
-    """Yield every `Row` again. A `Row` for a part of a surface that has its own `Row` in `owners`
-    is marked as a part of that."""
+    """Yield every `Row`. If a `Row` is for a part of a surface, and `owners` has a `Row` for the
+    whole surface, mark the part as dropped together with the whole."""
     names = {row.name for row in owners}
     for row in rows:
         owner = row.name.partition(".")[0]
@@ -57,9 +57,9 @@ def unmet(
     eye: Eye,
     occluders: tuple[int, ...] | None,
 ) -> np.ndarray:
-    """Return flags, (n,): whether no ray from the eye and no shadow ray meets a surface. A flag
-    True is certain. `occluders` are the indices of the surfaces that may block light, all if
-    None."""
+    """Return flags, (n,): whether no ray from the eye and no shadow ray meets a surface. If the
+    flag is True, certainly no ray does. `occluders` are the indices of the surfaces that may block
+    light, all if None."""
     bodies, never = surface_bodies(surfaces)
     if eye.everywhere or not never.any():
         return np.zeros(len(surfaces), bool)
@@ -122,8 +122,8 @@ def _beside(bodies: Bodies, source: Source, eye: Eye, edges: np.ndarray) -> np.n
 
 
 def _apex(eye: Eye, directions: np.ndarray) -> np.ndarray:
-    """Return the smallest height, in m relative to the eye along each direction, of the points
-    where rays of the picture start."""
+    """Return the smallest u.x, in m, over the points x where rays of the picture start, relative to
+    the eye, for each direction u."""
     if not eye.parallel:
         return np.zeros(len(directions))
     right, down = (np.abs(directions @ axis) for axis in eye.rotation[:2])
