@@ -81,6 +81,7 @@ EAGER = {
     "jaxvision.lights.orders",
     "jaxvision.lights.environment_quadrature",
     "jaxvision.lights.environment_tables",
+    "jaxvision.lights.near_rectangles",
     "jaxvision.transport.radiosity._trapped",
 }
 EFFECTS = {  # decided and measured before anything is traced

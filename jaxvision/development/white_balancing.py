@@ -87,7 +87,10 @@ def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
     """
     if patch.size == 0:
         raise ValueError(f"patch must hold a pixel, got shape {patch.shape}.")
-    return _balancing(jnp.nanmean(as_relative(patch), axis=tuple(range(patch.ndim - 1))))
+    patch = as_relative(patch)
+    if patch.dtype.itemsize < 4:  # half precision is too small for the sums
+        patch = patch.astype(jnp.float32)
+    return _balancing(jnp.nanmean(patch, axis=tuple(range(patch.ndim - 1))))
 
 
 @takes_numbers

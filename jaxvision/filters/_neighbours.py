@@ -29,11 +29,14 @@ Planes = tuple[Plane, ...]
 
 def planes_of(picture: AnyPicture) -> tuple[Planes, Callable[[Planes], Floats]]:
     """Return the bands of a picture as separate planes, and the function that joins planes to a
-    picture.
+    picture. Half precision becomes float32 in between.
     """
     stack, restore = as_planes(picture)
+    dtype = stack.dtype
+    if dtype.itemsize < 4:  # half precision is too small for sums over a window
+        stack = stack.astype(jnp.float32)
     planes = tuple(stack[..., band] for band in range(stack.shape[-1]))
-    return planes, lambda bands: restore(jnp.stack(bands, axis=-1))
+    return planes, lambda bands: restore(jnp.stack(bands, axis=-1)).astype(dtype)
 
 
 def scaled_guide(

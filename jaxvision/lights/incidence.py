@@ -15,6 +15,7 @@ from ..geometry import Ray
 from ..scene import Light
 from ._registry import Extended, Incident, Seen, can_be_seen, extended_kind, kind_of
 from ._samples import incident_sample, light_nodes
+from .near_rectangles import warn_of_near_receiver
 from .rules import Rule
 
 
@@ -96,6 +97,9 @@ def irradiance(light: Light, point: Vector, normal: Direction, *, rule: Rule) ->
         >>> print(jv.irradiance(sky, jnp.zeros(3), up, rule=jv.Quadrature(64)).round(2))
         [3.14]
     """
+    warn_of_near_receiver(
+        [light], [rule], point, normal, "lights.polygon.rectangle_irradiance is exact."
+    )
     arriving = incident_samples(light, point, rule)
     cosines = jax.vmap(lambda wi: jnp.maximum(dot(normal, wi), 0))(arriving.direction)
     return (arriving.irradiance * cosines[:, None]).sum(axis=0)

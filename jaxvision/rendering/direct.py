@@ -33,6 +33,7 @@ from ..lights import (
     rules_of,
 )
 from ..lights.environment_quadrature import warn_of_skies
+from ..lights.near_rectangles import warn_of_near_surfaces
 from ..scene import Light, Material, Scene, Surface, TriangleMesh, View
 from .edges import Edges, moving_edges
 from .maps import Patch, Varied, at_patch, patch_of, shading_normal, summed, varied_surfaces
@@ -45,7 +46,7 @@ from .pixel_loop import (
     numbers_of,
     photograph,
 )
-from .shading import CURE, Lighting, largest_reflected, lighting, reflected_radiance
+from .shading import CURE, CURE_NEAR, Lighting, largest_reflected, lighting, reflected_radiance
 from .shadows import (
     DEFAULT_RULE,
     TRACED,
@@ -396,7 +397,9 @@ def render(
     check_given("render: scene", scene, Scene)
     check_given("render: view", view, View)
     warn_if_coarse(*(surface.shape for surface in scene.surfaces))
-    warn_of_skies(scene.lights, rules_of(scene, rule), CURE)
+    rules = rules_of(scene, rule)
+    warn_of_skies(scene.lights, rules, CURE)
+    warn_of_near_surfaces(scene.lights, rules, scene.surfaces, CURE_NEAR)
     wide = samples is None and varied_surfaces(scene) is not None
     along = direct_along(scene, rule, wide=wide, threshold=threshold)
     radiance = photograph(along, view, samples, keep=(TRACED,), wide=wide).radiance

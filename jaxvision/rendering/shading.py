@@ -39,11 +39,13 @@ from ..lights import (
     rule_of_each,
 )
 from ..lights.environment_quadrature import warn_of_skies
+from ..lights.near_rectangles import warn_of_near_receiver
 from ..scene import AmbientLight, Light, Material
 from ._directions import balanced, local_viewer, where_clear, world_direction
 from .band_count import band_count
 from .shadows import DEFAULT_RULE, UNROLLED, Leaving, Place, Visible, clear, visibility
 
+CURE_NEAR = "Give rule = Balanced(key, samples)."
 CURE = "Give rule = Balanced(key, samples), or take the sun out of the map and add a SunDisc."
 
 
@@ -116,7 +118,9 @@ def outgoing_radiance(
         >>> print(jv.outgoing_radiance(grey, [sun], jnp.zeros(3), up, up).round(4))
         [0.4775]
     """
-    warn_of_skies(lights, rule_of_each(lights, rule), CURE)
+    rules = rule_of_each(lights, rule)
+    warn_of_skies(lights, rules, CURE)
+    warn_of_near_receiver(lights, rules, point, normal, CURE_NEAR)
     leaving = Leaving(normal) if leaving is None else leaving
     light = lighting(lights, point, leaving, ambient=ambient, rule=rule, occluders=occluders)
     return reflected_radiance(material, light, normal, wo, tangent=tangent)

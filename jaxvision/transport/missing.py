@@ -48,6 +48,7 @@ from ..lights import (
     rules_of,
 )
 from ..lights.environment_quadrature import found_by_quadrature
+from ..lights.near_rectangles import found_on_surfaces
 from ..optics import view_ray
 from ..rendering.scene_checks import reflects_ambient
 from ..rendering.shadows import DEFAULT_RULE
@@ -139,6 +140,8 @@ def missing_light(
         for name, light, its_rule in zip(lamps, scene.lights, rules, strict=True):
             if isinstance(light, EnvironmentMap) and isinstance(its_rule, Quadrature):
                 found += _between_directions(name, light, its_rule, integrator)
+            if isinstance(light, RectangleLight) and isinstance(its_rule, Quadrature):
+                found += _too_near(name, light, its_rule, scene.surfaces, integrator)
             if isinstance(its_rule, Quadrature) and integrator != "radiosity":
                 found += _too_narrow(name, light, its_rule, own, integrator)
     if integrator == "path":
@@ -238,6 +241,21 @@ def _between_directions(
         f"{wrong.sentence(name)} Set {cures}integrator = 'path', or take the sun out of the map "
         "and add a directional light."
     ]
+
+
+def _too_near(
+    name: str,
+    light: RectangleLight,
+    rule: Quadrature,
+    surfaces: Sequence[Surface],
+    integrator: Integrator,
+) -> list[str]:
+    """Return a sentence if a quadrature finds far too little or too much light of a rectangle on a
+    surface near it."""
+    if (wrong := found_on_surfaces(light, rule, surfaces)) is None:
+        return []
+    cure = "rule = 'balanced', or " if integrator == "direct" else ""
+    return [f"{wrong.sentence(name)} Set {cure}integrator = 'path'."]
 
 
 def _too_narrow(

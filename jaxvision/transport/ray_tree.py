@@ -28,6 +28,7 @@ from ..geometry import Ray
 from ..geometry.checks import warn_if_coarse
 from ..lights import Quadrature, rules_of
 from ..lights.environment_quadrature import warn_of_skies
+from ..lights.near_rectangles import warn_of_near_surfaces
 from ..rendering import Along, PixelSamples, photograph
 from ..rendering.pixel_loop import check_lens, in_blocks
 from ..scene import Scene, View
@@ -312,11 +313,11 @@ def ray_traced(
     check_given("ray_traced: scene", scene, Scene)
     check_given("ray_traced: view", view, View)
     warn_if_coarse(*(surface.shape for surface in scene.surfaces))
+    rules = rules_of(scene, rule)
     warn_of_skies(
-        scene.lights,
-        rules_of(scene, rule),
-        "Take path_traced, or take the sun out of the map and add a SunDisc.",
+        scene.lights, rules, "Take path_traced, or take the sun out of the map and add a SunDisc."
     )
+    warn_of_near_surfaces(scene.lights, rules, scene.surfaces, "Take path_traced.")
     if samples is None:
         check_lens(view)
     return _ray_traced(scene, view, rays, rule, samples)

@@ -112,6 +112,11 @@ def test_grey_worlds_are_means_of_powers(norm):
         np.testing.assert_allclose(gains, (largest.max() / largest) ** 2, rtol=0.05)
 
 
+def test_a_patch_of_codes_in_half_precision_has_a_mean():
+    patch = np.full((9, 9, 3), [30000, 15000, 60000], np.float16)  # their sums are infinite
+    np.testing.assert_allclose(neutral_gains(patch), [2, 4, 1], rtol=1e-3)
+
+
 def test_a_patch_must_lie_in_the_picture_and_hold_numbers():
     patch = s.NeutralPatch((10, 13), (0, 2))
     with pytest.raises(ValueError, match=r"must end by row 12 and column 14 .* got 13 and 2"):

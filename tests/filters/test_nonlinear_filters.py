@@ -255,3 +255,15 @@ def test_bad_input_is_one_sentence(call, words):
     with pytest.raises(ValueError, match=words) as caught:
         call()
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16], ids=["float16", "bfloat16"])
+def test_half_precision_holds_the_sums_of_a_window(dtype):
+    """A mean over 169 or 441 equal numbers; in half precision their sum is infinite or stops."""
+    flat = jnp.full((24, 24), 30000, dtype)
+    for found in (
+        bilateral_filter(flat, 100.0, 100.0, radius=10),
+        nonlocal_means_filter(flat, 1.0, radius=6),
+    ):
+        assert found.dtype == dtype
+        np.testing.assert_array_equal(found, flat)

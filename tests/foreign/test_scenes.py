@@ -655,3 +655,46 @@ def test_a_kernel_of_diffraction_that_cuts_its_rings_is_named():
     assert float(small[16, 16]) > 1.5 * true
     wide = jv.optics.lens_kernel(lens, jv.Diffraction(550e-9, size=173), pitch)
     assert float(wide[86, 86]) == pytest.approx(true, rel=0.12)
+
+
+NEAR = jv.RectangleLight([-0.5, -0.5, 0.01], [0, 1, 0], [1, 0, 0], [1 / np.pi])
+UNDER_IT = {
+    "plane": jv.Plane([0, 0, 0], [0, 0, 1]),
+    "quad": jv.Quad([-3, -3, 0], [6, 0, 0], [0, 6, 0]),
+    "disc": jv.Disc([0, 0, 0], [0, 0, 1], 0.4),
+    "box": jv.Box([0, 0, -1], [1, 1, 1]),
+    "ball": jv.Sphere([0, 0, -50], 50.0),
+    "mesh": jv.TriangleMesh([[-1, -1, 0], [3, -1, 0], [-1, 3, 0]], [[0, 1, 2]]),
+}
+
+
+@pytest.mark.parametrize("shape", UNDER_IT.values(), ids=UNDER_IT)
+def test_a_surface_near_a_wide_lamp_is_named(shape):
+    """Under an endless lamp the irradiance is pi L, here 1 W/m^2."""
+    scene = jv.Scene([jv.Surface(shape, GREY)], [NEAR])
+    (said,) = missing_light(scene, integrator="direct")
+    assert "light of lights[0] at 0.01" in said
+    assert float(said.split("irradiance is ")[1].split()[0]) == pytest.approx(1, abs=0.1)
+    assert missing_light(scene, integrator="direct", rule=jv.Quadrature(32)) == []
+    assert missing_light(scene, integrator="path") == []
+
+
+def test_lamps_beside_surfaces_that_they_light_little_are_not_named():
+    wall = jv.RectangleLight([-0.5, -0.5, 0], [0, 0, 1], [0, 1, 0], [1.0])  # from the floor up
+    lamp = jv.RectangleLight([-0.5, -0.5, 1], [0, 1, 0], [1, 0, 0], [1.0])
+    panel = jv.Surface(jv.Quad([-0.5, -0.5, 1], [0, 1, 0], [1, 0, 0]), GREY, two_sided=True)
+    ceiling = jv.Surface(jv.Quad([-1, -1, 1.001], [0, 2, 0], [2, 0, 0]), GREY)
+    scene = jv.Scene([FLOOR, panel, ceiling], [lamp, wall])
+    assert missing_light(scene, integrator="direct") == []
+
+
+def test_pictures_warn_of_a_surface_near_a_wide_lamp():
+    view = jv.Orthographic([0, 0, 0.005], DOWN, 0.02, resolution=(3, 3))
+    scene = jv.Scene([FLOOR], [NEAR])
+    with pytest.warns(UserWarning, match=r"0.01 m from it.* Give rule = Balanced") as said:
+        found = float(jv.render(scene, view).mean())
+    assert len(said) == 1
+    true = 0.5 / np.pi
+    assert abs(found / true - 1) > 0.1
+    cured = jv.render(scene, view, rule=jv.Balanced(jax.random.key(0), 256))
+    assert float(cured.mean()) == pytest.approx(true, rel=0.03)

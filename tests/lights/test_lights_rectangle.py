@@ -235,3 +235,31 @@ def test_a_highlight_of_exponent_1000_is_as_exact_as_the_rules_say():
 
     draws = np.asarray(jax.jit(jax.vmap(drawn))(jax.random.split(jax.random.key(0), 256)))
     assert (np.abs(draws.mean(axis=0) - truth) < 4 * draws.std(axis=0) / 16).all()
+
+
+def _form_factor(h):
+    """The form factor of a square of side 1 from a point below its middle, by Howell's B-4 of a
+    corner, four times."""
+    x = 0.5 / h
+    return 4 * 2 * x / np.sqrt(1 + x * x) * np.arctan(x / np.sqrt(1 + x * x)) / (2 * np.pi)
+
+
+@pytest.mark.parametrize("height", [0.01, 1e-6])
+def test_a_light_much_wider_than_its_distance_is_named(height):
+    lamp = jv.RectangleLight([-0.5, 0.5, 0], [1, 0, 0], [0, -1, 0], [1 / np.pi])
+    with pytest.warns(UserWarning, match=f"lights.0. at {height:g} m from it, where its") as said:
+        found = irradiance(lamp, below(height), UP, rule=jv.Quadrature(8))
+    true = _form_factor(height)
+    assert abs(float(found[0]) / true - 1) > 0.1
+    words = str(said[0].message)
+    assert float(words.split("irradiance is ")[1].split()[0]) == pytest.approx(true, rel=5e-3)
+    assert float(words.split("finds ")[1].split(",")[0]) == pytest.approx(float(found[0]), rel=5e-3)
+    exact_one = float(rectangle_irradiance(lamp, below(height), UP)[0])  # what the sentence advises
+    assert exact_one == pytest.approx(true, rel=1e-12)
+
+
+@pytest.mark.parametrize(("height", "order"), [(0.05, 8), (0.01, 32)])
+def test_a_light_whose_quadrature_is_good_is_not_named(height, order):
+    lamp = jv.RectangleLight([-0.5, 0.5, 0], [1, 0, 0], [0, -1, 0], [1 / np.pi])
+    found = irradiance(lamp, below(height), UP, rule=jv.Quadrature(order))
+    assert float(found[0]) == pytest.approx(_form_factor(height), rel=0.02)

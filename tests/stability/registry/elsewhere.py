@@ -106,10 +106,11 @@ ELSEWHERE = (
     ),
     Elsewhere(
         FILES,
-        "test_io test_lights_environment",
+        "test_io test_lights_environment test_lights_rectangle",
         """
             files.images.*
             lights.environment_quadrature.*
+            lights.near_rectangles.*
             lights.environment_tables.*
         """,
     ),
