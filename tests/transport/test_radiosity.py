@@ -386,6 +386,24 @@ def test_light_that_is_seldom_absorbed(method, rho, dtype, bound):
     assert np.abs(np.asarray(got) - truth).max() < bound * truth.max()
 
 
+@pytest.mark.parametrize("method", ["direct", "iterative", "progressive"])
+def test_a_white_closed_room_with_light_has_no_equilibrium(method):
+    """A cube, by the form factors of Howell's C-11; its second band has a grey wall."""
+    opposite = 0.1998249
+    table = np.full((6, 6), (1 - opposite) / 4, np.float32)
+    table[np.arange(6), np.arange(6)] = 0
+    table[np.arange(6), np.arange(6) ^ 1] = opposite
+    albedo = np.ones((6, 3), np.float32)
+    albedo[5, 1] = 0.5
+    sent = np.zeros((6, 3), np.float32)
+    sent[0, :2] = 1
+    found = solve_radiosity(table, albedo, sent, method=method)
+    assert np.isinf(found[:, 0]).all()
+    assert (found[:, 2] == 0).all()  # white, without light
+    grey = np.linalg.solve(np.eye(6) - albedo[:, 1:2].astype(float) * table, sent[:, 1])
+    np.testing.assert_allclose(found[:, 1], grey, rtol=2e-3)
+
+
 @pytest.mark.slow
 def test_shots_that_are_too_few_leave_what_they_say():
     table, albedo, sent = closed_room(0.9)

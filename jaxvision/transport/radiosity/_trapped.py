@@ -5,10 +5,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ._grid import Plan, parents_of, surfaces_of
+from .solve import CLOSED
 
-# In a closed room the row sums of form factors have mean 1. Quadrature and shadow rays give each
-# element an error, which the mean divides by the square root of the number of elements.
-_CLOSED = 2e-3
 _BESIDE = 0.5  # an element whose row sum is smaller counts as outside any room
 
 
@@ -41,6 +39,6 @@ def trapping_surface(
                 break
             loses = more
         kept = ~loses[own] & inside
-        if kept.any() and table[kept].sum(axis=1).mean() > 1 - _CLOSED:
+        if kept.any() and table[kept].sum(axis=1).mean() > 1 - CLOSED:
             return int(surface[own[kept][0]])
     return None

@@ -27,6 +27,9 @@ PatchSpectra = Float[Array, "patches bands"]
 Table = Float[Array, "patches patches"]
 Product = Callable[[PatchSpectra], PatchSpectra]
 print_by_name(globals(), "PatchSpectra", "Table")
+# In a closed room the row sums of form factors have mean 1. Quadrature and shadow rays give each
+# element an error, which the mean divides by the square root of the number of elements.
+CLOSED = 2e-3
 _ALBEDO = Range(0, 1 + 1e-4, nan=True)  # pi k_d may round to just above 1; larger has no solution
 # radiosity, unshot, shots, and whether to go on
 State = tuple[PatchSpectra, PatchSpectra, Int[Array, ""], Bool[Array, ""]]
@@ -66,7 +69,8 @@ def solve_radiosity(
         limit: static, largest number of shots.
 
     Returns:
-        (patches, bands) B, W m^-2.
+        (patches, bands) B, W m^-2. It is infinite in a band in which a closed room with light
+        absorbs nothing, so that there is no equilibrium.
 
     Raises:
         ValueError: for an unknown method, for a function in place of the table unless the method is
@@ -89,11 +93,32 @@ def solve_radiosity(
     if callable(table):
         if method != "iterative":
             raise ValueError(f"method {method!r} needs a table, got a function; use 'iterative'.")
-        return _without_table(table, albedo, sent, tolerance)
+        found = _without_table(table, albedo, sent, tolerance)
+        return _without_equilibrium(found, table(jnp.ones_like(albedo)), albedo, sent)
     table = as_float(table)
     if method == "progressive":
-        return _progressive(table, albedo, sent, tolerance, limit)
-    return _solve_by_lineax(table, albedo, sent, method, tolerance)
+        found = _progressive(table, albedo, sent, tolerance, limit)
+    else:
+        found = _solve_by_lineax(table, albedo, sent, method, tolerance)
+    return _without_equilibrium(found, table.sum(axis=1, keepdims=True), albedo, sent)
+
+
+@one_program
+def _without_equilibrium(
+    found: PatchSpectra, seen: Float[Array, "patches _"], albedo: PatchSpectra, sent: PatchSpectra
+) -> PatchSpectra:
+    """Return the solution `found`, but infinity in a band whose light is never absorbed, and 0 for
+    NaN in a band without light. `seen`: sums of form factors over what each patch sees. The
+    equations of a white closed room are singular, and rounding then gives numbers of either sign.
+    """
+    closed = jnp.mean(seen, axis=0) > 1 - CLOSED
+    white = jnp.min(albedo, axis=0) >= 1 - 16 * jnp.finfo(albedo.dtype).eps
+    positive = jnp.min(sent, axis=0) >= 0
+    dark = (sent == 0).all(axis=0)
+    negative = jnp.min(found, axis=0) < -1e-3 * jnp.max(jnp.abs(found), axis=0)
+    endless = positive & ((closed & white) | negative)
+    solved = jnp.where(endless[None] & ~dark[None], jnp.inf, found)
+    return jnp.where(dark[None] & jnp.isnan(found), 0, solved)
 
 
 @one_program
