@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from ..colour_spaces import adapt, xyz_to_rgb
 from ..core._arguments import takes_numbers
 from ..core._shown import Shown
-from ..core._types import Spectrum, as_float, check_fields, check_range, is_known
+from ..core._types import Spectrum, as_float, check_direction, check_fields, check_range, is_known
 from ..spectra import Responses, Wavelengths, reflectance_to_xyz, spectrum_to_camera
 from .white_balancing import neutral_gains
 
@@ -46,18 +46,18 @@ def fit_colour_matrix(
 
     Args:
         camera: (patches, 3) relative, at least three patches, or two with `white`; they must span
-            three dimensions (two).
+            three dimensions.
         wanted: (patches, 3) relative.
-        white: a camera colour (3,) and the colour (3,) to which it must map exactly; None for no
-            such constraint.
+        white: a camera colour (3,), not black, and the colour (3,) to which it must map exactly;
+            None for no such constraint. The colours must then span two dimensions beside it.
         weights: (patches,) no unit, at least 0; None for equal weights.
 
     Returns:
         (3, 3) no unit.
 
     Raises:
-        ValueError: for too few patches, unequal shapes, and colours that are not finite or do not
-            span the dimensions.
+        ValueError: for too few patches, unequal shapes, weights below 0, a black `white`, and
+            colours that are not finite or, weighted, do not span the dimensions.
 
     Source: Finlayson and Drew, "White-point preserving color correction", CIC 1997, for `white`.
 
@@ -77,17 +77,20 @@ def fit_colour_matrix(
         )
     for name, colours in (("camera", camera), ("wanted", wanted)):
         check_range(name, colours, -jnp.inf)
-    if is_known(camera) and np.linalg.matrix_rank(np.asarray(camera)) < least:
-        raise ValueError(f"camera must span {least} dimensions, but its colours do not.")
     if weights is not None:
+        check_range("fit_colour_matrix: weights", weights, 0)
         root = jnp.sqrt(weights)[:, None]
         camera, wanted = root * camera, root * wanted
     if white is None:
+        _check_rank(camera, "camera must span 3 dimensions, but its colours do not")
         return _least_squares(camera, wanted).T
     seen, sought = white
+    check_direction("fit_colour_matrix: the camera's white", seen)
     # every M with M seen = sought is this one plus Z times the two directions across `seen`
     through = jnp.outer(sought, seen) / jnp.vdot(seen, seen)
     across = _perpendicular_pair(seen)
+    beside = jnp.concatenate([camera, _size(camera) / _size(seen) * seen[None]])
+    _check_rank(beside, "camera must span 2 dimensions beside white, but its colours do not")
     rest = _least_squares(camera @ across, wanted - camera @ through.T)
     return through + rest.T @ across.T
 
@@ -145,6 +148,16 @@ def camera_colour(
     rgb = xyz_to_rgb(adapt(xyz, xyz[-1], white), space=space)
     ends = (balanced[-1], rgb[-1]) if keep_white else None
     return CameraColour(gains, fit_colour_matrix(balanced[:-1], rgb[:-1], white=ends))
+
+
+def _check_rank(colours: Float[Array, "patches n"], problem: str) -> None:
+    """Raise `ValueError` for known colours that span less than all dimensions."""
+    if is_known(colours) and np.linalg.matrix_rank(np.asarray(colours)) < colours.shape[1]:
+        raise ValueError(f"{problem}; add patches, or raise weights that are 0.")
+
+
+def _size(colours: Float[Array, "..."]) -> Float[Array, ""]:
+    return jnp.sqrt(jnp.sum(colours**2))
 
 
 def _least_squares(

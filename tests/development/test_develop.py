@@ -293,6 +293,25 @@ def test_too_few_patches_are_refused():
         fit_colour_matrix(jnp.ones((2, 3)), jnp.ones((2, 3)))
 
 
+GREYS = np.outer([0.1, 0.5, 0.9, 0.3], np.ones(3))
+ONES = np.ones(3)
+
+
+@pytest.mark.parametrize(
+    ("camera", "options", "message"),
+    [
+        (np.eye(3), {"weights": -ONES}, "weights must be finite, at least 0, got -1"),
+        (np.eye(3), {"weights": [1.0, 1.0, 0.0]}, "must span 3 dimensions.* raise weights"),
+        (np.eye(3), {"white": (0 * ONES, ONES)}, "camera's white must have a direction"),
+        (GREYS, {"white": (ONES, ONES)}, "must span 2 dimensions beside white"),
+        (np.r_[GREYS, [[1, 0, 0]]], {"white": (ONES, ONES)}, "must span 2 dimensions beside white"),
+    ],
+)
+def test_colours_that_leave_the_matrix_open_are_refused(camera, options, message):
+    with pytest.raises(ValueError, match=message):
+        fit_colour_matrix(camera, camera, **options)
+
+
 # ---------------------------------------------------------------- all of it
 
 
