@@ -7,9 +7,9 @@ mosaic sites have separate converters, pixels whose converter has a bit that nev
 excluded, too.
 
 Outliers in single frames, such as hits by cosmic rays, can increase a variance by more than the
-noise of all pixels. They are recognised by a gap between them and the distribution of all other
-pixels. A noise distribution with a long tail (few electrons, multiplied electrons, warm pixels) has
-no such gap.
+noise of all pixels. Such outliers are recognised by a gap between their values and those of all
+other pixels. A noise distribution with a long tail (few electrons, multiplied electrons, warm
+pixels) has no such gap.
 """
 
 from collections.abc import Sequence
@@ -116,16 +116,17 @@ SHOWN = 6  # rows, columns or pixels that are listed
 
 
 def line_products(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
-    """Return sums of products of neighbouring pixels: one for each pair of successive rows, and one
-    for each pair of successive columns."""
+    """Return sums of products of neighbouring pixels: one sum for each pair of successive rows, and
+    one for each pair of successive columns."""
     below = np.einsum("ij,ij->i", x[:-1], x[1:])
     beside = np.einsum("ij,ij->j", x[:, :-1], x[:, 1:])
     return below, beside
 
 
 def neighbour_products(x: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "lags lags"]:
-    """Return the sum of x_p x_q over all pairs of pixels at each offset of 0 to `REACH` rows and
-    columns. Offsets of both signs are added. Offsets larger than the frame give 0."""
+    """Return, for each offset of 0 to `REACH` rows and columns, the sum of x_p x_q over all pairs
+    of pixels p and q at that distance. Offsets of both signs are added. Offsets larger than the
+    frame give 0."""
     rows, columns = (min(REACH, size - 1) for size in x.shape)
     width, found = x.shape[1] + columns, np.zeros((REACH + 1, REACH + 1))
     flat = np.pad(x, ((0, 0), (0, columns))).ravel()  # zeros beside the frame
@@ -145,7 +146,7 @@ class LivePixels:
 
     @cached_property
     def pairs_by_line(self) -> tuple[np.ndarray, np.ndarray]:
-        """The numbers of neighbouring pixels that are both valid, in the order of
+        """The numbers of pairs of neighbouring pixels that are both valid, in the order of
         `line_products`."""
         return line_products(self.mask.astype(float))
 
@@ -169,21 +170,22 @@ class LivePixels:
         return float(self.only(plane).sum()) / self.count
 
     def line_means(self, plane: Float[np.ndarray, "h w"], axis: int) -> np.ndarray:
-        """Return the means of rows (axis 0) or columns (axis 1) over valid pixels; NaN for a line
-        without any."""
+        """Return the means of rows (axis 0) or columns (axis 1) over valid pixels; NaN for a row or
+        column without valid pixels."""
         sums = self.only(plane).sum(axis=1 - axis)
         counts = self._of_line[axis]
         return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
 
     def filled(self, plane: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-        """Return the plane with its mean at invalid pixels."""
+        """Return the plane with the mean of its valid pixels at invalid pixels."""
         return plane if self._all else np.where(self.mask, plane, self.mean(plane))
 
     @cached_property
     def variance_shares(self) -> Float[np.ndarray, "4 3"]:
-        """(4, 3) expected variances if pixels, rows or columns (the columns of the result) have
-        independent noise of variance 1. The rows of the result are the variances of a pixel, of
-        rows' means and of columns' means about the frame's mean, and of the frame's mean."""
+        """(4, 3) expected variances of four quantities under three kinds of noise of variance 1.
+        The rows of the result are the quantities: a pixel, the means of rows and the means of
+        columns, each about the frame's mean, and the frame's mean. The columns of the result are
+        the kinds of noise: independent for each pixel, for each row, and for each column."""
         counts = [of[of > 0].astype(float) for of in self._of_line]
         n, lines = float(self.count), [of.size for of in counts]
         inverse = [float(np.mean(1 / of)) for of in counts]
@@ -330,7 +332,7 @@ SAMPLED = 100_000  # pixels used to estimate the usual change
 
 
 class Hits(NamedTuple):
-    """Pixels whose change between two frames is an outlier, and replacement values for that
+    """Pixels whose change between two frames is an outlier, with replacement values for the
     change."""
 
     up: Bool[np.ndarray, "h w"]  # true where a pixel is much brighter in the second frame

@@ -13,13 +13,14 @@ is the light in photons per pixel, delta the light offset, D the dark current an
 s. The means determine R a hundred times better than the variances determine K, so R and K are
 hardly correlated, unlike K and the efficiency R / K.
 
-h is a compression behind the gain, and X the signal of the brightest level. Read noise sigma_d is
-added behind the compression. q is the step of the converter, whose rounding has the variance
-q^2 / 12. C_00 is the variance of a pixel whose charges repel each other (Astier 2019,
-`jaxvision.sensor.flat_covariances`). Its a_00 = -beta K / X, so to first order beta is the relative
-loss of variance at the brightest level. The other a_ij are proportional to the measured
-covariances. kappa is the relative loss of a pixel's signal variance by linear mixing with its
-neighbours. Repulsion and mixing do not change the noise of sums over many pixels.
+The function h is a compression behind the gain, with the coefficients c_1 and c_2, and X is the
+signal of the brightest level. Read noise sigma_d is added behind the compression. The converter has
+the step q, so its rounding has the variance q^2 / 12. C_00 is the variance of a pixel whose charges
+repel each other, with relative area changes a_ij per electron (Astier 2019,
+`jaxvision.sensor.flat_covariances`). Here a_00 = -beta K / X, so that to first order beta is the
+relative loss of variance at the brightest level. All other a_ij are proportional to the measured
+covariances. The parameter kappa is the relative loss of a pixel's signal variance by linear mixing
+with its neighbours. Repulsion and mixing do not change the noise of sums over many pixels.
 
 The observed mean of L frames of n pixels is Normal with variance s^2 / (n L). Given the mean, the
 observed variance has a Gamma distribution. The degrees of freedom of that distribution follow from
@@ -28,17 +29,17 @@ Because shot noise is skewed, mean and variance have the covariance kappa_3 / (n
 kappa_4 are the cumulants of a pixel's number. Two random effects per level are optional: an error
 of the light with standard deviation tau_H mu_p, and an error of the black level with standard
 deviation tau_0. A drift d of the light over the series is optional, too: the light of level i of n
-changes by the factor 1 + d (i / (n - 1) - 1/2). It bends the means as a compression does, but not
-the variance at a signal.
+changes by the factor 1 + d (i / (n - 1) - 1/2). A drift bends the means over the light as a
+compression does, but does not change the variance at a given signal.
 
 The data of the `Problem` have a row for each level: mean, temporal variance, T, and (for darks) the
 spatial variance, NaN where unknown. `predict` returns their sampling distribution as `Expected`,
 and `LevelStatistics` is the likelihood.
 
-An effect whose parameter is not in the parameter space adds nothing to the compiled program. If
-black is clipped, or read noise is too small to smooth the rounding (`window`), `quantised_moments`
-gives the exact moments of the affected levels. If the pixels' offsets differ significantly at such
-levels, their spread is a parameter. The spatial variance of each dark level, which rounding also
+Effects whose parameters are not fitted are not part of the compiled program. If black is clipped,
+or read noise is too small to smooth the rounding (`window`), `quantised_moments` gives the exact
+moments of the affected levels. If the pixels' offsets differ significantly at such levels, the
+spread of the offsets is a parameter. The spatial variance of each dark level, which rounding also
 changes, is then part of the data (`OffsetData`). At levels of few electrons, histograms of codes
 may replace means and variances (`CountedLevels`).
 """
@@ -85,8 +86,8 @@ class CountedLevels(eqx.Module):
 
 
 class NoiseData(eqx.Module):
-    """The inputs of the `Problem`: light, exposure and frames of the bright levels followed by the
-    dark levels, and what is known about the sensor."""
+    """The inputs of the `Problem`: light, exposure and number of frames of the bright levels, then
+    of the dark levels, and known properties of the sensor."""
 
     light: Float[Array, " levels"]  # photons per pixel, or s where no photon count is known
     lit: Float[Array, " levels"]  # 1 for bright, 0 for dark
@@ -148,7 +149,8 @@ def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
 
 
 def drifted(values: dict[str, Array], data: NoiseData) -> NoiseData:
-    """Return the data with the light of a lamp that drifts over the series."""
+    """Return the data, with the light of each level multiplied by the drift of the lamp over the
+    series."""
     if "light_drift" not in values or data.series is None:
         return data
     return replace(data, light=data.light * (1 + values["light_drift"] * data.series))
@@ -200,8 +202,8 @@ def expected_electrons(
 
 
 def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -> Moments:
-    """Return the moments at all levels. Call it in a compiled program, because outside one JAX
-    caches every `vmap` of a new function, which takes 3 kB each.
+    """Return the moments at all levels. The function should be called in a compiled program:
+    outside one, JAX caches every `vmap` of a new function, which takes 3 kB each.
     """
     moments = jax.vmap(lambda p, lit, t: level_moments(values, data, p, lit, t))(
         light, data.lit, data.exposure
@@ -321,8 +323,8 @@ class LevelStatistics(eqx.Module):
         return self._terms_and_residuals(prediction, jnp.asarray(data))[1]
 
     def draw(self, key: Array, prediction: Expected) -> Array:
-        """Return simulated data with independent Gaussian errors; NaN where the model predicts no
-        number."""
+        """Return simulated data with independent Gaussian errors; NaN for data that the model does
+        not predict."""
         of, nothing = prediction, jnp.full_like(prediction.mean, jnp.nan)
         columns = ((of.mean, of.of_mean), (of.variance, of.of_variance))
         columns += ((of.neighbours, of.of_neighbours),)
@@ -383,8 +385,10 @@ def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
     As a scatter approaches 0 the likelihood becomes constant, so a prior that is flat in the
     scatter's logarithm would make the posterior improper. A prior that is flat in the scatter
     itself would make intervals from few levels too wide. A scatter tau adds tau^2 a to the variance
-    v of each level, so its information is sum 2 tau^2 a^2 / (v + tau^2 a)^2. The prior is flat in
-    ln tau if the scatter dominates, and falls as tau^2 if the noise does.
+    v of each level, with a known factor a. Therefore the Fisher information on ln tau is
+    proportional to the sum of (tau^2 a / (v + tau^2 a))^2 over the levels, and the prior is its
+    square root. The prior is flat in ln tau if the scatter dominates, and falls as tau^2 if the
+    noise dominates.
 
     Source:
         Box & Tiao, "Bayesian Inference in Statistical Analysis", 1973, section 5.2.
@@ -410,8 +414,9 @@ def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
 def _log_density_of_tables(
     values: dict[str, Array], data: NoiseData, counted: CountedLevels
 ) -> Array:
-    """Return the log density of the fit to histograms of codes. The light of a held-out level is
-    treated as unknown, so that only gain and read noise are compared."""
+    """Return the log density of the current parameters under the Gaussian result of the fit to
+    histograms of codes. The light of a held-out level is treated as unknown, so that only gain and
+    read noise are compared."""
     at = counted.levels
     light, lit, exposure = data.light[at], data.lit[at], data.exposure[at]
     electrons = jax.vmap(lambda *of: expected_electrons(values, data, *of))(light, lit, exposure)

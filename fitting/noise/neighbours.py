@@ -1,16 +1,19 @@
 """Covariances of neighbouring pixels, which determine the brighter-fatter effect and linear mixing.
 
-Of L frames at one level of light, with d_p the deviation of pixel p from its mean over the frames,
+For L frames at one level of light, let d_p be the deviation of pixel p from its mean over the
+frames. The covariance of pixels that are i rows and j columns apart is
 
-    C_ij = sum over the frames of d_p d_(p + (i, j)) / (L - 1)    averaged over p, (i, j), (i, -j),
+    C_ij = sum over the frames of d_p d_(p + (i, j)) / (L - 1), averaged over p and over (i, j) and
+    (i, -j),
 
-minus the variance of the frames' means, which is also subtracted from the variance C_00.
-Independent pixels have C_ij = 0 within s^2 / sqrt((L - 1) pairs). At a signal of x DN, the
-brighter-fatter effect (Antilogus 2014, Astier 2019) contributes a_ij x^2 to first order, with a_ij
-per electron. Linear mixing after charge collection contributes a term proportional to x.
-Covariances that darks have too, such as those of row noise, are subtracted. Row noise of variance
-r^2 in h rows adds r^2 (r^2 + 2 s^2 / w) / (h (L - 1)) to the sampling variance of C_ij, and twice
-as much to that of C_0j.
+minus the variance of the frames' means. For independent pixels of variance s^2, the expectation of
+C_ij is 0, and its standard error is s^2 / sqrt((L - 1) pairs), where `pairs` is the number of
+averaged pairs of pixels. At a signal of x DN, the brighter-fatter effect (Antilogus 2014, Astier
+2019) contributes a_ij x^2 to C_ij to first order, with the area change a_ij per electron. Linear
+mixing after charge collection contributes a term proportional to x. Covariances that darks have
+too, such as those from row noise, are subtracted. In frames of h rows and w columns, row noise of
+variance r^2 adds r^2 (r^2 + 2 s^2 / w) / (h (L - 1)) to the sampling variance of C_ij, and twice as
+much for pixels of the same row (i = 0).
 """
 
 from math import factorial
@@ -33,7 +36,7 @@ Lags = Float[np.ndarray, "lags lags"]
 
 
 class NeighbourData(eqx.Module):
-    """The covariances of neighbouring pixels as inputs of the likelihood."""
+    """The covariances of neighbouring pixels, in the form in which they enter the likelihood."""
 
     variance_terms: Float[Array, " terms"]  # C_00 / mu in powers of a_00 mu, the highest first
     # sum of all covariances with other pixels less that of the darks, DN^2; 0 for the darks; None
@@ -54,10 +57,11 @@ COPIES[0, 0] = 0
 
 
 def above_dark(measurement: PhotonTransfer) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return the covariances of bright levels minus those of the darks, their sampling variances,
-    and the sampling variances of their sums over all neighbours. Return None if there are no frames
-    of adjacent pixels. Also return None if the light flickers, because flicker makes neighbouring
-    pixels covary more strongly than charges do."""
+    """Return three arrays: the covariances of bright levels minus those of the darks, the sampling
+    variances of these differences, and the sampling variances of their sums over all neighbours.
+    Return None if there are no frames of adjacent pixels. Also return None if the light flickers,
+    because flicker makes neighbouring pixels covary more strongly than the repulsion of charges
+    does."""
     bright, dark = measurement.bright, measurement.dark
     if bright.covariances is None or dark.covariances is None or bright.flicker is not None:
         return None
@@ -99,7 +103,8 @@ def above_dark(measurement: PhotonTransfer) -> tuple[np.ndarray, np.ndarray, np.
 def are_significant(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
     """Return whether nearest neighbours covary significantly along rows, along columns or along
     both, in proportion to the shot variance (mixing) or to its square (repulsion). This test is
-    more precise than one of the sum over all neighbours, which is the datum of a fit.
+    more sensitive than a test of the sum of covariances over all neighbours, which is the datum of
+    a fit.
     """
     above = above_dark(measurement)
     if above is None:
@@ -145,20 +150,22 @@ def own_variance(
 
 
 def area_shape(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
-    """Return a_ij / a_00 of a camera, as estimated from its covariances. They sum to 0 over all
-    pixels, because the total area does not change."""
+    """Return the ratios a_ij / a_00 of a camera, as estimated from its covariances. The sum of
+    these ratios over all pixels is 0, because the total area does not change."""
     shape = -shares(measurement, usable, power=2)
     shape[0, 0] = 1
     return shape
 
 
 def shares(measurement: PhotonTransfer, usable: np.ndarray, *, power: int) -> Lags:
-    """Return the distribution over the neighbours of the covariances that grow with the signal
-    (`power` 1) or with its square (2). It sums to 1 and is 0 at the pixel itself.
+    """Return the share of each neighbour in the sum of the covariances that grow with the signal
+    (`power` 1) or with its square (`power` 2). The shares sum to 1, and the share at offset (0, 0)
+    is 0.
 
-    Each covariance is multiplied by the fraction of its square that chance does not explain. If
-    their sum is not significant, or if they are unknown, the four nearest neighbours have equal
-    shares. For repulsion, the distribution affects variances only at second order in a_00.
+    Each covariance is multiplied by the fraction of its square that chance does not explain. If the
+    sum of covariances is not significant, or if the covariances are unknown, the four nearest
+    neighbours have equal shares. For repulsion, the shares affect variances only at second order in
+    a_00.
     """
     even = np.zeros((REACH + 1, REACH + 1))
     even[0, 1] = even[1, 0] = 0.25
@@ -192,8 +199,9 @@ def _powers_of(
 
 
 def variance_terms(shape: Lags) -> Float[np.ndarray, " terms"]:
-    """Return the coefficients of C_00 / mu in powers m of a_00 mu, the highest first. They are 2^m
-    / (m + 1)! times (a * ... * a)_00 / a_00^m, a convolution of m factors a (Astier et al. 2019).
+    """Return the coefficients of C_00 / mu in powers m of a_00 mu, the highest first. Coefficient m
+    is 2^m / (m + 1)! times (a * ... * a)_00 / a_00^m, with a convolution of m factors a (Astier et
+    al. 2019).
     """
     lags = np.arange(-REACH, REACH + 1)
     around = np.zeros((PERIOD, PERIOD))

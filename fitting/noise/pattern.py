@@ -1,15 +1,15 @@
 """Fixed pattern of a sensor (DSNU and PRNU) from the spatial variances at its light levels.
 
-    s^2 = s^2_measured - var_y / L                 pattern without the noise of L averaged frames
-    s^2 = s_dark^2 + PRNU^2 (mu_y - mu_y.dark)^2   sum of the variations of dark signal and gain
+    s^2 = s^2_measured - var_y / L spatial variance without the noise of L frames s^2 = s_dark^2 +
+    PRNU^2 (mu_y - mu_y.dark)^2   sum of the variations of dark signal and gain
 
-The standard (EMVA 1288, release 3.1) uses one dark level and one at half of saturation. The
-weighted fit uses all darks and all bright levels below saturation. Both count uneven light as PRNU.
-Both estimate the variance of the population of pixels, of which this sensor's pixels are a sample.
-The variance over the pixels of a frame contains only the share 1 - 1 / w of the variance of w
-unequal columns. Therefore significant contributions of rows and columns are scaled up to those of
-their population. The sampling error of each part (`parts`) is that of a chi-square with n degrees
-of freedom for n pixels, or w - 1 for w columns.
+The standard (EMVA 1288, release 3.1) uses one dark level and one bright level at half of
+saturation. The weighted fit uses all darks and all bright levels below saturation. Both methods
+count uneven light as PRNU. Both methods estimate the variance of the population of pixels, of which
+this sensor's pixels are a sample. The variance over the pixels of a frame contains only the share 1
+- 1 / w of the variance of w unequal columns. Therefore significant contributions of rows and
+columns are scaled up to those of their population. The sampling error of each contribution
+(`parts`) is that of a chi-square with n degrees of freedom for n pixels, or w - 1 for w columns.
 
 In a sample of pixels, even independent offsets and gains have a random covariance c, which adds 2 c
 (mu_y - mu_y.dark) to s^2. The mean of c is 0, so c is treated as an error.
@@ -37,12 +37,12 @@ class Spread:
 
     Attributes:
         variance: DN^2 for offsets; relative for gains.
-        noise: standard error of the variance of this sensor's own pixels, without their sampling
-            from a population.
-        parts: variances of pixels and, where their means are known, of rows and columns; 0 where
-            rows or columns do not differ significantly.
+        noise: standard error of the variance over this sensor's pixels, without the sampling error
+            of these pixels from a population.
+        parts: variances of pixels and, where the means of rows and columns are known, of rows and
+            columns; 0 where rows or columns do not differ significantly.
         temporal: the part of `noise` from temporal noise, which more frames reduce; None if all of
-            it is temporal.
+            `noise` is temporal.
     """
 
     variance: float
@@ -82,9 +82,10 @@ class PatternVariance:
     Attributes:
         dark: s_dark^2, the variance of the dark signal, DN^2.
         response: PRNU^2, the relative variance of the gains.
-        chi_square_per_dof: of the fit to all levels; None for the standard's two.
+        chi_square_per_dof: of the fit to all levels; None for the standard's method, which uses two
+            levels.
         p_value: probability of a chi-square at least as large by chance; None for the standard's
-            two.
+            method.
         level: index of the bright level used; None if all were used.
     """
 
@@ -99,7 +100,7 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
     """Return the spatial variance of each level beyond that by temporal noise.
 
     Args:
-        levels: that have a `spatial_variance`.
+        levels: levels with a `spatial_variance`.
 
     Returns:
         s^2 (DN^2) of each level, and its sampling variance by temporal noise (DN^4).
@@ -132,7 +133,7 @@ def unequal_offsets(dark: Levels) -> tuple[Found, Found]:
 def _population_spread(
     levels: Levels, of_die: float, noise: float, lines: Sequence[Found]
 ) -> Spread:
-    """Scale the variance over a sensor's pixels to that of their population."""
+    """Scale the variance over a sensor's pixels to the variance of their population."""
     n = float(levels.pixels)
     counts = () if levels.shared is None else levels.shared.shape
     parts = [
@@ -174,8 +175,8 @@ def unequal_gains(
         across = lit[1 - axis][2]
 
         def of(levels: Levels, lines: list) -> tuple[np.ndarray, np.ndarray]:
-            """Return the fixed variance of the lines, and the temporal variance left in the average
-            frame."""
+            """Return the fixed variance of the means of rows or columns, and the temporal variance
+            of these means in the average frame."""
             fixed, varying, _ = lines[axis]
             passing = np.maximum(varying, 0) + np.asarray(levels.variance) / across
             return fixed, passing / np.asarray(levels.frames)
@@ -194,8 +195,8 @@ def unequal_gains(
 
 
 def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """Return (fixed variances, temporal variances, number) of rows and of columns; empty if they
-    are unknown."""
+    """Return (fixed variances, temporal variances, number) for rows and for columns; empty if these
+    variances are unknown."""
     if levels.shared is None:
         return []
     fixed, varying, counts = (
@@ -251,8 +252,8 @@ def fitted_pattern(
     by_temporal = np.sqrt(np.diagonal(by_temporal))
 
     def fit(chance: float) -> tuple[Spread, Spread, float]:
-        """Fit the variances of offsets and gains, given the variance `chance` of their random
-        covariance; also return chi-square."""
+        """Fit the variances of offsets and gains, given `chance`, the variance of their random
+        covariance. Return the fit and its chi-square."""
         weights = np.linalg.inv(np.diag(by_noise) + 4 * chance * np.outer(signal, signal))
         covariance = np.linalg.inv(design.T @ weights @ design)
         found = covariance @ (design.T @ (weights @ observed))

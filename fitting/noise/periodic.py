@@ -5,9 +5,10 @@ with the distance from the centre.
 If neighbouring columns have different amplifiers, or if pixels form a colour mosaic, properties of
 rows or columns repeat with a period of 2 to 8. Therefore means are computed for classes of pixels:
 by row and by column, each modulo 16 and modulo 30, and by position in a cell of 4 x 4. For a period
-p, the classes whose numbers are equal modulo p are replicates. Their scatter contains noise and
-irregular differences of lines, so an F-test against it detects the period. If the gains K of two
-classes differ, a common K is the gain of neither.
+p, classes whose row or column numbers are equal modulo p are replicates. The scatter of replicates
+contains noise and irregular differences of rows or columns. Therefore an F-test of the differences
+between the p groups against this scatter detects the period. If two classes have different gains K,
+a common K is the gain of neither class.
 """
 
 from dataclasses import dataclass
@@ -64,7 +65,7 @@ WHOLES = {
 def residues(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
 ) -> Float[np.ndarray, "2 5 residues"]:
-    """Return means of the average frame, and of its temporal variance, over five kinds of classes:
+    """Return means of the average frame, and of the temporal variance, over five kinds of classes:
     row and column modulo 16, position in a cell of 4 x 4, and row and column modulo 30.
     """
     found = np.full((2, 5, LONGER), np.nan)
@@ -101,9 +102,11 @@ def _mean(values: np.ndarray, count: np.ndarray) -> float:
 def quarters(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
 ) -> Float[np.ndarray, "2 8"]:
-    """Return means of the average frame, and of its temporal variance, over the quarters (top left,
-    top right, bottom left, bottom right) and the inner and outer half. Two numbers follow in each:
-    the steps of the average at the vertical and horizontal middle lines, and their p-values.
+    """Return two rows of 8 numbers. The first six numbers of each row are means over the quarters
+    of the frame (top left, top right, bottom left, bottom right) and over its inner and outer half:
+    in the first row of the average frame, in the second row of the temporal variance. The last two
+    numbers are for the vertical and horizontal middle lines: in the first row the steps of the
+    average frame at these lines, in the second row the p-values of the steps.
     """
     (h, w), found = average.shape, np.full((2, 8), np.nan)
     if min(h, w) > 1:
@@ -129,8 +132,9 @@ def _inner_half(h: int, w: int) -> Bool[np.ndarray, "h w"]:
 
 
 def _step(lines: np.ndarray) -> tuple[float, float]:
-    """Return the step of the lines' means at the middle of the frame, and its two-sided p-value.
-    The differences between neighbouring blocks of lines elsewhere give its error."""
+    """Return the step of the means of rows or columns at the middle of the frame, and the two-sided
+    p-value of the step. Its error is estimated from the differences between neighbouring blocks of
+    lines elsewhere in the frame."""
     size = max(len(lines) // BLOCKS // 2 * 2, 2)  # even, for structure that repeats after two lines
     before = -(-len(lines) // 2) - size
     start = before % (2 * size)
@@ -220,8 +224,8 @@ def periodic_structure(
 
 
 def _spread(name: str, values: tuple[float, ...]) -> float:
-    """Return the rms deviation between the classes, relative to the mean for gains. Signals are
-    already relative."""
+    """Return the rms deviation between the classes. For gains, the deviation is divided by their
+    mean. Signals are already relative."""
     return float(np.std(values) / (np.mean(values) if name == "gains" else 1.0))
 
 
@@ -244,8 +248,8 @@ def _period(values: Float[np.ndarray, "5 residues"], kind: int) -> int:
 
 
 def _shortest(values: Float[np.ndarray, " residues"], periods: tuple[int, ...]) -> int:
-    """Return the shortest of some periods, each a multiple of the one before, that explains all
-    differences; 0 if none is significant."""
+    """Return the shortest of `periods` that explains all differences; 0 if no period is
+    significant. Each period is a multiple of the preceding one."""
     count = len(values)
     chosen, explained = 0, np.full(count, values.mean())
     for period in periods:
@@ -259,8 +263,8 @@ def _shortest(values: Float[np.ndarray, " residues"], periods: tuple[int, ...]) 
 
 
 def _cell_classes(values: Float[np.ndarray, " residues"]) -> tuple[float, ...]:
-    """Return the means of the four sites of a 2 x 2 cell if they are not a sum of a row and a
-    column effect; else an empty tuple."""
+    """Return the means of the four sites of a 2 x 2 cell if these means are not the sum of a row
+    effect and a column effect; else an empty tuple."""
     cell = values.reshape(CELL // 2, 2, CELL // 2, 2)  # (., row, ., column)
     sites = cell.mean(axis=(0, 2))
     contrast = sites[0, 0] + sites[1, 1] - sites[0, 1] - sites[1, 0]
@@ -273,7 +277,8 @@ def _unequal_parts(
     measurement: PhotonTransfer, usable: np.ndarray, matched: np.ndarray
 ) -> list[Periodic]:
     """Find halves or quarters of the frame with different gains or with a step between their black
-    levels, and a centre whose gain differs from the border. Uneven light cannot cause these."""
+    levels, and a centre whose gain differs from that of the border. Uneven light cannot cause such
+    differences."""
     bright, dark = measurement.bright, measurement.dark
     if bright.quarters is None or dark.quarters is None:
         return []
@@ -341,9 +346,9 @@ def taps_in_words(taps: tuple[int, int] | str | None) -> str:
 
 
 def taps_of(found: tuple[Periodic, ...], *, apart: int = 1) -> tuple[int, int] | str | None:
-    """Return the value of `camera.taps` that describes the classes of differing pixels; None if
-    none does. `apart` is the distance in the frame between neighbouring pixels of these data: 2 for
-    one site of a mosaic, else 1."""
+    """Return the value of `camera.taps` that describes the classes of differing pixels; None if no
+    value does. `apart` is the distance in the frame between neighbouring pixels of these data: 2
+    for one site of a mosaic, else 1."""
     periods = {one.where: apart * one.period for one in found if one.period}
     if "mosaic" in periods:
         return (2 * apart, 2 * apart)
@@ -360,8 +365,8 @@ def unequal_gains_of(found: tuple[Periodic, ...]) -> float:
 def periodic_in_words(
     found: tuple[Periodic, ...], gain: float, *, apart: bool = False, spacing: int = 1
 ) -> list[str]:
-    """Return one or two sentences for each structure. `spacing` is the distance in the frame
-    between neighbouring pixels of these data."""
+    """Return one or two sentences for each periodic structure. `spacing` is the distance in the
+    frame between neighbouring pixels of these data."""
     sentences = []
     for one in found:
         who = WHOLES.get(one.where, f"The {one.where} halves")

@@ -1,7 +1,8 @@
 """Exact moments of a quantised, clipped Poisson-Gaussian signal.
 
-After the gain a pixel reads K (n + sigma_d z) + offset with n ~ Poisson(mu) and z ~ Normal, rounded
-to whole digital numbers and clipped at zero. Its characteristic function is a product,
+A pixel with the gain K and read noise sigma_d has the number K (n + sigma_d z) + offset, where n ~
+Poisson(mu) and z is a standard normal number. This number is then rounded to a whole code and
+clipped at zero. The characteristic function of the number before rounding is a product,
 
     phi(u) = exp(i u offset - (K sigma_d u)^2 / 2 + mu (exp(i u K) - 1)),
 
@@ -10,8 +11,9 @@ window of M codes that contains the whole signal:
 
     P(c) = 1/M sum_k phi(2 pi k / M) sinc(k / M) exp(-2 pi i k c / M).
 
-If the sum over codes is done first, moment p about r is a weighted sum of phi over the frequencies.
-The weights w_p depend on the clipping but not on the parameters:
+If the sum over codes is done first, the moment of order p about a reference code r is a weighted
+sum of phi over the frequencies. The weights w_p depend on the clipping but not on the parameters,
+and z is now the rounded, clipped code:
 
     E[(z - r)^p] = sum_k phi(2 pi k / M) w_p(k),
     w_p(k) = 1/M sinc(k / M) sum_c (max(c, 0) - r)^p exp(-2 pi i k c / M).
@@ -19,13 +21,13 @@ The weights w_p depend on the clipping but not on the parameters:
 No sum over electrons is needed, so the cost does not grow with the light.
 
 The offsets of pixels lie at different positions between two codes. If the offsets are Normal with
-standard deviation s, the moments of one pixel are averaged over d ~ N(0, s^2) at offset + d. The
+standard deviation s, the moments of a pixel at offset + d are averaged over d ~ N(0, s^2). The
 average is a trapezoidal sum over J nodes, which converges exponentially for such smooth functions.
-The temporal variance of each pixel, given its offset, is averaged in this way. The variance of a
-pixel's mean over the offsets is the DSNU after rounding. The n pixels of a sensor are a sample of
+The temporal variance of each pixel, given its offset, is averaged in this way. The variance of the
+pixels' means over the offsets is the DSNU after rounding. The n pixels of a sensor are a sample of
 the distribution of offsets. The fit adapts to the mean and the spread of this sample. Averages over
-it still scatter, by the parts of a pixel's mean, variance and squared deviation that are neither
-linear nor quadratic in d.
+the sample still scatter between sensors, by the parts of a pixel's mean, variance and squared
+deviation that are neither linear nor quadratic in d.
 
 The usual moments, with a variance of 1/12 for rounding, are wrong for small read noise and for
 clipped black; `window` decides whether this is significant.
@@ -96,7 +98,7 @@ def window_for(
     known_spread: Float[np.ndarray, " levels"] | None = None,
     widest: float = WIDEST,
 ) -> Window:
-    """Compute the weights for levels whose means are known approximately."""
+    """Compute the weights w_p(k) for levels whose means are known approximately."""
     again = np.pad(np.arange(len(levels)), (0, -len(levels) % PADDED), mode="edge")
     levels, mean = np.asarray(levels)[again], mean[again]
     known_spread = np.zeros(len(levels)) if known_spread is None else known_spread[again]
@@ -131,8 +133,8 @@ def window_for(
 
 
 def _nodes(spread: float, finest: float) -> Float[Array, " nodes"]:
-    """Return nodes d / s for the average over offsets. They resolve every harmonic of the rounding
-    that the smallest read noise does not smooth out."""
+    """Return the nodes d / s for the average over offsets. The nodes resolve every harmonic of the
+    rounding that the smallest read noise does not smooth out."""
     harmonics = DECAY / (2 * np.pi * finest)
     half = REACHED * (spread * 2 * harmonics + 1.2)
     half = int(2 ** (np.ceil(FINER * np.log2(half)) / FINER))  # few sizes, as for the frequencies

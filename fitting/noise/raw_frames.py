@@ -36,8 +36,8 @@ GROWS = 0.7  # share of the noise above black that must be proportional to the s
 def block_products(
     deviation: Float[np.ndarray, "h w"], live: LivePixels
 ) -> Float[np.ndarray, "2 8"]:
-    """Return the mean product of a pixel and the one below it, by row modulo 8, and of a pixel and
-    the one to its right, by column modulo 8."""
+    """Return the mean product of a pixel and the pixel below it, by row modulo 8, and of a pixel
+    and the pixel to its right, by column modulo 8."""
     found = np.full((2, BLOCK), np.nan)
     if min(deviation.shape) >= 2 * BLOCK:
         lines = zip(found, line_products(deviation), live.pairs_by_line, strict=True)
@@ -55,9 +55,9 @@ def combs(
     whether the coefficients cluster at multiples of q. Return the mean of cos(2 pi c / q) in
     standard errors.
 
-    JPEG rounds each coefficient of a block of 8 x 8 pixels to a multiple of a step from its table.
-    The mean is then 1, or exp(-pi^2 / (6 q^2)) after the pixels are rounded again. For raw frames
-    whose noise exceeds a step the mean is 0.
+    JPEG rounds each coefficient of a block of 8 x 8 pixels to a multiple of a step q from its
+    table. The mean of cos(2 pi c / q) is then 1, or exp(-pi^2 / (6 q^2)) after the pixels are
+    rounded again. For raw frames whose noise exceeds a step, the mean is 0.
     """
     found = np.full((len(STEPS), BLOCK, BLOCK), np.nan)
     own = frame[-corner[0] % BLOCK :, -corner[1] % BLOCK :]
@@ -228,8 +228,9 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
 
 
 def tone_curve(measurement: PhotonTransfer) -> float | None:
-    """Return the exponent of a tone curve, by which the signal is a power of the light. None if the
-    signal is linear, or if its variance grows in proportion to it.
+    """Return the exponent of a tone curve, that is, of the power of the light to which the signal
+    is proportional. Return None if the signal is linear in the light, or if the variance grows in
+    proportion to the signal.
 
     Wrongly stated light bends the signal too, but then the variance stays proportional to the
     signal.

@@ -53,9 +53,9 @@ def read_photon_transfer(
     table.
 
     Args:
-        path: a rig, its folder or file, or a table of sums with the suffix `.csv`.
-        bits: ADC bits of a table's camera; None for those of the rig, or to infer them where the
-            table saturates.
+        path: a rig, the folder or file of a rig, or a table of sums with the suffix `.csv`.
+        bits: ADC bits of the camera of a table. None to use the bits that the rig states, or to
+            infer them from saturated levels of the table.
         channel: site of a rig's Bayer mosaic; empty for the first green site.
 
     Returns:
@@ -80,11 +80,11 @@ def read_photon_transfer(
 
 @dataclass(frozen=True)
 class Reduced:
-    """A rig's photon transfer measurement, with the names of its frames and a function that reads
-    them again.
+    """A rig's photon transfer measurement, with the names of the frames and a function that reads
+    the frames again.
 
     Attributes:
-        measurement: before its checks.
+        measurement: the measurement, before the checks that may refuse it.
         flats: names of the used frames, by bright level.
         darks: names of the used frames, by dark level.
         plane: function from a frame's name to its (h, w) DN.
@@ -103,7 +103,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # threads wait longer than they compute
 def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Reduced:
-    """Like `reduce_rig`, with the names of the used frames."""
+    """Compute the statistics as `reduce_rig` does, and also return the names of the used frames."""
     require(rig, "photon transfer")
     require_one_setting(rig, "read them with fitting.noise.read_by_setting")
     rig, odd, remarks = _without_odd_heads(rig)
@@ -277,7 +277,8 @@ def _dead_in_words(rig: Rig, dead: DeadPixels, channel: str) -> str:
 
 
 def _full_scale(stated: float, converter: Converter) -> float:
-    """Return the largest code of the ADC, DN, from the rig or, if frames clip lower, from these."""
+    """Return the largest code of the ADC, DN, from the rig or, if frames clip at a lower code, from
+    these frames."""
     top = stated if converter.clips_at is None else min(stated, converter.clips_at)
     step, origin = converter.step, converter.origin
     return origin + step * float(np.floor((top - origin) / step + 1e-6)) if step else top
@@ -298,8 +299,8 @@ def _pooled(darks: Sequence[Dark]) -> list[Dark]:
 
 
 def _light(rig: Rig, flat: Flat) -> float | None:
-    """Return the photons per pixel of a flat, from its irradiance if only that is stated; None if
-    neither is."""
+    """Return the photons per pixel of a flat: the number stated in the rig, or the number computed
+    from the stated irradiance. Return None if the rig states neither."""
     if flat.photons is not None or flat.irradiance is None:
         return flat.photons
     camera = rig.camera
@@ -314,8 +315,8 @@ def _light(rig: Rig, flat: Flat) -> float | None:
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[OddFrames]], list[str]]:
-    """Return the rig without the frames whose metadata contradict it, the flats and darks that were
-    dropped, and remarks."""
+    """Return the rig without the frames whose metadata contradict the rig, the dropped flats and
+    darks, and remarks."""
     entries = {"flat": rig.flat, "dark": rig.dark}
     stated = [
         Stated(name, rig.path(name), entry.exposure, group)
@@ -349,7 +350,7 @@ def _reduced(
     dark: Levels | None = None,
 ) -> tuple[Levels, list[tuple[FrameSample, ...]], Codes]:
     """Compute the statistics of each level, without frames that deviate. Also return a summary of
-    each used frame, and counts of the codes. `odd` has the frames dropped before."""
+    each used frame, and counts of the codes. `odd` names the frames that were dropped before."""
     rig, gone, codes = source.rig, list(odd), Codes()
     count = sum(len(entry.files) for entry in entries)
     times = np.array([entry.exposure for entry in entries])

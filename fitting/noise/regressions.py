@@ -1,10 +1,10 @@
 """Least-squares lines over levels, sampling errors, chi-square tests, and intervals of variances.
 
-A variance may be the sum of parts, some known from few degrees of freedom. Part i (of pixels, rows
-or columns) has the variance V_i, whose estimate has a chi-square distribution with nu_i degrees of
-freedom; for w columns nu_i is w - 1. For small nu_i, intervals that are symmetric in the logarithm
-or the square root are wrong. With V = sum V_i and a standard error sigma from temporal noise, the
-quantile at probability p is
+A variance may be the sum of parts, some of which are estimated with few degrees of freedom. Part i
+(of pixels, rows or columns) has the variance V_i, whose estimate has a chi-square distribution with
+nu_i degrees of freedom. For w columns, nu_i is w - 1. For small nu_i, intervals that are symmetric
+in the logarithm or the square root are wrong. Let V be the sum of the V_i, and sigma the standard
+error of V from temporal noise. The quantile of the variance at probability p is
 
     V + sqrt(S) for p > 1/2,    V - sqrt(S) for p < 1/2,
     S = sum (nu_i / q_i - 1)^2 V_i^2 + z^2 sigma^2,
@@ -52,8 +52,8 @@ def surprise(chi2: Array, degrees: Array) -> Array:
 
 @jax.jit
 def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
-    """Return chi-square of points about their weighted least-squares line (about their mean if all
-    have the same x), and its degrees of freedom."""
+    """Return the chi-square of points about their weighted least-squares line (about their mean if
+    all points have the same x), and the degrees of freedom."""
     weights = 1 / variances
     one_place = jnp.all(x == x[0])
     mean = jnp.sum(weights * y) / jnp.sum(weights)
@@ -126,8 +126,8 @@ def sampling_variance(parts: Sequence[Part]) -> float:
 def deviation_quantiles(
     variance: float, noise: float, parts: Sequence[Part], *, relative: float = 0.0
 ) -> Float[np.ndarray, "5"]:
-    """Return the ends of the 95 % and 68 % intervals of a standard deviation and its median, in
-    ascending order.
+    """Return five quantiles of a standard deviation in ascending order: the ends of its 95 % and 68
+    % intervals, and its median.
 
     Example:
         >>> from fitting.noise.regressions import Part, deviation_quantiles

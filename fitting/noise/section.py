@@ -1,4 +1,5 @@
-"""The report of a noise calibration: the figures of the sheet, findings and pictures."""
+"""The report section of a noise calibration: the figures of the EMVA 1288 data sheet, findings, and
+plots."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -123,7 +124,7 @@ def sections_of_sites(
 
 
 def _operating_point(calibration: NoiseCalibration) -> str:
-    """Describe the operating point, which the standard requires with every sheet."""
+    """Describe the camera's operating point, which the standard requires with every data sheet."""
     measurement = calibration.measurement
     bright, dark = measurement.bright, measurement.dark
     shortest, longest = (f"{1e3 * float(end(bright.exposure)):.3g}" for end in (np.min, np.max))
@@ -139,7 +140,8 @@ def _operating_point(calibration: NoiseCalibration) -> str:
 
 
 def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
-    """Return the figures of the sheet by both methods, then the likelihood's own parameters."""
+    """Return the figures of the data sheet by both methods (regressions and likelihood), then the
+    parameters that only the likelihood has."""
     by_likelihood = {estimate.name: estimate for estimate in calibration.sheet}
     floored = is_floored(calibration.measurement, calibration.within)
     values, errors = calibration.standard.values, calibration.standard.errors
@@ -172,8 +174,8 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
 
 
 def _without_doubted(calibration: NoiseCalibration, listed: Sequence[Estimate]) -> list[Estimate]:
-    """Return the figures, with the reason in place of those that contradictory or processed frames
-    do not determine."""
+    """Return the figures. If contradictory or processed frames do not determine a figure, the
+    reason replaces its value."""
     doubts = calibration.measurement.doubts
     why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
     if processing(calibration):

@@ -1,4 +1,5 @@
-"""Conversion of a calibration to a sensor for predictions: its best fit and posterior draws."""
+"""Conversion of a calibration to two sensors for predictions: the best fit, and a sensor with
+posterior draws."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -41,10 +42,10 @@ def ends_at_full_scale(calibration: NoiseCalibration) -> bool:
 
 def full_well(calibration: NoiseCalibration) -> tuple[float, float] | None:
     """Return the full well times the gain at zero signal, DN, and its standard error, from levels
-    at which wells fill; None if there are none.
+    at which wells fill; None if there are no such levels.
 
     At mu expected electrons and a full well W, the mean is E[min(N, W)], with N Gaussian of mean
-    and variance mu. This is solved for W.
+    and variance mu. This equation is solved for W.
     """
     if calibration.within.saturation is None or ends_at_full_scale(calibration):
         return None
@@ -115,8 +116,8 @@ def best_and_draws(every: Sensor) -> tuple[Sensor, Sensor]:
 
 
 class Numbers(eqx.Module):
-    """The parameters of a calibrated camera, one row for the best estimate and then one for each
-    draw."""
+    """The parameters of a calibrated camera. The first row is the best estimate, each further row a
+    posterior draw."""
 
     about: "About"  # the part that all draws share
     natural: Float[np.ndarray, "draws parameters"]  # values of the likelihood's parameters
@@ -180,9 +181,9 @@ def drawn_numbers(
 
 
 def bits_of(full_scale: float, converter: Converter) -> float:
-    """Return the number of bits of a converter whose largest number is known. It is rounded up,
-    because a step that was scaled in the file is known to few digits, and the range may end before
-    the last code."""
+    """Return the number of bits of a converter whose largest number is known. The number of bits is
+    rounded up, because a step that was scaled in the file is known to few digits, and because the
+    range may end before the last code."""
     return float(
         np.ceil(np.log2((full_scale - converter.origin) / (converter.step or 1.0) + 1) - WHOLE)
     )
@@ -190,7 +191,8 @@ def bits_of(full_scale: float, converter: Converter) -> float:
 
 @compiled_briefly
 def sensors_of(numbers: Numbers) -> Sensor:
-    """Make sensors with a leading axis at every field, for the best estimate and then each draw."""
+    """Make a sensor with a leading axis at every number, for the best estimate and then each
+    draw."""
     return eqx.filter_vmap(lambda natural, beside: _sensor(numbers.about, natural, beside))(
         numbers.natural, numbers.beside
     )
@@ -198,7 +200,7 @@ def sensors_of(numbers: Numbers) -> Sensor:
 
 @double_precision
 def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
-    """Write the sensor of a calibration, and its posterior draws to a second file."""
+    """Write the sensor of a calibration to a file, and its posterior draws to a second file."""
     best, draws = fitted_sensor(calibration)
     about = "Fitted by photon transfer; light is photons per pixel and second."
     write_sensor(
@@ -217,7 +219,7 @@ def codes_in_words(converter: Converter) -> str:
 def mode_without(
     calibration: NoiseCalibration, left_out: Bool[np.ndarray, " levels"]
 ) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, "parameters parameters"]]:
-    """Fit the same model without some levels; return its optimum and covariance."""
+    """Fit the same model without some levels; return the optimum of the fit and its covariance."""
     chosen = calibration.chosen
     optimum = fitted_without(chosen, left_out)
     return optimum.vector, chosen.inflation * np.linalg.inv(optimum.information)
@@ -227,13 +229,13 @@ def _beside_the_likelihood(
     calibration: NoiseCalibration, count: int, asked: frozenset[str]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
     """Return the sensor's parameters that are not in the likelihood, by field name: the best
-    estimate, then draws. They are variances in DN^2, so that each draw's own gain converts them.
-    PRNU^2 is relative, and the full well is in DN."""
+    estimate, then draws. These parameters are variances in DN^2, which the gain of each draw
+    converts to electrons, except PRNU^2, which is relative, and the full well, which is in DN."""
     rng, found = np.random.default_rng(calibration.posterior.seed), {}
 
     def add(name: str, variance: float, degrees: float, noise: float = 0.0) -> None:
-        """Add a variance and its draws, from its degrees of freedom and the noise of its
-        estimate."""
+        """Add a variance and draws of it, which follow from the degrees of freedom and the noise of
+        its estimate."""
         drawn = variance * degrees / rng.chisquare(degrees, count)
         drawn = np.maximum(drawn + noise * rng.standard_normal(count), 0.0)
         found[name] = np.concatenate([[max(variance, 0.0)], drawn])
@@ -338,8 +340,8 @@ def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str,
 
 
 def _compression(values: dict[str, Array], top: Array | np.ndarray) -> Compression | None:
-    """Return the response curve of the chosen model as a field of a sensor; None if it is
-    linear."""
+    """Return the response curve of the chosen model as a field of a `Sensor`; None if the response
+    is linear."""
     if "compression" not in values:
         return None
     electrons = top / values["system_gain"]

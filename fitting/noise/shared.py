@@ -1,15 +1,15 @@
 """Noise that the pixels of a row, of a column or of a whole frame share.
 
 An amplifier or voltage reference of a row adds the same noise to all pixels of the row. For frames
-of h rows and w columns, the temporal variance of row means exceeds that of the frame's mean by
+of h rows and w columns, the temporal variance of a row's mean about the frame's mean is
 
     V_row = sigma_row^2 + (sigma^2 - sigma_row^2) / w
 
-times (h - 1) / h, with sigma^2 the temporal variance of a pixel and sigma_row^2 the part that its
-row shares. The same holds for columns. Shared noise is part of sigma^2, and so of the read noise,
-but is not independent between pixels. Therefore the sampling variance of sigma^2 is at least that
-from sigma_row^4 / h. Fixed differences between rows or columns appear in the average frame in the
-same way.
+times (h - 1) / h, with sigma^2 the temporal variance of a pixel and sigma_row^2 the part that all
+pixels of its row share. The same holds for columns. Shared noise is part of sigma^2, and so of the
+read noise, but is not independent between pixels. Therefore the sampling variance of sigma^2 cannot
+fall below a multiple of sigma_row^4 / h, however many columns a frame has. Fixed differences
+between rows or columns affect the means of the average frame in the same way.
 """
 
 from dataclasses import dataclass
@@ -82,8 +82,8 @@ def temporal_lines(levels: Levels, axis: int) -> Found:
 def extra_lines(
     bright: Levels, dark: Levels, usable: Int[np.ndarray, " usable"], axis: int
 ) -> Found:
-    """Estimate the temporal noise that rows (axis 0) or columns (axis 1) share in the usable flats
-    beyond that in the darks."""
+    """Estimate the temporal noise that rows (axis 0) or columns (axis 1) share in the usable flats,
+    in excess of such noise in the darks."""
     unlit = temporal_lines(dark, axis)
     if bright.shared is None or not unlit.error:
         return NOTHING
@@ -106,8 +106,8 @@ def extra_lines(
 
 
 def believed_lines(levels: Levels) -> list[tuple[float, float]]:
-    """Return (shared temporal variance in DN^2, number of lines) for rows and for columns, where it
-    is significant."""
+    """Return (shared temporal variance in DN^2, number of lines) for rows and for columns, without
+    those whose shared variance is not significant."""
     if levels.shared is None:
         return []
     found = [temporal_lines(levels, axis) for axis in (0, 1)]
@@ -116,8 +116,8 @@ def believed_lines(levels: Levels) -> list[tuple[float, float]]:
 
 
 def shared_noise(levels: Levels) -> SharedNoise | None:
-    """Return the sampling errors that significant noise of rows, columns or frames adds; None if
-    there is no such noise."""
+    """Return the sampling errors that significant shared noise of rows, columns or frames adds;
+    None if there is no such noise."""
     lines, wander = believed_lines(levels), drift(levels)
     if not lines and not wander.believed:
         return None
@@ -151,12 +151,15 @@ def one_pattern(
     frames: np.ndarray,
     lines: float,
 ) -> Found:
-    """Estimate the fixed variance between rows (or columns) that is the same at all levels.
+    """Estimate the variance between rows (or columns) that is fixed, that is, the same in all
+    frames and at all levels.
 
-    The fixed pattern of single pixels contributes the variance a to a line's mean. Because it is
-    the same at all levels, more levels do not average it out. Temporal noise contributes the
-    variance b of a mean over L frames, which is independent at each level and is subtracted as
-    measured. With weights w of the levels, the standard error is
+    The `values` are estimates of this variance at each level, from which the expected contributions
+    of single pixels were subtracted. The fixed pattern of single pixels contributes the variance a,
+    `own`, to the mean of a row. This contribution is the same at all levels, so more levels do not
+    reduce its scatter. Temporal noise of an average over L frames contributes the variance b,
+    `passing`, which is independent at each level. With the weight w of each level and sums over the
+    levels, the standard error of the weighted mean is
 
         sqrt(2 / (lines - 1) (a^2 + 2 a sum w^2 b + sum w^2 b^2 L / (L - 1)))
     """
@@ -178,7 +181,7 @@ def one_pattern(
 
 
 def drift(levels: Levels) -> Found:
-    """Estimate the variance of the frames' means beyond pixel, row and column noise, from all
+    """Estimate the variance of the frames' means in excess of pixel, row and column noise, from all
     levels together."""
     if levels.shared is None:
         return NOTHING
@@ -193,10 +196,10 @@ def drift(levels: Levels) -> Found:
 def _pooled(
     values: np.ndarray, expected: np.ndarray, degrees: np.ndarray, beneath: np.ndarray
 ) -> Found:
-    """Return the weighted mean of the excess variances `values` over those expected from
-    independent pixels. The weight of a level is its degrees of freedom over its expected value, as
-    in the F-test, so that a significant excess is positive. Levels whose frames are identical have
-    no weight.
+    """Return the weighted mean over levels of `values`, the variances in excess of those expected
+    from independent pixels. The weight of a level is its degrees of freedom over its expected
+    variance, as in the F-test, so that a significant excess is positive. Levels whose frames are
+    identical have no weight.
     """
     known = expected > 0
     if not known.any():

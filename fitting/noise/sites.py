@@ -1,15 +1,16 @@
 """One sensor for a camera of several amplifier taps or mosaic sites, from a separate calibration of
 each.
 
-Tap i has its own gain, black level, efficiency, read noise and PRNU, the vector o_i. The vector s
-contains the properties that all taps share: dark current, light offset, response curve,
-brighter-fatter effect and mixing. From the separate estimates s_i with covariances S_i,
+The vector o_i contains the properties of tap i alone: gain, black level, efficiency, read noise and
+PRNU. The vector s contains the properties that all taps share: dark current, light offset, response
+curve, brighter-fatter effect and mixing. The separate calibration of tap i gives the estimates o_i
+and s_i, where s_i has the covariance S_i. Together they give
 
     s = (sum S_i^-1)^-1 sum S_i^-1 s_i          o_i' = o_i + C_i S_i^-1 (s - s_i)
 
-where C_i is the covariance of o_i with s_i. This is the Gaussian posterior of all taps, conditional
-on a common s. Because it is linear, it converts draws of the separate posteriors to draws of the
-joint one.
+where C_i is the covariance of o_i with s_i, and o_i' is the updated o_i. This is the Gaussian
+posterior of all taps, conditional on a common s. Because the equations are linear, they also
+convert draws of the separate posteriors to draws of the joint posterior.
 """
 
 import re
@@ -60,7 +61,7 @@ class SensorOfSites:
 
     Attributes:
         best: the best fit.
-        draws: the same sensor with a leading axis of draws at every number.
+        draws: the sensor `best` with a leading axis of draws at every number.
         findings: sentences on quantities that should be equal for all sites but differ.
     """
 
@@ -74,7 +75,7 @@ def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera
     """Combine the separate calibrations of a camera's sites to one sensor.
 
     Args:
-        calibrations: by the name of the site or tap.
+        calibrations: the calibration of each site or tap, by name.
         camera: its `taps` and `pattern` define the sites.
 
     Returns:
@@ -149,15 +150,16 @@ def joined_sensors(
 def write_sensor_of_sites(
     calibrations: Mapping[str, NoiseCalibration], camera: Camera, path: Path
 ) -> None:
-    """Write one sensor for all sites, and its posterior draws to a second file."""
+    """Write one sensor for all sites to a file, and its posterior draws to a second file."""
     found = sensor_of_sites(calibrations, camera)
     about = f"Fitted by photon transfer; taps are {', '.join(camera.sites)}; light is photons per "
     write_sensor(found.best, path, draws=found.draws, about=about + "pixel and second.")
 
 
 def camera_of_taps(taps: Taps) -> Camera | None:
-    """Return the `Camera` whose `pattern` and `taps` state a sensor's taps in a rig; its `sites`
-    are the names of the taps in reading order. None if no rig can state them."""
+    """Return the `Camera` whose `pattern` and `taps` state the taps of a sensor as in a rig, with
+    the names of the taps in reading order as its `sites`. Return None if no rig can state these
+    taps."""
     tile = np.asarray(taps.pattern)
     known: dict[str, Any] = {} if taps.names else {"taps": tile.shape}
     if taps.names is not None:
@@ -189,9 +191,10 @@ def stated_in_words(camera: Camera) -> str:
 
 
 def tap_of(taps: Taps, site: str, pattern: str | None) -> int | None:
-    """Return the index of the tap that reads a mosaic site of some frames. It has the name of the
-    site or, in a mosaic of another phase, the same colour. The two green sites differ in the colour
-    of their row. Return None if the names do not determine the tap."""
+    """Return the index of the tap that reads a mosaic site of some frames. This tap has the name of
+    the site or, in a mosaic of another phase, the colour of the site. The two green sites are
+    distinguished by the red or blue pixels of their row. Return None if the names do not determine
+    the tap."""
     camera = camera_of_taps(taps)
     if camera is None or (camera.pattern is None) != (pattern is None):
         return None
@@ -205,8 +208,8 @@ def tap_of(taps: Taps, site: str, pattern: str | None) -> int | None:
 
 
 def of_tap(sensor: Sensor, tap: int) -> Sensor:
-    """Return the sensor of one tap. If the sensor has no quantum efficiency, its light is in
-    electrons of this tap."""
+    """Return the sensor of one tap. If the sensor has no quantum efficiency, the unit of its light
+    is an electron of this tap."""
     taps = sensor.taps
     if taps is None:
         return sensor
@@ -285,8 +288,8 @@ def _inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 
 
 def _scaled(numbers: Numbers, name: str) -> Float[np.ndarray, " draws"]:
-    """Return a parameter in a unit that is common to all taps: per electron if its effect grows
-    with the charge."""
+    """Return a parameter in a unit that is common to all taps. A parameter whose effect grows with
+    the charge is given per electron."""
     per_charge = (numbers.of("system_gain") / numbers.top) ** COMMON.get(name, ("", 0))[1]
     return numbers.of(name) * per_charge
 
@@ -312,8 +315,8 @@ def _unequal(
 
 
 def _with_one_beside(each: Sequence[Numbers]) -> list[Numbers]:
-    """Replace noise of rows, columns and frames, DSNU and full well of each tap by their means over
-    all taps, in electrons."""
+    """Replace five properties of each tap by their means over all taps, in electrons: the noise of
+    rows, of columns and of frames, DSNU and full well."""
     gains = [one.of("system_gain") for one in each]
     for name in {name for one in each for name in one.beside} - {"prnu"}:
         power = {"full_well": 1, "column_prnu": 0}.get(name, 2)
@@ -335,8 +338,8 @@ def _joined(
     widest: int,
     camera: Camera,
 ) -> Sensor:
-    """Make one sensor with taps for each draw. If photons are unknown, `rates` of signal per light
-    take the place of efficiencies."""
+    """Make, for each draw, one sensor with taps from the sensors of all taps. If photons are
+    unknown, `rates`, the signal per unit of light of each tap, replace the efficiencies."""
 
     def one(each: tuple[Sensor, ...], rate: Array | None) -> Sensor:
         own = {}

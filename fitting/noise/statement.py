@@ -3,13 +3,13 @@ model needs.
 
 The first model is a linear camera with pixel noise, and with noise of rows, columns or frames if
 the darks show it. Further effects are tried if this model fails (p < 0.1 %), or if nearest
-neighbours covary, which the chi-square of means and variances need not show. Effects that the darks
-alone show (a drifting black level, or excess scatter of the variances) are always included then.
-The candidates are random errors of the light, a compression of one or two terms, a light offset,
-the brighter-fatter effect, linear mixing, and a black level that drifts from level to level. A
-candidate is kept if its squared Wald ratio exceeds the logarithm of the number of observations
-(Schwarz' criterion, BIC) and if such a ratio occurs by chance in fewer than one of a hundred
-cameras (`inference.candidates`).
+neighbours covary, which the chi-square of means and variances may not reveal. In both cases,
+effects that are evident in the darks alone (a drifting black level, or excess scatter of the
+variances) are always included. The candidates are random errors of the light, a compression of one
+or two terms, a light offset, the brighter-fatter effect, linear mixing, and a black level that
+drifts from level to level. A candidate is kept if its squared Wald ratio exceeds the logarithm of
+the number of observations (Schwarz' criterion, BIC) and if such a ratio occurs by chance in fewer
+than one of a hundred cameras (`inference.candidates`).
 """
 
 from collections.abc import Sequence
@@ -132,7 +132,8 @@ def noise_data(
 def stated(
     space: ParameterSpace, inputs: NoiseData, rows: Rows, *, candidates: Sequence[Candidate] = ()
 ) -> Problem:
-    """Make the problem of a camera with these parameters, and with candidates for further ones."""
+    """Make the problem of a camera with these parameters, and with the parameters of candidate
+    effects."""
     free = {one.name: one for one in space} | {one.name: one for one in candidates}
     return Problem(free, predict, LevelStatistics(), rows, inputs=inputs)
 
@@ -140,7 +141,7 @@ def stated(
 def restated(
     problem: Problem, space: ParameterSpace, *, candidates: Sequence[Candidate] = ()
 ) -> Problem:
-    """Make a problem of the same data with other parameters."""
+    """Make a problem with the same data and other parameters."""
     assert problem.present is not None  # darks have no T
     rows = jnp.where(problem.present, problem.data, jnp.nan)
     return stated(space, problem.inputs, rows, candidates=candidates)
@@ -258,8 +259,9 @@ def start_vector(problem: Problem, standard: Sheet) -> Float[Array, " p"]:
 @eqx.filter_jit
 def _best_start(problem: Problem, start: Array) -> Array:
     """Return the most likely of several starting points, which differ in read noise and black
-    level. Darks that are clipped or narrower than a code fit both a large read noise with the black
-    level in the middle of a code and a small one with it near an edge."""
+    level. If darks are clipped, or have less noise than a code, two explanations fit them: a large
+    read noise with the black level in the middle of a code, and a small read noise with the black
+    level near the edge of a code."""
     labels, data = names(problem.space), problem.inputs
     largest = 2 * jnp.sqrt(jnp.max(jnp.where(data.lit == 0, problem.data[:, 1], 0)))
     shares = jnp.linspace(0, 1, START_NOISES, dtype=start.dtype)
@@ -286,8 +288,8 @@ def fitted(
     without: Sequence[str] = (),
     near: LikelihoodFit | None = None,
 ) -> LikelihoodFit:
-    """Fit one model, without the candidates `without`, and compute its chi-square. The search
-    starts at the optimum of the fit `near` if given."""
+    """Fit one model, without the candidates `without`, and compute its chi-square. If a fit `near`
+    is given, the search starts at its optimum."""
     start = np.array(start_vector(problem, standard))
     if near is not None:
         start[np.isin(names(problem.space), names(near.space))] = near.optimum.vector
@@ -457,9 +459,10 @@ def _drifting_lamp(
     standard: Sheet,
     sharing: bool,
 ) -> LikelihoodFit:
-    """The better of a model and one whose light drifts over the series instead of a curved
-    response. Both bend the means, but only a curved response changes the variance at a signal.
-    Where the data do not decide, both effects are fitted, and the errors include the choice."""
+    """Return the better of two models: the given model, and a model in which the light drifts over
+    the series instead of a curved response. Both effects bend the means over the light, but only a
+    curved response changes the variance at a given signal. If the data do not favour one model,
+    both effects are fitted, so that the errors include the uncertainty of the choice."""
     bends = COMPRESSION in chosen.space
     if int(jnp.sum(chosen.data.lit)) < FEWEST_DRIFTING or not (
         bends or LIGHT_OFFSET in chosen.space or LIGHT_SCATTER in chosen.space
@@ -484,8 +487,8 @@ def _drifting_lamp(
 def _reduced(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFit:
     """Drop candidates that fail the criterion, the weakest first, and fit again each time. If
     nearest neighbours covary significantly (`sharing`), the stronger of mixing and brighter-fatter
-    effect is kept, however uncertain its size. Without either, the gain would be wrong by more than
-    its error."""
+    effect stays in the model, however uncertain its size. Without both effects, the gain would be
+    wrong by more than its error."""
     while True:
         there = [one for one in fit.problem.candidates if one.name not in fit.without]
         forms = [one for one in there if one.parameter in SHARING]
@@ -502,11 +505,11 @@ def _reduced(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFi
 
 def _price(fit: LikelihoodFit, candidate: Candidate, sharing: bool) -> float:
     """Return the squared Wald ratio that a candidate must exceed. Mixing or repulsion of neighbours
-    shifts the gain by as many standard errors as its own Wald ratio, so its threshold is high.
-    Chance exceeds that threshold in one of a thousand cameras, or in one of twenty if nearest
-    neighbours covary significantly. If the light of m levels scatters about a curve of q terms, the
-    scatter is underestimated by (m - q) / m and uncertain, so a term of the curve must pass
-    Fisher's F test."""
+    shifts the gain by as many standard errors as its own Wald ratio, so the threshold for these two
+    effects is high. Chance exceeds this threshold in one of a thousand cameras, or in one of twenty
+    if nearest neighbours covary significantly. If the light of m levels scatters about a curve of q
+    terms, the fitted variance of the scatter is uncertain, and too small by the factor (m - q) / m.
+    Therefore a term of the curve must pass Fisher's F test."""
     count, scatter = float(observations(fit.problem)), None
     if sharing and candidate.parameter in SHARING:
         count = 1.0

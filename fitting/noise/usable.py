@@ -1,4 +1,4 @@
-"""Checks that refuse a measurement in which no photon transfer can be seen."""
+"""Checks that refuse a measurement from which no gain can be determined."""
 
 from pathlib import Path
 
@@ -19,8 +19,8 @@ MOST_OFF_BLACK = 0.1  # of the least signal: the change of the gain by a smaller
 
 
 def check(file: Path, measurement: PhotonTransfer) -> None:
-    """Raise InputError if a measurement shows no photon transfer. `file` names its source in the
-    message."""
+    """Raise InputError if no gain can be determined from a measurement, for example because it has
+    no visible shot noise. `file` names the source of the measurement in the message."""
     try:
         _check(file, jax.tree.map(np.asarray, measurement))
     except InputError as error:
@@ -132,8 +132,8 @@ def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndar
 def _extrapolated_zero(
     x: np.ndarray, y: np.ndarray, errors: np.ndarray
 ) -> tuple[float, float, float]:
-    """Fit a parabola; return its value and slope at zero, and the standard error of the value from
-    the scatter of y."""
+    """Fit a parabola to y over x. Return the value and slope of the parabola at x = 0, and the
+    standard error of the value, from the scatter of y."""
     design = np.stack([np.ones_like(x), x, x**2], axis=1) / errors[:, None]
     scale = np.sqrt(np.sum(design**2, axis=0))
     found, rest, *_ = np.linalg.lstsq(design / scale, y / errors)

@@ -6,13 +6,13 @@ signal of standard deviation s rounded to whole numbers, the errors of mean and 
     sum_k exp(-2 pi^2 k^2 s^2) / (pi k),    4 sum_k (s^2 + 1 / (2 pi k)^2) exp(-2 pi^2 k^2 s^2)
 
 (Widrow and Kollar, "Quantization Noise", 2008, chapter 4) for any position of the mean between two
-codes. If values below mean - m are clipped, the errors are as follows, with z = m / s, phi the
-normal density and Q its tail probability:
+codes. If black is clipped at a distance m below the mean, the mean has the error a and the variance
+an error with the terms below. Here z = m / s, phi is the normal density and Q its tail probability:
 
     a = s (phi(z) - z Q(z)),    b + 2 m a + a^2,    b = s^2 ((1 + z^2) Q(z) - z phi(z)).
 
-Both errors are systematic and the same in all frames. If they are too small to matter
-(`negligible`), the usual moments are used.
+Errors from rounding and from clipping are systematic and the same in all frames. If both are too
+small to matter (`negligible`), the usual moments are used.
 """
 
 import jax.numpy as jnp
@@ -64,8 +64,8 @@ def usual_moments_error(
 def _in_codes(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[NoiseData, np.ndarray, np.ndarray]:
-    """Return the inputs of a fit to these levels and all darks, with their means and variances in
-    codes."""
+    """Return the inputs of a fit to the bright levels `usable` and to all darks, and the means and
+    variances of these levels, converted from DN to codes of the converter."""
     (data, rows), converter = noise_data(measurement, usable), measurement.converter
     mean, variance = np.asarray(rows)[:, :2].T
     return data, (mean - converter.origin) / converter.step, variance / converter.step**2
@@ -74,8 +74,8 @@ def _in_codes(
 def needed_window(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Window | None, tuple[LeftOut, ...]]:
-    """Return the weights of the exact moments if clipped black or small read noise requires them,
-    else None."""
+    """Return the weights for exact moments if clipped black or small read noise requires exact
+    moments, else None."""
     left_out = LeftOut(NAME, None, 0.0)
     if measurement.converter.step:
         data, mean, variance = _in_codes(measurement, usable)
@@ -118,8 +118,8 @@ def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -
 def offset_data(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> OffsetData | None:
-    """Return the spatial variances of the darks as data of the fit; None if they are unknown or
-    insignificant."""
+    """Return the spatial variances of the darks as data of the fit; None if these variances are
+    unknown or insignificant."""
     dark = measurement.dark
     if dark.spatial_variance is None or measurement.bright.spatial_variance is None:
         return None
@@ -139,8 +139,8 @@ def offset_data(
 def _known_spread(
     measurement: PhotonTransfer, usable: np.ndarray, mean: np.ndarray, lit: np.ndarray
 ) -> np.ndarray:
-    """Return the variance, DN^2, by which pixels shift relative to the grid of codes for other
-    reasons than their offsets: unequal gains, in proportion to the signal, and a black level that
+    """Return the variance, DN^2, of shifts of pixels relative to the grid of codes from two causes
+    other than their offsets: unequal gains, in proportion to the signal, and a black level that
     drifts between frames."""
     response = fitted_pattern(measurement, usable).response
     signal = measurement.converter.step * np.maximum(mean - mean[lit == 0].min(), 0)

@@ -1,17 +1,17 @@
 """Comparison of frames with their prediction by a camera.
 
-`jaxvision` computes the predicted means and variances from the camera alone. Nothing is fitted to
-the compared frames, except that their means determine the rate of the light if photons are unknown.
-Let r be the residuals of one quantity over the levels, N their covariance by the noise of the
-frames, and P their covariance by the uncertainty of the camera (its posterior draws):
+`jaxvision` computes the predicted means and variances from the camera alone. If photons are
+unknown, the rate of the light is fitted to the means of the compared frames; nothing else is fitted
+to these frames. Let r be the residuals of one quantity over n levels, N their covariance by the
+noise of the frames, and P their covariance by the uncertainty of the camera (its posterior draws):
 
     chi-square = r (N + P)^-1 r      levels that the camera was not fitted to
     chi-square = r N^-1 r            levels that it was fitted to, with n - tr min(P N^-1, 1)
                                      degrees of freedom
 
-A calibration fits the sum of the covariances with all neighbours, in which the nearest ones have
-little weight. Covariances of nearest neighbours are therefore compared as if they had not been
-fitted.
+A calibration fits the sum of the covariances with all neighbours, in which the nearest neighbours
+have little weight. Covariances of nearest neighbours are therefore compared as if the calibration
+had not used them.
 """
 
 from dataclasses import dataclass, replace
@@ -84,15 +84,17 @@ class Comparison:
 
     Attributes:
         lit: light and exposure of the levels.
-        levels: statistics of their frames.
+        levels: statistics of the frames of these levels.
         found: prediction of the best estimate of the camera, DN and DN^2.
         noise: (quantities, levels) sampling variance by the frames' own noise.
-        camera: (quantities levels, quantities levels) covariance from the draws of the camera; 0
-            for the data to which the camera was fitted.
-        agreement: by the names of `PARTS`; for means alone if the camera states no noise.
+        camera: (quantities x levels, quantities x levels) covariance from the draws of the camera;
+            0 for the data to which the camera was fitted.
+        agreement: of each quantity with its prediction, by the names of `PARTS`; of means alone if
+            the camera states no noise.
         unscaled: whether the rate of the light was fitted to the means, because the camera or the
             frames state no photons.
-        ended: levels that were left out because the camera predicts them at an end of its scale.
+        ended: levels left out because the camera predicts the first or the last code for all their
+            pixels.
     """
 
     lit: Lit
@@ -138,8 +140,8 @@ def compare(
     light_error: float = 0.0,
     variance_error: float = 0.0,
 ) -> Comparison:
-    """Compare a measurement with its prediction by a camera. If not `noise_known`, only means are
-    compared, with errors from the variances of the frames."""
+    """Compare a measurement with its prediction by a camera. If `noise_known` is false, only means
+    are compared, with errors from the variances of the frames."""
     errors = {"light_error": light_error, "variance_error": variance_error}
     lit, levels = levels_of(measurement, usable, **errors)
     shown = np.ones(lit.lit.size, bool) if shown is None else shown
@@ -219,9 +221,9 @@ def _expected(
 ) -> tuple[
     Expected, Float[np.ndarray, "draws quantities levels"], Float[np.ndarray, "values values"]
 ]:
-    """Return the predictions of the best estimate and of each draw, converted from codes to the
-    numbers in the file, and the covariance that the sampling of pixel offsets adds. If there are no
-    draws, the best estimate is the only one."""
+    """Return the predictions by the best estimate and by each draw of the camera, converted from
+    codes to the numbers in the file. Also return the covariance that the sampling of pixel offsets
+    adds. Without draws, the only prediction is that by the best estimate."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
     of_every = np.asarray(expected(every, lit, neighbours=neighbours))
     values = of_every[0].copy()

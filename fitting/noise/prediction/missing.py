@@ -4,9 +4,10 @@ means, variances and covariances.
 Each candidate adds its signature, times a fitted size, to the prediction of the camera. Random
 scatter of the levels in light, black level or variance is also considered. Because scatter can
 explain any misfit, its sizes (variance components by restricted likelihood) are fitted together
-with each candidate. The merit of a candidate is its additional decrease of -2 log likelihood. The
-best candidate is added, then the next, until the remaining misfit is insignificant or no candidate
-passes the threshold. Scatter that passes the threshold is reported last.
+with each candidate. The merit of a candidate is the additional decrease of -2 log likelihood that
+it gives. The best candidate is added, then the next, until the remaining misfit is insignificant or
+no candidate exceeds the threshold of that decrease. Scatter that exceeds the threshold is reported
+last.
 """
 
 from collections.abc import Callable
@@ -55,7 +56,7 @@ class Candidate(NamedTuple):
         key: the name of the effect, one word.
         shape: change of mean, variance and covariance along rows and along columns for a size of 1;
             None where there is no change. For a scatter, its standard deviation.
-        sentence: names the missing effect, as a clause with the size.
+        sentence: function that names the missing effect with its size, as a clause.
         positive: whether its size must be positive.
     """
 
@@ -66,7 +67,8 @@ class Candidate(NamedTuple):
 
 
 def _shared(neighbours: str) -> Callable[[Size, Expected], str]:
-    """Make the sentence on mixing of neighbouring pixels that the fitted gain did not include."""
+    """Make the function that names mixing of neighbouring pixels which the fitted gain did not
+    include."""
     return lambda a, e: (
         f"{neighbours} {a.in_words(100)} % of the signal's variance (mixing of pixels, by "
         "capacitance between them or by interpolation), by which the camera's gain is then too "
@@ -228,8 +230,8 @@ class Missing:
 
     Attributes:
         key: of the candidate for the effect.
-        clause: names the missing effect, with its size.
-        strength: its significance, in standard errors.
+        clause: a clause that names the missing effect and its size.
+        strength: significance of the effect, in standard errors.
         after: agreement of each quantity when this effect and those before it are included.
     """
 
@@ -346,7 +348,8 @@ class _Fit:
         return replace(found, values=values, rows=rows, columns=columns)
 
     def gain_of_scatter(self, place: int) -> float:
-        """Return the decrease of -2 log likelihood by a scatter, given the chosen effects."""
+        """Return the decrease of -2 log likelihood that a scatter gives, together with the chosen
+        effects."""
         logs = np.where(np.arange(len(SCATTERS)) == place, -np.inf, self._logs)
         return self._unrestricted(self._columns, logs) - self._unrestricted(
             self._columns, self._logs
@@ -391,8 +394,9 @@ class _Fit:
         return self._known + np.diag(np.exp(logs) @ self._squares)
 
     def _searched(self, columns: np.ndarray) -> np.ndarray:
-        """Maximise the restricted likelihood over the scatters, given some effects; return the
-        logarithms of their variances."""
+        """Maximise the restricted likelihood of the residuals over the variances of the three
+        scatters (light, black level, variance), in a regression on `columns`, the signatures of
+        some effects. Return the logarithms of these variances."""
 
         def cost(logs: np.ndarray) -> tuple[float, np.ndarray]:
             covariance = self._covariance(logs)
@@ -419,7 +423,7 @@ class _Fit:
         )
 
     def _sizes(self, columns: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fit the sizes of effects by generalised least squares; return them and their
+        """Fit the sizes of effects by generalised least squares; return the sizes and their
         covariance."""
         unit = np.sqrt(np.sum(columns**2, axis=0))
         scaled = columns / unit

@@ -45,12 +45,13 @@ class Expected:
 
     Attributes:
         values: (quantities, levels) predicted `QUANTITIES`, DN and DN^2.
-        by_light: (quantities, levels) their derivatives by the logarithm of the light.
+        by_light: (quantities, levels) derivatives of `values` with respect to the logarithm of the
+            light.
         electrons: (levels,) mean charge of a pixel.
-        step: (levels,) DN per electron at that charge.
+        step: (levels,) DN per additional electron at the mean charge.
         rows: variance of the noise that the pixels of a row share, new in every frame, DN^2.
-        columns: the same for columns, DN^2.
-        frames: the same for all pixels of a frame, DN^2.
+        columns: variance of the noise that the pixels of a column share, new in every frame, DN^2.
+        frames: variance of the noise that all pixels of a frame share, DN^2.
     """
 
     values: Float[np.ndarray, "quantities levels"]
@@ -68,7 +69,7 @@ class Expected:
 
     @property
     def share(self) -> Float[np.ndarray, " levels"]:
-        """The signal divided by that of the brightest level."""
+        """The signal of each level divided by the signal of the brightest level."""
         return self.signal / max(float(self.signal.max()), 1e-300)
 
     @property
@@ -115,7 +116,7 @@ OfLevels = TypeVar("OfLevels", Lit, Expected, Frames)
 
 
 def at_levels(found: OfLevels, shown: Bool[np.ndarray, " levels"]) -> OfLevels:
-    """Return the record for some of the levels, which are the last axis of every array."""
+    """Return the record for some of the levels. The levels are the last axis of every array."""
     arrays = {k: x for k, x in vars(found).items() if isinstance(x, np.ndarray | Array)}
     return replace(found, **{name: array[..., shown] for name, array in arrays.items()})
 
@@ -232,9 +233,10 @@ def clipped(
     sensor: Sensor, lit: Lit
 ) -> tuple[Float[np.ndarray, "2 levels"], Float[np.ndarray, "values values"]]:
     """Return mean and variance near the ends of the scale, averaged over the pixels' offsets, and
-    the covariance between these of one pixel, without the parts that are linear or quadratic in its
-    offset. That covariance over the number of pixels is the sampling covariance of averages over
-    all pixels, between sensors with equal mean and spread of the offsets."""
+    the covariance between mean and variance over these offsets. The parts of a pixel's mean and
+    variance that are linear or quadratic in its offset do not contribute to this covariance.
+    Divided by the number of pixels, it is the sampling covariance of averages over all pixels,
+    between sensors with equal mean and spread of the offsets."""
     every = (sensor.dsnu, sensor.row_dsnu, sensor.column_dsnu)
     spread = float(np.sqrt(sum(float(x) ** 2 for x in every if x is not None)))
     spread *= 1.0 if sensor.gain is None else float(sensor.gain)
@@ -269,7 +271,7 @@ def noise(levels: Frames, found: Expected) -> Float[np.ndarray, "quantities leve
     """Return the sampling variances of the observed quantities about their expectation.
 
     Args:
-        levels: with their numbers of frames and pixels, and errors from level to level.
+        levels: the levels, with their numbers of frames and pixels, and errors from level to level.
         found: expected statistics.
 
     Returns:

@@ -43,13 +43,13 @@ class Prediction(ShownInNotebooks):
     """The result of a comparison of frames with their prediction by a camera.
 
     Attributes:
-        camera: its name in sentences.
-        comparisons: of the prediction with sets of levels; findings are about the first one.
+        camera: name of the camera in sentences.
+        comparisons: of the prediction with sets of levels; findings are about the first comparison.
         labels: names of the levels of each comparison.
         light_error: relative error of the light of a level.
         variance_error: relative scatter of the variances for unknown reasons.
         missing: known effects that the camera lacks.
-        remarks: sentences on what the camera does not state, and how that was handled.
+        remarks: sentences on numbers that the camera does not state, and how this was handled.
     """
 
     camera: str
@@ -231,7 +231,7 @@ def scatters(calibration: NoiseCalibration) -> dict[str, Any]:
 
 def levels_kept_out(calibration: NoiseCalibration) -> Bool[np.ndarray, " levels"] | None:
     """Return a mask of the levels to hold out: every second bright level, and the darks that only
-    these use. None if there are too few levels."""
+    these bright levels use. Return None if there are too few levels."""
     measurement, chosen = calibration.measurement, calibration.chosen
     bright, darks = len(calibration.usable), measurement.dark.mean.size
     curve = {"compression", "compression_2", "light_offset"} & {*names(chosen.space)}

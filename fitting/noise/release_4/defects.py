@@ -8,6 +8,8 @@ frames:
     q = floor(L (y - y_min) / I)                                                        (74)
     y[q] = y_min + (I - 1) / (2 L) + q I / L                                            (75)
 
+Here y are the pixels of the average, and y_max and y_min their extremes. I is the width of a class
+in units of 1 / L, Q is the number of classes, and q is the class of a pixel, with the centre y[q].
 The accumulated histogram gives, for each deviation, the share of pixels that deviate at least that
 much (77).
 """
@@ -46,9 +48,10 @@ class Outliers(NamedTuple):
 
     Attributes:
         beyond: threshold, in standard deviations.
-        pixels: number of pixels beyond it.
-        interval: (low, high) of their share in the population, 95 % (Clopper and Pearson 1934).
-        expected: share beyond it in a Gaussian.
+        pixels: number of pixels beyond the threshold.
+        interval: (low, high) ends of the 95 % interval of the share of such pixels in the
+            population (Clopper and Pearson 1934).
+        expected: share of a Gaussian distribution beyond the threshold.
     """
 
     beyond: float
@@ -61,8 +64,9 @@ def histogram(image: Float[np.ndarray, "h w"], steps: float) -> Histogram:
     """Compute the standard's two histograms of an average frame.
 
     Args:
-        image: with or without the high-pass filter.
-        steps: number of grid steps of the average per unit of the image: L where that is DN.
+        image: average frame, with or without the high-pass filter.
+        steps: number of grid steps of the average per unit of the image: the number L of frames for
+            an image in DN.
 
     Returns:
         Both histograms.

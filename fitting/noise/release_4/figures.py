@@ -25,7 +25,8 @@ NAMES = {"total": "all pixels", "row": "rows", "col": "columns", "pixel": "pixel
 
 
 def signal_to_noise(sheet: Release4) -> Picture:
-    """Return the figure of *General* (signal-to-noise ratio), drawn when it is requested."""
+    """Return the figure of the *General* sheet (signal-to-noise ratio), as a function that draws
+    it."""
     return Picture(
         "signal_to_noise",
         "Signal to noise ratio without a model",
@@ -37,8 +38,8 @@ def signal_to_noise(sheet: Release4) -> Picture:
 
 
 def pictures_of_images(sheet: Release4) -> tuple[Picture, ...]:
-    """Return the figures of *Linear*, drawn when they are requested; none for a table without
-    images."""
+    """Return the figures of the *Linear* sheet, as functions that draw them; none for a table
+    without images."""
     averages = sheet.stacks.averages
     if averages is None:
         return ()
@@ -156,9 +157,10 @@ def signal_to_noise_figure(sheet: Release4) -> "Figure":
 
 
 def defect_images(averages: Averages) -> tuple[tuple[str, str, np.ndarray, float], ...]:
-    """Return (name, unit, deviations of the pixels, steps of the average per unit) for DSNU, from
-    the dark in DN, and for PRNU, from the bright level minus its dark in per cent of the signal.
-    Images that are large enough are high-passed."""
+    """Return (name, unit, deviations of the pixels, steps of the average per unit) for DSNU and for
+    PRNU. For DSNU, the deviations are those of the dark, DN. For PRNU, they are those of the bright
+    level minus its dark, in per cent of the signal. The high-pass filter is applied to images that
+    are large enough for it."""
     lit, unlit = averages.lit, averages.unlit
     response = lit.image - unlit.image
     signal = float(response.mean())
@@ -174,7 +176,7 @@ def defect_images(averages: Averages) -> tuple[tuple[str, str, np.ndarray, float
 
 
 def histograms_figure(averages: Averages, *, accumulated: bool) -> "Figure":
-    """Draw the histograms of deviations for DSNU and PRNU, or the accumulated ones."""
+    """Draw the histograms, or the accumulated histograms, of deviations for DSNU and PRNU."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=SIZE, layout="constrained")
@@ -197,8 +199,8 @@ def histograms_figure(averages: Averages, *, accumulated: bool) -> "Figure":
 
 
 def spectrograms_figure(averages: Averages) -> "Figure":
-    """Draw amplitudes over spatial frequency, with DSNU above PRNU, and the horizontal direction
-    left of the vertical."""
+    """Draw amplitudes over spatial frequency, in four panels: DSNU in the upper row and PRNU in the
+    lower row, the horizontal direction on the left and the vertical on the right."""
     from matplotlib.figure import Figure
 
     lit, unlit = averages.lit, averages.unlit

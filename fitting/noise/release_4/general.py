@@ -8,9 +8,10 @@ With mu_y - mu_y.dark the response, R its slope at the light mu_p, and sigma_y t
     efficiency    eta >= SNR_p^2 / mu_p, since no SNR_p exceeds the square root of the electrons
     threshold     the light of SNR_p = 1;   dynamic range   saturation / threshold
 
-A nonlinear response (gamma, several slopes, companding) affects SNR_y but not SNR_p. The slope R is
-that of a parabola fitted to the five levels nearest in light, including zero light. Below the
-faintest level of SNR_y >= 1, response and variance are lines from the dark to that level.
+A nonlinear response (gamma, several slopes, companding) affects SNR_y but not SNR_p. The slope R at
+a level is that of a parabola fitted to the five levels nearest in light, including zero light.
+Below the faintest level with SNR_y >= 1, response and variance are interpolated linearly between
+the dark and that level.
 
 Intervals come from random draws of means and variances with their sampling errors.
 """

@@ -2,9 +2,10 @@
 
 Each of the M rows, of N pixels, is transformed by a discrete Fourier transform divided by sqrt(N).
 The horizontal spectrogram is the squared magnitude, averaged over the rows. For independent pixels
-of spatial variance s^2 and temporal variance sigma^2 in L frames, its expectation is s^2 + sigma^2
-/ L at every frequency. It is distributed as the mean of M chi-square variables with two degrees of
-freedom.
+of spatial variance s^2 and temporal variance sigma^2 in L frames, the expectation of the
+spectrogram is s^2 + sigma^2 / L at every frequency. In units of its expectation, the spectrogram at
+a frequency is distributed as the mean of M chi-square variables with two degrees of freedom,
+divided by 2.
 """
 
 from typing import NamedTuple
@@ -22,8 +23,9 @@ class Spectrogram(NamedTuple):
     Attributes:
         cycles: (frequencies,) frequency, cycles per pixel, 0 to 1/2.
         power: (frequencies,) power at each frequency, DN^2.
-        white: median power, DN^2; the level of noise that is independent between pixels.
-        band: (low, high) of the power of such noise, 95 % at each frequency.
+        white: median power, DN^2, as an estimate of the power of noise that is independent between
+            pixels.
+        band: (low, high) limits of the power of independent noise, 95 % at each frequency.
     """
 
     cycles: Float[np.ndarray, " frequencies"]

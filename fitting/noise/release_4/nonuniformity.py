@@ -1,22 +1,25 @@
-"""The parts of rows, columns and pixels in the spatial variance of an average frame, with
-intervals.
+"""Division of the spatial variance of an average frame into parts from rows, from columns and from
+single pixels, with intervals.
 
-For an average over L frames of M rows and N columns, with sigma^2 the temporal variance of a pixel,
+Let y be the average over L frames of M rows and N columns, mu the mean of y, and sigma^2 the
+temporal variance of a pixel. The numbers in brackets are those of the standard's equations:
 
-    s^2_y   = mean of (y - mu)^2 - sigma^2 / L               (36), all pixels
-    s^2_cav = mean of (column mean - mu)^2 - sigma^2 / (L M)  (41)
-    s^2_rav = mean of (row mean - mu)^2 - sigma^2 / (L N)     (41)
-    s^2_y = row + col + pixel,  s^2_cav = col + pixel / M,  s^2_rav = row + pixel / N     (42)
+    s^2_y   = mean of (y - mu)^2 - sigma^2 / L               (36), all pixels s^2_cav = mean of
+    (column mean - mu)^2 - sigma^2 / (L M)  (41) s^2_rav = mean of (row mean - mu)^2 - sigma^2 / (L
+    N)     (41) s^2_y = row + col + pixel, s^2_cav = col + pixel / M, s^2_rav = row + pixel / N (42)
 
-The high-pass of clause 8.1 subtracts from each pixel a mean over 7 x 7, then 11 x 11 pixels, then a
-binomial 3 x 3 mean. The borders of the frame, where a window is incomplete, are not used.
+The variances row, col and pixel are the three parts. The high-pass filter of clause 8.1 subtracts a
+smoothed frame from the frame. The smoothing is a mean over 7 x 7 pixels, then one over 11 x 11
+pixels, then a binomial mean over 3 x 3 pixels. The borders of the frame, where a window is
+incomplete, are not used.
 
 The intervals are for the population of pixels, rows and columns, of which this sensor is a sample.
-For rows, for columns and for pixels, the 2 x 2 mean squares of the dark and the bright average have
-a Wishart distribution. Covariances are drawn from the inverse Wishart distribution, and every
-figure is computed from each draw. Dark and bright average are drawn together, because the dark
-pattern is part of both. The number of degrees of freedom is reduced, because filtered lines and
-pixels are correlated and pixels may have heavier tails than a Gaussian.
+The average of dark frames and the average of bright frames share the dark pattern, so their
+variances are drawn together. For rows, for columns and for pixels, the 2 x 2 matrix of mean squares
+and products of the two averages has a Wishart distribution. Therefore 2 x 2 covariances are drawn
+from the inverse Wishart distribution, and every figure is computed from each draw. The number of
+degrees of freedom is reduced, because the filter correlates neighbouring rows, columns and pixels,
+and because pixels may have heavier tails than a Gaussian.
 """
 
 from functools import cache
@@ -47,9 +50,9 @@ class Loss(NamedTuple):
 
     Attributes:
         lines: share of the variance of independent rows or columns that the filter passes.
-        pixels: the same for independent pixels.
+        pixels: share of the variance of independent pixels that the filter passes.
         line_degrees: share of the degrees of freedom of rows or columns that remains.
-        pixel_degrees: the same for pixels.
+        pixel_degrees: share of the degrees of freedom of pixels that remains.
     """
 
     lines: float = 1.0
@@ -82,8 +85,8 @@ def can_filter(shape: tuple[int, ...]) -> bool:
 
 
 def high_pass(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "rows columns"]:
-    """Apply the high-pass filter of clause 8.1 and cut off the borders; the mean of the result is
-    about 0."""
+    """Apply the high-pass filter of clause 8.1 and cut off the borders of the frame. The mean of
+    the result is about 0."""
     smooth = np.asarray(image, float)
     for width in BOXES:
         smooth = uniform_filter(smooth, width)
@@ -111,8 +114,8 @@ def drawn(
     loss: Loss,
     rng: np.random.Generator,
 ) -> dict[str, Float[np.ndarray, "draws 2 2"]]:
-    """Draw 2 x 2 covariances of the dark and the bright pattern, for each part, given the average
-    frames."""
+    """Draw 2 x 2 covariances of the dark and the bright pattern for each part (rows, columns,
+    pixels and their total), given the average frames."""
     away = np.stack([dark - dark.mean(), bright - bright.mean()])
     of_rows, of_columns = away.mean(axis=2), away.mean(axis=1)
     own = away - of_rows[:, :, None] - of_columns[:, None, :]

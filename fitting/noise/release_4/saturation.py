@@ -1,13 +1,14 @@
 """The saturation point of release 4 (clause 6.6): the light at which .1 to .2 % of the numbers are
 at the end of the scale.
 
-The light at .15 % lies between two levels. If both have some numbers at the end of the scale and
-some below it, the normal deviate of the share is interpolated, which is about linear in the light.
-If the levels are too far apart for that, the numbers are taken as Gaussian. Their mean and standard
-deviation are extrapolated from the two levels below to the light at which .15 % lie beyond the end.
-The standard error allows for any share between .1 and .2 %. The error also includes that of the
-counts or, for an extrapolation, a tenth of the distance from the mean to the end, because tails
-need not be Gaussian.
+The light at which the share is .15 % lies between two levels. If both levels have some numbers at
+the end of the scale and some below, the normal deviate of the share, which is about linear in the
+light, is interpolated. If the levels are too far apart for an interpolation, the distribution of
+the numbers is assumed Gaussian. The mean and standard deviation of the two lower levels are
+extrapolated to the light at which .15 % of the numbers exceed the end of the scale. The standard
+error allows for any share between .1 and .2 %. For an interpolation, the standard error also
+includes the error of the counts. For an extrapolation, it includes a tenth of the distance from the
+mean to the end of the scale, because the tails may not be Gaussian.
 
 If no level reaches this share (because the full well comes first, or a table has no pixels), the
 saturation point is at the largest variance, as in release 3.1.
@@ -44,8 +45,8 @@ class Numbers:
 
 
 def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges, bool]:
-    """Return the levels that release 4 uses in each figure, and whether saturation follows from
-    clipped numbers."""
+    """Return the levels that release 4 uses in each figure, and whether the saturation point was
+    found from clipped numbers."""
     within = emva1288.ranges(measurement)
     if numbers is None or measurement.full_scale is None:
         return within, False
@@ -80,7 +81,7 @@ def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges
 
 def _interpolated(lights: np.ndarray, share: np.ndarray, count: np.ndarray) -> tuple[float, float]:
     """Interpolate the saturation light, with its standard error, between two levels that both have
-    numbers at the end and below it."""
+    numbers at the end of the scale and below."""
     deviates = ndtri(share)
     slope = (lights[1] - lights[0]) / (deviates[1] - deviates[0])
     low, light, high = lights[0] + slope * (ndtri(SHARES) - deviates[0])

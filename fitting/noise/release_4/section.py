@@ -1,4 +1,4 @@
-"""The report of the EMVA 1288 sheet, release 4.0."""
+"""The report sections of the EMVA 1288 data sheet, release 4.0."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -45,7 +45,7 @@ LEAK = 0.1  # share of a part from which retained row and column noise is report
 
 
 def section(sheet: Release4) -> Section:
-    """Return *Linear* and *General* as one section, for a notebook."""
+    """Return the sheets *Linear* and *General* as one section, for a notebook."""
     linear, general = sections(sheet)
     return replace(
         linear,
@@ -58,7 +58,7 @@ def section(sheet: Release4) -> Section:
 
 
 def sections(sheet: Release4) -> list[Section]:
-    """Return the sheet of release 4 as two sections of a report, *Linear* and *General*."""
+    """Return the data sheet of release 4 as two sections of a report, *Linear* and *General*."""
     stacks = sheet.stacks
     settings = {"release": "4.0", "seed of the draws": sheet.seed}
     of_images, frames = (), {}
@@ -98,8 +98,8 @@ def sections(sheet: Release4) -> list[Section]:
 
 
 def _without_doubted(sheet: Release4, listed: list[Estimate]) -> tuple[Estimate, ...]:
-    """Return the figures, with the reason in place of those that contradictory frames do not
-    determine."""
+    """Return the figures. If contradictory frames do not determine a figure, the reason replaces
+    its value."""
     doubts = sheet.stacks.measurement.doubts
     why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
     found = []
@@ -169,8 +169,8 @@ def _deviation(
     spread: Float[np.ndarray, " draws"] | float,
     method: str,
 ) -> Estimate:
-    """Return the estimate of a standard deviation, from the draws of its variance. If the draws do
-    not exclude 0, it is an upper limit."""
+    """Return the estimate of a standard deviation, from draws of its variance. If the draws do not
+    exclude 0, the estimate is an upper limit."""
     drawn = scale * spread * np.sqrt(np.maximum(draws, 0))
     ends = np.quantile(drawn, QUANTILES)
     if ends[0] <= 0 or variance <= 0:

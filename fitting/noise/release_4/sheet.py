@@ -1,4 +1,5 @@
-"""The complete sheet of release 4 for one camera: *Linear*, nonuniformities and *General*."""
+"""The complete data sheet of release 4 for one camera: the *Linear* sheet, nonuniformities and the
+*General* sheet."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -47,10 +48,10 @@ class Release4(ShownInNotebooks):
     """The data sheet of EMVA 1288, release 4.0, of a camera.
 
     Attributes:
-        stacks: the data of the sheet.
+        stacks: the data from which the sheet is computed.
         within: levels that enter each figure.
-        clipped: whether the saturation point follows release 4, from values at the end of the
-            scale.
+        clipped: whether the saturation point was found as in release 4, from values at the end of
+            the scale.
         linear: figures of *Linear* with their standard errors.
         nonuniformity: DSNU and PRNU with the high-pass filter (`FILTERED`) and without it
             (`PLAIN`); empty without images, `PLAIN` alone for frames smaller than the filter.
@@ -80,11 +81,12 @@ def release_4_sheet(stacks: Stacks, *, seed: int = 0) -> Release4:
     """Compute the data sheet of EMVA 1288, release 4.0, of a camera.
 
     Args:
-        stacks: from `read_stacks` or `stacks_from_frames`.
+        stacks: data from `read_stacks` or `stacks_from_frames`.
         seed: of the draws behind the intervals.
 
     Returns:
-        The sheet; a notebook and `print` show it, and its `section` has estimates by name.
+        The data sheet, which a notebook and `print` display. The `section` of the sheet has the
+        estimates by name.
 
     Source:
         EMVA Standard 1288, releases 4.0 Linear and 4.0 General (2021).

@@ -1,14 +1,15 @@
 """Average frames of all pixels, dead ones included, at the levels of a photon transfer, and their
 spatial variances.
 
-These are the standard's statistics. With y the frames of a level and d_f the mean of frame f,
+The standard defines the following statistics. With y the frames of a level and d_f the mean of
+frame f,
 
     mu_y    = mean of y                                                     (16)
     sigma^2 = mean over the pixels of the variance over the frames - variance of d_f    (18)
     sigma^2_stack = mean over the pixels of the variance over the frames    (65)
 
-For two frames (18) is the standard's formula. For more frames it is the average of that formula
-over all pairs.
+For two frames, (18) is the standard's formula. For more frames, (18) is the average of the
+standard's formula over all pairs of frames.
 """
 
 import os
@@ -65,7 +66,7 @@ class Averages:
     Attributes:
         level: index of the bright level, about half of saturation.
         lit: frames of this level.
-        unlit: frames of its dark.
+        unlit: frames of the dark of this level.
     """
 
     level: int
@@ -78,13 +79,13 @@ class Stacks:
     """A photon transfer measurement with its average images, or a table of sums without images.
 
     Attributes:
-        measurement: means and temporal variances of all pixels, as the standard has them.
+        measurement: means and temporal variances of all pixels, as the standard defines them.
         numbers: share of clipped values and standard deviation at each bright level; None without
             images.
         bright: spatial variances of each bright level, high-passed where the frame is large enough
             for the filter.
-        dark: the same for each dark.
-        averages: average frames behind the nonuniformities; None without images.
+        dark: spatial variances of each dark, high-passed like `bright`.
+        averages: average frames from which the nonuniformities are computed; None without images.
     """
 
     measurement: PhotonTransfer
@@ -102,7 +103,7 @@ def read_stacks(
     the input of `release_4_sheet`.
 
     Args:
-        path: a rig folder or file, or a table of sums with the suffix `.csv`, which has no images.
+        path: a rig folder or file, or a table of sums (without images) with the suffix `.csv`.
         bits: ADC bits of a table's camera; None for those of the rig.
         channel: site of a rig's Bayer mosaic, or amplifier tap; empty for the first green site, or
             the first tap.
@@ -160,8 +161,8 @@ def reduce_stacks(rig: Rig, *, channel: str = "", load: Load = read_image) -> St
 
 
 def _averaged(plane: Callable[[str], np.ndarray], names: Sequence[str], top: float | None) -> Stack:
-    """Average the frames `names`. The sums use deviations from the first frame, to keep
-    precision."""
+    """Average the frames `names`. The sums are of deviations from the first frame, to reduce
+    rounding errors."""
     first = np.asarray(plane(names[0]), float)
     total, squares = np.zeros_like(first), 0.0
     means, at_top = [], 0.0
