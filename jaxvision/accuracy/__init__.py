@@ -1,22 +1,20 @@
-"""Measurement of error against time for each approximation, on the user's own problem, and the
-choice of its settings.
+"""Measure error against time for each approximation of the library, on the user's own problem, and
+choose settings by the measurement.
 
-A `Knob` is the setting of an approximation, such as a number of samples.
+A `Knob` is a parameter of an approximation that trades error for time, such as a number of samples.
+A setting is one value of a knob.
 
-    records          the records of knobs, problems, trials and curves
-    curves           `curve` measures error against time within a budget of time
-    session          times the calls of a problem
-    reference        computes the reference result
-    norms            norms of errors, and bounds on that of another seed
-    rounding         digits that rounding leaves, and the operation that loses them
-    fitted           the measured order of convergence
-    choice several   choose one setting, or a combination that fresh runs check
-    knobs examples   every approximation of the library by name, and a problem for each
-    scenes           scene files as problems; `scene_settings`: their settings for a tolerance
-    tables plots pages   output
+- `records` defines the records of knobs, problems, measurements and curves.
+- `curves` measures error against time within a time budget, with `session` for timing, `reference`
+  for the reference result, `norms` for the errors and `fitted` for the order of convergence.
+- `choice` chooses the setting of one knob, and `several` the settings of all knobs together.
+- `knobs` lists all approximations of the library, and `examples` has a problem for each.
+- `scenes` makes a problem of a scene file, and `scene_settings` chooses its settings.
+- `rounding` counts the digits of a function's results that float32 rounding leaves correct.
+- `tables`, `plots` and `pages` present the measurements.
 
-Timing cannot happen inside compiled, pure functions: measure first, choose settings, then call the
-library with them.
+Compiled, pure functions cannot measure time. So measure first, choose settings, and then call the
+library with these settings.
 """
 
 from ..core.lazy_names import names_of

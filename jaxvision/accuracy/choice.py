@@ -1,6 +1,6 @@
 """Choose the setting of an approximation: the cheapest within a tolerance, or the most accurate
-within a time. The choice uses the upper bound on the error of a run with another seed, so that a
-setting does not win by a lucky seed."""
+within a time. The choice compares upper bounds on the error of a run with another seed, because the
+measured seeds may be lucky."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,9 +16,9 @@ STEP = 2**0.5  # ratio of successive inferred settings
 
 
 def candidates(curve: Curve) -> tuple[Trial, ...]:
-    """List the measured settings of a curve, cheapest first, with times in s. If the errors fall at
-    least as fast as the declared order, settings between and beyond the measured ones are added,
-    with their errors inferred from that order."""
+    """List the measured settings of a curve, cheapest first, with times in s. If the errors
+    decrease at least as fast as the order declared in the knob, the list also has settings that
+    were not measured. The errors of these settings are inferred from the order."""
     run = tuple(t for t in curve.trials if np.isfinite(t.error))
     if (
         not curve.knob.whole
@@ -78,11 +78,11 @@ def choose(
     whose time is within a limit. Among settings with indistinguishable times, the most accurate is
     chosen.
 
-    For a random setting, the error bound comes from the scatter over a few seeds. If the result
-    depends on rare events, such as bright paths of low probability, these seeds may have missed
-    them. Then more than one run in twenty has an error above the bound. The bound is also too low
-    if all settings share a bias with their reference, as when an integrator cannot find some of the
-    light (`transport.light_findings`).
+    For a random approximation, the error bound comes from the scatter over a few seeds. If the
+    result depends on rare events, such as bright paths of low probability, these seeds may have
+    missed them. In that case more than one run in twenty has an error above the bound. The bound is
+    also too low if the reference has the same bias as all settings, for example if an integrator
+    cannot find some of the light (`transport.light_findings`).
 
     Args:
         curve: from `curve`, or the trials of `error_against_time`.
@@ -90,11 +90,12 @@ def choose(
         seconds: the longest time of a warm call, s.
 
     Returns:
-        The trial; `measured` states whether it was run or inferred from others.
+        The trial of the chosen setting. Its `measured` is False if its error was inferred from
+            other settings.
 
     Raises:
-        InputError: unless exactly one of tolerance and time is given, and where no setting meets
-            it.
+        InputError: unless exactly one of tolerance and time is given, and if no setting meets the
+            given limit.
 
     Example:
         >>> from jaxvision.accuracy import choose, error_against_time

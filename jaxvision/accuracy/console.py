@@ -20,10 +20,9 @@ _OF_PAGES = ("jinja2", "matplotlib.backends.backend_svg", "matplotlib.figure")
 
 
 def check_request(seconds: float, out: Path | None) -> None:
-    """Raise `InputError` if a measuring command has no time, in s, or cannot write its page. The
-    plotting modules are imported here, because an interrupted measurement has little time left for
-    it.
-    """
+    """Raise `InputError` if a measuring command has no time budget, in s, or cannot write the HTML
+    page of its results. The plotting modules are imported here, before the measurement, because
+    there is little time to import them after an interrupt."""
     if not seconds > 0:
         raise InputError(f"--seconds {seconds:g}: give a time above 0.")
     if out is not None and out.exists() and not out.is_dir():

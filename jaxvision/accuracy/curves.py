@@ -1,4 +1,4 @@
-"""Measure error against time for one setting of one problem, within a time budget."""
+"""Measure error against time for the values of one knob on one problem, within a time budget."""
 
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -47,36 +47,35 @@ def curve(
     metrics: Sequence[str] = ("rms", "p99", "max"),
     clock: Clock | None = None,
 ) -> Curve:
-    """Measure the error and the time of a problem at each value of a setting.
+    """Measure the error and the time of a problem at each value of a knob.
 
-    First the problem is run twice at each value, the cheapest first. Then the reference is
-    computed. Then the values are run in turns with further seeds, so that a drift of the machine's
-    speed favours none. An interrupt ends the measurement and keeps its results. A call is abandoned
-    if it exceeds its predicted time and the remaining time. If XLA is compiling at that moment, the
-    compilation continues in the background. Later calls wait until that compilation ends, for at
-    most a quarter of the remaining time. Trials that were timed while abandoned work was running
-    are marked (`Trial.beside`).
+    First the problem is run twice at each value, the cheapest value first. Then the reference is
+    computed. Finally, runs with further seeds alternate between the values, so that a drift of the
+    machine's speed favours no value. An interrupt ends the measurement and keeps its results. A
+    call is abandoned if it exceeds both its predicted time and the remaining time. If XLA is
+    compiling when a call is abandoned, the compilation continues in the background. Later calls
+    wait until that compilation ends, for at most a quarter of the remaining time. Trials that were
+    timed while abandoned work was running are marked (`Trial.beside`).
 
     Args:
         problem: the computation and its settings.
-        knob: the record of a setting, or its name, one of `KNOBS`.
-        settings: values to measure instead of those of the knob, cheapest first; None for those of
-            the knob.
+        knob: the knob, or its name, which is one of `KNOBS`.
+        settings: values to measure, cheapest first; None for the values that the knob lists.
         reference: exact result, in the problem's unit; None computes one.
-        seconds: time budget, s; values that would exceed it are not run, and a call that exceeds it
-            is abandoned.
-        seeds: largest number of seeds for a setting with random numbers.
-        metrics: norms to record: "rms", "p99", "max" and for pictures "delta_e". The first one
-            decides which setting is chosen.
+        seconds: time budget, s; values that would exceed the budget are not run, and a call that
+            exceeds the budget is abandoned.
+        seeds: largest number of seeds for each value of a random knob.
+        metrics: norms to record: "rms", "p99", "max" and for pictures "delta_e". The first norm
+            decides which value is chosen.
         clock: function that returns seconds; None for the machine's clock.
 
     Returns:
         The curve.
 
     Raises:
-        InputError: for an unknown knob or norm, no settings, fewer than two seeds, a budget that is
-            not above 0, a problem that refuses every setting, and results whose shape differs from
-            that of the reference.
+        InputError: for an unknown knob or norm, no values, fewer than two seeds, a budget of at
+            most 0, a problem that refuses every value, and results whose shape differs from the
+            shape of the reference.
 
     Example:
         The midpoint rule on x^2 over [0, 1] has an error of 1 / (12 n^2).
@@ -176,7 +175,8 @@ def _look(session: Session, names: tuple[str, ...]) -> None:
 
 
 def _run_twice(session: Session, setting: Any) -> None:
-    """Run a setting twice. If other settings have been run, leave enough time for a reference."""
+    """Run a setting twice. If other settings have been run before, do so only if enough time
+    remains for a reference."""
     share = LAST_LOOK if session.points else 1 + GRACE
     until = session.taken + share * session.left
     try:
@@ -189,8 +189,8 @@ def _run_twice(session: Session, setting: Any) -> None:
 
 
 def _take_turns(session: Session, seeds: int) -> None:
-    """Call the settings in turns with further seeds, as long as the next call fits into the
-    time."""
+    """Call all settings alternately, with further seeds, as long as the next call fits into the
+    remaining time."""
     session.wait_for_the_rest()
     rounds = seeds if session.knob.random else min(seeds, REPEATS)
     for number in range(len(PAIRED), rounds):
@@ -252,9 +252,9 @@ def _curve_of(
 def _gap(
     session: Session, others: Sequence[Point], exact: np.ndarray, reference: Reference
 ) -> float:
-    """Return the distance of the finest other setting from the reference if it is larger than their
-    scatter explains, so that one of the two must be biased; otherwise return 0. If the reference
-    has no error beyond rounding, return the distance of the nearest setting instead."""
+    """Return the distance between the reference and the finest other setting if the random scatter
+    of the two does not explain this distance, so that one of them must be biased. Otherwise return
+    0. If the reference has no error beyond rounding, return the distance of the nearest setting."""
     from scipy.special import stdtrit
 
     error, known = reference.error, [one for one in others if len(one.results) > 1]
@@ -312,9 +312,9 @@ def _trial(
 
 
 def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:
-    """Estimate the error that all seeds share (the bias) and its bounds. The estimate is the root
-    of the mean product of the differences of two seeds from the reference, or its upper bound if
-    noise hides it."""
+    """Estimate the bias, which is the error that all seeds share, with lower and upper bounds. The
+    squared bias is the mean, over pairs of seeds, of the product of their differences from the
+    reference. If noise hides the bias, the estimate is its upper bound."""
     typical = rms(norms)
     noise = float(np.mean(np.var(apart, axis=0, ddof=1))) if len(apart) > 1 else 0.0
     whole = float(np.mean(apart**2))
@@ -349,18 +349,19 @@ def error_against_time(
 ) -> list[Trial]:
     """Measure the error and the time of several functions that compute the same result.
 
-    Warm calls of the functions alternate, so that a drift of the machine's speed favours none.
+    Warm calls of the functions alternate, so that a drift of the machine's speed favours no
+    function.
 
     Args:
         calls: functions without arguments, by name.
         reference: exact result, from a finer setting or in closed form, in any unit.
         metric: error of a result against the reference.
-        repeats: number of warm calls of each, at least 1.
+        repeats: number of warm calls of each function, at least 1.
         clock: function that returns seconds; None for the machine's clock.
 
     Returns:
-        One trial for each call, in their order; its setting is the name. The error is that of the
-        first call and has no spread.
+        One trial for each function, in the order of `calls`, with the function's name as setting.
+            The error is the error of the first call, without an interval.
 
     Raises:
         InputError: for no calls or no repeats.
@@ -383,9 +384,9 @@ def error_against_time(
 
 
 def asked_knobs(of: str, names: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the requested settings, or all known names if none is requested. An
-    unknown name raises `InputError`; its message begins with `of`, the scene or rig that is
-    measured."""
+    """Return the names of the requested knobs, or all known names if no knob is requested. An
+    unknown name raises `InputError`. The error message begins with `of`, the name of the scene or
+    rig that is measured."""
     for name in names or ():
         if name not in known:
             words = ", ".join(repr(one) for one in known)
@@ -401,9 +402,10 @@ def measure_in_turn(
     worth: float = WORTH,
     clock: Clock | None = None,
 ) -> tuple[Curve, ...]:
-    """Measure one curve for each named setting by `measure(name, share)`, where the shares divide
-    the given seconds equally. While at least `worth` shares of time remain, measure again the
-    curves with the fewest points. An interrupt keeps the finished curves."""
+    """Measure one curve for each named knob by `measure(name, share)`, where `share` is an equal
+    part of the given seconds. If time is left over, measure the curves with the fewest points
+    again, as long as at least `worth` times the share remains. An interrupt keeps the finished
+    curves."""
     now = clock or time.perf_counter
     until = now() + seconds
     found: list[Curve] = []

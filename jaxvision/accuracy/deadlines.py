@@ -22,7 +22,7 @@ TICK = 0.1  # s between two checks of the time
 
 
 class OutOfTime(Exception):
-    """Raised if work was abandoned, or not started, because its time was over."""
+    """Raised if a call was abandoned, or not started, because its time limit was reached."""
 
 
 class TooLittleTime(InputError):
@@ -30,7 +30,7 @@ class TooLittleTime(InputError):
 
 
 class _Job:
-    """A function to call and, once it has run, its result or its error."""
+    """A function to call and, after the call, its result or its error."""
 
     def __init__(self, work: Callable[[], Any]) -> None:
         self.work = for_any_thread(work)
@@ -59,7 +59,7 @@ class _Hand:
             job.run()
 
     def leave(self, job: _Job) -> None:
-        """Abandon the job: the thread ends after it, and nobody waits for its result."""
+        """Abandon the job. The thread ends after the job, and nothing waits for the result."""
         self.jobs.put(None)
         _left_behind.append(job)
         leaves_work_behind()
@@ -77,13 +77,13 @@ def something_left_behind() -> bool:
 
 
 def wait_for_the_rest(left: Callable[[], float]) -> None:
-    """Wait until all abandoned work has ended, but no longer than the `left()` seconds."""
+    """Wait until all abandoned work has ended, for at most `left()` seconds."""
     while something_left_behind() and left() > 0:
         _left_behind[0].ended.wait(TICK)
 
 
 def run_within(work: Callable[[], Any], left: Callable[[], float]) -> Any:
-    """Return the result of calling `work`, or raise `OutOfTime` if it takes longer than the
+    """Return the result of calling `work`, or raise `OutOfTime` if the call takes longer than
     `left()` seconds. An abandoned call continues, so `work` must not change anything that the
     caller still needs."""
     if np.isinf(left()):

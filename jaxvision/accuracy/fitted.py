@@ -1,5 +1,5 @@
-"""Fit the order of convergence of a setting: a straight line through the logarithms of its
-errors."""
+"""Fit the order of convergence of an approximation: the slope of a straight line through the
+logarithms of its errors."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -19,9 +19,10 @@ def variable(setting: float, law: Law) -> float:
 
 
 def fit_order(knob: Knob, trials: Sequence[Trial]) -> Order | None:
-    """Fit the law by which errors depend on a setting, weighted by the precision of the errors over
-    seeds. If a geometric law is declared but a power law fits better, return the power law. Return
-    None if fewer than two settings have usable errors, or if settings are not numbers."""
+    """Fit the law by which errors depend on the setting. Errors with a smaller scatter over seeds
+    have larger weights. If the knob declares a geometric law but a power law fits better, return
+    the power law. Return None if fewer than two settings have usable errors, or if settings are not
+    numbers."""
     solid = [one for one in trials if not one.hollow and one.error > 0 and is_number(one.setting)]
     if len({one.setting for one in solid}) < 2:
         return None
@@ -69,10 +70,9 @@ def is_number(setting: Any) -> bool:
 
 
 def order_holds(knob: Knob, order: Order | None) -> bool:
-    """Return whether the errors are confirmed to fall at least as fast as declared: the interval of
-    the fitted order includes the declared order or steeper ones, and the fitted order is at least
-    0.7 of the declared one.
-    """
+    """Return whether the measured errors confirm the order that the knob declares. The interval of
+    the fitted order must include the declared order or steeper orders, and the fitted order must be
+    at least 0.7 times the declared order."""
     if order is None or knob.order is None or order.points < 3:
         return False
     return order.low <= knob.order and order.exponent <= SHALLOWEST * knob.order

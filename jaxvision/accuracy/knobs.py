@@ -1,8 +1,8 @@
 """Records of all approximations of the library by name, with their settings and theoretical orders
 of convergence, from `knobs.toml`.
 
-Some are set by keys of `[render]` in scene files (`scenes`). The others are measured on an example
-problem (`examples`).
+Some approximations are set by keys of `[render]` in scene files (module `scenes`). The other
+approximations are measured on an example problem (package `examples`).
 """
 
 import tomllib
@@ -30,7 +30,7 @@ KNOBS: Mapping[str, Knob] = {name: _knob(name, table) for name, table in _TABLES
 
 def knob_named(name: str) -> Knob:
     """Return the record of an approximation by name. For an unknown name, raise `InputError`, which
-    suggests the nearest one."""
+    suggests the nearest known name."""
     if name not in KNOBS:
         raise InputError(f"knob {name!r} is unknown; {nearest(name, KNOBS)}.")
     return KNOBS[name]

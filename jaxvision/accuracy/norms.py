@@ -22,7 +22,7 @@ def relative_rms(result: Any, reference: Any) -> float:
         sqrt(mean (result - reference)^2 / mean reference^2), no unit.
 
     Raises:
-        InputError: for a reference of zeros, to which no error is relative.
+        InputError: for a reference of zeros, because an error cannot be divided by 0.
 
     Example:
         >>> print(f"{jv.accuracy.relative_rms([1.0, 1.1], [1.0, 1.0]):.4f}")
@@ -54,8 +54,8 @@ NORMS: dict[str, Callable[[np.ndarray], float]] = {"rms": rms, "p99": _p99, "max
 
 
 def level_of(reference: np.ndarray, level: float | None) -> float:
-    """Return the level that relative errors are divided by, in the unit of the result; 1 if the
-    reference is 0 everywhere."""
+    """Return the level by which errors are divided to make them relative, in the unit of the
+    result; 1 if the reference is 0 everywhere."""
     found = rms(reference) if level is None else level
     return found if found > 0 else 1.0
 
@@ -68,8 +68,8 @@ def norms_of(
     names: tuple[str, ...],
     developed: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> Mapping[str, float]:
-    """Compute the named norms of the error of one result. They are relative, except "delta_e": the
-    mean CIEDE2000 difference of the developed pictures, in units of L*."""
+    """Compute the named norms of the error of one result. All norms are relative errors except
+    "delta_e", the mean CIEDE2000 difference of the developed pictures, in units of L*."""
     apart = result - reference
     found = {name: NORMS[name](apart) / level for name in names if name in NORMS}
     if "delta_e" in names and developed is not None:
@@ -91,7 +91,7 @@ def check_norms(names: tuple[str, ...]) -> None:
 
 
 def spreads_over(reference: tuple[int, ...], result: tuple[int, ...]) -> bool:
-    """Return whether a reference of one shape broadcasts to the shape of a result."""
+    """Return whether a reference of the one shape broadcasts to a result of the other shape."""
     try:
         return np.broadcast_shapes(reference, result) == result
     except ValueError:
@@ -107,9 +107,8 @@ _CHANCE = 0.025  # probability of a run above the upper bound, and of one below 
 
 
 def next_error(errors: np.ndarray) -> tuple[float, float, float]:
-    """Return the root mean square of errors (k,), and lower and upper bounds, in their unit, that
-    contain the error of the next run with 95 % probability.
-    """
+    """Return the root mean square of the errors of k runs, (k,), and a lower and an upper bound
+    between which the error of the next run lies with 95 % probability."""
     from scipy.special import fdtri, stdtrit
 
     seen = np.abs(np.asarray(errors, np.float64))

@@ -67,7 +67,7 @@ def page(
 
 
 def _svg(curves: Sequence[Curve]) -> str:
-    """Return an SVG figure of one curve, or of the Pareto fronts of several."""
+    """Return an SVG figure of one curve, or of the Pareto fronts of several curves."""
 
     def drawn() -> "Figure":
         from matplotlib.figure import Figure

@@ -26,9 +26,9 @@ def plot(
     axes: "Axes | None" = None,
 ) -> "Axes":
     """Plot error against time for one setting. Filled points have error bars for the spread over
-    seeds. A hollow point has an error of less than three times that of the reference. A dashed line
-    marks the error of the reference, unless it is far below all points. Points on the lower axis
-    have no error: they equal the reference. The solid line is the Pareto front.
+    seeds. A hollow point has an error of less than three times the error of the reference. A dashed
+    line marks the error of the reference, unless it is far below all points. Points on the lower
+    axis have the error 0. The solid line is the Pareto front.
 
     Args:
         curve: measured errors and times, from `curve`.

@@ -14,22 +14,23 @@ RELATIVE = "relative rms error [%]"
 
 @dataclass(frozen=True)
 class Knob:
-    """One approximation of the library, and the values that trade its error for time.
+    """One approximation of the library, and the values of its parameter, which trade error for
+    time.
 
     Attributes:
         name: the name by which the knob is selected.
         unit: unit of the setting.
         about: what the setting approximates, in a few words.
         settings: values of the setting, cheapest first.
-        reference: finer values, coarsest first; the reference is computed with the finest one that
-            the time allows.
+        reference: finer values, coarsest first; the reference is computed with the finest value
+            that the time allows.
         order: theoretical exponent p of error ~ setting^p, such as -2 for a midpoint rule; None
             where no law is known.
         law: "power": the error is a power of the setting; "geometric": the error changes by a
             constant factor with each unit of the setting.
-        random: whether the error depends on the seed. If not, the error is a bias, and results of
-            one seed are compared with each other.
-        whole: whether any whole number is a valid setting, not only those listed.
+        random: whether the error depends on the seed. If False, the error is a bias, and only
+            results of the same seed are compared with each other.
+        whole: whether any whole number is a valid setting, not only the numbers in `settings`.
         sets: public parameters that the knob varies, as `fnmatch` patterns of the names below
             `jaxvision` or `fitting`.
     """
@@ -52,11 +53,11 @@ class Problem:
 
     Attributes:
         name: name of the problem in tables and plots.
-        prepare: function of the settings of all knobs by name. It returns a function from a seed to
-            an array of numbers. It is called once for each setting, and that function may compile
-            in its first call.
+        prepare: function of the settings of all knobs by name, which returns a function from a seed
+            to an array of numbers. `prepare` is called once for each setting. The returned function
+            may compile in its first call.
         settings: default settings of all knobs.
-        exact: the exact result, where a closed form is known; None makes a reference.
+        exact: the exact result, if a closed form is known; None computes a reference.
         level: the level by which errors are divided, in the unit of the result; None for the root
             mean square of the reference.
         developed: function from a result and the reference (which sets the exposure) to the Lab
@@ -72,8 +73,9 @@ class Problem:
         error_axis: label for the axis of errors, with their unit.
         compared: function from a result, or the mean of several, to the numbers that are compared,
             such as radiance clipped at white; None for the result itself.
-        alone: for random knobs by name, a variant of `prepare` where the seed changes the random
-            numbers of that knob only. The noise of other knobs would hide its error.
+        alone: for random knobs by name, a variant of `prepare` in which the seed changes the random
+            numbers of that knob only. Otherwise the noise of other knobs would hide the error of
+            that knob.
     """
 
     name: str
@@ -99,19 +101,21 @@ class Trial:
     Attributes:
         setting: the value of the setting.
         error: relative error, root mean square over seeds, in the first requested norm.
-        error_low, error_high: interval of the relative error. The error of a run with another seed
-            lies in it in 95 of 100 cases, and below its upper end in 97.5. It includes the error of
-            the reference.
+        error_low, error_high: interval of the relative error, in which the error of a run with
+            another seed lies with 95 % probability, and below the upper end with 97.5 %. The
+            interval includes the error of the reference.
         seconds: median time of a warm call, s.
         seconds_low, seconds_high: quartiles of that time, s.
         first_seconds: time of the first call with tracing and compilation, s.
         seeds: number of seeds.
         norms: the error in every norm by name: "rms", "p99" and "max" relative, "delta_e" in units
             of L*.
-        hollow: whether the error is below three times that of the reference, and thus uncertain.
+        hollow: whether the error is below three times the error of the reference, and thus
+            uncertain.
         beside: whether an abandoned program was still running during the calls, so that the times
             are too long.
-        measured: False for a setting that was inferred from others by the order of the knob.
+        measured: False for a setting whose error was inferred from other settings by the order of
+            the knob.
     """
 
     setting: Any
@@ -192,12 +196,13 @@ class Curve:
         knob: the knob whose settings were measured.
         trials: one trial for each setting that was run, cheapest first; empty where the time was
             too short.
-        reference: the result from which the errors are measured.
+        reference: how the reference result was computed, from which the errors are measured.
         order: fitted order; None for fewer than two points.
-        pareto: indices of the trials for which no other trial is better in both error and time.
+        pareto: indices of the Pareto-optimal trials: no other trial is better in both error and
+            time.
         not_run: settings that were not run because the time was too short.
-        stopped: "" if all was measured; else the reason, such as "out of time", with the abandoned
-            setting, or "interrupted".
+        stopped: "" for a complete measurement. Otherwise the reason why it stopped: "interrupted",
+            or "out of time" with the abandoned setting.
         taken: time of the whole measurement, s.
         error_axis: label for the axis of errors, with their unit.
     """

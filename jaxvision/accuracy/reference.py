@@ -1,6 +1,6 @@
 """Compute the reference result from which errors are measured, independently of the measured
-results, and estimate its error. The error estimate of the reference uses other seeds for a random
-setting, and coarser values for a deterministic one."""
+results, and estimate its error. For a random knob, the error estimate comes from other seeds. For a
+deterministic knob, the error estimate comes from coarser settings."""
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
@@ -40,7 +40,7 @@ def mean_of(draws: Sequence[np.ndarray], compared: Compared | None) -> tuple[np.
 
 
 def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
-    """Return the mean of independent draws of the finest setting that the time allows. The error of
+    """Return the mean of independent runs of the finest setting that the time allows. The error of
     this reference is the standard error of the mean, in the unit of the result."""
     run = tuple(session.points)
     setting = _finest(session, calls=DRAWS)
@@ -63,9 +63,8 @@ def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
 
 
 def _draw_results(session: Session, setting: Any) -> list[np.ndarray]:
-    """Return independent results of a setting, as many as fit into a share of the remaining time.
-    If some seeds have succeeded, seeds that fail are skipped.
-    """
+    """Return independent results of a setting, as many as can be computed in a share of the
+    remaining time. A seed that fails is skipped if other seeds have succeeded."""
     draws: list[np.ndarray] = []
     until = session.taken + SHARE * max(session.left, 0.0)
     latest = session.taken + LATEST * session.left
@@ -93,9 +92,10 @@ def _draw_results(session: Session, setting: Any) -> list[np.ndarray]:
 def paired_reference(
     session: Session, *, finer: bool = True
 ) -> tuple[Reference, dict[int, np.ndarray]]:
-    """Compute the reference for a deterministic setting: the results of the finest value that the
-    time allows, for the same seeds as the trials. Without `finer`, only values that were already
-    run are used. The differences between the finest values give its error."""
+    """Compute the reference for a deterministic knob: the results of the finest setting that the
+    time allows, for the same seeds as the trials. Without `finer`, the reference is the finest
+    setting that was already run. The error of the reference is estimated from the differences
+    between the results of the finest settings."""
     knob = session.knob
     exact = bool(knob.reference) and not isinstance(knob.reference[-1], int | float)
     steps: list[Any] = [s for s, p in session.points.items() if p.results.keys() >= set(PAIRED)]
@@ -125,9 +125,9 @@ def paired_reference(
 
 
 def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
-    """Return the distance, in the result's unit, of the reference from the finest of at least three
-    other settings if it is larger than the differences between these settings explain. Otherwise
-    return 0."""
+    """Return the distance, in the result's unit, between the reference and the finest of at least
+    three other settings, if this distance is larger than the differences between those settings
+    explain. Otherwise return 0."""
     run = [one for one in settings if session.points[one].results.keys() >= set(PAIRED)]
     run = run[-RUNGS:]
     rungs = [one for one in run if isinstance(one, int | float)]
@@ -143,14 +143,15 @@ def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
 
 
 def _ladder(session: Session, settings: Sequence[Any]) -> list[dict[int, np.ndarray]]:
-    """Return the compared results of each setting for the seeds that all settings share."""
+    """Return the results of each setting, as `Problem.compared` prepares them, for the seeds that
+    were run with every setting."""
     results = (session.points[setting].results for setting in settings)
     return [{seed: session.compared(own[seed]) for seed in PAIRED} for own in results]
 
 
 def _finest(session: Session, *, calls: int) -> Any:
-    """Return the finest measured or reference setting whose calls fit into the time, or the
-    cheapest if none does."""
+    """Return the finest setting, measured or listed for the reference, whose calls fit into the
+    remaining time. If none does, return the cheapest."""
     chosen = next(iter(session.points))
     for setting in (*session.points, *session.knob.reference):
         if session.expected(setting, calls=calls) <= SHARE * session.left:
@@ -160,8 +161,9 @@ def _finest(session: Session, *, calls: int) -> Any:
 
 def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.ndarray]]) -> float:
     """Estimate the error of the last of at least two results. The error is assumed to be E exp(-k
-    x) in the variable x of the setting. The differences of successive results give k, and their
-    correlation shows whether they add up in one direction or at random."""
+    x), where x is a function of the setting (`fitted.variable`). The sizes of successive
+    differences of results give the rate k. The correlation of successive differences shows whether
+    they add up in one direction or at random."""
     if len(ladder) < 2:
         return float("inf")
     steps = [
@@ -188,8 +190,9 @@ def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.
 
 
 def _laws(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> tuple[Law, ...]:
-    """Return the laws to extrapolate with: the declared power law, or else the law for which three
-    differences of results give the most constant rate. With fewer differences, return both laws."""
+    """Return the laws by which errors are extrapolated. A declared power law is the only one.
+    Otherwise it is the law, geometric or power, for which the differences of results give the most
+    constant rate. With fewer than three differences, both laws are returned."""
     if law == "power":
         return (law,)
     if len(steps) < 3 or min(steps) == 0:
@@ -205,7 +208,7 @@ def _laws(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> tuple[La
 
 
 def _distance(law: Law, coarse: Any, fine: Any) -> float:
-    """Return the distance of two settings in the variable of a law; 1 if they are not numbers."""
+    """Return the distance of two settings in the variable of a law; 1 unless both are numbers."""
     if not (is_number(coarse) and is_number(fine)):
         return 1.0
     return abs(variable(fine, law) - variable(coarse, law)) or 1.0
@@ -219,8 +222,8 @@ def _bias_of_last(ratio: float, before: float, after: float) -> float:
 
 
 def _bias_rate(ratio: float, before: float, after: float) -> float:
-    """Return the rate at which errors of one direction decrease, from the ratio of two steps; 0 if
-    they do not decrease."""
+    """Return the rate at which errors decrease that all have the same direction, from the ratio of
+    two steps; 0 if the errors do not decrease."""
     if ratio <= before / after:
         return 0.0
     return _rate(lambda k: np.expm1(k * before) / -np.expm1(-k * after), ratio, before, after)

@@ -3,13 +3,13 @@ the operation that loses most digits.
 
 The function is traced to its jaxpr, and every operation runs in float64 on float32 operands. If the
 result is not a float32 number, it is rounded up or down at random. The probabilities make the
-expectation exact, but neither is below 3/8, so that a few runs also show what a sum loses of a
-small term. An exact result is not changed, so that compensated sums and products work. The scatter
-of the results over several runs is the rounding error (Parker, "Monte Carlo Arithmetic", UCLA
-CSD-970002, 1997). Special functions and long sums may have a float32 error above one ULP; this
-error is added with a random sign. A result that underflows to 0 becomes 0 or the smallest normal
-number at random. A loop, a branch or a linear solve is reported as one operation, but each
-operation inside it is rounded separately.
+expectation exact, but neither is below 3/8, so that even a few runs show how many digits of a small
+term are lost in a sum. An exact result is not changed, so that compensated sums and products work.
+The scatter of the results over several runs is the rounding error (Parker, "Monte Carlo
+Arithmetic", UCLA CSD-970002, 1997). Special functions and long sums may have a float32 error above
+one ULP; this error is added with a random sign. A result that underflows to 0 becomes 0 or the
+smallest normal number at random. A loop, a branch or a linear solve is reported as one operation,
+but each operation inside it is rounded separately.
 """
 
 from collections.abc import Callable
@@ -45,8 +45,8 @@ class Digits:
     Attributes:
         digits: number of correct digits, at most 7.2, in arrays of the shapes of the outputs; NaN
             where an output is not finite.
-        operation: where an output lost more than one digit, the operation that lost the most of
-            its operands' digits, and its line; "" elsewhere.
+        operation: for an output that lost more than one digit, the operation that lost the most
+            digits of its operands, with its source line; "" for other outputs.
         lost: number of digits lost by that operation.
     """
 
@@ -79,8 +79,8 @@ def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: 
     """Estimate how many digits of a function's float32 results are correct at the given arguments.
 
     Arguments and constants are assumed to be exact. In float64 the function loses the same number
-    of digits, but of 16. Only rounding errors are counted: a truncated series has all digits even
-    if the truncation error is large.
+    of digits, out of 16 instead of 7.2. Only rounding errors are counted: a truncated series has
+    all digits even if the truncation error is large.
 
     Args:
         function: function from arrays to a pytree of arrays, which `jax.jit` can trace.

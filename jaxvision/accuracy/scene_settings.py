@@ -1,5 +1,5 @@
-"""Choose the settings of a scene file for a given tolerance or render time. Each setting is
-measured separately, and the best combination is checked by runs with fresh seeds. The choice is
+"""Choose the settings of a scene file for a given tolerance or render time. Each knob is measured
+separately. The best combination of settings is checked by runs with fresh seeds. The choice is
 cached on disk."""
 
 import hashlib
@@ -45,7 +45,7 @@ class Chosen:
 
     Attributes:
         render: settings of `[render]`.
-        effects: the reduced scene where the tolerance allows to omit effects, or None.
+        effects: the scene without the effects that the tolerance allows to drop, or None.
         promised: upper limit of the picture's relative root mean square error, for any seed.
         predicted_seconds: time of the whole picture with compilation, s.
         checked: whether runs with fresh seeds, compared with a finer picture, have confirmed the
@@ -155,7 +155,7 @@ def measured_together(
 
 
 def _add_base(knob: Knob, base: Any) -> Knob:
-    """Return the knob, with the scene file's own value added to its settings."""
+    """Return the knob with the value of the scene file added to its settings."""
     if base is None or isinstance(base, str) or base in knob.settings:
         return knob
     if base >= max(knob.reference):
@@ -298,8 +298,8 @@ def _chosen(scene_file: SceneFile, known: Mapping[str, Any], pruned: Pruned | No
 
 
 def _prune(source: SceneFile, tolerance: float | None, level: float | None) -> Pruned | None:
-    """Drop the negligible effects of a scene. The bounds hold for the longest path of any measured
-    depth."""
+    """Drop the negligible effects of a scene. The bounds are valid for paths of up to the largest
+    measured depth."""
     own, deepest = source.render, KNOBS["depth"].reference[-1]
     deep = own.model_copy(update={"depth": max(own.depth, deepest)})
     share = "0" if tolerance is None else f"{PROVED * tolerance:.6e}"

@@ -48,7 +48,7 @@ def knobs_of(source: SceneFile, settings: RenderEntry) -> tuple[str, ...]:
 
     Args:
         source: the scene and its view.
-        settings: settings of `[render]`, of which the integrator and the rule are used.
+        settings: settings of `[render]`; only the integrator and the quadrature rule are used.
 
     Returns:
         Names in `KNOBS`, the most influential first.
@@ -74,7 +74,7 @@ def knobs_of(source: SceneFile, settings: RenderEntry) -> tuple[str, ...]:
 
 
 def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
-    """Return the `[render]` entry with the given settings replaced, each in its own unit."""
+    """Return the `[render]` entry with the given settings replaced."""
     update: dict[str, Any] = {}
     for name, value in turned.items():
         if name == "rule":
@@ -106,16 +106,16 @@ def scene_problem(
     """Make a problem of a scene file.
 
     The problem computes the pixels on a regular grid of the picture, or, for light tracing, the
-    whole picture at a lower resolution. The time of the grid is scaled to the whole picture. The
-    scale is measured with the cheapest settings, or is the ratio of pixel numbers if that
-    measurement would take too long. Radiance is clipped at twice its 95 % quantile, because visible
-    lamps would otherwise dominate the error.
+    whole picture at a lower resolution. The time of the grid is multiplied by a factor to estimate
+    the time of the whole picture. This factor is measured with the cheapest settings. If the
+    measurement would take too long, the factor is the ratio of the numbers of pixels. Radiance is
+    clipped at twice its 95 % quantile, because visible lamps would otherwise dominate the error.
 
     Args:
         source: the scene and its view.
         settings: settings of `[render]`; None for those of the file.
-        expand: (all bands, bands) for a scene with fewer bands than requested, as in
-            `effects.Pruned`, or None.
+        expand: (all bands, bands), the matrix that reconstructs all bands of a scene with fewer
+            bands, as in `effects.Pruned`, or None.
         probe: pixels along each side of the grid.
         seconds: time budget, s; a small part of it calibrates the time scale.
         clock: function that returns seconds; None for the machine's clock.
@@ -214,8 +214,8 @@ def scene_problem(
 
 def _samples_a_call(entry: RenderEntry) -> int:
     """Return the number of samples per pixel in one call; further samples are computed by further
-    calls. Paths take one. Other integrators place a single sample at the centre of the pixel, so
-    they take two samples, or all if their number is odd."""
+    calls. For path tracing, a call has one sample. Other integrators would place a single sample at
+    the centre of the pixel, so a call has two samples, or all samples if their number is odd."""
     if entry.integrator == "path":
         return 1
     return 2 if entry.samples % 2 == 0 else entry.samples

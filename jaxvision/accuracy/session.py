@@ -1,6 +1,6 @@
-"""Run and time a problem within a time budget, the cheapest settings first. The time of the next
-setting is predicted from the growth of compile and run times so far. A call that exceeds the
-remaining time by more than a twentieth of the budget is abandoned."""
+"""Run and time a problem within a time budget, the cheapest settings first. The time of each
+setting is predicted from the growth of compile and run times over the settings before. A call that
+exceeds the remaining time by more than a twentieth of the budget is abandoned."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -151,8 +151,8 @@ class Session:
             )
 
     def refuse(self, setting: Any, why: Exception) -> None:
-        """Skip a setting that the problem cannot compute. Raise the error again if results cannot
-        be compared, or if the first setting fails for another reason than its input."""
+        """Skip a setting that the problem cannot compute. If results cannot be compared, or if the
+        first setting fails with another error than `InputError`, raise the error again."""
         self.points.pop(setting, None)
         if isinstance(why, NotComparable) or not (self.points or isinstance(why, InputError)):
             raise why
@@ -184,14 +184,14 @@ class Session:
         return compiling + calls * running
 
     def is_compiled(self, setting: Any) -> bool:
-        """Return whether the problem knows that this setting runs without another compilation."""
+        """Return whether this setting certainly runs without another compilation."""
         settings = {**self.problem.settings, self.knob.name: setting}
         return self.problem.compiled is not None and self.problem.compiled(settings)
 
 
 def whole_seconds(problem: Problem, seconds: Any, once: float) -> Any:
     """Return the time of the whole computation, in s, from the time of a call of the measured part.
-    `once` is the share of a call, in s, that the whole pays only once."""
+    `once` is the part of a call, in s, that the whole computation needs only once."""
     return once + problem.whole * np.maximum(seconds - once, 0.0)
 
 
@@ -204,8 +204,9 @@ def part_seconds(problem: Problem, seconds: float) -> float:
 
 def _next(before: Sequence[tuple[Any, float]], setting: Any, power: float) -> float:
     """Predict the time of the next setting, in s, from the times of earlier settings (setting, s).
-    The time is extrapolated by the smaller of the last two growths: as a power of the setting or by
-    a constant factor per step, whichever predicts more."""
+    The growth of the time is the smaller growth over the last two steps. It is extrapolated both as
+    a power of the setting and as a constant factor per step, and the larger prediction is returned.
+    """
     if not before:
         return 0.0
     last, taken = before[-1]

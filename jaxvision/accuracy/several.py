@@ -1,12 +1,12 @@
-"""Combine the settings of several approximations: choose the cheapest combination within a
-tolerance, or the most accurate one within a time.
+"""Choose a combination of settings for several knobs: the cheapest within a tolerance, or the most
+accurate within a time.
 
-The model of time is a product: each setting changes the time by the same factor as it does alone.
-In the model of error, random errors add in quadrature and biases add linearly: error^2 = (sum of
-biases)^2 + sum of squares of random errors.
+The time of a combination is modelled as a product: each knob changes the time by the factor that
+was measured with the other knobs fixed. In the model of the error, random errors add in quadrature
+and biases add linearly: error^2 = (sum of biases)^2 + sum of squares of random errors.
 
-The best combination is checked by runs with fresh seeds against finer settings; if its error
-exceeds the tolerance, a more accurate combination is tried.
+The best combination is compared with finer settings in runs with fresh seeds. If its error exceeds
+the tolerance, a more accurate combination is tried.
 """
 
 import time
@@ -38,8 +38,7 @@ TOLERANCES = (0.1, 0.01, 0.001)
 
 @dataclass(frozen=True)
 class Combination:
-    """A setting for each of several approximations, and the expected error and time of the
-    combination.
+    """A setting for each of several knobs, with the expected error and time of the combination.
 
     Attributes:
         settings: values of the settings, by name.
@@ -63,12 +62,12 @@ def combined(
     seconds: float | None = None,
 ) -> Combination:
     """Choose the best combination of the settings of several approximations, from their Pareto
-    fronts. A deterministic approximation whose error is unknown keeps its value in `base`.
+    fronts. A deterministic knob whose error is unknown keeps its value in `base`.
 
     Args:
-        curves: measured curves of one problem, one for each setting; each was measured with the
-            others at `base`.
-        base: settings of the other knobs during each measurement.
+        curves: measured curves of one problem, one for each knob; the other knobs had their values
+            in `base`.
+        base: value of each knob while the other knobs were measured.
         tolerance: upper limit of the relative error for any seed.
         seconds: upper limit of the time of a warm call, s.
 
@@ -76,8 +75,8 @@ def combined(
         The combination.
 
     Raises:
-        InputError: unless exactly one of tolerance and time is given, if no combination meets it,
-        and if no error is known, or none of a random knob.
+        InputError: unless exactly one of tolerance and time is given; if no combination meets the
+            given limit; if no error is known; and if the error of a random knob is unknown.
     """
     if (tolerance is None) == (seconds is None) or not curves:
         raise InputError("combined needs curves, and either a tolerance or a time.")
@@ -118,8 +117,8 @@ def combined(
 
 
 def _seconds_at(curve: Curve, base: Mapping[str, Any]) -> float:
-    """Return the time in s at the base value of a setting, interpolated between the measured
-    values."""
+    """Return the time, in s, at the `base` value of a curve's knob, interpolated between the
+    measured values."""
     setting = base[curve.knob.name]
     known = {trial.setting: trial.seconds for trial in curve.trials}
     if setting in known:
@@ -134,8 +133,8 @@ Front = list[tuple[Any, float, float]]
 
 
 def _unknown(curves: Sequence[Curve], fronts: Sequence[Front]) -> tuple[str, ...]:
-    """Return the names of the settings for which no error is known. `InputError` is raised if one
-    of them is random, or if no setting has a known error."""
+    """Return the names of the knobs for which no error is known. `InputError` is raised if such a
+    knob is random, or if no knob has a known error."""
     found = [c.knob for c, front in zip(curves, fronts, strict=True) if not front]
     lost = next((k for k in found if k.random or len(found) == len(curves)), None)
     if lost is not None:
@@ -144,8 +143,8 @@ def _unknown(curves: Sequence[Curve], fronts: Sequence[Front]) -> tuple[str, ...
 
 
 def _pareto(curve: Curve, once: float) -> Front:
-    """Return the Pareto-optimal values of a setting, as (setting, upper bound of the error, time
-    relative to the base setting)."""
+    """Return the Pareto-optimal settings of a knob, each as (setting, upper bound of the error,
+    time relative to the base setting)."""
     found: Front = []
     for trial in sorted(candidates(curve), key=lambda trial: (trial.seconds, trial.error_high)):
         error = trial.error_high
@@ -220,8 +219,8 @@ def check_combination(
     clock: Clock | None = None,
 ) -> Check | None:
     """Measure the error and the time, in s, of a combination by runs with fresh seeds, compared
-    with finer settings. Return None if time is too short for a reference whose own error is at most
-    half of that error."""
+    with finer settings. Return None if the time is too short for a reference with an error of at
+    most half the measured error."""
     now = clock or time.perf_counter
     until = now() + seconds
     own = sum(
@@ -251,9 +250,9 @@ def check_combination(
 def _finer(
     problem: Problem, curves: Sequence[Curve], best: Combination, finer: int
 ) -> tuple[dict[str, Any], float]:
-    """Return finer settings for a reference, and the time of one call with them in s. A
-    deterministic approximation takes the setting of its own reference; a random one takes `finer`
-    times the chosen number."""
+    """Return finer settings, with which the reference for a check is computed, and the time in s of
+    one call with these settings. A deterministic knob has the setting with which the reference of
+    its curve was computed. A random knob has `finer` times the setting that `best` chose."""
     measured = [one for one in curves if one.knob.name not in best.unknown]
     fine = {c.knob.name: c.reference.setting for c in measured if c.reference.setting is not None}
     each = part_seconds(problem, best.seconds)
@@ -279,8 +278,8 @@ def _fresh_runs(
     random: bool,
     now: Clock,
 ) -> Check | None:
-    """Run the chosen settings with fresh seeds and return their error and time, or None if the
-    error of the reference is more than half as large."""
+    """Run the chosen settings with fresh seeds and return their error and time. Return None if the
+    error of the reference is more than half of their error."""
     compute = problem.prepare(finest)
     draws = [np.asarray(compute(FIRST_SEED + n), np.float64) for n in range(DRAWS if random else 1)]
     compared = problem.compared or np.asarray
@@ -317,7 +316,7 @@ def all_together(
     clock: Clock | None = None,
 ) -> tuple[Together, ...]:
     """For each of `TOLERANCES`, choose the cheapest combination of settings and check it, all
-    within the given seconds. The result is empty if fewer than two settings were measured. An
+    within the given seconds. The result is empty if fewer than two knobs were measured. An
     interrupt ends the checks, and the other combinations are returned unchecked."""
     known = [curve for curve in curves if curve.knob.name in problem.settings]
     if len(known) < 2:

@@ -1,5 +1,5 @@
-"""Present measured curves as a table or as JSON: for each approximation and for all together, the
-cheapest setting with an error below 10, 1 and 0.1 %."""
+"""Present measured curves as a table or as JSON: for each knob, and for all knobs together, the
+cheapest settings with an error below 10, 1 and 0.1 %."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -142,8 +142,9 @@ def json_sheet(
     together: Sequence[Together] | None = None,
     **more: Any,
 ) -> dict[str, Any]:
-    """Return all measurements as an object for JSON, with the items of `more`, such as the machine.
-    Times are in s, errors relative. A number that is not finite is written as null."""
+    """Return all measurements as an object for JSON. The items of `more`, such as a description of
+    the machine, are added to the object. Times are in s, errors relative. A number that is not
+    finite is written as null."""
     sheet: dict[str, Any] = {
         "problem": problem.name,
         "about": problem.about,

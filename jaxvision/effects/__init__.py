@@ -1,20 +1,16 @@
 """Bound the change that each effect makes in a picture, and drop negligible effects.
 
-    certificate   the records: effects, tolerances, and the dropped effects with their bounds
-    stages        the interface of a stage of the camera
-    pruning       `inspect` and `prune`
-    choice        the choice of the effects to drop
-    boxes         the range of the free parameters of a fit
-    seconds       the measured time of each effect
-    radiance      the effects of a scene: lights, shadows, lobes, emission, ambient light
-    extent        the effects of area lights
-    bounces       the effects of paths
-    spectra       the effects of bands
-    probes        estimates of the light of long paths
-    sums          bounds on the light of each part of a scene, from `illumination`, `reflection`,
-                  `angles`, `blocking`, `umbra`, `cells` and `bodies`
+- `certificate` defines the records of effects, tolerances and dropped effects.
+- `pruning` contains `inspect`, which lists effects, and `prune`, which drops them.
+- `choice` decides which effects to drop, and `seconds` measures the time that each effect takes.
+- `radiance`, `extent` and `bounces` bound the effects of a scene: of lights and materials, of the
+  size of lamps, and of long light paths. `probes` estimates the light of long paths.
+- `spectra` bounds the error of rendering fewer bands.
+- `optics`, `motion`, `sensor` and `development` bound the effects of a camera.
+- `sums` bounds the light of each part of a scene, on which the other bounds rest.
 
-The bounds are computed in NumPy float64 outside `jit`; records with traced numbers are refused.
+The bounds are computed in NumPy float64 outside `jit`. Records with traced numbers raise
+`ValueError`.
 """
 
 from ..core.lazy_names import names_of

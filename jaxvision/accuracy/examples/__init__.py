@@ -1,8 +1,8 @@
-"""A small example problem for each setting that does not belong to scene files. Each takes seconds.
+"""A small example problem for each knob that scene files do not set. Each problem takes seconds.
 
-light      roulette, strategies, form factors, adaptive nodes, tables of directions, spectra
-cameras    lens, motion, pixel aperture, diffraction, shot noise
-pictures   filters, mattes, curves
+- `light` has problems of light transport, area lights, sampling tables and spectra.
+- `cameras` has problems of lenses, motion, pixel apertures, diffraction and shot noise.
+- `pictures` has problems of image filters, mattes and interpolated curves.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,8 +16,7 @@ ROOMS = ("light", "cameras", "pictures")
 
 
 def examples() -> dict[str, Callable[[], Problem]]:
-    """Return a function for each setting, by name, that makes the example problem of that
-    setting."""
+    """Return, for each knob by name, a function that makes the example problem of that knob."""
     found: dict[str, Callable[[], Problem]] = {}
     for room in ROOMS:
         found |= import_module(f"{__name__}.{room}").EXAMPLES
@@ -44,7 +43,7 @@ def problem_of(
 
 
 def example(knob: str) -> Problem:
-    """Make the example problem on which a setting is measured if no scene file is given.
+    """Make the example problem on which a knob is measured if no scene file is given.
 
     Args:
         knob: name of the knob, one of `KNOBS`.
