@@ -1,4 +1,5 @@
-"""The command `jaxvision`; `command_line` is the part that the commands of both packages share."""
+"""The shell command `jaxvision`. The module `command_line` is shared with the shell commands of the
+package `fitting`."""
 
 from ..core.lazy_names import names_of
 

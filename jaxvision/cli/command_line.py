@@ -1,5 +1,5 @@
-"""Parts that both shell commands share: the options `--version` and `-v`, and the end of a failed
-command with one sentence on standard error and an exit status."""
+"""Define what the shell commands of both packages share: the options `--version` and `-v`, and the
+ending of a failed command with one sentence on standard error and an exit status."""
 
 import logging
 import os
@@ -51,8 +51,8 @@ Scheduler = Annotated[
 
 
 def _described_parameters(params: Any, ctx: Any) -> Any:
-    """Set the word that the help shows for the value of each option of a command, such as N or
-    PATH. Flags get no such word, and positional arguments keep their names."""
+    """Set the placeholder that the help shows for the value of each option of a command, such as N
+    or PATH. Flags have no placeholder, and positional arguments are shown by name."""
     for param in params:
         if param.param_type_name == "argument":
             param.display_type_rich = lambda ctx: None
@@ -77,8 +77,8 @@ class _Command(TyperCommand):
 
 
 class _Group(TyperGroup):
-    """A group of sub-commands. It refuses arguments, and a working folder, whose text is not valid
-    UTF-8."""
+    """A command with sub-commands. An argument or a working folder whose name is not valid UTF-8 is
+    an error."""
 
     def get_params(self, ctx: Any) -> Any:
         return _described_parameters(super().get_params(ctx), ctx)
@@ -101,7 +101,7 @@ class _Group(TyperGroup):
             raise
 
     def _clearer(self, said: str, ctx: Any) -> str:
-        """Reword the error message for a wrong command line, so that it says what to do."""
+        """Reword the error message for a wrong command line to say what to do."""
         said = said.removeprefix("Value error, ")
         if " is not one of " in said:
             word, *known = re.findall(r"'([^']*)'", said)
@@ -118,7 +118,8 @@ def command_app(
     name: str, about: str, *, elsewhere: Mapping[str, str] | None = None
 ) -> typer.Typer:
     """Make a command that has sub-commands and the options `--help`, `--version` and `--verbose`.
-    `elsewhere` gives the command to suggest for a sub-command that only the other package has."""
+    `elsewhere` maps a sub-command that only the other package has to the command that the error
+    message suggests."""
     # pydantic looks for plugins in the metadata of every installed package
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     app = typer.Typer(
@@ -176,8 +177,8 @@ def _print_version(context: typer.Context, wanted: bool) -> bool:
 
 
 def surroundings() -> list[str]:
-    """List, one per line, what a result depends on besides the package itself: Python, the
-    dependencies, the folder of compiled programs, and the devices."""
+    """Return, one per line, the versions and settings on which results depend besides the package
+    itself: Python, the dependencies, the folder of compiled programs, and the devices."""
     import platform
 
     import jax
@@ -230,7 +231,8 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
     line on standard error, which begins with the name of the command. The exit status is 2 for
     wrong input and for files that cannot be read or written, 130 for an interrupt, and 141, without
     a message, if the reader of the output has closed it. A warning is also printed as one line. If
-    several files cause the same warning, it is printed once, with the number of further files."""
+    several files cause the same warning, the warning is printed once, with the number of further
+    files."""
     say_if_interrupted(interrupted)
     alike: Counter[str] = Counter()
 

@@ -1,8 +1,9 @@
 """Convert and check the arguments of public functions. Plain numbers and lists become arrays. A
-function of one point refuses an array of several points, and a direction must be a unit vector.
+function of one point raises `ValueError` for an array of several points. A direction must be a unit
+vector.
 
-Values are checked only if they are concrete; inside `jax.jit` and other transforms they are not.
-NaN is accepted.
+Only concrete values are checked, not values that `jax.jit` or another transform traces. NaN is
+accepted.
 """
 
 from collections.abc import Callable, Collection, Iterable
@@ -59,10 +60,10 @@ class _Wanted(NamedTuple):
 
 
 def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a function of arrays so that it also accepts numbers, lists and NumPy arrays. They
-    are converted to the floating dtype of its other arguments. The decorated function raises
-    `ValueError` for wrong shapes, directions and random keys. It raises `TypeError` for unknown
-    argument names, and for optional arguments that are given by position."""
+    """Decorate a function of arrays so that it also accepts numbers, lists and NumPy arrays. Such
+    arguments are converted to the floating dtype of the other arguments. The decorated function
+    raises `ValueError` for wrong shapes, directions and random keys. It raises `TypeError` for
+    unknown argument names, and for optional arguments that are given by position."""
 
     @wraps(function)
     def converting(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -113,7 +114,7 @@ def warn_of_idle_fill(fill: Any, border: str) -> None:
 
 def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a function so that it raises `ValueError` for a concrete argument outside its
-    allowed range. This decorator stands below `takes_numbers`."""
+    allowed range. Apply this decorator before `takes_numbers`, on the line below."""
 
     def of(function: Callable[P, R]) -> Callable[P, R]:
         names = list(signature(function).parameters)
@@ -172,8 +173,8 @@ def _expected(function: Callable[..., Any]) -> _Expected:
 
 
 def _parts(hint: Any) -> tuple[Any, ...]:
-    """Return the members of a union type without resolving named aliases; a tuple of the hint
-    itself if it is no union."""
+    """Return the members of a union type, without resolving named aliases. For a hint that is no
+    union, return a tuple of the hint itself."""
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 
@@ -213,7 +214,7 @@ def _dtypes(part: Any) -> Any:
 
 def _common_dtype(values: dict[str, Any]) -> Any:
     """Return the widest dtype of the floating arrays among the arguments, including arrays in
-    records; JAX's default if there are none."""
+    records; JAX's default floating dtype if no argument is a floating array."""
     leaves = [x for x in jax.tree.leaves(list(values.values())) if isinstance(x, jax.Array)]
     floating = [x.dtype for x in leaves if jnp.issubdtype(x.dtype, jnp.floating)]
     return max(floating, key=lambda dtype: dtype.itemsize, default=jnp.result_type(float))

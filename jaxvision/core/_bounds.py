@@ -1,9 +1,9 @@
-"""Helpers for the bounds that each type of light and material defines: the largest light that a
-lamp sends, and the suprema of a material's shading.
+"""Records and helper functions for bounds on light. Each type of light defines a bound on the light
+that a lamp sends. Each type of material defines bounds on its shading.
 
-A bound is computed outside `jit` in NumPy float64. Its argument is a record with each free
-parameter at both ends of its range. For each field, the bound uses the end of the range that makes
-it larger.
+A bound is computed outside `jit` in NumPy float64. The argument of a bound is `Ends`: two copies of
+a record, with the free parameters at their smallest and at their largest values. For each field,
+the bound uses the copy for which the bound is larger.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,12 +23,12 @@ SIGNS = np.array([*product((-1.0, 1.0), repeat=3)])
 @register_dataclass
 @dataclass(frozen=True, eq=False)
 class Ends(Generic[T]):
-    """A record at both ends of the range of its free parameters; both are equal if no parameter is
-    free.
+    """Two copies of a record, with the free parameters at their smallest and at their largest
+    values. The copies are equal if no parameter is free.
 
     Attributes:
-        low: the record with each number at its low end.
-        high: the record with each number at its high end.
+        low: the record with the smallest value of each free parameter.
+        high: the record with the largest value of each free parameter.
     """
 
     low: T
@@ -38,7 +38,7 @@ class Ends(Generic[T]):
         return iter((self.low, self.high))
 
     def of(self, name: str) -> "Ends[Any]":
-        """Return one field of the record at both ends. Repeated calls return the same object."""
+        """Return one field of both copies, as `Ends`. Repeated calls return the same object."""
         key = f"of {name}"
         if key not in self.__dict__:
             self.__dict__[key] = Ends(getattr(self.low, name), getattr(self.high, name))
@@ -46,7 +46,8 @@ class Ends(Generic[T]):
 
 
 def once(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
-    """Cache the result of a function of `Ends` in its argument, so that it is computed once."""
+    """Decorate a function of `Ends` so that the result is cached in the argument and computed only
+    once."""
 
     @wraps(function)
     def asked(ends: Ends[Any]) -> T:
@@ -84,8 +85,8 @@ def angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class Angles(NamedTuple):
-    """Bounds on the angles between c cells and s light positions, from which a lobe is bounded; (c,
-    s) unless stated otherwise.
+    """Bounds on the angles of light and viewer at c surface cells, for s light positions, from
+    which a specular lobe is bounded. Shapes are (c, s) unless stated otherwise.
 
     Attributes:
         off_mirror: rad, the smallest angle between the mirrored light direction and the viewer.
@@ -127,8 +128,8 @@ class Lobe(NamedTuple):
     @property
     def gain(self) -> float:
         """The largest value of f_r cos / k_s, divided by the mean of f_r cos / k_s over the
-        hemisphere. It is the largest factor by which the share of the lobe in a small solid angle
-        can exceed this angle / 2 pi. No unit."""
+        hemisphere. The gain is the largest factor by which the share of the lobe in a small solid
+        angle can exceed that solid angle over 2 pi. No unit."""
         one = np.ones((1, 1))
         peak = self.most(Angles(0 * one, one, 0 * one, one, 0 * one, one))
         return 2 * np.pi * float(peak.max()) / self.size if self.size > 0 else np.inf
@@ -149,8 +150,8 @@ class Reflection(NamedTuple):
             `grazing`) and a Lambertian BRDF of the same k_d; 0 for a Lambertian surface.
         mirror: (bands,) or (1,), reflectance of a mirror, or None.
         why: "", or the reason why there is no bound; then `body` is inf.
-        grazing: share of `body` that bounds f_r cos(theta_i) instead of f_r, so that it does not
-            vanish toward the horizon.
+        grazing: share of the diffuse part for which `body` bounds f_r cos(theta_i) instead of f_r,
+            because this share does not vanish toward the horizon.
         rough: field whose removal makes the diffuse part Lambertian, and the name of that
             simplification; or None.
         facets: for a lobe with an interface, the smallest reflectance over bands and angles, and
@@ -186,7 +187,7 @@ def most(x: Any, name: str) -> float:
 
 
 class Source(NamedTuple):
-    """The properties of one light from which its irradiance is bounded.
+    """The properties of one light from which the irradiance by this light is bounded.
 
     Attributes:
         spectrum: (bands,) largest intensity W sr^-1, irradiance W m^-2 or radiance W m^-2 sr^-1.
@@ -197,7 +198,7 @@ class Source(NamedTuple):
         body: points, (p, 3) m, and radii, (p,) m, of spheres that contain the light; None for a
             light at infinity.
         kind: "place", "area", "direction" or "sky".
-        even: whether its radiance is the same in all directions.
+        even: whether the radiance of the light is the same in all directions.
         small: for a flat lamp both edges, (3,) m each, and a light without size at its centre that
             has the same flux.
         share: largest flux of a sky divided by 2 pi times `spectrum`, no unit.

@@ -1,4 +1,5 @@
-"""Link tables of scene files to the light and material records that they describe."""
+"""Link the tables of scene files to the types of light and material records that the tables
+describe."""
 
 import re
 from collections.abc import Callable
@@ -12,7 +13,7 @@ Photometry = Annotated[Any, "photometry"]
 
 
 class Table(NamedTuple):
-    """How one type of table in a scene file becomes a record."""
+    """The conversion of one type of table in a scene file to a record."""
 
     word: str  # the value of its key `kind` or `family`
     record: type  # the class of the record that it describes
@@ -20,8 +21,8 @@ class Table(NamedTuple):
 
 
 def table_for(record: type, word: str | None, from_file: Callable[..., Any] | None) -> Table | None:
-    """Return the table of a light or material record; None if `word` is "", for a record that no
-    scene file contains."""
+    """Return the table of a light or material record; None if `word` is "", which means that scene
+    files cannot contain the record."""
     if word is None:
         name = record.__name__.removesuffix("Light") or record.__name__
         word = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()

@@ -1,7 +1,7 @@
 """Start Dask worker processes on this machine, and restart them.
 
-Each process has one thread, also for XLA and BLAS, and a share of the memory. It inherits the
-environment variables that affect JAX's results.
+Each process has one thread, also for XLA and BLAS, and a share of the memory. Each process inherits
+the environment variables that affect JAX's results.
 """
 
 import logging
@@ -66,7 +66,7 @@ def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
 
 def _start(count: int) -> "LocalCluster":
     """Start the worker processes on this machine, in up to three attempts. If one worker dies
-    during its start, the others end too, and all are started again."""
+    during its start, all workers are ended and started again."""
     from distributed import LocalCluster
 
     settings = {"processes": True, "threads_per_worker": 1, "memory_limit": MEMORY / count}
@@ -81,8 +81,8 @@ def _start(count: int) -> "LocalCluster":
 
 
 def replace_lost(client: "Client") -> None:
-    """Restart workers on this machine that died during their start; Dask itself restarts those that
-    die later."""
+    """Restart workers on this machine that died during their start; Dask itself restarts workers
+    that die later."""
     made: Any = client.cluster
     wanted = len(getattr(made, "worker_spec", ()))
     there: Any = client.nthreads()

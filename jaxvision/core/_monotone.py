@@ -27,8 +27,9 @@ def through_points(x: Scalars, inputs: Points, outputs: Points, slopes: Points) 
 
 
 def monotone_slopes(inputs: Points, outputs: Points) -> Points:
-    """Return the slope of the monotone curve at each point. At an interior point it is the weighted
-    harmonic mean of the slopes of the two neighbouring chords, or 0 at an extremum."""
+    """Return the slope of the monotone curve at each point. At an interior point, the slope is the
+    weighted harmonic mean of the slopes of the two neighbouring chords, or 0 if the point is an
+    extremum."""
     width = jnp.diff(inputs)
     chord = jnp.diff(outputs) / width
     if inputs.shape[0] == 2:

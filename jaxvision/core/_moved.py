@@ -1,5 +1,5 @@
-"""Keep former module names valid: `import jaxvision.io`, `from jaxvision import io`, `jaxvision.io`
-and old pickles find the module under its new name, with a `DeprecationWarning`."""
+"""Keep former module names valid, such as `jaxvision.io`. Imports, attributes and pickles with a
+former name find the module under its new name, with a `DeprecationWarning`."""
 
 import sys
 import warnings

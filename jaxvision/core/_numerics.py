@@ -5,11 +5,11 @@ Where an operation would fail, its argument is replaced by a harmless number and
 masked ("double where"). Reverse-mode differentiation then never multiplies zero by infinity.
 Compiled code may evaluate the condition twice with different rounding. Then the argument may be
 replaced although the output is not masked. The result must be right even in that case. The
-replacement is therefore a number at the edge of the domain. Alternatively, the argument has its own
-condition, which differs from that of the mask by far more than rounding.
+replacement is therefore a number at the edge of the domain. Alternatively, the condition for
+replacing the argument differs from the condition for masking the output by far more than rounding.
 
 Scalar functions work elementwise. Vector functions work over the last axis of (..., 3) arrays or on
-`Vec` records. All keep the floating dtype.
+`Vec` records. All functions keep the floating dtype.
 """
 
 from collections.abc import Sequence
@@ -59,9 +59,10 @@ def dot(u: Vec3, v: Vec3) -> Scalars:
 
 
 def exact_cross(u: Vec3, v: Vec3) -> Vec:
-    """Return u x v in the product of their units. For nearly parallel vectors the result is a
-    thousand times more accurate than by rounded products. Each component is split into two halves,
-    whose products are exact also in compiled code (Dekker, Numerische Mathematik 18 (1971))."""
+    """Return u x v in the product of their units. For nearly parallel vectors, the result is a
+    thousand times more accurate than with rounded products. Each component is split into two
+    halves, whose products are exact also in compiled code (Dekker, Numerische Mathematik 18
+    (1971))."""
     a, b = as_vec(u), as_vec(v)
     return Vec(
         difference_of_products(a.y, b.z, a.z, b.y),
@@ -86,7 +87,7 @@ def _difference_of_products_jvp(primals, tangents):
 
 
 def _halves(x: Scalars) -> tuple[Scalars, Scalars]:
-    """Split a number into one with the upper half of its binary digits, and the remainder."""
+    """Split a number into a number with the upper half of its binary digits, and the remainder."""
     bits, low = {2: (jnp.int16, 6), 4: (jnp.int32, 12), 8: (jnp.int64, 27)}[x.dtype.itemsize]
     kept = jax.lax.bitcast_convert_type(x, bits) & -(1 << low)
     upper = jax.lax.bitcast_convert_type(kept, x.dtype)
@@ -339,7 +340,8 @@ def _sine_cosine_jvp(primals, tangents):
 def angle_between(u: Directions, v: Directions) -> Float[Array, "..."]:
     """Return the angle between unit vectors, with full relative accuracy near 0 and pi.
 
-    It is 2 atan2(|u - v|, |u + v|); arccos of the inner product would lose all digits there.
+    The angle is 2 atan2(|u - v|, |u + v|). The arccos of the inner product would lose all digits
+    near 0 and pi.
 
     Args:
         u: (..., 3) or `Vec`, unit length.
@@ -366,8 +368,8 @@ def angle_between(u: Directions, v: Directions) -> Float[Array, "..."]:
 def log_cos_between(u: Directions, v: Directions) -> Float[Array, "..."]:
     """Return the logarithm of the cosine between unit vectors, accurate also near 0 and 90 degrees.
 
-    Below 60 degrees it uses cos = 1 - |u - v|^2 / 2: the chord is precise at small angles, and the
-    inner product near a right angle.
+    Below 60 degrees, the cosine is computed as 1 - |u - v|^2 / 2, which is accurate at small
+    angles. At larger angles, the cosine is the inner product, which is accurate near a right angle.
 
     Args:
         u: (..., 3) or `Vec`, unit length.
@@ -405,8 +407,9 @@ def log1p(x: Scalars) -> Scalars:
 
 @jax.custom_jvp
 def _log_of_sum(rounded: Scalars, less: Scalars) -> Scalars:
-    """Return log(1 + less), no unit, where `rounded` is the rounded sum 1 + less. The logarithm of
-    `rounded` is corrected for its rounding error (Kahan). XLA's log1p costs twice as much."""
+    """Return log(1 + less), no unit, where `rounded` is the sum 1 + less after rounding. The
+    logarithm of `rounded` is corrected for its rounding error (Kahan). XLA's log1p costs twice as
+    much."""
     kept = rounded - 1
     lost = kept == 0
     corrected = jnp.where(less == 0, 1, less / jnp.where(lost, 1, kept))

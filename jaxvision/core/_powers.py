@@ -1,19 +1,19 @@
 """Powers and exponentials with errors of one or two ULP, computed with sums of two floating-point
 numbers.
 
-An exponent such as 1 / 2.4, rounded to float32, changes x^p by |log x| / 2 ULP. Here the exponent
+Rounding an exponent p such as 1 / 2.4 to float32 changes x^p by |log x| / 2 ULP. Here the exponent
 is a sum of two numbers, p = nearest + rest, and
 
     x^p = x^nearest (1 + rest log x)
 
-needs log x to one digit only. That digit comes from the bits of x, read as an integer.
+so log x is needed to one digit only. That digit comes from the bits of x, read as an integer.
 
 XLA's exp has an error of one ULP, and its expm1 an error of five ULP. Here y is written as k ln 2 +
 r with an integer k, and
 
     exp(-y) = 2^-k (1 + t),    1 - exp(-y) = (1 - 2^-k) - 2^-k t,    t = exp(-r) - 1, |t| < 0.42,
 
-give both functions, where the rounding error of each sum is kept as a second number. The powers of
+are computed from t, and the rounding error of each sum is stored as a second number. The powers of
 two are run-time values, because a compiler would simplify sums with constants.
 """
 
@@ -85,8 +85,8 @@ def exact_power(base: Scalars, exponent: Exponent) -> Scalars:
 
 
 def power_of_sum(x: Scalars, shift: Fraction, factor: Fraction, exponent: Fraction) -> Scalars:
-    """Return factor (x + shift)^exponent. The rounding error e of the sum s = x + shift is
-    corrected after the power, with p the exponent:
+    """Return factor (x + shift)^exponent. The power p of the sum s = x + shift is corrected for the
+    rounding error e of s:
 
         (s + e)^p = s^p (1 + p e / s).
 
@@ -121,16 +121,16 @@ def _logarithm(x: Scalars) -> Scalars:
 
 
 def _format(x: Scalars) -> tuple[DTypeLike, int, int]:
-    """Return the integer dtype of the same size, the bias of the exponent, and the number of binary
-    digits of the mantissa of a floating dtype."""
+    """Return three properties of a floating dtype: the integer dtype of the same size, the bias of
+    the exponent, and the number of binary digits of the mantissa."""
     limits = jnp.finfo(x.dtype)
     whole = {2: jnp.int16, 4: jnp.int32, 8: jnp.int64}[x.dtype.itemsize]
     return whole, int(limits.maxexp) - 1, int(limits.nmant)
 
 
 def power_of_two_in(x: Scalars) -> Scalars:
-    """Return the largest power of two that is at most x and whose inverse is a normal number. Its
-    gradient is 0. The result is 1 if x is 0, infinite or NaN."""
+    """Return the largest power of two that is at most x and whose inverse is a normal number. The
+    gradient of the result is 0. The result is 1 if x is 0, infinite or NaN."""
     whole, _, digits = _format(x)
     bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(x), whole)
     power = jax.lax.bitcast_convert_type(bits >> digits << digits, x.dtype)

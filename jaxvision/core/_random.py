@@ -1,10 +1,10 @@
 """Uniform random numbers, computed as a function of the pixel, the sample and the dimension that
 use them.
 
-The seed and the three indices (pixel, sample, dimension) identify a number. A number is a hash of
-these words, so any pixel can be computed alone, again, or in any order, with the same bits. The
-hash costs three multiplications per number. threefry, which is designed to resist prediction, costs
-14 times as much inside a loop over rays.
+The seed and the three indices (pixel, sample, dimension) identify a random number. The number is a
+hash of the seed and the indices, so any pixel can be computed alone, again, or in any order, with
+the same bits. The hash costs three multiplications per number. threefry, which is designed to
+resist prediction, costs 14 times as much inside a loop over rays.
 """
 
 import equinox as eqx
@@ -35,16 +35,17 @@ def seed_of(key: Key) -> UInt32[Array, "2"]:
 
 def uniforms(stream: Stream, block: Word | int, dtype: DTypeLike) -> Float[Array, "4"]:
     """Return four independent random numbers, (4,), uniform in [0, 1), for the dimensions 4 `block`
-    to 4 `block` + 3. They are multiples of 2^-24 in float32 and of 2^-32 in float64."""
+    to 4 `block` + 3. The numbers are multiples of 2^-24 in float32 and of 2^-32 in float64."""
     words = _words(stream, stream.sample, block)
     return jnp.stack([_unit(word, dtype) for word in words])
 
 
 def lattice_point(stream: Stream, dimensions: int, dtype: DTypeLike) -> Float[Array, " n"]:
-    """Return the position of a sample in its pixel: 2 or 4 numbers, uniform in [0, 1). For sample k
-    it is point k of a Kronecker sequence, (k alpha_i + shift_i) mod 1, in whole multiples of 2^-32.
-    alpha_i = phi^-i with phi^(d+1) = phi + 1 in d dimensions (Roberts, 2018), and each pixel has a
-    random shift (Cranley and Patterson, SIAM J. Numerical Analysis 13 (1976))."""
+    """Return the position of a sample in its pixel: 2 or 4 numbers, uniform in [0, 1). The position
+    of sample k is point k of a Kronecker sequence, with coordinates (k alpha_i + shift_i) mod 1 in
+    whole multiples of 2^-32. In d dimensions, alpha_i = phi^-i with phi^(d+1) = phi + 1 (Roberts,
+    2018). Each pixel has a random shift (Cranley and Patterson, SIAM J. Numerical Analysis 13
+    (1976))."""
     shifts = _words(stream, jnp.uint32(0), _OF_LATTICE)
     steps = _steps(dimensions)
     sample = jnp.uint32(0) if stream.sample is None else stream.sample

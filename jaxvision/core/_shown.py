@@ -57,8 +57,8 @@ class Shown(eqx.Module):
 
 
 def _rows(record: eqx.Module, depth: int = 0) -> Iterator[tuple[int, str, str, str]]:
-    """List depth, name, numbers, and unit and meaning of each field of a record that is not None.
-    The fields of a nested record follow it."""
+    """List the depth, the name, the numbers, and the unit and meaning of each field that is not
+    None. The fields of a nested record follow the field that contains it."""
     about = meanings(type(record))
     for field in fields(record):
         value, meaning = getattr(record, field.name), about.get(field.name, "")

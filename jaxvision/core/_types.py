@@ -1,9 +1,10 @@
 """Aliases of array types, conversions that keep a dtype, and checks of values. This module contains
 no computations.
 
-Names of axes: `...` is any batch, `bands` spectral bands (RGB is three bands), `h w` rows and
-columns of an image, and `3` a Cartesian vector. `Colour` and `Scalar` are values of one point, ray
-or pixel; the caller maps a function over many by `jax.vmap`.
+In the names of axes, `...` stands for any batch axes, `bands` for spectral bands (RGB has three),
+`h w` for rows and columns of an image, and `3` for a Cartesian vector. `Colour` and `Scalar` are
+values of one point, ray or pixel; the caller applies a function to many points, rays or pixels with
+`jax.vmap`.
 """
 
 import sys
@@ -82,8 +83,8 @@ class Varying(eqx.Module):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The shape of the values at one point: that of the constant parameter which the map
-        replaces."""
+        """The shape of the values at one point, which is the shape of the constant parameter that
+        the map replaces."""
         return self.values.shape[2:]
 
     @property
@@ -104,7 +105,8 @@ def as_float(x: Any) -> Array:
         x: numbers in any unit.
 
     Returns:
-        The same numbers: floating arrays keep their dtype, anything else gets JAX's default.
+        The same numbers. A floating array keeps its dtype, and other values get JAX's default
+            floating dtype.
 
     Example:
         >>> print(jv.as_float([1, 2]), jv.as_float(np.float32(3)).dtype)
@@ -226,7 +228,7 @@ def refuse_codes(values: Any) -> None:
 def as_dtype(record: Record, dtype: Any) -> Record:
     """Convert all floating-point numbers of a record to one dtype.
 
-    The precision is thus the caller's choice, float32 or float64, at each call.
+    With this function, the caller chooses the precision, float32 or float64, at each call.
 
     Args:
         record: any tree of arrays, in any units.
@@ -357,8 +359,8 @@ def check_choice(name: str, value: Any, choices: Collection[str]) -> None:
 
 
 def as_tile(pattern: Any) -> Any:
-    """Return the rows of a mosaic pattern. The phase of a Bayer mosaic, such as "RGGB", is
-    translated to its rows."""
+    """Return the rows of a mosaic pattern. The name of a Bayer mosaic, such as "RGGB", is converted
+    to rows."""
     if not isinstance(pattern, str):
         return pattern
     check_choice("phase", pattern.upper(), BAYER_PHASES)
@@ -370,8 +372,8 @@ def check_tile(
     name: str, pattern: Any, *, bands: int | None = None, holder: str = "the picture"
 ) -> None:
     """Raise `ValueError` unless `pattern` has rows of equal length that contain every band from 0
-    to the largest. If `bands` is given, the pattern must contain this number of bands, which
-    `holder` has."""
+    to the largest. If `bands` is given, the pattern must contain this number of bands, which is the
+    number that `holder`, named in the error message, has."""
     if not isinstance(pattern, tuple) or not all(
         isinstance(row, tuple) and all(isinstance(cell, int | np.integer) for cell in row)
         for row in pattern

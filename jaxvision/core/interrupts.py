@@ -1,11 +1,12 @@
 """Handle interrupts: Ctrl-C ends a command at once, with one line and exit status 130.
 
 Python raises `KeyboardInterrupt` only after XLA has finished compiling or computing, which may take
-minutes. Inside a callback from XLA the exception is lost. During the import of a compiled library,
-or while XLA's threads are working, it may crash the process. Therefore a separate thread receives
-the signal, prints the line and ends the process. The files of a command are complete at every
-moment, so they survive such an end, and also `kill -9`. The same command can continue from them.
-`KeyboardInterrupt` is raised only where a command requests it, in order to keep its measurements.
+minutes. Inside a callback from XLA the exception is lost. The exception may crash the process
+during the import of a compiled library, or while XLA's threads are working. Therefore a separate
+thread receives the signal, prints the line and ends the process. The files of a command are valid
+at every moment, so they survive such an end, and also `kill -9`. The same command can continue from
+these files. `KeyboardInterrupt` is raised only within `raised_interrupts`, with which a command
+keeps its measurements.
 
 This module imports nothing slow, because a command imports it before everything else.
 """
@@ -43,8 +44,7 @@ _ending = _Ending()
 
 
 def say_if_interrupted(sentence: str) -> None:
-    """Set the message that is printed if an interrupt comes from now on; it follows the command's
-    name."""
+    """Set the message that is printed, after the command's name, at an interrupt from now on."""
     _ending.sentence = sentence
 
 
@@ -55,7 +55,7 @@ def is_said() -> None:
 
 
 def is_handled() -> None:
-    """Record that the command has caught `KeyboardInterrupt`, keeps its results and will end by
+    """Record that the command has caught `KeyboardInterrupt`, saves its results and will end by
     itself. A second interrupt ends the process at once."""
     _ending.handled.set()
 

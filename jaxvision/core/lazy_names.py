@@ -19,7 +19,7 @@ Attached = tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]
 def names_of(package: str, file: str) -> Attached:
     """Return `__getattr__`, `__dir__` and `__all__` of a package, made from its stub file. A name
     is imported when it is first used. A name that the stub does not list raises `AttributeError`.
-    The message says where the name is defined, or which listed name is nearest."""
+    The error message says where the name is defined, or which listed name is nearest."""
     load, listed, offered = lazy_loader.attach_stub(package, file)
 
     def attribute(name: str) -> Any:

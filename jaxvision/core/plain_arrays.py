@@ -1,8 +1,9 @@
 """Convert arrays that contain more than numbers, such as a mask, a unit, coordinates or an index,
 or refuse them.
 
-Taking only their numbers would lose the rest without a message. Masked numbers become NaN, which
-marks a missing number everywhere in this library. All other additions are refused.
+Converting such an array to plain numbers would lose the mask or unit without a message. Masked
+numbers become NaN, which marks a missing number everywhere in this library. For units, coordinates
+and indices, `InputError` is raised.
 """
 
 import datetime
@@ -38,11 +39,11 @@ _WIDEST = {"f": np.float64, "c": np.complex128}  # widest dtype in JAX, by the k
 
 
 def plain_array(name: str, value: Any) -> Any:
-    """Return an argument as plain numbers, if that loses nothing. Masked floating-point numbers
-    become NaN. Arrays of another byte order, wider numbers, and subclasses of arrays become native
-    arrays of at most 64 bits, also inside lists. `InputError`, which names the argument, is raised
-    for masked integers, units, coordinates, an index, time spans, and anything that is not a
-    number."""
+    """Return an argument as an array of plain numbers, if that loses no information. Masked
+    floating-point numbers become NaN. Arrays of another byte order, wider numbers, and subclasses
+    of arrays become native arrays of at most 64 bits, also inside lists. `InputError`, which names
+    the argument, is raised for masked integers, units, coordinates, an index, time spans, and
+    anything that is not a number."""
     if type(value) in (list, tuple):
         if all(type(part) in (float, int) for part in value):
             return value
@@ -138,7 +139,7 @@ def warn_of_range(name: str, x: Any) -> None:
 
 
 def _hold_numbers(dtype: Any) -> np.iinfo:
-    """Return the range of the JAX integer dtype that replaces a NumPy integer dtype."""
+    """Return the range of the JAX integer dtype to which JAX converts a NumPy integer dtype."""
     import jax
 
     return np.iinfo(jax.dtypes.canonicalize_dtype(dtype))

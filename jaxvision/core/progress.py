@@ -10,8 +10,8 @@ def progress_bar(
     title: str, *, shown: bool = True, transient: bool = False
 ) -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar on standard error if that is a terminal. Yield a function that updates
-    it with the number of finished parts and of all parts. If `transient`, the bar vanishes at
-    the end."""
+    the bar, given the number of finished parts and the number of all parts. If `transient`, the bar
+    vanishes at the end."""
     if not (shown and sys.stderr.isatty()):
         yield lambda done, total: None
         return

@@ -43,9 +43,9 @@ def side_by_side(
     pieces: Sequence[Callable[[], T]], *, progress: Callable[[int, int], None] | None = None
 ) -> list[T]:
     """Run independent pieces of work in threads, and return their results in order. As many pieces
-    run at a time as this process has cores. If a piece raises an exception, it is raised at once
-    and pieces that have not started are cancelled. After each piece, `progress(finished, all)` is
-    called with the two numbers of pieces."""
+    run at a time as this process has cores. If a piece raises an exception, the exception is raised
+    at once and pieces that have not started are cancelled. After each piece, `progress(finished,
+    all)` is called with the numbers of finished pieces and of all pieces."""
     threads = ThreadPoolExecutor(min(cores(), len(pieces)) or 1)
     waiting = [threads.submit(for_any_thread(piece)) for piece in pieces]
     try:

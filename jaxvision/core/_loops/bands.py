@@ -1,5 +1,5 @@
-"""A spectrum as a tuple of one number per band, for loops over rays: a loop that contains an array
-of three numbers per ray cannot use the vector units of a CPU."""
+"""Represent a spectrum as a tuple of one number per band, for loops over rays. A loop that contains
+an array of three numbers per ray cannot use the vector units of a CPU."""
 
 from collections.abc import Callable
 
@@ -16,8 +16,8 @@ FEW = 8  # arrays of at most so many numbers are split; for more, the code would
 
 def split_bands(spectrum: Colour | Bands, bands: int) -> Bands:
     """Split a spectrum into a tuple of one number per band, in its unit; a neutral spectrum is
-    repeated. The gradient of `lax.split` is a concatenation, whereas that of indexing would pad and
-    add one array for each band."""
+    repeated. The gradient of `lax.split` is a concatenation, whereas the gradient of indexing would
+    pad and add one array for each band."""
     if not isinstance(spectrum, tuple):
         parts = jax.lax.split(spectrum, (1,) * spectrum.shape[0])
         spectrum = tuple(part.reshape(()) for part in parts)
@@ -35,8 +35,8 @@ def plus(a: Bands, b: Bands) -> Bands:
 
 
 def map_bands(function: Callable[..., Scalar], *spectra: Float[Array, " _"]) -> Colour:
-    """Apply an elementwise `function` to spectra, (bands,), band by band. A factor that does not
-    depend on the band stays one number per ray."""
+    """Apply an elementwise `function` to spectra, (bands,), band by band. A spectrum that is one
+    number for all bands stays one number per ray."""
     bands = max(spectrum.shape[0] for spectrum in spectra)
     if bands > FEW:
         return function(*spectra)

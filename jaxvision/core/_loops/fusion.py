@@ -1,14 +1,14 @@
 """Control XLA fusion: which values are computed in one loop and which are materialised. This
-control makes programs faster. It also ensures that a decision which depends on rounding is made
-only once. Otherwise compiled code may compute a sum twice, with different rounding, and the two
-copies may disagree, for example on which of two crossings comes first.
+control makes programs faster. A value that is materialised is also computed only once. Otherwise
+compiled code may compute a sum twice, with different rounding, and the two results may lead to
+different decisions, for example on which of two ray intersections is nearer.
 
-On a CPU, undocumented parts of JAX make programs faster; only the module `primitives` uses them.
-With public JAX alone, the programs give the same values and derivatives up to rounding, but take up
-to 20 times as long. PLAIN is True if the undocumented parts do not work with the installed JAX, or
-if the environment variable JAXVISION_PLAIN_JAX is set and not 0 when jaxvision is imported. An
-accelerator always uses public JAX: with the undocumented parts, an H200 took 20 times as long for a
-path-traced box and 14 times as long for direct light.
+On a CPU, undocumented parts of JAX make programs faster. Only the module `primitives` uses these
+parts. With public JAX alone, the programs give the same values and derivatives up to rounding, but
+take up to 20 times as long. PLAIN is True if the undocumented parts do not work with the installed
+JAX, or if the environment variable JAXVISION_PLAIN_JAX is set and not 0 when jaxvision is imported.
+An accelerator always uses public JAX: with the undocumented parts, an H200 took 20 times as long
+for a path-traced box and 14 times as long for direct light.
 """
 
 import os
@@ -61,8 +61,8 @@ def _helps() -> bool:
 
 
 def at_a_time(of_core: int) -> int:
-    """Return the number of rays or entries that a loop computes at a time: `of_core` on a CPU, and
-    at least 2^20 on an accelerator."""
+    """Return the number of rays or entries that one step of a loop computes: `of_core` on a CPU,
+    and at least 2^20 on an accelerator."""
     return of_core if on_processor() else max(of_core, _OF_KERNEL)
 
 
@@ -89,14 +89,14 @@ def materialise(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def inline(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Return `function(*arguments)`. This function replaces `materialise` where the result need not
-    be materialised."""
+    """Return `function(*arguments)`. Use this function in place of `materialise` if the result need
+    not be materialised."""
     return function(*arguments)
 
 
 def fuse(values: Any) -> Any:
     """Compute several arrays of one shape, and their derivatives, in one loop, and materialise
-    them. On the CPU, XLA computes each array in its own loop, except in a reduction of several
+    them. On the CPU, XLA computes each array in a separate loop, except in a reduction of several
     arrays. The arrays are therefore computed in a reduction over an axis of two equal entries."""
     if _fuse is None or not on_processor():
         return values
@@ -142,8 +142,8 @@ def bilinear(
     name: str, function: Callable[..., Array], *, opaque: Callable[..., bool], **rules: Any
 ) -> Callable[..., Array]:
     """Return a function that is linear in each of two arrays. Its transposes and its batching
-    follow the `rules` of `primitives.bilinear`. An accelerator uses these rules only if
-    `opaque(**named)`, because then JAX cannot derive them itself."""
+    follow the `rules` of `primitives.bilinear`. On an accelerator, these rules are used only if
+    `opaque(**named)`, which means that JAX cannot derive the rules itself."""
     if PLAIN:
         return function
     ours = _primitives.bilinear(name, function, **rules)

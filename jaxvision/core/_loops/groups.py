@@ -21,8 +21,9 @@ def group_by_structure(
     records: Sequence[Record], *, largest: int | None = None
 ) -> list[tuple[tuple[int, ...], Record]]:
     """Group records of equal type and shapes. For each group, return the indices into `records` and
-    the stacked record, in the order of first members. A record with an array of more than `largest`
-    numbers gets its own group, because `take` would copy that array for every pixel."""
+    the stacked record. Groups are in the order of their first records. A record with an array of
+    more than `largest` numbers gets a separate group, because `take` would copy that array for
+    every pixel."""
     members: dict[Any, list[int]] = {}
     for i, record in enumerate(records):
         leaves, structure = jax.tree.flatten(record)
@@ -43,8 +44,8 @@ def take(
     members: tuple[int, ...], group: Record, index: Int[Array, ""]
 ) -> tuple[Record, Bool[Array, ""]]:
     """Return the record with this index in `members` from a stacked group, and whether the group
-    contains it. If it does not, the first record of the group is returned. A group of one record is
-    not indexed at all."""
+    contains it. If the group does not contain the record, the first record of the group is
+    returned. A group of one record is not indexed."""
     if len(members) == 1:
         return jax.tree.map(lambda leaf: leaf[0], group), index == members[0]
     if members == tuple(range(members[0], members[0] + len(members))):
@@ -78,8 +79,8 @@ def call_member(
 
 def fold(step: Callable[[Tree, Record], Tree], start: Tree, records: Sequence[Record]) -> Tree:
     """Apply `step` to an accumulated result and each record in turn, and return the final result.
-    With more than `UNROLLED` records, those of equal structure share one compiled loop, so that the
-    compile time does not grow with their number."""
+    With more than `UNROLLED` records, records of equal structure share one compiled loop, so that
+    the compile time does not grow with the number of records."""
     if len(records) <= UNROLLED:
         return reduce(step, records, start)
     result = start
@@ -92,8 +93,8 @@ def fold(step: Callable[[Tree, Record], Tree], start: Tree, records: Sequence[Re
 
 def row(leaf: Array, slot: Int[Array, ""]) -> Array:
     """Return leaf[slot], where the slot must exist. A row of up to four numbers is read one number
-    at a time. Each read is then a gather of scalars, for which CPUs have vector instructions, and
-    unused numbers are not read."""
+    at a time. Each read is then a gather of scalars, for which CPUs have vector instructions.
+    Numbers that are not used are then not read."""
     if leaf.ndim == 2 and leaf.shape[1] <= 4:
         columns = [leaf[:, k].at[slot].get(mode="promise_in_bounds") for k in range(leaf.shape[1])]
         return jnp.stack(columns)

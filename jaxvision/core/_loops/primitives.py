@@ -31,8 +31,9 @@ def _inlineable(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def not_inlined(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Compute `function(*arguments)` as a call that XLA does not inline. XLA would apply this
-    attribute also to calls inside, such as `jnp.where`, so those get the opposite attribute."""
+    """Compute `function(*arguments)` as a call that XLA does not inline. XLA would also apply the
+    attribute "do not inline" to calls inside `function`, such as `jnp.where`, so these calls get
+    the attribute "inline"."""
     with set_xla_metadata(inlineable="false"):
         return _inlineable(function, *arguments)
 
@@ -91,7 +92,8 @@ def bilinear(
 
 def one_step(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
     """Call `function(*arguments, **named)`, whose results are whole numbers and flags, as one
-    equation of the jaxpr. `vmap` and derivatives do not trace into it before compilation."""
+    equation of the jaxpr. `vmap` and derivatives do not trace into this equation before
+    compilation."""
     inside, found = jax.make_jaxpr(function, return_shape=True)(*arguments, **named)
     results = _step.bind(*jax.tree.leaves((arguments, named)), inside=inside, layers=())
     return jax.tree.unflatten(jax.tree.structure(found), results)
