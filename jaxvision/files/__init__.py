@@ -1,9 +1,11 @@
 """Read and write files.
 
-images raw image_settings   images, raw files, and their metadata
-scenes cameras materials    records as TOML tables, by `records` and `toml`
-meshes gltf measured        meshes and measured BRDFs from other programs
-shipped                     the cameras and scenes that come with the package
+- `images` reads and writes images, `raw` reads raw and FITS files, and `image_settings` reads the
+  metadata of image files.
+- `scenes`, `cameras` and `materials` read and write records as TOML tables, with the modules
+  `records` and `toml`.
+- `meshes`, `gltf` and `measured` read meshes and measured BRDFs of other programs.
+- `shipped` finds the cameras and scenes that come with the package.
 """
 
 from ..core.lazy_names import names_of

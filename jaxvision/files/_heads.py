@@ -2,8 +2,8 @@
 complete before libpng prints its own messages.
 
 A PNG file is a signature and chunks. Each chunk has a length, a type, content, and the CRC-32 of
-type and content (ISO/IEC 15948, section 5). A chunk whose type begins with a small letter is not
-needed to decode the picture. Sources for JPEG: ITU-T T.81, annex B; CIPA DC-007 (Multi-Picture
+type and content (ISO/IEC 15948, section 5). A chunk whose type begins with a lower-case letter is
+not needed to decode the picture. Sources for JPEG: ITU-T T.81, annex B; CIPA DC-007 (Multi-Picture
 Format); ISO 21496-1 and Adobe's gain maps. Source for TGA: Truevision, TGA File Format
 Specification 2.0, page 6.
 """
@@ -34,8 +34,8 @@ class PngChunks:
 
     @property
     def bits(self) -> int:
-        """The number of significant bits of each sample in the source of the image, if all channels
-        agree."""
+        """The number of significant bits per sample in the image from which the file was made, or
+        None if it differs between channels."""
         if self.colour_type == PALETTE:
             return 8
         alike = len(set(self.significant)) == 1 and 0 < self.significant[0] <= self.depth
@@ -110,7 +110,7 @@ _END = 0xD9  # marker of the end of the picture
 
 def jpeg_extras(file: Path) -> list[str]:
     """Describe the contents of a JPEG file besides the picture and its metadata: further pictures,
-    gain maps, and bytes after its end, for example a film."""
+    gain maps, and bytes after the end of the JPEG data, for example a film."""
     data = file.read_bytes()
     found, pictures, listed, rest = [], 0, False, b""
     for kind, content in _segments(data):
@@ -130,8 +130,8 @@ def jpeg_extras(file: Path) -> list[str]:
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the type and content of each segment of a JPEG file, also of those between scans. The
-    content of the end marker is the rest of the file."""
+    """Yield the type and content of each segment of a JPEG file, including segments between scans.
+    The content of the end marker is the rest of the file."""
     at = 2
     while 0 <= (at := data.find(b"\xff", at)) < len(data) - 1:
         kind = data[at + 1]
@@ -149,8 +149,8 @@ def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _further_pictures(index: bytes) -> int:
-    """Return the number of pictures in the index of a Multi-Picture file, without the first and
-    smaller copies of it."""
+    """Return the number of pictures in the index of a Multi-Picture file, not counting the first
+    picture and smaller copies of the first picture."""
     order = {b"II": "<", b"MM": ">"}.get(index[:2])
     if order is None:
         return 0

@@ -40,8 +40,7 @@ class NetpbmHead:
 
     @property
     def saturation(self) -> float | None:
-        """The largest code, if it is smaller than the largest number with this many bits; otherwise
-        None."""
+        """The largest code, if it is below 2^bits - 1; otherwise None."""
         return None if self.bits is None or self.largest == 2**self.bits - 1 else self.largest
 
 
@@ -148,7 +147,7 @@ def _byte_samples(
 def _rest_of_head(file: Path, ending: re.Match[bytes] | None, data: bytes, size: int) -> int:
     """Return the number of bytes of the header after the single white space that the format allows.
     A program may have written a line break of two characters, or a comment, after the last number.
-    The length of the file shows whether these bytes belong to the header."""
+    Whether these bytes belong to the header follows from the length of the file."""
     more = len(data) - size
     if ending is None or more <= 0:
         return 0

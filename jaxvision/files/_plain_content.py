@@ -1,5 +1,6 @@
 """Check the size of text files before they are parsed, and their content afterwards. A damaged or
-hostile file then ends in one sentence, and takes no more memory than a valid one."""
+hostile file then leads to an error message of one sentence, and takes no more memory than a valid
+file."""
 
 import os
 from pathlib import Path

@@ -1,7 +1,7 @@
 """Divide the polygons of OBJ, PLY and OFF files into triangles that cover exactly the polygon.
 
 Other readers use the fan of triangles from the first corner, which is wrong for polygons that are
-not convex. Here convex polygons are divided by the fan, and others by ear clipping.
+not convex. Here convex polygons are divided into this fan, and other polygons by ear clipping.
 """
 
 import re
@@ -112,8 +112,8 @@ def obj_in_triangles(text: str) -> str | None:
 
 
 def polygons_of(file: Path) -> Polygons | None:
-    """Return the polygons of a PLY or OFF file in order, or None if it contains only triangles or
-    cannot be read here."""
+    """Return the polygons of a PLY or OFF file in order, or None if the file contains only
+    triangles or this module cannot read it."""
     try:
         found = (
             _off_polygons(file)
@@ -137,8 +137,8 @@ def _off_polygons(file: Path) -> Polygons:
 
 def ply_of_corners(data: bytes) -> bytes | None:
     """Rewrite a PLY text file so that its faces have no property except their list of corners.
-    Return None if that is already so, or if the file cannot be read here. Mesh readers expect one
-    list per face, as the first property, in a text file."""
+    Return None if the faces already have only this property, or if this module cannot read the
+    file. In a text file, mesh readers expect one list per face, as the first property."""
     try:
         kind, elements, start = _ply_head(data)
         faces = next((e for e in elements if e[0] == "face"), None)

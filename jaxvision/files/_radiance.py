@@ -1,10 +1,11 @@
 """Read Radiance pictures (`.hdr`), which have three 8-bit mantissas and a shared exponent for each
 pixel.
 
-A mantissa m and an exponent e represent (m + 1/2) 2^(e - 136), as in Radiance itself. That is the
-middle of the step, because writers round down. A pixel with the exponent 0 is black. EXPOSURE and
-COLORCORR are factors that were applied to the pixels; the pixels are divided by them. Source: Ward,
-"Radiance File Formats", and `color.c` of Radiance.
+A mantissa m and an exponent e represent (m + 1/2) 2^(e - 136), as in Radiance itself. This value is
+the middle of the quantisation step, because programs round down when they write. A pixel with the
+exponent 0 is black. EXPOSURE and COLORCORR are factors that were applied to the stored pixels, so
+the pixels are divided by these factors. Source: Ward, "Radiance File Formats", and `color.c` of
+Radiance.
 """
 
 import re
@@ -134,8 +135,8 @@ def _scanlines(file: Path, data: bytes, rows: int, width: int) -> np.ndarray:
 
 
 def _pixel_sequence(file: Path, data: bytes, count: int) -> np.ndarray:
-    """Unpack pixels that are stored one after another, (count, 4), some of them as repetitions of
-    the previous pixel."""
+    """Unpack pixels that are stored one after another, (count, 4). An entry may state that the
+    previous pixel is repeated."""
     pixels = np.frombuffer(data[: len(data) // 4 * 4], np.uint8).reshape(-1, 4)
     repeats = np.flatnonzero((pixels[:count, :3] == 1).all(axis=1))
     if not len(repeats):

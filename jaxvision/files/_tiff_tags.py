@@ -1,5 +1,5 @@
-"""Read the tags of a TIFF file that its decoder uses up or ignores. Sources: TIFF 6.0 (Adobe,
-1992); BigTIFF; TIFF/EP (ISO 12234-2) for mosaics."""
+"""Read the tags of a TIFF file that the decoder (OpenImageIO) does not report. Sources: TIFF 6.0
+(Adobe, 1992); BigTIFF; TIFF/EP (ISO 12234-2) for mosaics."""
 
 import struct
 from collections.abc import Mapping
@@ -45,7 +45,7 @@ class TiffPicture:
 
     @property
     def is_copy(self) -> bool:
-        """Whether the picture is a smaller copy, or a mask, of another one in the file."""
+        """Whether the picture is a smaller copy, or a mask, of another picture in the file."""
         return bool(self.first(SUBFILE) & (REDUCED | MASK))
 
     @property

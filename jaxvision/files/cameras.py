@@ -14,9 +14,10 @@ keys.
 
 A view without `position` and `rotation` is at the origin and looks along +z, with +x to its right
 and +y downward. Instead of a `transmission`, `[sensor.colour_filter]` may name measured
-sensitivities of colour-science, `sensitivities = "Nikon 5100 (NPL)"`, with `peak`, the largest
-number of electrons per photon of any band. `[bands]` then gives the wavelengths, `first`, `last`
-and `step` in m. A Bayer `pattern` may be written as "RGGB". `about` is free text.
+sensitivities of the package colour-science, such as `sensitivities = "Nikon 5100 (NPL)"`, with
+`peak`, the largest number of electrons per photon of any band. The table `[bands]` then gives the
+wavelengths by `first`, `last` and `step`, in m. A Bayer `pattern` may be written as "RGGB". `about`
+is free text.
 """
 
 import os
@@ -61,8 +62,8 @@ def read_camera(
 
     Args:
         source: path of the file, or one of `shipped_cameras`.
-        wavelengths: (bands,) m, used in place of those in the file, for a camera with measured
-        spectral sensitivities.
+        wavelengths: (bands,) m, used in place of the wavelengths in the file, for a camera with
+            measured spectral sensitivities.
         draws: number of draws of a fitted camera, which are stored in a second file next to it;
         None for the best fit.
 

@@ -118,9 +118,9 @@ def _chunks(file: Path, raw: bytes) -> tuple[bytes, bytes | None]:
 
 
 def primitive_of(file: Gltf, mesh: int, primitive: int, *, uv: bool = False) -> Primitive:
-    """Return the triangles of a primitive of a mesh, both given by index from 0; with `uv`, also
-    its texture coordinates. Raise `InputError` for a primitive that is not a set of triangles, or
-    that has morph targets or extensions."""
+    """Return the triangles of a primitive of a mesh. Mesh and primitive are given by indices from
+    0. With `uv`, also return the texture coordinates. Raise `InputError` for a primitive that is
+    not a set of triangles, or that has morph targets or extensions."""
     label = f"{file.path}: meshes[{mesh}].primitives[{primitive}]"
     parts = file.item("meshes", mesh).get("primitives", [])
     if not isinstance(parts, list) or not 0 <= primitive < len(parts):
@@ -206,8 +206,8 @@ def _buffer(file: Gltf, index: Any) -> bytes:
 
 
 def _of(table: Mapping[Any, Value], key: Any) -> Value | None:
-    """Return the value of a key, or None if the key is not text or a number, as in a damaged
-    file."""
+    """Return the value of a key, or None if the key is neither text nor a number, which happens in
+    a damaged file."""
     return table.get(key) if isinstance(key, str | int) else None
 
 

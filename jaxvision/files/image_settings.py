@@ -97,7 +97,7 @@ def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
 
 
 def _attributes(file: Path) -> dict[str, Any]:
-    """Read EXIF values, single numbers or words, by OpenImageIO's names."""
+    """Read EXIF values that are single numbers or words, by OpenImageIO's names."""
     import OpenImageIO as oiio
 
     # libpng would print messages about the damage
@@ -157,8 +157,8 @@ def _raw_settings(file: Path) -> ImageSettings:
     tags = _raw_tags(file)
 
     def said(name: str) -> Any:
-        """Return a value about the photograph, which TIFF/EP and DNG may store in the main
-        directory."""
+        """Return an EXIF value of the photograph. TIFF/EP and DNG may store the value in the main
+        directory of the TIFF file."""
         return tags.get(f"EXIF {name}", tags.get(f"Image {name}"))
 
     with opened_raw(file) as raw:
@@ -201,7 +201,8 @@ def _raw_settings(file: Path) -> ImageSettings:
 
 def _dng_blacks(file: Path) -> np.ndarray | None:
     """Return the black levels of a DNG's mosaic, in DN, over one period of rows and columns, or
-    None if it states none. LibRaw truncates and averages these levels."""
+    None if the file states no level. The levels are read here because LibRaw truncates and averages
+    them."""
     for page in tiff_pictures(file):
         for picture in (page, *page.inner):
             along_columns, along_rows = (
@@ -223,7 +224,7 @@ def _dng_blacks(file: Path) -> np.ndarray | None:
 
 
 def _raw_tags(file: Path) -> dict[str, Any]:
-    """Read EXIF values by exifread's names, the first value of each."""
+    """Read EXIF values by exifread's names. Of a list of values, only the first is returned."""
     exifread = extra("exifread", "raw", file)
     try:
         with file.open("rb") as stream:
@@ -256,9 +257,9 @@ def _fits_settings(file: Path, header: Mapping[str, Any]) -> ImageSettings:
 
 
 def _fits_pattern(file: Path, header: Mapping[str, Any]) -> str | None:
-    """Return the phase of a FITS mosaic at the first pixel of the file. BAYERPAT starts at the
-    pixel XBAYROFF, YBAYROFF of the upright image, whereas a file with the row order BOTTOM-UP
-    starts with its lowest row."""
+    """Return the phase of a FITS mosaic at the first pixel of the file. The keyword BAYERPAT gives
+    the phase at the pixel (XBAYROFF, YBAYROFF) of the upright image. A file with the row order
+    BOTTOM-UP starts with the lowest row of the upright image."""
     names = ("BAYERPAT", "COLORTYP")
     said = [str(header.get(name, "")).strip().strip("'").strip().upper() for name in names]
     known = [word for word in said if _is_bayer(word)]
@@ -350,8 +351,8 @@ def _time(said: Any) -> datetime.datetime | None:
 
 
 def _name(*parts: Any) -> str | None:
-    """Join the maker and the model of a camera; a model that begins with the maker stays alone.
-    Characters that cannot be printed, as in damaged metadata, become `?`."""
+    """Join the maker and the model of a camera. If the model begins with the maker, return only the
+    model. Characters that cannot be printed, as in damaged metadata, become `?`."""
     texts = ("".join(c if c.isprintable() else "?" for c in str(part)) for part in parts if part)
     words = [text.strip("? ") for text in texts]
     if len(words) > 1 and words[-1].startswith(words[0]):

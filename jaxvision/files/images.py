@@ -1,12 +1,12 @@
-"""Image files: PNG, TIFF, JPEG, EXR and Radiance HDR, NumPy arrays; and, read only, PGM, PPM, TGA,
-raw files of cameras and FITS.
+"""Read and write image files: PNG, TIFF, JPEG, EXR, Radiance HDR and NumPy arrays. Also read PGM,
+PPM, TGA, raw files of cameras and FITS, which cannot be written.
 
 This module cannot be traced by JAX. It takes and returns NumPy arrays, and reads most files by
 OpenImageIO, which is loaded on first use. Arrays are (h, w) or (h, w, channels). Integer files keep
-their codes of 1 to 16 bits, as uint8 or uint16; floating-point files become float32. Where a
-decoder changes the codes, the change is undone. If a file contains more than one picture, a warning
-of one sentence names the rest, or the file is refused. Every failure raises an `InputError` with a
-message of one sentence.
+their codes of 1 to 16 bits, as uint8 or uint16; floating-point files become float32. If a decoder
+changes the codes, the change is undone. If a file contains more than one picture, a warning of one
+sentence names the pictures that are not read, or an error is raised. Every failure raises an
+`InputError` with a message of one sentence.
 """
 
 import errno
@@ -91,9 +91,8 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 def check_writable(path: Path, *, kind: type = np.float32) -> None:
     """Raise `InputError` if an image file with this suffix cannot contain samples of type `kind`,
-    or cannot be written at this path. Long work calls this function first, so that it does not fail
-    at its end.
-    """
+    or cannot be written at this path. Functions that take long call this function first, so that
+    they do not fail when they write their result."""
     _check_format(path, np.dtype(kind))
     if path.is_dir():
         raise InputError(f"{path}: is a folder; choose another name for the image.")
@@ -108,13 +107,13 @@ def check_writable(path: Path, *, kind: type = np.float32) -> None:
 def read_image(path: str | os.PathLike[str], *, part: int | str | None = None) -> np.ndarray:
     """Read the pixels of an image file as they are stored.
 
-    Codes are those of the file: 12-bit samples range from 0 to 4095, and bitmaps have the values 0
-    and 1. `image_settings.read_settings` gives the number of bits. Rows and columns are those of
-    the file, too: an orientation tag is not applied, but a warning names it. A palette is replaced
-    by its colours. If the file stores white as zero, the codes are reversed, so that larger codes
-    are brighter. For an EXR, the result is the picture of its display window, black outside the
-    data window. The channels R, G, B and A, or Y, of an EXR are found by their names. For an HDR,
-    the values are radiances; the factor EXPOSURE has been divided out.
+    Codes are returned as stored: 12-bit samples range from 0 to 4095, and bitmaps have the values 0
+    and 1. `image_settings.read_settings` gives the number of bits. Rows and columns are also as
+    stored. An orientation tag is not applied, but a warning names the tag. A palette is replaced by
+    its colours. If the file stores white as zero, the codes are reversed, so that larger codes are
+    brighter. For an EXR, the result is the picture of its display window, black outside the data
+    window. The channels R, G, B and A, or Y, of an EXR are found by their names. For an HDR, the
+    values are radiances; the factor EXPOSURE has been divided out.
 
     Colours of an EXR are premultiplied by alpha, as its standard requires. Colours of other files
     are returned as stored; they are usually not premultiplied.
@@ -125,8 +124,8 @@ def read_image(path: str | os.PathLike[str], *, part: int | str | None = None) -
     Args:
         path: a PNG, TIFF, JPEG, EXR, HDR, PGM, PPM, PFM, TGA or `.npy` file; DNG and other raw
             files with the `raw` extra, FITS with the `fits` extra.
-        part: the picture to read from a file with several: its number, from 0, or the name of an
-            EXR part, an EXR layer or a FITS extension. None for the first picture.
+        part: the picture to read from a file with several pictures: its number, from 0, or the name
+            of an EXR part, an EXR layer or a FITS extension. None for the first picture.
 
     Returns:
         (h, w) for one channel, else (h, w, channels): uint8 or uint16 codes for PNG, TIFF, JPEG,
@@ -158,8 +157,8 @@ def read_channels(
         part: as for `read_image`.
 
     Returns:
-        The pixels, and the names of the channels: grey, red, green, blue, alpha, or those in the
-        file; empty for a file that names none.
+        The pixels, and the names of the channels: grey, red, green, blue, alpha, or the names in
+            the file; empty for a file without names of channels.
 
     Raises:
         InputError: as `read_image` does.
@@ -375,7 +374,7 @@ def _sample(file: Path, spec: Any, chosen: Sequence[int]) -> str:
 def _stored_codes(
     file: Path, pixels: np.ndarray, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
 ) -> np.ndarray:
-    """Return the codes as stored in the file, where the decoder has stretched them to 8 or 16
+    """Return the codes as stored in the file, from codes that the decoder has stretched to 8 or 16
     bits."""
     if not np.issubdtype(pixels.dtype, np.integer):
         if page and page.first(tiff.PHOTOMETRIC, 1) == tiff.WHITE_IS_ZERO:
@@ -397,8 +396,8 @@ def _stored_codes(
 
 
 def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -> np.ndarray:
-    """Return the codes of a PNG's source, if the sBIT chunk states that they were stretched to the
-    depth of the file."""
+    """Return the codes before they were stretched to the bit depth of a PNG file, if the sBIT chunk
+    states that they were."""
     if chunks.colour_type == PNG_PALETTE or all(bits == n for n in chunks.significant):
         return pixels
     source = chunks.bits
@@ -416,7 +415,7 @@ def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -
 
 
 def _repeat_bits(codes: np.ndarray, source: int, bits: int) -> np.ndarray:
-    """Repeat the bits of codes until they fill a larger depth."""
+    """Stretch codes to a larger bit depth by repeating their bits."""
     whole, left = np.zeros_like(codes), bits
     while left > 0:
         left -= source
@@ -426,8 +425,8 @@ def _repeat_bits(codes: np.ndarray, source: int, bits: int) -> np.ndarray:
 
 def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
     """Return the colours of a TIFF with a palette, (h, w, 3), at full depth, because the decoder
-    keeps only 8 bits. The palette indices are read from a copy of the file that is declared
-    grey."""
+    keeps only 8 bits. The palette indices are read from a copy of the file whose header declares a
+    grey picture."""
     bits = page.first(tiff.BITS, 1)
     colours = np.array(page.values.get(tiff.COLOUR_MAP, ()))
     if len(colours) != 3 << bits:
@@ -452,7 +451,8 @@ def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
 def _warn_of_unused(
     file: Path, kind: str, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
 ) -> None:
-    """Warn about metadata that matter for the codes but are not applied to the array."""
+    """Warn about metadata, such as an orientation, that change the meaning of the codes but are not
+    applied to the array."""
     said = [
         f"its picture of {x.first(tiff.ROWS)} x {x.first(tiff.COLUMNS)} and "
         f"{x.first(tiff.BITS, 1)} bits in a SubIFD: export it as a file of its own"
@@ -552,8 +552,8 @@ def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
     """Read a latitude-longitude picture of radiance from an EXR or HDR file, for `environment_map`.
 
     Args:
-        path: the file; an alpha channel is ignored. The part of an EXR outside its data window is
-            black.
+        path: path of the file. An alpha channel is ignored. The part of an EXR picture outside the
+            data window is black.
 
     Returns:
         (h, 2 h, bands) float32, W m^-2 sr^-1 or relative.
@@ -592,9 +592,9 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
 
     Args:
         path: the file. uint8 and uint16 are written as PNG or TIFF of the same depth, uint8 with
-            one or three channels also as JPEG, floating arrays as EXR or HDR (HDR: three channels
-            of light from 0 to 1.7e38 with a shared exponent: steps of up to 1 % of a pixel's
-            largest channel, so that a dark channel of a bright pixel keeps no digits).
+            one or three channels also as JPEG, floating arrays as EXR or HDR. An HDR file has three
+            channels from 0 to 1.7e38 with a shared exponent, in steps of up to 1 % of a pixel's
+            largest channel, so that much smaller channels of the pixel are lost.
         pixels: (h, w) or (h, w, channels), codes or any unit.
         quality: quality of a JPEG, 1 to 100 on libjpeg's scale. Colour has half the resolution
             below 90, and full resolution from 90 on.
@@ -647,8 +647,8 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
 
 
 def as_float32(path: str | os.PathLike[str], numbers: np.ndarray) -> np.ndarray:
-    """Convert numbers, in any unit, to float32. Raise `InputError` for finite or whole numbers that
-    float32 cannot represent, and if all are below 1e-31."""
+    """Convert numbers, in any unit, to float32. Raise `InputError` for finite numbers beyond the
+    range of float32, for whole numbers that float32 rounds, and if all numbers are below 1e-31."""
     if numbers.dtype == np.float32:
         return numbers
     with np.errstate(over="ignore", under="ignore"):

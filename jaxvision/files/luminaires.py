@@ -1,8 +1,10 @@
 """Read photometric files of commercial lamps: IES LM-63 (1986 to 2019) and EULUMDAT.
 
-    .ies    types A, B and C; TILT=NONE and INCLUDE, whose factor is that of an upright lamp; feet
-            and metres; ballast factors; absolute photometry (-1 lm)
-    .ldt    all five symmetries; the first set of lamps
+- An `.ies` file may have type A, B or C, lengths in feet or metres, ballast factors, and absolute
+  photometry (-1 lm). TILT may be NONE or INCLUDE; of an included table, the factor for an upright
+  lamp is used.
+- An `.ldt` file (EULUMDAT) may have any of the five symmetries. Only the first set of lamps is
+  used.
 
 Values that a file omits because of its stated symmetry are filled in. A round opening becomes a
 square of the same area. Files with unusual line ends, commas, a byte order mark, or texts in
@@ -35,7 +37,7 @@ def read_luminaire(file: str | os.PathLike[str]) -> Luminaire:
     """Read the photometric file of a lamp.
 
     Args:
-        file: an IES LM-63 file, or one of EULUMDAT, which ends in .ldt.
+        file: an IES LM-63 file, or a EULUMDAT file, which ends in .ldt.
 
     Returns:
         The lamp's distribution of intensity, its opening and its other data.
@@ -116,7 +118,8 @@ class _Numbers:
         return found
 
     def end(self) -> None:
-        """Check that no number is left over. A decimal comma would turn one number into two."""
+        """Check that all numbers of the file have been used. A decimal comma would turn one number
+        into two."""
         left = self.words[self.taken :]
         if left and _is_number(left[0]):
             self.fail(
@@ -261,9 +264,8 @@ def _lamp(
     name: str,
     stated: float = 0.0,
 ) -> Luminaire:
-    """Make the luminaire, after plausibility checks. `stated` is the file's light output ratio in
-    per cent, 0 if it states none.
-    """
+    """Make the luminaire, after plausibility checks. `stated` is the light output ratio in the
+    file, in per cent, or 0 if the file states no ratio."""
     if table.min() < 0 or table.max() > _BRIGHTEST:
         numbers.fail(
             f"candela values run from {table.min():g} to {table.max():g} cd, where a lamp has 0 to "

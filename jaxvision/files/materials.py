@@ -1,5 +1,5 @@
-"""Read and write a material as a TOML file with the key `kind`, the name of its record, and the
-record's fields.
+"""Read and write a material as a TOML file. The key `kind` is the name of the material's record
+type, and the other keys are the fields of the record, such as
 
 kind = "Phong"
 diffuse = [0.3]

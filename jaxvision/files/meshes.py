@@ -1,9 +1,11 @@
-"""Triangle meshes from files: OBJ, PLY, GLB, STL and the other formats that trimesh reads.
+"""Read triangle meshes from OBJ, PLY, GLB and STL files, and from the other formats that trimesh
+reads.
 
 This module cannot be traced; trimesh (the extra `mesh`) is loaded on first use. Several meshes in a
-file become one, each transformed as in the file's scene. Polygons are divided into triangles that
-cover exactly the polygon. Lengths are assumed to be in metres. Colours, textures and materials of
-the file are not read here. Every failure raises an `InputError` with a message of one sentence.
+file are joined to one mesh, each transformed as in the file's scene. Polygons are divided into
+triangles that cover exactly the polygon. Lengths are assumed to be in metres. Colours, textures and
+materials of the file are not read here. Every failure raises an `InputError` with a message of one
+sentence.
 """
 
 import os
@@ -48,11 +50,11 @@ def read_mesh(
 ) -> TriangleMesh:
     """Read the triangles of a mesh file, in their order.
 
-    Vertices are scaled, then rotated, then moved; or they are mapped by `matrix`. Triangles whose
-    area is 0 in `dtype`, which no ray would hit, are dropped; a warning states their number.
-    Coordinates that are not finite are kept; `geometry.problems` reports them. A warning is given
-    if the mesh is so far from the origin that rounding to `dtype` changes its triangles by more
-    than 1 % on average, or moves its vertices by more than 5e-4 of its size.
+    Vertices are scaled, then rotated, then moved, or mapped by `matrix`. Triangles whose area is 0
+    in `dtype`, which no ray would hit, are dropped; a warning states their number. Coordinates that
+    are not finite are kept; `geometry.problems` reports them. A warning is given if the mesh is so
+    far from the origin that rounding to `dtype` changes its triangles by more than 1 % on average,
+    or moves its vertices by more than 5e-4 of its size.
 
     Args:
         path: the file.
@@ -61,10 +63,11 @@ def read_mesh(
         rotation: (3, 3) no unit, rows are the file's axes in the world; None: the world's axes.
         position: (3,) m.
         matrix: (3, 4) rows of an affine map from the file's points, as columns, to m in the world.
-            It replaces scale, rotation and position. A map that mirrors the mesh does not turn it
-            inside out.
-        smooth: whether to use the file's normals at the vertices or, if it has none, the means of
-            the adjacent triangles weighted by their angles; otherwise triangles are flat.
+            `matrix` replaces scale, rotation and position. A `matrix` that mirrors the mesh does
+            not turn the mesh inside out.
+        smooth: whether to shade with the file's normals at the vertices. If the file has no
+            normals, the normal of a vertex is the mean over the adjacent triangles, weighted by
+            their angles. If False, triangles are flat.
         flip: whether to reverse every triangle and every normal.
         primitive: for a glTF file the numbers, from 0, of a mesh and of a primitive in it, without
             the transform of the file's scene; None for all meshes, each transformed as in the
@@ -160,8 +163,8 @@ def _nonempty_triangles(
     file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray
 ) -> np.ndarray:
     """Return the triangles with a positive area, because files often contain some of area 0. A
-    warning states how many triangles have lost their area by rounding; the file's own vertices are
-    exact."""
+    warning states how many triangles have an area of 0 only because vertices are rounded to the
+    dtype."""
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces.min() if faces.min() < 0 else faces.max()
         raise unlike(
@@ -215,8 +218,8 @@ def _primitive(file: Path, mesh: int, primitive: int, uv: bool):
 
 @lru_cache(maxsize=1)
 def _gltf(file: Path, _changed: int) -> Gltf:
-    """Read a glTF file, cached for its next primitive as long as its modification time does not
-    change."""
+    """Read a glTF file. The content is cached for reading further primitives, as long as the
+    modification time of the file does not change."""
     return read_gltf(file)
 
 

@@ -22,11 +22,12 @@ def read_raw(file: Path) -> np.ndarray:
     """Read the numbers of a raw file as LibRaw decodes them, before black-level subtraction and
     demosaicing.
 
-    Some cameras store numbers on a curve: DNG with a linearisation table, and compressed files of
-    Nikon and Sony. LibRaw undoes the curve, so that the result is linear in the light.
+    Some files store numbers through a nonlinear curve: DNG files with a linearisation table, and
+    compressed files of Nikon and Sony. LibRaw inverts the curve, so that the result is linear in
+    the light.
 
     Args:
-        file: a raw file of a sensor with one colour per pixel, or with none.
+        file: a raw file of a colour mosaic, with one colour per pixel, or of a monochrome sensor.
 
     Returns:
         (h, w) uint16 DN, without the masked margins.
@@ -182,8 +183,8 @@ def _holds_image(unit: Any) -> bool:
 
 
 def listed(words: Sequence[str], *, most: int = 6) -> str:
-    """Join words by commas; if there are too many, only the first ones, with the number of the
-    others."""
+    """Join words by commas. If there are too many words, list only the first ones and the number of
+    the others."""
     shown = ", ".join(words[:most])
     return shown if len(words) <= most else f"{shown} and {len(words) - most} more"
 

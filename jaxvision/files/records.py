@@ -2,9 +2,9 @@
 keys.
 
 Numbers are written with all digits, so that a record is read back with exactly the same numbers.
-Posterior draws of a fitted record are stored in a `.npz` file next to it. This file has an array
-for each number that differs between draws, with the draws along its leading axis. The array is
-named by the path of the number, such as `.sensor.gain`.
+Posterior draws of a fitted record are stored in a `.npz` file next to the TOML file. The `.npz`
+file has an array for each number that differs between draws, with the draws along the leading axis.
+The name of the array is the path of the number, such as `.sensor.gain`.
 """
 
 import os
@@ -74,8 +74,8 @@ def write_record(
 
 
 def table_of(record: eqx.Module) -> dict[str, Any]:
-    """Return the table from which `record_of` makes the same record. It has the key `kind` and the
-    fields that are not None."""
+    """Return the table from which `record_of` makes the same record. The table has the key `kind`
+    and the fields that are not None."""
     table: dict[str, Any] = {"kind": type(record).__name__}
     for field in fields(record):
         value = getattr(record, field.name)
@@ -99,10 +99,9 @@ def count_draws(file: Path) -> int:
 
 
 def attach_draws(file: Path, record: Record, count: int) -> Record:
-    """Return a record with a leading axis of `count` draws, evenly spaced among those stored next
-    to its file. Raise `InputError` if there are none or too few, or if they belong to another
-    record.
-    """
+    """Return a record with a leading axis of `count` draws, evenly spaced among the draws stored
+    next to the record's file. Raise `InputError` if there are no draws or too few, or if the draws
+    belong to another record."""
     beside = _draws_file(file)
     if not beside.is_file():
         raise InputError(f"{beside}: no draws lie beside {file.name}; save a fit with its draws.")
@@ -168,8 +167,8 @@ class Reading(NamedTuple):
         place: name of the file, for messages.
         kind: name of the kind of record ("camera"), for messages.
         finite: whether every number must be finite; otherwise the record of the number decides.
-        typed: function that reads values of further types: `typed(hint, where, value)` returns
-            NotImplemented for an unknown type.
+        typed: function that reads values of further types. `typed(hint, where, value)` returns the
+            value, or NotImplemented for an unknown type.
     """
 
     place: str
@@ -183,8 +182,8 @@ class Reading(NamedTuple):
 
     @contextmanager
     def placed(self, where: str = "") -> Iterator[None]:
-        """Add the names of the file and of the key `where` to errors in a `with` block, unless they
-        name them already."""
+        """Add the names of the file and of the key `where` to the errors in a `with` block, unless
+        an error already has these names."""
         try:
             yield
         except (TypeError, ValueError) as error:
@@ -195,9 +194,9 @@ class Reading(NamedTuple):
 
 @cache
 def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str, Key]:
-    """Return the keys of a record's table, by name. They are the record's fields, or the keyword
-    arguments of the function that makes it. For its `**fields` they include the fields of
-    `record`."""
+    """Return the keys of a record's table, by name. The keys are the record's fields, or the
+    keyword arguments of the function that makes the record. If that function takes `**fields`, the
+    keys include the fields of `record`."""
     said = meanings(make)
     if isinstance(make, type):
         hints = get_type_hints(make, include_extras=True)
@@ -233,7 +232,8 @@ def record_of(
 def values_of(
     reading: Reading, where: str, keys: Mapping[str, Key], table: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Convert the values of a table to the types of their keys; `InputError` as in `record_of`."""
+    """Convert the values of a table to the types of their keys. Raise `InputError` for a wrong key
+    or value."""
     check_keys(reading, where, table, keys)
     for name, key in keys.items():
         if key.default is MISSING and name not in table:
@@ -282,8 +282,8 @@ _PLAIN = {bool: "true or false", str: "text", int: "a whole number"}
 
 
 def chosen(reading: Reading, where: str, value: Any, words: Iterable[str]) -> str:
-    """Return the word at the key `where`, which must be a known one; otherwise `InputError`
-    suggests the nearest."""
+    """Return the word at the key `where`. For an unknown word, raise `InputError`, which suggests
+    the nearest known word."""
     if not isinstance(value, str) or value not in words:
         hint = nearest(str(value), words)
         raise reading.wrong(f"{where} = {shorten(value)} is unknown; {hint}.")
@@ -297,8 +297,8 @@ def _wrong(reading: Reading, where: str, value: Any, what: str) -> InputError:
 def _chosen_record(
     reading: Reading, where: str, hints: tuple[Any, ...], table: Mapping[str, Any]
 ) -> Any:
-    """Make the record of a field: of its only possible type, or of the type that the key `kind`
-    names."""
+    """Make the record of a field. Its type is the only possible type, or the type that the key
+    `kind` names."""
     kinds = {k.__name__: k for kind in hints if is_record(kind) for k in _kinds_of(kind)}
     if not kinds:
         what = "no table" if {bool, str} & {*hints} else "a number, not a table"

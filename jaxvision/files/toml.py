@@ -92,8 +92,8 @@ def checked(
     called: Mapping[str, str] | None = None,
 ) -> Model:
     """Return the content of a file as an instance of its schema; `InputError` for the first
-    mistake. The message counts the items of arrays from `first`, and uses the names in `called`,
-    such as {"flat.exposure": "exposures"}."""
+    mistake. The error message counts the items of arrays from `first`. `called` maps a location to
+    the name that the message uses, such as {"flat.exposure": "exposures"}."""
     try:
         return schema.model_validate(content)
     except ValidationError as error:
@@ -148,8 +148,8 @@ def _short(value: Any) -> str:
 
 
 def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) -> str:
-    """Return a location such as `surface "left wall".corner`, without the parts that only name a
-    member of a union."""
+    """Return the text of a location, such as `surface "left wall".corner`. Parts of the location
+    that only name a member of a union type are omitted."""
     place, node = "", content
     for part in loc:
         if isinstance(node, list) and isinstance(part, int) and part < len(node):
@@ -166,8 +166,8 @@ def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) 
 
 
 def _call_lists(place: str, called: Mapping[str, str]) -> str:
-    """Replace a location such as `flat[0].exposure` by `exposures[0]`, if `called` gives the list
-    that name."""
+    """Replace a location such as `flat[0].exposure` by `exposures[0]`, if `called` maps
+    "flat.exposure" to "exposures"."""
     within = re.match(r"(\w+)(\[\d+\])\.(\w+)", place)
     name = called.get(f"{within[1]}.{within[3]}") if within else None
     return f"{name}{within[2]}{place[within.end() :]}" if within and name else place

@@ -29,7 +29,7 @@ MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 
 
 def _nearest_valid(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Replace every invalid bin of values, (bins..., bands), by the nearest valid one. The distance
+    """Replace every invalid bin of values, (bins..., bands), by the nearest valid bin. The distance
     is counted in bins, and phi_d is periodic."""
     from scipy.ndimage import distance_transform_edt
 
@@ -48,9 +48,9 @@ def read_merl(
 
     Args:
         path: the file.
-        invalid: value of bins marked as not measured: "nearest" takes that of the nearest measured
-            bin, so that interpolation at the edge of the measured range is not drawn towards 0;
-            "zero" takes 0.
+        invalid: value of bins marked as not measured. "nearest" uses the value of the nearest
+            measured bin, so that interpolated values at the edge of the measured range are not too
+            small; "zero" uses 0.
 
     Returns:
         The table of f_r in sr^-1.

@@ -1,8 +1,8 @@
 """Read and write RGL files (`.bsdf`): tensor files with one material, RGB or spectral.
 
 The fields are theta_i (t,) and phi_i (p,) in rad, ndf and sigma (rows, columns), vndf (p, t, rows,
-columns), luminance (p, t, n, n), jacobian (1,), and the colours. These are rgb (p, t, 3, n, n), or
-wavelengths (b,) in nm and spectra (p, t, b, n, n).
+columns), luminance (p, t, n, n) and jacobian (1,). The colours are the field rgb (p, t, 3, n, n),
+or the fields wavelengths (b,) in nm and spectra (p, t, b, n, n).
 
 Source:
     Dupuy and Jakob 2018 and the loader published with the database, rgl.epfl.ch/materials.
@@ -117,7 +117,7 @@ def _damaged(file: Path, name: str, fault: str) -> InputError:
 def write_rgl(path: str | os.PathLike[str], material: RGL, *, description: str = "") -> None:
     """Write a material as an RGL file, in float32 like the files of the database.
 
-    Probability densities are written normalised; readers normalise them in any case.
+    Probability densities are normalised in the file. Readers normalise densities in any case.
 
     Args:
         path: the file.

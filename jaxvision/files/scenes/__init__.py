@@ -1,5 +1,5 @@
-"""Scene files: TOML with lights, surfaces, materials and a camera, read as records; and scenes of
-Mitsuba and glTF (`mitsuba` and `gltf` list the supported parts).
+"""Read scene files as records. A scene file is TOML with lights, surfaces, materials and a camera.
+Scenes of Mitsuba and glTF are read too; the packages `mitsuba` and `gltf` list the supported parts.
 
 `tables` and `schema` define the contents of a scene file. Reading cannot be traced by JAX. Every
 mistake raises an `InputError` with a message of one sentence that names the file and the object.
@@ -203,7 +203,8 @@ def _digest(*records: object) -> str:
 
 
 def _names(kind: str, entries) -> tuple[str, ...]:
-    """Return the name of each entry for messages: its own name, or its position in the file."""
+    """Return, for each entry, the name that messages use: the entry's key `name`, or its position
+    in the file."""
     return tuple(
         f'{kind} "{entry["name"]}"' if isinstance(entry.get("name"), str) else f"{kind}[{i}]"
         for i, entry in enumerate(entries, 1)
@@ -217,9 +218,8 @@ def _check_rounding(
     exact: tuple[Scene, View],
     rounded: tuple[Scene, View],
 ) -> None:
-    """Raise `InputError` for the first object that the dtype of the rendering cannot represent, and
-    warn of objects that it represents only coarsely.
-    """
+    """Raise `InputError` for the first object that cannot be represented in the dtype of the
+    rendering. Warn of objects whose coordinates have large rounding errors in this dtype."""
     (scene, view), (kept, kept_view) = exact, rounded
     objects = [
         *zip(surfaces, scene.surfaces, kept.surfaces, strict=True),

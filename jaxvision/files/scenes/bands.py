@@ -4,15 +4,17 @@ A tabulated spectrum is linear between its wavelengths. Beyond the table, a refl
 end value, and a light is 0.
 
 If the scene has wavelengths, a band of a reflectance is its value at the band's wavelength. A band
-of light extends half-way to the neighbouring bands. If the table has further wavelengths within the
-band, the value is the mean over the part of the band that the table covers. No line of a lamp is
-then lost between the bands. Otherwise the value is that at the band's wavelength.
+of a light extends half-way to the neighbouring bands. If the table has further wavelengths within
+the band, the value of the band is the mean of the spectrum over the part of the band that the table
+covers, so that no spectral line of a lamp is lost between the bands. Otherwise the value of the
+band is the spectrum's value at the band's wavelength.
 
-If the scene has no wavelengths, three bands are linear sRGB. For a reflectance, these are its
-colour under D65, where a perfect white has 1. For light, they are the integral of S(lambda)
-xyz(lambda) divided by the integral of y(lambda), where S is the spectrum and x, y and z are the
-colour-matching functions. A flat spectrum of 1 then has Y = 1. Colours outside the sRGB gamut are
-clipped at 0. If a reflectance is at most 1, its colour is also clipped at 1, and a warning says so.
+If the scene has no wavelengths, three bands are linear sRGB. For a reflectance, the three bands are
+its colour under D65, in which a perfect white is (1, 1, 1). For a light, the colour is the integral
+of S(lambda) xyz(lambda) divided by the integral of y(lambda), where S is the spectrum and x, y and
+z are the colour-matching functions. A flat spectrum of 1 then has Y = 1. Colours outside the sRGB
+gamut are clipped at 0. If a reflectance is at most 1, its colour is also clipped at 1, and a
+warning says so.
 """
 
 from collections.abc import Mapping
@@ -55,11 +57,12 @@ class Tabulated:
 
     Attributes:
         pairs: any number of [wavelength in nm, value], wavelengths ascending.
-        file: a CSV with a header line. The column of the wavelengths is named so, or is the first;
-            it is in nm unless its header says um, m, angstrom or, for a reflectance, cm^-1.
-        column: header of the values. Default: the only column besides wavelengths, indices and
-            uncertainties, or the only one whose header names the quantity. A reflectance may be in
-            %.
+        file: a CSV with a header line. The wavelengths are in the column with that header, or in
+            the first column. They are in nm unless the header says um, m, angstrom or, for a
+            reflectance, cm^-1.
+        column: header of the values. By default, it is the only column besides wavelengths, indices
+            and uncertainties, or the only column whose header names the quantity. A reflectance may
+            be in %.
         illuminant: relative power by colour-science's name ("D65", "A", "FL2"), in upper or lower
             case.
         patch: reflectance of a patch of `chart`.
@@ -105,7 +108,7 @@ def spectrum_of(reading: Reading, where: str, value: Any) -> Spectrum:
 
 @dataclass(frozen=True)
 class Bands:
-    """The number of bands of a scene, and their wavelengths if it has any.
+    """The number of bands of a scene, and the wavelengths of the bands if there are any.
 
     Attributes:
         count: number of bands.
@@ -152,7 +155,7 @@ def band_values(
 def reduction(known: np.ndarray, bands: Bands, *, quantity: Quantity) -> np.ndarray:
     """Return the matrix, (known, bands), no unit, that converts a spectrum at ascending
     wavelengths, in m, to the bands of the scene, before clipping. Raise `InputError` if no
-    wavelength of the scene lies within them."""
+    wavelength of the scene is in the range of the spectrum."""
     nm, wanted = known * 1e9, _samples(bands) * 1e9
     half = np.diff(wanted) / 2
     edges = np.r_[wanted[0] - half[0], wanted[:-1] + half, wanted[-1] + half[-1]]
@@ -257,8 +260,8 @@ def _table_of(
 
 
 def _samples(bands: Bands) -> np.ndarray:
-    """Return the wavelengths, in m, at which spectra are evaluated: those of the bands, or the
-    visible range for RGB."""
+    """Return the wavelengths, in m, at which spectra are evaluated: the wavelengths of the bands,
+    or the visible range for RGB."""
     if bands.wavelengths is not None:
         return bands.wavelengths
     if bands.count != 3:

@@ -12,7 +12,8 @@ class Folder:
         self._start = scene_file.parent
 
     def file(self, name: str) -> Path:
-        """Return the path of the file with that name; `InputError` if there is none."""
+        """Return the path of the file with that name, relative to the folder. Raise `InputError` if
+        there is no such file."""
         path = self._start / name
         if not path.is_file():
             raise InputError(f"{path}: no such file; paths start at the folder of the scene file.")

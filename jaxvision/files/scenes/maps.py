@@ -1,12 +1,12 @@
-"""Make maps of a scene file, which take the place of constant numbers of a material. A map is a
-picture, or texels in the file itself.
+"""Make the maps of a scene file. A map takes the place of a constant number or spectrum of a
+material. Its texels are in a picture file or in the scene file itself.
 
     albedo = { map = "wood.png" }
     roughness = { map = "worn.png", channel = 1, scale = 0.5, uv = [[4, 0, 0], [0, 4, 0]] }
     specular = { texels = [[0.1, 0.3], [0.3, 0.1]], wrap = "clamp" }
 
-Integer pictures are decoded from sRGB if they replace a spectrum, and are linear fractions of the
-largest code if they replace other numbers. Floating-point pictures are linear.
+The codes of an integer picture are decoded from sRGB if the map replaces a spectrum. Otherwise they
+are linear fractions of the largest code. Floating-point pictures are linear.
 """
 
 from typing import Annotated, Any, Literal
@@ -39,10 +39,11 @@ def make_map(
     uv: Float[np.ndarray, "2 affine"] | None = None,
     wrap: Literal["repeat", "clamp"] = "repeat",
 ) -> Map:
-    """Make a map from its keys in a scene file, in the unit of the number that it replaces. For a
-    picture, the keys include `encoding` and `channel`, counted from 0; by default all channels are
-    used, or their luminance if the map replaces one number. Raise `InputError` for channels that do
-    not fit."""
+    """Make a map from the keys of its table in a scene file, in the unit of the number that the map
+    replaces. A map from a picture may have the keys `encoding` and `channel`, an index from 0. By
+    default, a map of a spectrum uses all channels of the picture except alpha, and a map of one
+    number uses their luminance. Raise `InputError` if the number of channels does not fit the
+    spectrum."""
     if (map is None) == (texels is None):
         raise InputError("give either map, the name of a picture, or texels.")
     if map is not None:

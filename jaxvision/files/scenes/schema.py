@@ -2,9 +2,9 @@
 
 A scene file is written in TOML. Lengths are in metres, angles in degrees, and radiance in W m^-2
 sr^-1. Paths are relative to the scene file. Most scenes need `[camera]`, `[[surface]]` and
-`[material.NAME]`; `[[light]]`, `[ambient]`, `[render]` and `wavelengths` are optional. `tables`
-reads each kind of table. A number has the same meaning as the field of that name in the record
-(`Pinhole`, `Quad`, `Lambert`, ...).
+`[material.NAME]`; `[[light]]`, `[ambient]`, `[render]` and `wavelengths` are optional. The module
+`tables` reads each type of table. A key has the same meaning as the field of that name in the
+record (`Pinhole`, `Quad`, `Lambert`, ...).
 """
 
 from collections.abc import Mapping
@@ -81,7 +81,8 @@ class RenderEntry(Entry):
 
 
 def idle(integrator: str, given: Mapping[str, Any]) -> list[str]:
-    """Return the names of the given settings (not None) that an integrator does not use."""
+    """Return the names of the settings that are given (not None) but that an integrator does not
+    use."""
     return [name for name in _IDLE[integrator] if given.get(name) is not None]
 
 
@@ -101,10 +102,9 @@ def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]
 
 
 def override_settings(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:
-    """Return the settings of a file, overridden by the given ones that are not None. The samples
-    and depth of the file are used only with the file's own integrator. Raise `InputError` for a
-    wrong value, and for a setting of another integrator.
-    """
+    """Return the settings of a file, overridden by the given settings that are not None. The
+    samples and depth of the file are used only with the file's own integrator. Raise `InputError`
+    for a wrong value, and for a setting of another integrator."""
     given = {name: value for name, value in given.items() if value is not None}
     kept = settings.model_dump()
     if given.get("integrator", settings.integrator) != settings.integrator:

@@ -45,8 +45,8 @@ _NO_LENGTH = {"hz", "thz", "ev", "frequency", "energy"}
 
 def read_table(file: Path, column: str | None, quantity: str) -> tuple[np.ndarray, np.ndarray]:
     """Read the wavelengths, (n,) m, ascending, and the values, (n,) in the file's unit, of a column
-    of a CSV file. By default it is the only column that is a spectrum, or the only one that is
-    named after the quantity. Raise `InputError` if the column or its unit is ambiguous."""
+    of a CSV file. The default column is the only column that is a spectrum, or the only column that
+    is named after the quantity. Raise `InputError` if the column or its unit is ambiguous."""
     lines = plain_text(file).splitlines()
     first = next((n for n, line in enumerate(lines) if line.strip()[:1] not in ("", "#")), None)
     heads = [] if first is None else _cells(lines[first])
@@ -112,8 +112,8 @@ def _words(head: str) -> set[str]:
 
 
 def _along(file: Path, heads: list[str]) -> int:
-    """Return the index of the column of wavelengths: the first whose header names wavelengths or
-    their unit, or else the first column."""
+    """Return the index of the column of wavelengths: the first column whose header names
+    wavelengths or a unit of wavelength, or else the first column."""
     sure = [set() if _words(head) & _UNCERTAINTY else _words(head) for head in heads]
     units = set(_METRES) | _NO_LENGTH
     named = [n for n, words in enumerate(sure) if words & _WAVELENGTH]

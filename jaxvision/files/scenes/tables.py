@@ -76,8 +76,7 @@ def _mesh(
     flip: bool = False,
     primitive: tuple[Whole, Whole] | None = None,
 ) -> Shape:
-    """Triangles from a file. Vertices are scaled, then rotated, then moved; or they are mapped by
-    `matrix`."""
+    """Triangles from a file. Vertices are scaled, rotated and then moved, or mapped by `matrix`."""
     placed = {"scale": scale, "rotation": rotation, "position": position}
     placed = {name: value for name, value in placed.items() if value is not None}
     if matrix is not None and placed:
@@ -252,8 +251,8 @@ def keys_of_kind(table: Table) -> dict[str, Key]:
 
 
 def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> Reading:
-    """Return the settings for reading the tables of a scene file, in which spectra are of the given
-    quantity."""
+    """Return the `Reading` settings for the tables of a scene file whose spectra are all of the
+    given quantity."""
 
     def typed(hint: Any, where: str, value: Any) -> Any:
         if isinstance(value, Mapping) and {"map", "texels"} & set(value):
@@ -326,9 +325,9 @@ def surface_of(
     *,
     mapped: Callable[[Any], bool],
 ) -> tuple[Shape, dict[str, Any]]:
-    """Return the shape of the table `[[surface]]` at `where`, and the values of its other keys. A
-    mesh has texture coordinates if its material is `mapped` or it has a map of normals. Raise
-    `InputError` if the table is invalid."""
+    """Return the shape of the table `[[surface]]` at `where`, and the values of its other keys.
+    Texture coordinates of a mesh are read if its material is `mapped` or if it has a map of
+    normals. Raise `InputError` if the table is invalid."""
     word, rest = _word(reading, where, "shape", entry, SHAPES)
     make, beside = SHAPES[word], keys_of(beside_shape)
     values = _values(reading, where, beside | keys_of(make), rest)

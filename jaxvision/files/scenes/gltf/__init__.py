@@ -1,19 +1,20 @@
 """Read scenes of glTF 2.0 (`.gltf`, `.glb`), as far as their parts have a counterpart in this
-library.
+library. The following parts are read.
 
-    meshes      triangles, with their normals; every node that shows one
-    materials   metallic-roughness with factors, KHR_materials_ior, KHR_materials_emissive_strength,
-                KHR_materials_specular (factor 0 or 1), and glass by KHR_materials_transmission and
-                KHR_materials_volume; textures of base colour, metallic and roughness, and normal
-                maps, from PNG and JPEG, with scale and offset of KHR_texture_transform
-    lights      point, directional and spot, of KHR_lights_punctual
-    cameras     perspective and orthographic
+- Meshes: triangles with their normals. Every node that shows a mesh becomes surfaces.
+- Materials: metallic-roughness with its factors, and the extensions KHR_materials_ior,
+  KHR_materials_emissive_strength and KHR_materials_specular (factor 0 or 1). Glass is read from
+  KHR_materials_transmission and KHR_materials_volume.
+- Textures: base colour, metallic and roughness, and normal maps, from PNG and JPEG, with the scale
+  and offset of KHR_texture_transform.
+- Lights: point, directional and spot lights of KHR_lights_punctual.
+- Cameras: perspective and orthographic.
 
 glTF measures light in candela, lux and cd m^-2. This library uses watts instead of lumens, at 683
-lm for 1 W. In its lighting mode "Standard", Blender writes lamps in these units, but not emissive
-meshes. A warning is given for a file with both. Colours are linear sRGB. A part that is not
-supported is never dropped; the file is refused, and the message names the part. If a part is
-rendered slightly differently, a warning says so.
+lm for 1 W. In its lighting mode "Standard", Blender writes lamps in units at 683 lm for 1 W, but
+not emissive meshes. A warning is given for a file with both lamps and emissive meshes. Colours are
+linear sRGB. A part that is not supported is never dropped; the file is refused, and the message
+names the part. If a part is rendered slightly differently, a warning says so.
 """
 
 from collections.abc import Iterator
@@ -119,7 +120,7 @@ def _light(light: Light, to_world: np.ndarray) -> dict[str, Any]:
 
 
 def _camera(camera: Camera, to_world: np.ndarray, label: str) -> dict[str, Any]:
-    """Convert a camera at the position of its node. It looks along -z, with y up."""
+    """Convert a camera at the position of its node. The camera looks along -z, with y up."""
     if np.linalg.det(to_world[:3, :3]) <= 0:
         raise InputError(f"{label}: mirrors or flattens its camera; correct its scale.")
     position = to_world[:3, 3]
@@ -187,7 +188,7 @@ def _surfaces(
 def placed_nodes(path: Path, content: Content) -> Iterator[tuple[str, Node, np.ndarray]]:
     """Yield the nodes of the file's scene, parents first: the name, the node, and the matrix, (4,
     4), that maps its points, as columns, to the world. Raise `InputError` for a missing node, or
-    for one that is reached twice."""
+    for a node with two parents."""
     if not content.scenes:
         raise InputError("has no scene; export it again.")
     if content.scene >= len(content.scenes):

@@ -1,5 +1,5 @@
-"""Models of the supported part of glTF's JSON. A key that is missing here has no exact counterpart
-in this library, and is refused."""
+"""Models of the supported part of glTF's JSON. A key that these models do not have has no exact
+counterpart in this library, and raises `InputError`."""
 
 import math
 from collections.abc import Mapping
@@ -121,7 +121,7 @@ class Mesh(Named):
 
 class Placed(Entry):
     """KHR_texture_transform, which scales texture coordinates and then adds an offset. A rotation
-    is refused, because programs differ in its sense."""
+    raises an error, because programs rotate in different directions."""
 
     offset: tuple[Finite, Finite] = (0.0, 0.0)
     rotation: Annotated[float, Field(ge=0, le=0)] = 0.0

@@ -1,14 +1,15 @@
 """Convert glTF's materials to the tables `[material.NAME]` of a scene file.
 
-glTF mixes a metal and a coated matt body, f = (1 - m) ((1 - F) c / pi + F D V) + m F_m D V, with
-Schlick's F from F0 = ((ior - 1) / (ior + 1))^2 and F_m from F0 = c, the GGX density D of alpha =
-roughness^2 and Smith's V. The specular parts become a `TorranceSparrow` with Schlick's F, whose F0
-is the mean of both, weighted by 1 - m and m. This is exact because Schlick's formula is linear in
-F0. The matt part has the factor (1 - F0) at all angles here, instead of (1 - F). For an index of
-1.5 the matt light is therefore 0.5 % too bright at a viewing angle of 60 degrees, and 2.2 % at 85
-degrees. Textures are multiplied texel by texel, and the product is interpolated bilinearly. glTF
-interpolates each texture first and multiplies the results. Source: Khronos, glTF 2.0 Specification,
-appendix B.
+A glTF material of base colour c and metallic factor m mixes a coated matt body and a metal: f = (1
+- m) ((1 - F) c / pi + F D V) + m F_m D V. Here F is Schlick's reflectance of the coat with F0 =
+((ior - 1) / (ior + 1))^2, F_m Schlick's reflectance of the metal with F0 = c, D the GGX density of
+alpha = roughness^2, and V Smith's visibility. The specular parts become a `TorranceSparrow` with
+Schlick's F, whose F0 is the mean of the two values of F0, weighted by 1 - m and m. This conversion
+of the specular parts is exact because Schlick's formula is linear in F0. The matt part has the
+factor (1 - F0) at all angles, instead of (1 - F). For an index of 1.5 the matt light is therefore
+0.5 % too bright at a viewing angle of 60 degrees, and 2.2 % at 85 degrees. Textures are multiplied
+texel by texel, and the product is interpolated bilinearly. glTF interpolates each texture first and
+multiplies the results. Source: Khronos, glTF 2.0 Specification, appendix B.
 """
 
 from typing import Any
@@ -25,8 +26,8 @@ LEAST_ALPHA = 1e-6  # alpha of a polished metal, the smallest that `TorranceSpar
 
 
 def material_of(file: Gltf, content: Content, material: Material, label: str) -> dict[str, Any]:
-    """Return `family` and the other keys of a material's table; `label` names it in messages. Raise
-    `InputError` for a transparent material without an exact counterpart."""
+    """Return `family` and the other keys of a material's table. `label` is the name of the material
+    in messages. Raise `InputError` for a transparent material without an exact counterpart."""
     surface, more = material.pbrMetallicRoughness, material.extensions
     colour, metal = np.array(surface.baseColorFactor[:3]), np.array(surface.metallicFactor)
     rough = np.array(surface.roughnessFactor)
@@ -44,7 +45,8 @@ def material_of(file: Gltf, content: Content, material: Material, label: str) ->
         rough, metal = rough * of_rest[0][..., 1], metal * of_rest[0][..., 2:]
 
     def numbers(values: np.ndarray, axes: int) -> Any:
-        """Return numbers of the material as a list, or as the table of a map if they vary."""
+        """Return numbers of the material as a list, or as the table of a map if a texture varies
+        them."""
         return values.tolist() if values.ndim == axes else {"texels": values, **keys}
 
     factors = {

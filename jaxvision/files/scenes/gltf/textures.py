@@ -21,8 +21,8 @@ def texels_of(
     file: Gltf, content: Content, used: Used | None, label: str, *, srgb: bool = False
 ) -> tuple[np.ndarray, dict[str, Any]] | None:
     """Read the texels of a texture, (rows, columns, channels) in [0, 1], no unit, with sRGB decoded
-    if `srgb`, and the other keys of its map. Return None if no texture is used; `InputError` for
-    one that is not supported."""
+    if `srgb`, and the other keys of its map. Return None if no texture is used. Raise `InputError`
+    for a texture that is not supported."""
     if used is None:
         return None
     if used.index >= len(content.textures):

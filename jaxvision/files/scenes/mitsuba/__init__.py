@@ -1,19 +1,19 @@
 """Read scenes in Mitsuba's XML (versions 0.5 to 3), as far as their parts have an exact counterpart
-in this library.
+in this library. The following parts are read.
 
-    shapes      sphere, rectangle, disk, cube, obj, ply
-    BSDFs       diffuse, twosided, dielectric, conductor (material "none"), roughconductor, plastic,
-                roughplastic, normalmap; textures of type bitmap
-    emitters    point, directional, spot, constant, envmap; area on any shape
-    sensors     perspective, thinlens, orthographic
-    integrators path, volpath and direct (as paths), ptracer
+- Shapes: sphere, rectangle, disk, cube, obj and ply.
+- BSDFs: diffuse, twosided, dielectric, conductor (material "none"), roughconductor, plastic,
+  roughplastic and normalmap, with textures of type bitmap.
+- Emitters: point, directional, spot, constant and envmap, and area on any shape.
+- Sensors: perspective, thinlens and orthographic.
+- Integrators: path, volpath and direct, which are rendered by path tracing, and ptracer.
 
 Supported values are float, integer, boolean, string, vector, point, rgb, spectrum, transforms,
-`<default>`, `<ref>`, `<alias>` and `<include>`, and for lights also blackbody. Colours are those of
-Mitsuba's RGB variants. A part that is not supported is never dropped; the file is refused, and the
-message names the part. If a part is rendered slightly differently, a warning says so. If a mesh has
-mirrored texture coordinates, the y axis of a normal map stays upward in its picture, whereas
-Mitsuba turns it downward.
+`<default>`, `<ref>`, `<alias>` and `<include>`, and for lights also blackbody. Colours are
+converted as in Mitsuba's RGB variants. A part that is not supported is never dropped; the file is
+refused, and the message names the part. If a part is rendered slightly differently, a warning says
+so. If a mesh has mirrored texture coordinates, the y axis of a normal map stays upward in its
+picture, whereas Mitsuba turns it downward.
 """
 
 from pathlib import Path
@@ -58,8 +58,8 @@ def scene_of(file: Path) -> dict[str, Any]:
 
 
 def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
-    """Convert a shape with its BSDF and its area light. A shape with a light reflects only if it
-    has a BSDF of its own."""
+    """Convert a shape with its BSDF and its area light. A shape with an area light reflects only if
+    the shape states a BSDF."""
     bsdf, emitter = node.only("bsdf"), node.only("emitter")
     made = {"name": node.label, **shape_of(node)}
     two_sided = False
@@ -92,8 +92,8 @@ def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_coordinates(node: Node, surface: dict[str, Any], mapped: bool) -> None:
-    """Raise `InputError` for a textured shape if its texture coordinates differ from those of the
-    record that replaces it."""
+    """Raise `InputError` for a textured shape if its texture coordinates differ from the texture
+    coordinates of the record that replaces the shape."""
     turned = node.take("to_world", np.ndarray, np.eye(4))[:3, :3]
     usual = node.take("flip_tex_coords", bool, node.kind == "obj") == (node.kind == "obj")
     if not mapped:

@@ -52,7 +52,7 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
 
 
 def _pose(to_world: Affine) -> dict[str, Any]:
-    """Return the camera's position and orientation; it looks along its z axis, with y up."""
+    """Return the position and orientation of a camera that looks along its z axis, with y up."""
     position = to_world[:3, 3]
     _, up, forward = (to_world[:3, :3] / lengths_of_axes(to_world)).T
     return {

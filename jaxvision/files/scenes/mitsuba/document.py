@@ -57,7 +57,7 @@ class Node:
         label: the name of the object in messages.
         values: parameters by name.
         parts: nested objects, each with its own name or the name of its reference.
-        old: whether the file is of a version before 2, with other defaults.
+        old: whether the file is of a version before 2, which has other default values.
     """
 
     tag: str
@@ -122,7 +122,7 @@ class Node:
         return found[0] if found else None
 
     def must_be(self, *known: str) -> str:
-        """Return the type, which must be a supported one; otherwise `InputError`."""
+        """Return the type of the object. Raise `InputError` for a type that is not supported."""
         if self.kind not in known:
             words = ", ".join(known)
             raise self.wrong(
@@ -151,9 +151,9 @@ class Node:
 
 
 def root_of(file: Path) -> Node:
-    """Return the `<scene>` of a file of Mitsuba 0.5 or later, with the names that version 2
-    introduced. Raise `InputError` for a file that is not a Mitsuba scene, and for a missing
-    reference."""
+    """Return the `<scene>` of a file of Mitsuba 0.5 or later, with the names of parameters that
+    version 2 introduced. Raise `InputError` for a file that is not a Mitsuba scene, and for a
+    missing reference."""
     root = _parse(file)
     if root.tag != "scene":
         raise InputError(f"begins with <{root.tag}>; a scene of Mitsuba begins with <scene>.")
@@ -226,7 +226,7 @@ class _Reader:
         return made
 
     def _flatten(self, element: xml.Element) -> Iterator[xml.Element]:
-        """Yield the child elements, with those of included files in place of `<include>`."""
+        """Yield the child elements, with the elements of included files in place of `<include>`."""
         for child in element:
             if child.tag != "include":
                 yield child
@@ -244,8 +244,8 @@ class _Reader:
             yield from self._flatten(root) if root.tag == "scene" else (root,)
 
     def _attributes(self, element: xml.Element) -> dict[str, str]:
-        """Return the attributes of an element, with `$names` replaced by their values, and names in
-        current spelling."""
+        """Return the attributes of an element, with `$names` replaced by their values, and with
+        parameter names as in version 2."""
         given = {key: self._fill_defaults(value) for key, value in element.attrib.items()}
         if self._old and "name" in given:
             given["name"] = re.sub(

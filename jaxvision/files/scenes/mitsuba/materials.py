@@ -38,8 +38,8 @@ _INDICES = {
 
 def material_of(node: Node | None) -> tuple[dict[str, Any], bool]:
     """Return `family` and the other keys of a `<bsdf>`, and whether it reflects on both sides. The
-    keys include `normals` for a normal map; None gives a diffuse BSDF of albedo 0.5. Raise
-    `InputError` for a BSDF without a counterpart."""
+    keys include `normals` for a normal map. If no BSDF is given (None), the result is a diffuse
+    BSDF of albedo 0.5. Raise `InputError` for a BSDF without a counterpart."""
     if node is None:
         return {"family": "lambert", "albedo": 0.5}, False
     if (kind := node.must_be(*_FAMILIES, "twosided", "normalmap")) in ("twosided", "normalmap"):
@@ -122,7 +122,7 @@ def _plastic(node: Node) -> dict[str, Any]:
 
 
 def _each(spectrum: Any, change: Callable[[float], float]) -> Any:
-    """Apply a function to every number of a spectrum as `reflectance_of` returns it."""
+    """Apply a function to every number of a spectrum that `reflectance_of` returned."""
     match spectrum:
         case {"pairs": pairs}:
             return {"pairs": [[wavelength, change(value)] for wavelength, value in pairs]}

@@ -47,9 +47,9 @@ def reflectance_of(node: Node, name: str, otherwise: float) -> Any:
 
 
 def light_of(node: Node, name: str, otherwise: float) -> Any:
-    """Return the radiance, intensity or irradiance with that name. If the file states none, it is
-    the white of sRGB. A spectrum with one value has that value at all wavelengths. A black body has
-    the values of Mitsuba's spectral variants, which are per nm."""
+    """Return the radiance, intensity or irradiance with that name. If the file states no such
+    value, the result is the white of sRGB. A spectrum with one value has that value at all
+    wavelengths. The values of a black body are per nm, as in Mitsuba's spectral variants."""
     match node.take(name, (*SPECTRUM, Blackbody), otherwise):
         case Blackbody(kelvin):
             return {"blackbody": kelvin, "scale": 1e-9}
@@ -62,7 +62,8 @@ def light_of(node: Node, name: str, otherwise: float) -> Any:
 
 
 def index_of(node: Node, name: str, otherwise: float) -> Any:
-    """Return a part of a metal's complex refractive index, the one with that name, no unit."""
+    """Return the real or the imaginary part of a metal's complex refractive index, selected by its
+    name, no unit."""
     value = node.take(name, SPECTRUM, otherwise)
     if isinstance(value, Table):
         raise node.wrong(

@@ -13,9 +13,9 @@ Affine = Float[np.ndarray, "4 4"]
 
 
 def transform_of(steps: Iterable[tuple[str, Mapping[str, str]]], place: str) -> Affine:
-    """Return the map to the world, the product of all steps, of which the last is applied last.
-    Each step is a tag with its attributes. Raise `InputError` for an unknown step, or for a map
-    without an inverse."""
+    """Return the map to the world: the product of all steps, which are applied in the order of the
+    file. Each step is a tag with its attributes. Raise `InputError` for an unknown step, or for a
+    map without an inverse."""
     whole = np.eye(4)
     for tag, given in steps:
         whole = _step(tag, given, f"{place}, {tag}") @ whole
@@ -75,8 +75,8 @@ def _look_at(origin: np.ndarray, target: np.ndarray, up: np.ndarray, place: str)
 
 
 def _vector(given: Mapping[str, str], place: str, *, otherwise: float) -> np.ndarray:
-    """Read a vector from `value`, which holds three numbers or one for all axes, or from `x`, `y`
-    and `z`."""
+    """Read a vector from the attribute `value`, which holds three numbers or one number for all
+    axes, or from the attributes `x`, `y` and `z`."""
     if "value" in given:
         several = len(given["value"].replace(",", " ").split()) > 1
         return np.broadcast_to(_words(given["value"], place, 3 if several else 1), 3)
