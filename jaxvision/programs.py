@@ -1,6 +1,6 @@
-"""Settings for compiling programs: options for a CPU or an accelerator, a cache of compiled
-programs between runs, and quick compilation if most programs run once. JAX and XLA read the last
-two settings from the environment before their first use.
+"""Choose how programs are compiled: with options for a CPU or an accelerator, with a cache of
+compiled programs between runs, and with quick compilation if most programs run once. JAX and XLA
+read the settings of the cache and of quick compilation from the environment before their first use.
 
 JAX's cache stores what XLA compiles, but every process traces and lowers each program again.
 `kept_whole` stores the compiled program under a name that is known before tracing.
@@ -47,9 +47,8 @@ _keeps_whole = False  # unless a command asks: a library's user may change what 
 
 
 def on_processor() -> bool:
-    """Return whether programs are now traced for a CPU, according to `jax.default_device`, else to
-    the devices that JAX found.
-    """
+    """Return whether programs are now traced for a CPU. This follows from `jax.default_device` if
+    it is set, and otherwise from the devices that JAX found."""
     import jax  # here: what else this module does comes before JAX's first use
 
     device = getattr(jax.config, "jax_default_device", None)
@@ -57,10 +56,9 @@ def on_processor() -> bool:
 
 
 def quick_options() -> Options:
-    """Return XLA's options for programs that run once and take longer to compile than to run: no
-    optimisation, and the older emitters. There are no options for an untested version of jaxlib or
-    an accelerator's plugin.
-    """
+    """Return XLA's options for programs that run once and take longer to compile than to run. The
+    options turn off optimisation and select the older emitters. For an untested version of jaxlib,
+    or with an accelerator's plugin, there are no options."""
     if not _is_tried():
         return {}
     older = version("jaxlib").startswith(_HAVE_OLDER_EMITTERS)
@@ -210,9 +208,8 @@ def kept_whole(function: Any, about: str) -> Callable[..., Any]:
 
 
 def _name_of_program(args: tuple[Any, ...], about: str) -> str:
-    """Return a file name, a digest of everything on which the program depends. Raise `TypeError`
-    where that is unknown.
-    """
+    """Return a file name, a digest of everything on which the program depends. Raise `TypeError` if
+    the program depends on a value of an unknown type."""
     import jax
 
     if not on_processor() or jax.device_count() > 1 or jax.config.values["jax_disable_jit"]:

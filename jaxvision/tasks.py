@@ -1,10 +1,10 @@
-"""Independent tasks, run in sequence or by Dask on many processes and machines.
+"""Run independent tasks in sequence, or with Dask on many processes and machines.
 
-Tiles and passes of a render, folders of a study and simulations of a check are independent. Inside
-`with jaxvision.cluster(client)` they run on the workers of a Dask client. Results come in the order
-of the tasks, regardless of the order of arrival. A file made from the results has the same bytes as
-one made without workers on the same type of processor. If a worker is lost, another worker repeats
-its unfinished tasks.
+Examples of independent tasks are the tiles or passes of a render, the folders of a study, and the
+simulations of a check. Inside `with jaxvision.cluster(client)`, tasks run on the workers of a Dask
+client. Results are returned in the order of the tasks, whichever task ends first. On the same type
+of processor, a file made from the results has the same bytes with and without workers. If a worker
+is lost, another worker repeats its unfinished tasks.
 """
 
 import hashlib
@@ -57,8 +57,8 @@ def cluster(client: "Client") -> Iterator[None]:
 
     Raises:
         InputError: for a client without workers, and for a worker with another version of jaxvision
-            (by number or by source), of jax, jaxlib or NumPy, or another kind of device. It is
-            raised before any work.
+            (by number or by source), of jax, jaxlib or NumPy, or another kind of device. The error
+            is raised before any task runs.
 
     Example:
         >>> from distributed import Client
@@ -88,9 +88,9 @@ def cluster(client: "Client") -> Iterator[None]:
 
 
 def _answers(client: "Client", wanted: Mapping[str, Any]) -> dict[str, Any]:
-    """Return, for each worker, how it differs from the client, or the error if it cannot report. If
-    workers were just lost, ask again once others have replaced them.
-    """
+    """Return, for each worker, a description of how the worker differs from the client, or an error
+    if the worker does not answer. If workers were lost a moment ago, ask again after other workers
+    have replaced them."""
     found: Any = {}
     for _ in range(_ASKED):
         found = client.run(_difference, wanted, on_error="return")
@@ -105,8 +105,8 @@ def _answers(client: "Client", wanted: Mapping[str, Any]) -> dict[str, Any]:
 def workers(count: int, *, scheduler: str = "") -> Iterator[None]:
     """Return a context in which tasks run on `count` processes of this machine or on the cluster at
     `scheduler` ("tcp://10.0.0.1:8786"), or in this process if neither is given. Raise `InputError`
-    if both are given, and without Dask, a scheduler or enough memory.
-    """
+    if both are given, if Dask is not installed, if no scheduler answers, and if there is too little
+    memory."""
     if count and scheduler:
         raise InputError("--workers and --scheduler exclude each other; give one.")
     if not (count or scheduler):
@@ -140,10 +140,9 @@ def in_order(
     memory: float = 0.0,
 ) -> Iterator[Result]:
     """Yield `function(shared, item)` for each item, in order, computed on the workers of `cluster`
-    or in this process. `memory`: bytes that a worker needs for the largest task, or 0 for no check.
-    Raise `InputError` for a worker of another version or with too little memory, and for a task
-    during which too many workers were lost.
-    """
+    or in this process. `memory` is the number of bytes that a worker needs for the largest task, or
+    0 for no check. Raise `InputError` for a worker of another version or with too little memory,
+    and for a task during which too many workers were lost."""
     client = _client.get()
     if client is None:
         for item in items:
@@ -204,9 +203,8 @@ def _run_on(
 
 
 def _check_room(client: "Client", needed: float) -> None:
-    """Raise `InputError` if a worker has too little memory: its threads share the memory, and each
-    thread works on one task.
-    """
+    """Raise `InputError` if a worker has too little memory. The threads of a worker share its
+    memory, and each thread works on one task."""
     rooms: Any = client.run(_room, on_error="ignore")  # one that is lost just now starts again
     for address, room in rooms.items():
         if room < needed:
@@ -223,8 +221,7 @@ def _room(dask_worker: Any) -> float:
 
 def _pack(shared: Any) -> bytes:
     """Serialise the shared data of tasks to bytes. Records are rebuilt by `_record`, because
-    Equinox 0.13 takes records that pickle creates for unfinished ones and retains them permanently.
-    """
+    Equinox 0.13 treats records that pickle creates as unfinished, and never frees them."""
     import cloudpickle
     from equinox import Module
 
@@ -274,31 +271,29 @@ def _await(client: "Client", future: "Future") -> Any:
 
 
 class _Bundles:
-    """A queue of items, handed out in bundles of about `BUNDLE` seconds of work, over which Dask's
-    cost per task is spread. From one bundle to the next the size at most doubles, and the last
-    bundles are small.
-    """
+    """A queue of items, returned in bundles of about `BUNDLE` seconds of work, so that Dask's
+    overhead per task is small in comparison. A bundle has at most twice as many items as the bundle
+    before, and the last bundles are small."""
 
     def __init__(self, items: Iterable[Any], threads: int) -> None:
         self._left, self._threads = deque(items), max(threads, 1)
         self._size = 1
 
     def next(self) -> tuple[Any, ...]:
-        """Return the next bundle of items, empty if all are handed out."""
+        """Return the next bundle of items, which is empty after the last item."""
         size = min(self._size, max(len(self._left) // (2 * self._threads), 1))
         return tuple(self._left.popleft() for _ in range(min(size, len(self._left))))
 
     def measured(self, count: int, seconds: float) -> None:
-        """Record the duration of tasks, which sets the size of the next bundles."""
+        """Record the duration of tasks, from which the size of the next bundles follows."""
         fitting = BUNDLE * count / max(seconds, 1e-6)
         self._size = int(min(2 * self._size, max(fitting, 1)))
 
 
 class _Task:
     """A task that is sent to a worker: a function, and the digest of the shared data that the
-    worker unpacks once. A worker that joined later is first checked for differences from the
-    client.
-    """
+    worker unpacks once. A worker that joined after the check of all workers is checked for
+    differences from the client before its first task."""
 
     def __init__(
         self, function: Callable[..., Any], wanted: Mapping[str, Any], digest: str
@@ -307,9 +302,8 @@ class _Task:
 
     def __call__(self, packed: bytes, items: Sequence[Any]) -> tuple[list[Any], float]:
         """Compute the results of the first items of a bundle (at least one), and their duration in
-        seconds. If a task fails or time is up, return the results before it. The failed task is
-        then the first task of another bundle, and raises its error there.
-        """
+        seconds. If a task fails, or if the bundle's time is used up, return the results so far. The
+        failed task is then the first task of another bundle, in which it raises its error."""
         import cloudpickle
 
         if self.digest not in _objects:
@@ -349,9 +343,8 @@ def _environment() -> dict[str, Any]:
 
 
 def _difference(wanted: Mapping[str, Any]) -> str:
-    """Describe in words how a worker differs from the command. A different precision is not
-    reported but set.
-    """
+    """Describe in words how a worker differs from the client. If the worker has another precision,
+    its precision is changed, and this difference is not reported."""
     import jax
 
     jax.config.update("jax_enable_x64", wanted["x64"])

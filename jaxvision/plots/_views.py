@@ -73,7 +73,7 @@ def draw_picture(
 
 def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float, names: Sequence[str]) -> None:
     """Draw the number of pixels in equal bins of codes, of values, or, for a high dynamic range, of
-    log10 of the values. With log10, the label states the number of values at or below 0."""
+    log10 of the values. With log10, the axis label states the number of values at or below 0."""
     bands = pixels.shape[-1]
     values, unit = pixels.astype(float), "DN" if pixels.dtype.kind in "ui" else "relative"
     finite = values[np.isfinite(values)]

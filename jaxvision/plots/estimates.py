@@ -36,7 +36,7 @@ MOST_VECTORS = 8_000  # number of points in a row, above which pixels make a sma
 
 @runtime_checkable
 class Measured(Protocol):
-    """A setting with its error and time, as in `accuracy.Trial`."""
+    """A setting with the measured error and time of a computation, as in `accuracy.Trial`."""
 
     @property
     def setting(self) -> Any: ...
@@ -109,7 +109,8 @@ def curves(
     """Plot several curves by name, in distinct colours.
 
     Args:
-        x: (n,) in any unit for all curves; or (n,) for each curve, by the names of y.
+        x: (n,) in any unit, for all curves; or a mapping from the names in y to the (n,) of each
+            curve.
         y: (n,) each, any unit, by name.
         names: names of x and y, with their units.
         scales: scales of x and y, as matplotlib names them: "linear", "log", "symlog".
@@ -122,7 +123,7 @@ def curves(
         The axes, with a legend of the names.
 
     Raises:
-        InputError: for a curve whose length differs from its x, and for an unknown name.
+        InputError: for a curve that differs in length from its x, and for an unknown name.
 
     Example:
         >>> n = np.arange(1, 9)
@@ -157,8 +158,8 @@ def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None
     seeds and the error of its reference.
 
     Args:
-        trials: as from `accuracy.error_against_time`; those without a finite error above 0 are left
-            out.
+        trials: trials, as from `accuracy.error_against_time`. Trials without a finite error above 0
+            are not drawn.
         axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Plot an image, or a map of any quantity, or several images side by side."""
+"""Plot an image, several images side by side, or a map of any quantity."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -18,8 +18,8 @@ NO_NUMBER = "magenta"  # where a map is NaN
 
 
 def picture(image: np.ndarray, *, white: float | None = None, axes: "Axes | None" = None) -> "Axes":
-    """Show an image as a picture. Codes and values up to white are shown as they are, and radiance
-    is encoded in sRGB.
+    """Show an image as a picture. Codes, and values up to white, are shown unchanged. Radiance is
+    encoded in sRGB.
 
     Args:
         image: (h, w) or (h, w, bands), DN or relative; for more than 4 bands their mean is shown.
@@ -72,7 +72,8 @@ def pictures(
         The figure; values beyond the limits have the colour of the nearest limit.
 
     Raises:
-        InputError: without images, for fewer columns than one, and for other than 1 or 3 bands.
+        InputError: without images, for a number of columns below 1, and for images with other than
+            1 or 3 bands.
 
     Example:
         >>> figure = jv.plots.pictures({"dark": np.zeros((2, 3)), "light": np.ones((2, 3))})

@@ -33,8 +33,8 @@ def inline_svg(
     draw: "Callable[[Axes], None]", *, size: tuple[float, float] = (4.8, 3.6), font: float = 11
 ) -> str:
     """Draw a plot as an `<svg>` for HTML that is as wide as its container; `size` is in inches.
-    Text stays text, of the given size in points, and lines in `INK` take the text colour of the
-    page."""
+    Text remains text in the SVG, of the given size in points. Lines in the colour `INK` take the
+    text colour of the page."""
 
     def drawn() -> "Figure":
         from matplotlib.figure import Figure
@@ -56,8 +56,9 @@ def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:
 def figure_strips(
     draw: "Callable[[], Figure]", *, widest: float, font: float = 10
 ) -> tuple[str, ...]:
-    """Convert a figure as `figure_svg` does, but cut it between columns of panels into as few
-    pieces as possible, each at most `widest` points wide. A narrow page then stacks the pieces."""
+    """Convert a figure as `figure_svg` does, but divide the figure between columns of panels into
+    as few pieces as possible, each at most `widest` points wide. On a narrow page, the pieces are
+    then shown below each other."""
     import matplotlib
     from matplotlib.transforms import Bbox
 
@@ -83,8 +84,8 @@ def figure_strips(
 
 
 def _columns(figure: "Figure") -> "list[_Strip]":
-    """Return the left and right end of each column of panels, in inches including labels, and its
-    panels."""
+    """Return, for each column of panels, the left and right end in inches, including labels, and
+    the panels."""
     figure.draw_without_rendering()
     found: list[_Strip] = []
     boxes = [(axes.get_tightbbox(), axes) for axes in figure.axes]
@@ -99,7 +100,8 @@ def _columns(figure: "Figure") -> "list[_Strip]":
 
 
 def _strips(columns: "list[_Strip]", widest: float) -> "list[_Strip]":
-    """Join neighbouring columns into as few strips as the width allows, with similar widths."""
+    """Join neighbouring columns of panels into as few strips as the largest width allows. The
+    strips have similar widths."""
     packed = _pack(columns, widest)
     for limit in sorted(b[1] - a[0] for a in columns for b in columns if a[0] < b[1]):
         alike = _pack(columns, limit)

@@ -30,8 +30,8 @@ def name_points(
     color: str | None = None,
     size: float | None = None,
 ) -> None:
-    """Write the names of points, (name, s, error) each, in free places next to them on logarithmic
-    axes. Points that are close together share a label."""
+    """Write the names of points, (name, s, error) each, in free places next to the points on
+    logarithmic axes. Points that are close together share a label."""
     from matplotlib import rcParams
 
     if not points:
@@ -73,9 +73,9 @@ def name_points(
 
 
 def few_ticks(axes: "Axes") -> None:
-    """Set at most `MOST` tick labels on each axis, without overlap. They are powers of ten, or 1, 2
-    and 5 times those, or equal steps, whichever give most labels. Times below a second are written
-    in ms."""
+    """Set at most `MOST` tick labels on each axis, without overlap. The tick values are powers of
+    ten, 1, 2 and 5 times powers of ten, or equal steps, whichever gives most labels. Times below a
+    second are written in ms."""
     from matplotlib import rcParams
     from matplotlib.font_manager import FontProperties
     from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullLocator
@@ -161,7 +161,7 @@ def _around(
 
 
 def _box_of(text, whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Return the box of a name that is already written."""
+    """Return the bounding box of a name that is already written."""
     place = (np.log(text.xy) - first) / np.maximum(last - first, 1e-9) * whole
     extent = np.array([WIDE * len(text.get_text()), HIGH]) * text.get_fontsize()
     sides = np.sign(text.xyann)
@@ -170,9 +170,9 @@ def _box_of(text, whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.
 
 
 def _drawing(axes: "Axes", whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Return points on markers, lines and error bars, (n, 3), about `APART` pt from each other.
-    Each has its position, in pt from the lower left corner, and the cost of covering it with a
-    name."""
+    """Return points on markers, lines and error bars, (n, 3), about `APART` pt from each other. The
+    three numbers of a point are its position, in pt from the lower left corner of the axes, and the
+    cost of covering the point with a name."""
     paths = [
         (line.get_xydata(), line.get_marker() not in ("", " ", "None", None))
         for line in axes.lines

@@ -30,8 +30,8 @@ def spectrum(
     label: str = "",
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """Plot spectra over wavelength, such as those of light, a reflectance or the sensitivity of a
-    camera.
+    """Plot spectra over wavelength, such as spectra of light, of a reflectance or of a camera's
+    sensitivity.
 
     Args:
         wavelengths: (bands,) m, ascending.
@@ -45,7 +45,7 @@ def spectrum(
         The axes; wavelength in nm.
 
     Raises:
-        InputError: for a number of values that differs from that of the wavelengths.
+        InputError: for a number of values that differs from the number of wavelengths.
 
     Example:
         >>> grid = np.linspace(400e-9, 700e-9, 31)
@@ -106,8 +106,8 @@ def lobe(
             left, and its direction is dotted.
         band: index of the band that is drawn.
         shape_only: whether each lobe is divided by its largest value.
-        components: whether to draw also the diffuse and the specular term of each material that has
-            both, dashed.
+        components: whether to draw also, as dashed lines, the diffuse and the specular term of each
+            material that has both.
         axes: polar axes of matplotlib to draw on; None makes new ones.
 
     Returns:
@@ -198,8 +198,9 @@ _ROUNDS = 40
 def refined(
     function: Callable[[np.ndarray], np.ndarray], places: np.ndarray, *, peaks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions, (m,) ascending, and the values of a function there, refined from the first
-    positions, (n,). Narrow peaks are searched on all scales around their possible positions."""
+    """Return positions, (m,) ascending, and the values of a function at these positions. They
+    include the given positions, (n,), and more positions where the function is steep. Narrow peaks
+    are searched on all scales around their possible positions."""
     low, high = places[0], places[-1]
     steps = (high - low) * np.geomspace(NARROWEST, 0.05, 24)
     about = np.concatenate([peaks, *(peaks[:, None] + sign * steps for sign in (-1, 1))], axis=None)

@@ -18,8 +18,8 @@ def pipeline(camera: Camera, *, axes: "Axes | None" = None) -> "Axes":
     """Plot the stages of a camera in the order in which light passes them, with absent stages in
     grey.
 
-    The stages are the fields of the lens, the sensor and the development. A field that is None
-    stands for an absent stage, which is never computed.
+    The stages are the fields of the lens, the sensor and the development. A field that is None is
+    an absent stage, which is not computed.
 
     Args:
         camera: the camera.

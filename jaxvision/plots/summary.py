@@ -12,7 +12,7 @@ from ..errors import InputError
 
 @dataclass(frozen=True)
 class BandSummary:
-    """Statistics of one channel over its finite values; the moments are NaN if there are none.
+    """Statistics of one channel over its finite values. The moments are NaN if no value is finite.
 
     Attributes:
         name: name of the channel.
@@ -74,7 +74,8 @@ def summarise(
         One summary for each channel.
 
     Raises:
-        InputError: for an array that is no image, and for another number of names.
+        InputError: for an array that is no image, and if the number of names is not the number of
+            channels.
     """
     pixels = checked(image)
     limit = white_level(pixels, white)

@@ -1,10 +1,10 @@
 """Implement `jaxvision render`, from a scene file to an image file.
 
-cost         the standard error of a render and its time
-job          tile by tile, in memory that does not grow with the picture, and resumable
-integrators  the words of `[render] integrator` as functions from pixels to radiance
-pruning      the scene without negligible effects
-tiles        the unfinished picture on disk
+- `job` renders tile by tile, in memory that does not grow with the picture, and can resume.
+- `integrators` has, for each value of `[render] integrator`, a function from pixels to radiance.
+- `pruning` drops the negligible effects of the scene.
+- `tiles` stores the unfinished picture on disk.
+- `cost` measures the standard error and the time of a render.
 """
 
 # ruff: noqa: F401

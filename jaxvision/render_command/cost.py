@@ -19,10 +19,11 @@ class Cost(NamedTuple):
     Attributes:
         error: rms standard error of the pixels divided by the rms radiance; None for one ray per
             pixel.
-        seconds: time of all pixels of the picture without compilation, s; on workers the sum of
-            their times.
+        seconds: time to compute all pixels of the picture, without compilation, s. If there are
+            workers, this is the sum of the times of all workers.
         compiling: time of tracing and compilation, s.
-        workers: number of worker processes that computed the picture; 0: this process alone.
+        workers: number of worker processes that computed the picture; 0 if this process computed
+            it.
     """
 
     error: float | None
@@ -56,7 +57,7 @@ class Clock:
 
 @contextmanager
 def time_block() -> Iterator[Clock]:
-    """Yield a clock, in s, that also records the times of JAX's compilations."""
+    """Yield a `Clock` for a `with` block, which also records the times of JAX's compilations."""
     clock = Clock()
     jax.monitoring.register_event_duration_secs_listener(clock.add)
     try:
@@ -67,8 +68,8 @@ def time_block() -> Iterator[Clock]:
 
 def relative_error(rows: Iterable[np.ndarray], bands: int) -> float | None:
     """Return the rms standard error divided by the rms radiance, over all pixels and bands with
-    finite numbers. Return None for a picture without light. `--accuracy` uses the same norm.
-    """
+    finite numbers. Return None for a picture without light. The option `--accuracy` refers to the
+    same norm."""
     light, squares = 0.0, 0.0
     for block in rows:
         radiance, error = np.split(block.astype(np.float64), [bands], axis=-1)

@@ -1,9 +1,9 @@
 """Implement the values of `[render] integrator` as functions from pixels, or from passes, to
 radiance.
 
-Four integrators compute each pixel separately, so the picture is rendered in tiles. Of these,
-radiosity is solved before the first tile. Light tracing renders whole pictures and takes the mean
-of independent passes.
+Four integrators compute each pixel separately, so the picture is rendered in tiles. For radiosity,
+one of the four, the exchange of light is solved before the first tile. Light tracing renders
+several independent pictures, called passes, and takes their mean.
 """
 
 import math
@@ -53,9 +53,9 @@ def pixels_of(
     source: SceneFile, settings: RenderEntry, *, threshold: float | None = None
 ) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Return a function from the (rows, columns) of n pixels to their radiance and its standard
-    error, (n, bands) float32 each in W m^-2 sr^-1. The error assumes independent samples, and is
-    inf for a single one. The value of a pixel depends on other pixels only if there is a
-    `threshold`, in W m^-2 sr^-1 as in `render`."""
+    error, (n, bands) float32 each in W m^-2 sr^-1. The standard error assumes independent samples,
+    and is inf for a single sample. The value of a pixel depends on other pixels only if there is a
+    `threshold`, in W m^-2 sr^-1, as in `render`."""
     compute = _seeded_traces_of(source, settings, threshold)(settings.seed)
 
     def both(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -66,10 +66,10 @@ def pixels_of(
 
 
 def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
-    """Return a function that takes a seed, and optionally another seed for the positions of rays
-    within pixels, and returns a function that computes pixels. The function that computes pixels
-    takes rows, columns and the index of the first sample, and for paths optionally another depth.
-    The radiance, in W m^-2 sr^-1, has the dtype of the scene. Everything is compiled once."""
+    """Return a function from a seed to a function that computes pixels. A second seed, for the
+    positions of rays within pixels, is optional. The function that computes pixels takes rows,
+    columns and the index of the first sample. For paths, it optionally takes another depth. The
+    radiance, in W m^-2 sr^-1, has the dtype of the scene. One compiled program serves all seeds."""
     traces = _seeded_traces_of(source, settings)
 
     def seeded(seed: int, within_pixels: int | None = None) -> Computed:
@@ -116,15 +116,15 @@ def _seeded_traces_of(
 
 
 def passes_of(source: SceneFile, settings: RenderEntry) -> tuple[int, Callable[[int], np.ndarray]]:
-    """Return the number of passes, and a function from the index of a pass to its picture, (h, w,
-    bands) in W m^-2 sr^-1. The final picture is the mean of all passes."""
+    """Return the number of passes, and a function from the index of a pass to the picture of that
+    pass, (h, w, bands) in W m^-2 sr^-1. The final picture is the mean of all passes."""
     passes = seeded_passes_of(source, settings)
     return settings.samples, lambda number: passes(settings.seed, number)
 
 
 def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int, int], np.ndarray]:
-    """Return a function from a seed and the index of a pass to its picture, (h, w, bands) W m^-2
-    sr^-1. It is compiled once for all seeds."""
+    """Return a function from a seed and the index of a pass to the picture of that pass, (h, w,
+    bands) W m^-2 sr^-1. The function is compiled once for all seeds."""
     _check_light(source, settings)
     one = _kept_pass(_compiled_in(settings), _structure(source))  # pyright: ignore[reportArgumentType]
 
@@ -155,7 +155,7 @@ def light_findings(source: SceneFile, settings: RenderEntry) -> list[str]:
 
 
 def _compiled_in(settings: RenderEntry) -> RenderEntry:
-    """Return the settings that affect the compiled program, with the others at fixed values."""
+    """Return the settings, with fixed values for those that do not affect the compiled program."""
     return settings.model_copy(update={"seed": 0, "tile": 1})
 
 
@@ -169,9 +169,8 @@ def _structure(source: SceneFile) -> Hashable:
 @lru_cache(maxsize=1)
 def _kept_tile(settings: RenderEntry, structure: Hashable) -> Callable[..., tuple[Pixels, Pixels]]:
     """Return the compiled program for tiles, cached for one combination of settings and structure.
-    A scene with the same structure uses it without another compilation. The cache holds no scene,
-    and a scene with another structure replaces its content.
-    """
+    A scene with the same structure uses the cached program without another compilation. The cache
+    does not hold the scene. For a scene with another structure, the cached program is replaced."""
     return kept_whole(_tile_of(_along(settings), settings), f"tile {settings!r}")
 
 
@@ -242,11 +241,11 @@ def _check_lens(source: SceneFile, settings: RenderEntry) -> None:
 
 
 def _nothing(key: Key) -> None:
-    """Do nothing before the first pixel; only radiosity has work to do there."""
+    """Do nothing before the first pixel. Only radiosity replaces this function."""
 
 
 def _is_wide(scene: Scene, settings: RenderEntry) -> bool:
-    """Return whether maps are averaged over the footprint of each pixel."""
+    """Return whether maps on surfaces are averaged over the footprint of each pixel."""
     one = settings.integrator == "direct" and settings.samples == 1
     return one and varied_surfaces(scene) is not None
 

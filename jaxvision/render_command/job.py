@@ -1,5 +1,6 @@
 """Render a scene file to an image file, tile by tile. The memory needed does not grow with the
-picture. If a render is killed, the same command continues it, and the result is bit-identical.
+picture. If a render is killed, the same command continues the render, and the result is
+bit-identical to an uninterrupted render.
 
 While the EXR file `out` is unfinished, its completed tiles are in `out.partial` next to it. A tile
 is a sequence of pixels in row order. Every tile is computed by the same compiled code, and depends
@@ -66,12 +67,12 @@ def render_to_file(
     advance: Advance = lambda done, total: None,
 ) -> Cost:
     """Render a scene file to an EXR file, in W m^-2 sr^-1, tile by tile. Return the rms standard
-    error over the rms radiance, and the time in s. With several samples the file has a layer
-    `error` of standard errors, as if samples were independent. `pruned`: the scene to render in
-    place of the whole one; its certificate goes into the header. `preview`: file of an 8-bit
-    picture. `fresh`: whether to drop the finished tiles of an interrupted call.
-    `advance(done, all)` counts tiles. `KeyboardInterrupt` says how to continue; any other failure
-    is an `InputError`."""
+    error over the rms radiance, and the time in s. With several samples, the file has a layer
+    `error` of standard errors, which assume independent samples. `pruned` is the scene to render in
+    place of the whole scene, whose certificate is written to the header. `preview` is the path of
+    an 8-bit picture. `fresh` states whether to drop the finished tiles of an interrupted call.
+    `advance(done, all)` is called after each tile. The message of a `KeyboardInterrupt` says how to
+    continue. Any other failure raises `InputError`."""
     if out.suffix.lower() != ".exr":
         raise InputError(f"{out}: a render holds radiance and is written as EXR; name it so.")
     check_writable(out)
@@ -215,7 +216,7 @@ def _render_passes(
 @dataclasses.dataclass
 class _Work:
     """The scene and the settings that all tiles or passes of one picture share. Each process
-    compiles its program once."""
+    compiles the program once."""
 
     source: SceneFile
     settings: RenderEntry
@@ -264,7 +265,7 @@ def _pass(work: _Work, number: int) -> Part:
 
 
 class _Spent:
-    """Adds up the time of a picture, by the clock of this process or by those of its workers."""
+    """Adds up the time of a picture, by the clocks of this process or of the workers."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -280,8 +281,8 @@ class _Spent:
         return result
 
     def extrapolate(self, parts: int, here: int) -> Seconds:
-        """Return the seconds of all parts, extrapolated from those computed now, the seconds of
-        compiling, and the number of workers."""
+        """Return the seconds of all tiles or passes, extrapolated from the parts computed in this
+        run; the seconds of compilation; and the number of workers."""
         seconds, compiling = self._there if self._workers else self._clock.read()
         return float(seconds) * parts / max(here, 1), float(compiling), len(self._workers)
 
@@ -306,7 +307,8 @@ def band_names(bands: int, wavelengths: np.ndarray | None) -> tuple[str, ...]:
 
 
 def _key(source: SceneFile, settings: RenderEntry, pruned: Pruned | None) -> dict[str, Any]:
-    """Return everything on which the bits of the picture depend, including the size of tiles."""
+    """Return everything on which the bits of the picture depend, including the size of the tiles,
+    as the key of the partial file."""
     unused = set() if settings.integrator in BY_PIXEL else {"tile"}
     return {
         "scene": source.digest,
@@ -355,8 +357,9 @@ def _display(rows: Rows, source: SceneFile) -> np.ndarray:
 
 
 def linear_srgb(bands: int, wavelengths: np.ndarray | None) -> Float[np.ndarray, "bands 3"]:
-    """Return the colour of each band in linear sRGB, (bands, 3), relative. Bands with wavelengths,
-    in m, use the standard observer; other bands than RGB are grey."""
+    """Return the colour of each band in linear sRGB, (bands, 3), relative. The colours of bands
+    with wavelengths, in m, are those of the CIE standard observer. Bands without wavelengths are
+    RGB if there are three, and grey otherwise."""
     if wavelengths is not None:
         return colours_of(wavelengths, "light")
     return np.eye(3) if bands == 3 else np.full((bands, 3), 1 / bands)

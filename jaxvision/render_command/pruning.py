@@ -29,7 +29,8 @@ Box = dict[str, tuple[Any, Any]]
 
 
 def _parse_request(settings: RenderEntry) -> dict[str, Any]:
-    """Return the samples and the path depth of an integrator, as `effects.inspect` takes them."""
+    """Return the arguments `samples` and `depth` of `effects.inspect` for the integrator of a scene
+    file."""
     samples, depth = None, None
     if settings.samples > 1 or settings.integrator == "path":
         samples = PixelSamples(jax.random.key(settings.seed), settings.samples)
@@ -65,7 +66,7 @@ def inspect_scene(
 ) -> tuple[Effect, ...]:
     """List the effects of a scene file and, if a camera is given, of its sensor. Times are measured
     for direct light and paths; `InputError` for the times of another integrator. Further arguments
-    are those of `effects.inspect`."""
+    are passed to `effects.inspect`."""
     if asked.get("time") and settings.integrator not in ("direct", "path"):
         raise InputError(f"--time measures direct light and paths; this is {settings.integrator}.")
     seen = _seen_by(source, camera)
@@ -81,7 +82,7 @@ def prune_scene(
     **asked: Any,
 ) -> Pruned:
     """Return the scene without the effects whose change is within a tolerance, with a certificate.
-    Further arguments are those of `effects.prune`."""
+    Further arguments are passed to `effects.prune`."""
     seen = _seen_by(source, camera)
     try:
         return effects.prune(source.scene, seen, tolerance, **_parse_request(settings), **asked)
@@ -91,10 +92,11 @@ def prune_scene(
 
 def prune_losslessly(source: SceneFile, settings: RenderEntry) -> Pruned | None:
     """Return the scene without the effects that provably change nothing, with bounds of 0 W m^-2
-    sr^-1, or None. Effects are searched only if lamps are not sampled at random, if the search
-    takes at most a twentieth of the picture's time, and if it saves 3 % of the work. The times are
-    estimated from numbers of rays and surfaces, so that a resumed render makes the same choice.
-    """
+    sr^-1, or None. The result is None for an integrator other than "direct" and "rays", if lamps
+    are sampled at random, if the search would take more than a twentieth of the rendering time, or
+    if dropping the effects saves less than 3 % of the rendering time. These times are estimated
+    from the numbers of rays and surfaces, not measured, so that a resumed render makes the same
+    choice."""
     if settings.integrator not in ("direct", "rays") or settings.rule != "quadrature":
         return None
     rays = math.prod(source.view.resolution) * settings.samples
@@ -105,8 +107,8 @@ def prune_losslessly(source: SceneFile, settings: RenderEntry) -> Pruned | None:
 
 
 def lossless_sentence(source: SceneFile, pruned: Pruned) -> str:
-    """Describe in one line what `prune_losslessly` has dropped from `source`, with the names in the
-    file."""
+    """Describe in one line which effects `prune_losslessly` has dropped from `source`, by the names
+    in the file."""
     names = [name_effect(source, effect).name for effect in pruned.certificate.dropped]
     shown = ", ".join(names[:_NAMED])
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
@@ -116,8 +118,9 @@ def lossless_sentence(source: SceneFile, pruned: Pruned) -> str:
 def pruned_scene(
     source: SceneFile, settings: RenderEntry, pruned: Pruned | None
 ) -> tuple[SceneFile, RenderEntry]:
-    """Return the file and the settings of the pruned scene, with lengths in m, or of the whole
-    scene if `pruned` is None. It has fewer bands if `pruned.expand` computes the others."""
+    """Return the scene file and the settings with the pruned scene, with lengths in m, or unchanged
+    if `pruned` is None. The pruned scene has fewer bands if `pruned.expand` reconstructs the
+    others."""
     if pruned is None:
         return source, settings
     gone = {effect.name for effect in pruned.certificate.dropped}
@@ -179,8 +182,8 @@ def listed(found: Iterable[Effect]) -> str:
 
 
 def smaller(source: SceneFile, pruned: Pruned) -> str:
-    """Describe, as the end of a sentence, by how many per cent the program for direct light becomes
-    smaller."""
+    """Return the end of a sentence, which states by how many per cent dropping the effects makes
+    the program for direct light smaller."""
     left, _ = pruned_scene(source, source.render, pruned)
     before, after = (effects.equations(own.scene, own.view) for own in (source, left))
     share = 1 - after / np.maximum(before, 1)

@@ -2,11 +2,11 @@
 
 The file of a picture in tiles begins with one line of JSON that describes the render. A record for
 each tile follows, with its values as little-endian float32 and their CRC-32. A tile is a sequence
-of pixels in row order. All tiles have one length, with the last one padded, so that together they
-form the picture. A record is valid only if it is complete. An incomplete record at the end is
-removed when the render continues. The file of a picture in passes has such a line, the sum of the
-passes so far in float64, and the CRC-32 of both. It is replaced as a whole after each pass. No file
-is created before there is a result to store.
+of pixels in row order. All tiles have the same length; the last tile is padded. A record is valid
+only if it is complete. An incomplete record at the end is removed when the render continues. The
+file of a picture in passes also begins with a line of JSON. The sum of the passes so far follows,
+in float64, with the CRC-32 of line and sum. This file is replaced as a whole after each pass. No
+file is created before there is a result to store.
 """
 
 import json
@@ -29,12 +29,13 @@ Key = Mapping[str, Any]  # of values in JSON
 
 
 class PartialImage:
-    """The tiles of one picture, for a `with` block. `key`: identifies the render, by names for
-    messages. `values`: numbers per tile. `done`: complete tiles so far."""
+    """The file with the finished tiles of one picture, for a `with` block. `key` identifies the
+    render; its names are used in messages. `values` is the number of values per tile, and `done`
+    the number of finished tiles."""
 
     def __init__(self, path: Path, *, key: Key, values: int, fresh: bool) -> None:
         """Continue at the end of a file with the same key. Raise `InputError` for a file with
-        another key, unless it may be replaced (`fresh`) or contains no tile yet."""
+        another key, unless that file may be replaced (`fresh`) or contains no tile yet."""
         self._path, self._values = path, values
         self._record = 4 * values + _CHECKSUM
         self._head = _head(key, values=values)
@@ -62,7 +63,7 @@ class PartialImage:
                 self._file.close()
 
     def append(self, values: np.ndarray) -> None:
-        """Append the next tile; it is on the disk when this method returns."""
+        """Append the next tile. When this method returns, the tile is on the disk."""
         data = np.ascontiguousarray(values, "<f4").tobytes()
         if len(data) != 4 * self._values:
             raise ValueError(f"a tile holds {self._values} values, got {values.size}.")
@@ -123,12 +124,13 @@ class PartialImage:
 
 
 class PartialSum:
-    """The sum of the passes of one picture. `key`: identifies this render, with the names for an
-    error message. `total`: float64. `done`: passes so far."""
+    """The file with the sum of the finished passes of one picture. `key` identifies the render; its
+    names are used in messages. `total` is the sum, in float64, and `done` the number of finished
+    passes."""
 
     def __init__(self, path: Path, *, key: Key, shape: tuple[int, ...], fresh: bool) -> None:
         """Continue from a file with the same key, or begin again if the file is damaged. Raise
-        `InputError` for a file with another key, unless it may be replaced (`fresh`)."""
+        `InputError` for a file with another key, unless that file may be replaced (`fresh`)."""
         self._path, self._key = path, key
         self.total, self.done = np.zeros(shape), 0
         if fresh or not path.is_file():
@@ -143,7 +145,7 @@ class PartialSum:
             self.done = passes
 
     def add(self, picture: np.ndarray) -> None:
-        """Add one more pass; it is on the disk when this method returns."""
+        """Add one more pass. When this method returns, the new sum is on the disk."""
         self.total += picture
         self.done += 1
         data = _head(self._key, passes=self.done) + self.total.astype("<f8").tobytes()
