@@ -142,7 +142,7 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
             "edges of shadows or outlines move: convergence and curvature are those of finite "
             "differences."
         )
-    if not optimum.saddle:
+    if not optimum.saddle and not posterior.shifted:
         judged = identifiability(problem.space, optimum.data_information, vector=optimum.vector)
         found += judged.sentences
     found += _prior_alone(problem.space, posterior)

@@ -27,8 +27,10 @@ from scipy.special import chdtri, ndtri
 from .emcee_run import Emcee, Unbounded
 from .parameters import ParameterSpace, from_scaled, names, natural_numbers, scaled_ends, to_scaled
 from .posterior import LogDensity, Posterior, evaluate_density, laplace, sample
+from .ridge import Local, proposed, ridge, volume_change, widest_first
 
 FAR = 2.0  # standard deviations at which the Gaussian is tested
+NEAR = 0.3  # step of a parameter alone, in its standard deviations at fixed others
 TOLERATED = 0.4  # difference from a Gaussian's decrease of 2: a 95 % interval is then right to 2 %
 FREEDOM = 5.0  # degrees of freedom of the proposals, whose tails exceed those of most posteriors
 FEWEST, USUAL, MOST = 1024, 4096, 16_384  # proposals of a round: powers of two
@@ -38,6 +40,13 @@ KEPT = 8000  # draws that are returned
 # interval then has an error of 6 % or 8 % of a standard deviation.
 WANTED, ENOUGH = 2000.0, 1000.0
 ROUNDS = 6
+# Change of ln det / 2 of the other parameters' information at two standard deviations. It moves the
+# most probable value by half of it, in standard deviations.
+TOLERATED_VOLUME = 0.8
+RIDGES = 3  # parameters along which draws are tried
+APART = 2.0  # standard deviations from the mode beyond which it is not the best value
+UNNOTICED = 0.5  # of these up to which Laplace's approximation may stay
+HOPELESS = 50.0  # draws for each effective one from which no more are made
 
 
 def laplace_where_it_holds(
@@ -52,6 +61,7 @@ def laplace_where_it_holds(
     wider: Float[np.ndarray, "parameters parameters"] | None = None,
     missed: Float[np.ndarray, " parameters"] | None = None,
     by_chain: bool = True,
+    local: Local | None = None,
 ) -> Posterior:
     """Return Laplace's approximation if the density is Gaussian enough. Otherwise return draws by
     importance sampling, or by emcee if the proposals do not converge. The result remains Laplace's,
@@ -72,6 +82,9 @@ def laplace_where_it_holds(
             computes it.
         by_chain: whether to run emcee where importance sampling fails. Otherwise the posterior is
             Laplace's, and names the parameter that it describes badly.
+        local: the derivatives of minus `log_density`. With them, the volume of the other
+            parameters is tested too: where it changes along a parameter, that parameter's most
+            probable value is not that of the mode, and draws follow its integrated density.
 
     Returns:
         The posterior.
@@ -83,12 +96,27 @@ def laplace_where_it_holds(
         log_density, space, mode, args, covariance=covariance, freedom=freedom, seed=seed
     )
     spread = covariance if wider is None else wider
+    spare = None
+    if local is not None and missed is None:
+        centre = np.asarray(mode, np.float64)
+        cost, _, curvature = local(np.stack([centre, *_away(centre, spread)]))
+        missed, volume = _misses(cost), volume_change(curvature)
+        if len(space) > 1 and not np.max(volume) <= TOLERATED_VOLUME:
+            steps = np.diag(NEAR / np.sqrt(np.diagonal(curvature[0])))
+            near = local(np.stack([centre, *(centre + steps), *(centre - steps)]))[2]
+            order = widest_first(near, FAR * np.sqrt(np.diagonal(spread)) / np.diagonal(steps))
+            spare = _along_a_ridge(log_density, space, mode, spread, args, seed, local, order)
+            if spare is not None and abs(spare.shifted) > APART:
+                return spare
     if missed is None:
         missed = gaussian_miss(log_density, mode, spread, args)
-    if np.max(missed) <= TOLERATED:
+    if np.max(missed) <= TOLERATED and (spare is None or abs(spare.shifted) <= UNNOTICED):
         return replace(drawn, miss=float(np.max(missed)))
     found = _importance(log_density, space, mode, spread, args, seed)
     worst = names(space)[int(np.argmax(missed))]
+    if found is None and spare is not None:
+        at_mode = {"mode": drawn.mode, "unconstrained_mode": drawn.unconstrained_mode}
+        return replace(spare, shifted=0.0, **at_mode)
     if found is None and not by_chain:
         return replace(drawn, missed=worst)
     if found is None:
@@ -133,10 +161,76 @@ def miss_about(
     """Compute the same as `gaussian_miss`, for a function that returns the log density of each of
     (n, P) vectors.
     """
+    return _misses(-log_density(np.stack([centre, *_away(centre, covariance)])))
+
+
+def _away(centre: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Vectors at two standard deviations of each parameter, first up and then down."""
     steps = FAR * covariance / np.sqrt(np.diagonal(covariance))
-    values = log_density(np.concatenate([centre[None], centre + steps.T, centre - steps.T]))
-    fall = values[0] - values[1:].reshape(2, -1)
-    return np.nan_to_num(np.max(np.abs(fall - FAR**2 / 2), axis=0), nan=np.inf)
+    return np.concatenate([centre + steps.T, centre - steps.T])
+
+
+def _misses(costs: np.ndarray) -> np.ndarray:
+    """The result of `miss_about` from the costs at the mode and two standard deviations away."""
+    rise = costs[1:].reshape(2, -1) - costs[0]
+    return np.nan_to_num(np.max(np.abs(rise - FAR**2 / 2), axis=0), nan=np.inf)
+
+
+def _along_a_ridge(
+    log_density: LogDensity,
+    space: ParameterSpace,
+    mode: Array,
+    covariance: np.ndarray,
+    args: Any,
+    seed: int,
+    local: Local,
+    order: np.ndarray,
+) -> Posterior | None:
+    """Draws along the first of some parameters, or along the next ones; None if too few of the
+    draws count."""
+    from scipy.stats import qmc
+
+    points = qmc.Sobol(len(space) + 2, rng=np.random.default_rng(seed)).random(MOST)
+    centre, digit = np.asarray(mode, np.float64), float(jnp.finfo(mode.dtype).eps)
+    for index in order[:RIDGES]:
+        along = ridge(local, centre, covariance, int(index), digit=digit)
+        if along is None:
+            continue
+        vectors, log_weight, effective = np.zeros((0, len(space))), np.zeros(0), 0.0
+        for block in np.split(points, MOST // FEWEST):
+            drawn, log_proposal = proposed(along, block)
+            values = evaluate_density(log_density, jnp.asarray(drawn, mode.dtype), args)
+            own = np.where(np.isfinite(values), values, -np.inf) - log_proposal
+            vectors, log_weight = np.concatenate([vectors, drawn]), np.append(log_weight, own)
+            weight = np.exp(log_weight - log_weight.max())
+            weight /= weight.sum()
+            effective = float(1 / np.sum(weight**2))
+            if effective > WANTED or effective < len(vectors) / HOPELESS:
+                break
+        if effective < ENOUGH:
+            continue
+        kept = _resampled(vectors, weight, seed)
+        covariance = np.cov(kept.T)
+        shifted = float((along.mode - centre)[index] / np.sqrt(covariance[index, index]))
+        return Posterior(
+            space=space,
+            method="importance sampling",
+            draws=natural_numbers(space, kept)[None],
+            mode=natural_numbers(space, along.mode),
+            unconstrained_mode=along.mode,
+            covariance=covariance,
+            seed=seed,
+            missed=names(space)[index],
+            effective=effective,
+            shifted=shifted,
+        )
+    return None
+
+
+def _resampled(vectors: np.ndarray, weight: np.ndarray, seed: int) -> np.ndarray:
+    """Draws of equal weight."""
+    places = (np.random.default_rng(seed).uniform() + np.arange(KEPT)) / KEPT
+    return vectors[np.minimum(np.searchsorted(np.cumsum(weight), places), len(vectors) - 1)]
 
 
 def _importance(
@@ -186,9 +280,7 @@ def _importance(
     drawn, weight, effective = best
     if effective < ENOUGH:
         return None
-    places = (np.random.default_rng(seed).uniform() + np.arange(KEPT)) / KEPT
-    chosen = np.minimum(np.searchsorted(np.cumsum(weight), places), len(drawn) - 1)
-    return drawn[chosen], effective
+    return _resampled(drawn, weight, seed), effective
 
 
 Proposal = tuple[np.ndarray, np.ndarray]  # centre and covariance

@@ -57,7 +57,8 @@ class Posterior:
         method: "Laplace", "marginal" (independent draws of integrals on a grid), "importance
             sampling", "emcee" or "NUTS".
         draws: (chains, draws, P) parameters in natural units.
-        mode: (P,) mode in natural units.
+        mode: (P,) mode in natural units. Where `shifted` is not 0, the most probable value of
+            `missed` alone, with the others at their best values for it.
         unconstrained_mode: (P,) mode on the unconstrained scale.
         covariance: (P, P) covariance on the unconstrained scale.
         seed: seed of the draws.
@@ -74,6 +75,8 @@ class Posterior:
         missed: parameter that the Gaussian describes worst, where this matters.
         endless: parameter that the data bound on one side only, as found by a chain.
         effective: effective number of draws of importance sampling.
+        shifted: distance of the most probable value of `missed` alone from its value at the mode of
+            all parameters together, in standard deviations; 0 where it is at most 2.
         miss: difference between the decrease of the log density at two standard deviations and a
             Gaussian's, the largest over parameters, where Laplace's approximation was tested; else
             NaN.
@@ -98,6 +101,7 @@ class Posterior:
     missed: str = ""
     endless: str = ""
     effective: float = float("nan")
+    shifted: float = 0.0
     miss: float = float("nan")
     blocks: tuple[Block, ...] = field(default=(), repr=False)
 

@@ -42,6 +42,14 @@ def convergence_in_words(posterior: Posterior) -> str:
             "may mislead: a chain (--mcmc, or posterior=Emcee() or Nuts()) draws from the "
             "posterior itself."
         )
+    if posterior.shifted:
+        return (
+            f"The mode of all parameters together lies {abs(posterior.shifted):.1f} standard "
+            f"deviations {'below' if posterior.shifted > 0 else 'above'} the most probable value "
+            f"of {posterior.missed} alone, as for a scale of effects that are fitted beside it. "
+            "Best values are at the latter; intervals are quantiles of draws by importance "
+            f"sampling, with an effective number of {posterior.effective:.0f}."
+        )
     if posterior.missed:
         return (
             f"The posterior of {posterior.missed} is far from a Gaussian, so intervals are "

@@ -1,0 +1,206 @@
+"""A posterior along one number, with the others integrated by Laplace's method.
+
+The mode of all numbers together may be far from the probable values of one of them. A common case
+is the standard deviation among groups whose effects are fitted beside it. With u one number and v
+the others, whose best values and information at u are v(u) and I(u),
+
+    ln p(u | data) = ln p(u, v(u) | data) - ln det I(u) / 2
+
+up to a constant. Draws take u from this density, tabulated, and v about v(u). Their weights by the
+density itself make them exact.
+
+Source:
+    Tierney & Kadane, "Accurate Approximations for Posterior Moments and Marginal Densities",
+    J. Am. Stat. Assoc. 81, 1986; Rue, Martino & Chopin, J. R. Stat. Soc. B 71, 2009.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import chdtri, gammaln, ndtri
+
+from .newton import minimise_many
+
+# cost (n,), gradient (n, P) and curvature (n, P, P) at (n, P) vectors
+Local = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+POINTS = 48  # of the table
+FIRST = 4.0  # standard deviations from the mode at which the first table ends
+DEEP = 12.0  # fall of the log density at the ends of the table
+ROUNDS = 8  # of tables
+FREEDOM = 5.0  # degrees of freedom of half of the proposals; the others are Gaussian
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """The density of one number u, and the others about their best values.
+
+    Attributes:
+        index: of u among the P numbers.
+        places: u.
+        log_density: of u, up to a constant.
+        centres: all numbers, with the others at their best values.
+        roots: of the covariances of the others at each u.
+    """
+
+    index: int
+    places: Float[np.ndarray, " places"]
+    log_density: Float[np.ndarray, " places"]
+    centres: Float[np.ndarray, "places parameters"]
+    roots: Float[np.ndarray, "places others others"]
+
+    @property
+    def mode(self) -> Float[np.ndarray, " parameters"]:
+        """The most probable u, with the others at their best values."""
+        return self.centres[np.argmax(self.log_density)]
+
+
+def volume_change(
+    curvatures: Float[np.ndarray, "points parameters parameters"],
+) -> Float[np.ndarray, " parameters"]:
+    """For each number, the largest change of ln det I / 2 of the others, from the curvatures at a
+    mode and at steps of each number up and then down. Infinite where a curvature is no information.
+    """
+    count = curvatures.shape[-1]
+    middle = np.array([_volume(curvatures[0], i) for i in range(count)])
+    moved = np.array([_volume(curvatures[1 + k], k % count) for k in range(2 * count)])
+    return np.max(np.abs(moved.reshape(2, count) - middle), axis=0)
+
+
+def widest_first(
+    curvatures: Float[np.ndarray, "points parameters parameters"],
+    scales: Float[np.ndarray, " parameters"],
+) -> np.ndarray:
+    """Order the numbers by how many others change their information with them.
+
+    Args:
+        curvatures: at a mode and at steps of each number alone, up and then down.
+        scales: of the changes.
+    """
+    count = curvatures.shape[-1]
+    with np.errstate(all="ignore"):
+        logs = np.log(np.diagonal(curvatures, axis1=1, axis2=2))
+    change = np.abs(logs[1:] - logs[0]).reshape(2, count, count).mean(axis=0) / 2
+    change = np.nan_to_num(change * scales[:, None], nan=1.0, posinf=1.0)
+    np.fill_diagonal(change, 0)
+    return np.argsort(-np.minimum(change, 1).sum(axis=1), kind="stable")
+
+
+def _volume(curvature: Float[np.ndarray, "parameters parameters"], index: int) -> float:
+    """ln det / 2 without one row and column; infinite where that is no information."""
+    others = np.delete(np.arange(len(curvature)), index)
+    with np.errstate(all="ignore"):
+        sign, log = np.linalg.slogdet(curvature[np.ix_(others, others)])
+    return float(log) / 2 if sign > 0 and np.isfinite(log) else np.inf
+
+
+def ridge(
+    local: Local,
+    mode: Float[np.ndarray, " parameters"],
+    covariance: Float[np.ndarray, "parameters parameters"],
+    index: int,
+    *,
+    digit: float,
+) -> Ridge | None:
+    """Tabulate the density of one number. `digit` is the unit of rounding of the costs. None if the
+    density does not fall on both sides, or the others have no best values."""
+    others = np.delete(np.arange(len(mode)), index)
+    step = covariance[index] / np.sqrt(covariance[index, index])
+    low, high = -FIRST, FIRST
+
+    def held(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        cost, gradient, curvature = local(vectors)
+        gradient, curvature = gradient.copy(), curvature.copy()
+        gradient[:, index] = curvature[:, index] = curvature[:, :, index] = 0
+        curvature[:, index, index] = 1
+        return cost, gradient, curvature
+
+    for _ in range(ROUNDS):
+        steps = np.linspace(low, high, POINTS)
+        found = minimise_many(held, mode + steps[:, None] * step, digit=digit, careful=True)
+        information = found.information[:, others[:, None], others]
+        with np.errstate(all="ignore"):
+            signs, logs = np.linalg.slogdet(information)
+            density = -found.cost - logs / 2
+        known = found.converged & (signs > 0) & np.isfinite(density)
+        density = np.where(known, density, -np.inf)
+        if not known.any():
+            return None
+        inside = np.flatnonzero(density > density.max() - DEEP)
+        first, last = inside[0], inside[-1]
+        wide = high - low
+        if first == 0 or last == POINTS - 1:
+            low, high = low - wide * bool(first == 0), high + wide * bool(last == POINTS - 1)
+            continue
+        if last - first < POINTS // 3:
+            low, high = steps[first - 1], steps[last + 1]
+            continue
+        if not known[first : last + 1].all():
+            return None
+        chosen = slice(first, last + 1)
+        try:
+            roots = np.linalg.cholesky(np.linalg.inv(information[chosen]))
+        except np.linalg.LinAlgError:
+            return None
+        centres = found.vector[chosen]
+        return Ridge(index, centres[:, index], density[chosen], centres, roots)
+    return None
+
+
+def proposed(
+    along: Ridge, units: Float[np.ndarray, "draws coordinates"]
+) -> tuple[Float[np.ndarray, "draws parameters"], Float[np.ndarray, " draws"]]:
+    """Return vectors and their log density up to a constant, from P + 2 uniform numbers each: for
+    u, the others, the width of Student's t, and whether to use it."""
+    place, cell, share, log_density = _on_table(along, units[:, 0])
+    size = along.centres.shape[1] - 1
+    stretch = np.sqrt(FREEDOM / chdtri(FREEDOM, units[:, -2]))
+    normal = ndtri(np.clip(units[:, 1:-2], 1e-12, 1 - 1e-12))
+    normal = normal * np.where(units[:, -1] < 0.5, stretch, 1)[:, None]
+    root = _between(along.roots, cell, share)
+    others = np.delete(np.arange(size + 1), along.index)
+    vectors = _between(along.centres, cell, share)
+    vectors[:, along.index] = place
+    vectors[:, others] += np.einsum("nij,nj->ni", root, normal)
+    squares = np.sum(normal**2, axis=1)
+    gaussian = -squares / 2 + _log_ratio(size)
+    student = -(FREEDOM + size) / 2 * np.log1p(squares / FREEDOM)
+    volume = np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
+    return vectors, log_density + np.logaddexp(gaussian, student) - volume
+
+
+def _log_ratio(size: int) -> float:
+    """ln of the normalisation of a Gaussian over that of Student's t."""
+    student = gammaln((FREEDOM + size) / 2) - gammaln(FREEDOM / 2) - size / 2 * np.log(FREEDOM / 2)
+    return float(-student)
+
+
+def _between(values: np.ndarray, cell: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Values of a table between its places."""
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
+    return (1 - share) * values[cell] + share * values[cell + 1]
+
+
+def _on_table(
+    along: Ridge, uniform: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return u from a density whose logarithm is linear in each cell of the table, with the cell,
+    the place in it from 0 to 1, and the log density."""
+    logs = along.log_density - along.log_density.max()
+    width, rise = np.diff(along.places), np.diff(logs)
+    steep = np.abs(rise) > 1e-9
+    mean = np.where(steep, np.expm1(rise) / np.where(steep, rise, 1), 1)
+    mass = np.abs(width) * np.exp(logs[:-1]) * mean
+    total = np.concatenate([[0.0], np.cumsum(mass)])
+    reached = uniform * total[-1]
+    cell = np.clip(np.searchsorted(total, reached, side="right") - 1, 0, len(mass) - 1)
+    part = np.clip((reached - total[cell]) / mass[cell], 0, 1)
+    own = rise[cell]
+    share = np.where(
+        steep[cell], np.log1p(part * np.expm1(own)) / np.where(steep[cell], own, 1), part
+    )
+    share = np.clip(share, 0, 1)
+    place = along.places[cell] + share * width[cell]
+    return place, cell, share, logs[cell] + share * own
