@@ -47,8 +47,8 @@ _keeps_whole = False  # unless a command asks: a library's user may change what 
 
 
 def on_processor() -> bool:
-    """Return whether programs are now traced for a CPU. This follows from `jax.default_device` if
-    it is set, and otherwise from the devices that JAX found."""
+    """Return whether programs are now traced for a CPU. The answer follows from
+    `jax.default_device` if it is set, and otherwise from the devices that JAX found."""
     import jax  # here: what else this module does comes before JAX's first use
 
     device = getattr(jax.config, "jax_default_device", None)

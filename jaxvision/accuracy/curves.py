@@ -253,8 +253,9 @@ def _gap(
     session: Session, others: Sequence[Point], exact: np.ndarray, reference: Reference
 ) -> float:
     """Return the distance between the reference and the finest other setting if the random scatter
-    of the two does not explain this distance, so that one of them must be biased. Otherwise return
-    0. If the reference has no error beyond rounding, return the distance of the nearest setting."""
+    of the two does not explain this distance, so that the reference or the setting must be biased.
+    Otherwise return 0. If the reference has no error beyond rounding, return the distance of the
+    nearest setting."""
     from scipy.special import stdtrit
 
     error, known = reference.error, [one for one in others if len(one.results) > 1]

@@ -1,9 +1,9 @@
 """Run work in another thread, and abandon it if it exceeds a time limit.
 
-Python cannot stop a program while XLA compiles or runs it. Another thread therefore does the work,
-and the caller waits until the deadline. An abandoned thread runs to the end of its work. At exit, a
-Python process waits for abandoned threads, because XLA's threads must not outlive their data. The
-package's shell commands exit without waiting.
+Python cannot stop a program while XLA compiles or runs it. Therefore the work runs in another
+thread, and the caller waits until the deadline. An abandoned thread runs to the end of its work. At
+exit, a Python process waits for abandoned threads, because XLA's threads must not outlive their
+data. The package's shell commands exit without waiting.
 """
 
 import atexit

@@ -1,5 +1,6 @@
-"""Norms: the distance of a result from the reference as one number. Relative norms are divided by a
-level, which is the root mean square of the reference or a value that the problem states."""
+"""Compute norms of errors. A norm is the distance of a result from the reference as one number.
+Relative norms are divided by a level: the root mean square of the reference, or `Problem.level` if
+it is given."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

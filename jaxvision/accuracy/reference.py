@@ -190,9 +190,10 @@ def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.
 
 
 def _laws(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> tuple[Law, ...]:
-    """Return the laws by which errors are extrapolated. A declared power law is the only one.
-    Otherwise it is the law, geometric or power, for which the differences of results give the most
-    constant rate. With fewer than three differences, both laws are returned."""
+    """Return the laws by which errors are extrapolated. If the knob declares a power law, only this
+    law is returned. If the knob declares a geometric law, return the law, geometric or power, for
+    which the differences of results give the most constant rate. With fewer than three differences,
+    return both laws."""
     if law == "power":
         return (law,)
     if len(steps) < 3 or min(steps) == 0:
@@ -215,23 +216,23 @@ def _distance(law: Law, coarse: Any, fine: Any) -> float:
 
 
 def _bias_of_last(ratio: float, before: float, after: float) -> float:
-    """Return the remaining error after two steps in the same direction, relative to the last step.
-    `ratio` is the first step divided by the last step."""
+    """Return the remaining error after two steps of equal sign, relative to the last step. `ratio`
+    is the first step divided by the last step."""
     rate = _bias_rate(ratio, before, after)
     return float(min(1 / np.expm1(rate * after), MOST_TAIL)) if rate > 0 else MOST_TAIL
 
 
 def _bias_rate(ratio: float, before: float, after: float) -> float:
-    """Return the rate at which errors decrease that all have the same direction, from the ratio of
-    two steps; 0 if the errors do not decrease."""
+    """Return the rate at which errors decrease whose differences all have the same sign, from the
+    ratio of two steps; 0 if the errors do not decrease."""
     if ratio <= before / after:
         return 0.0
     return _rate(lambda k: np.expm1(k * before) / -np.expm1(-k * after), ratio, before, after)
 
 
 def _chance_of_last(ratio: float, before: float, after: float) -> float:
-    """Return the remaining error after two steps of random direction, relative to the last step.
-    `ratio` is the first step divided by the last step."""
+    """Return the remaining error after two steps of random sign, relative to the last step. `ratio`
+    is the first step divided by the last step."""
     if ratio <= 1:
         return 1.0
     law = lambda k: (np.exp(2 * k * before) + 1) / (1 + np.exp(-2 * k * after))  # noqa: E731

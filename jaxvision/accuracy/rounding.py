@@ -7,7 +7,7 @@ expectation exact, but neither is below 3/8, so that even a few runs show how ma
 term are lost in a sum. An exact result is not changed, so that compensated sums and products work.
 The scatter of the results over several runs is the rounding error (Parker, "Monte Carlo
 Arithmetic", UCLA CSD-970002, 1997). Special functions and long sums may have a float32 error above
-one ULP; this error is added with a random sign. A result that underflows to 0 becomes 0 or the
+one ULP. Such an error is added with a random sign. A result that underflows to 0 becomes 0 or the
 smallest normal number at random. A loop, a branch or a linear solve is reported as one operation,
 but each operation inside it is rounded separately.
 """

@@ -85,8 +85,8 @@ def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
 
 
 def base_of(settings: RenderEntry, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return the values at which all settings of a scene file are kept while one of them is varied,
-    with at most 16 samples per pixel."""
+    """Return the values that all knobs of a scene file have while another knob is measured. At most
+    16 samples per pixel are used."""
     found = {}
     for name in (name for name in names if name not in APART):
         value = getattr(settings, "order" if name == "light samples" else name)

@@ -204,9 +204,8 @@ def part_seconds(problem: Problem, seconds: float) -> float:
 
 def _next(before: Sequence[tuple[Any, float]], setting: Any, power: float) -> float:
     """Predict the time of the next setting, in s, from the times of earlier settings (setting, s).
-    The growth of the time is the smaller growth over the last two steps. It is extrapolated both as
-    a power of the setting and as a constant factor per step, and the larger prediction is returned.
-    """
+    The smaller growth of the last two steps is extrapolated both as a power of the setting and as a
+    constant factor per step. The larger prediction is returned."""
     if not before:
         return 0.0
     last, taken = before[-1]

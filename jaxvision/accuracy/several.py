@@ -299,7 +299,7 @@ def _fresh_runs(
 
 @dataclass(frozen=True)
 class Together:
-    """The cheapest combination of all settings for one tolerance."""
+    """The cheapest combination of settings of all knobs for one tolerance."""
 
     # the settings; None: no settings are known to be within the tolerance
     combination: Combination | None

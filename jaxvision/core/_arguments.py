@@ -62,8 +62,9 @@ class _Wanted(NamedTuple):
 def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
     """Decorate a function of arrays so that it also accepts numbers, lists and NumPy arrays. Such
     arguments are converted to the floating dtype of the other arguments. The decorated function
-    raises `ValueError` for wrong shapes, directions and random keys. It raises `TypeError` for
-    unknown argument names, and for optional arguments that are given by position."""
+    raises `ValueError` for wrong shapes, directions and random keys. The decorated function raises
+    `TypeError` for unknown argument names, and for optional arguments that are given by position.
+    """
 
     @wraps(function)
     def converting(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -127,8 +127,8 @@ def reciprocal(x: Scalars) -> Scalars:
 
 def or_one(b: Scalars, where: Bool[Array, "..."] | None = None) -> Scalars:
     """Return b, in its unit, if the condition is true (default: b > 0 or NaN). Otherwise return 1
-    with gradient 0. The result is a safe divisor for a quotient that the caller masks. The
-    condition must be true wherever b is not tiny."""
+    with gradient 0. The caller can divide by the result and mask the quotient. The condition must
+    be true wherever b is not tiny."""
     return jnp.where(~(b <= 0) if where is None else where, b, 1)
 
 
@@ -145,9 +145,9 @@ def divide(
 
 
 def magnitude(x: Float[Array, "..."], axis: int | tuple[int, ...] | None = -1) -> Scalars:
-    """Return the largest absolute value along the axes, which are kept with length 1. If all of x
-    is 0, return 1. The gradient of the result is 0. The squares of x divided by this magnitude
-    neither overflow nor underflow."""
+    """Return the largest absolute value along the axes. In the result, these axes have length 1. If
+    all of x is 0, return 1. The gradient of the result is 0. The squares of x divided by this
+    magnitude neither overflow nor underflow."""
     return or_one(jax.lax.stop_gradient(jnp.max(jnp.abs(x), axis=axis, keepdims=True)))
 
 
@@ -161,7 +161,7 @@ def binary_unit(x: Float[Array, "..."]) -> Scalars:
 
 def running_sum(weights: Float[Array, "... n"]) -> Float[Array, "... n"]:
     """Return cumulative sums of weights >= 0, in their unit, which increase only where a weight is
-    above 0. XLA's own cumulative sums may decrease by rounding errors."""
+    above 0. XLA's cumulative sums may decrease by rounding errors."""
     total = jnp.where(weights > 0, jnp.cumsum(weights, axis=-1), 0)
     return jax.lax.cummax(total, axis=total.ndim - 1)
 
@@ -261,7 +261,7 @@ def chebyshev(coefficients: Sequence[float], t: Scalars) -> Scalars:
 @jax.custom_jvp
 def arctan2(y: Scalars, x: Scalars) -> Scalars:
     """Return the angle of (x, y), y >= 0, in [0, pi] rad, within two ULP; 0, with gradient 0, at
-    the origin. Unlike XLA's own function, this one uses the vector units of a CPU."""
+    the origin. Unlike XLA's arctan2, this function uses the vector units of a CPU."""
     ahead = jnp.abs(x)
     low, high = jnp.minimum(ahead, y), jnp.maximum(ahead, y)
     wide = low > 0.66 * high  # arctan(r) = pi / 4 + arctan((r - 1) / (r + 1))
@@ -315,8 +315,8 @@ _SINE_COSINE = {
 @jax.custom_jvp
 def sine_cosine(turns: Scalars) -> tuple[Scalars, Scalars]:
     """Return (sin, cos) of an angle given in turns of 2 pi rad. The result is exact at quarter
-    turns and elsewhere within two ULP. Unlike XLA's own functions, this one uses the vector units
-    of a CPU."""
+    turns and elsewhere within two ULP. Unlike XLA's sine and cosine, this function uses the vector
+    units of a CPU."""
     quarters = jnp.round(4 * turns)
     x = (turns - quarters / 4) * (2 * np.pi)
     square = x * x
@@ -397,8 +397,8 @@ def log_cos_between(u: Directions, v: Directions) -> Float[Array, "..."]:
 
 
 def log1p(x: Scalars) -> Scalars:
-    """Return log(1 + x), no unit, within 2.5 ULP. XLA's own function has errors of 128 ULP in
-    float64 between -0.414 and -0.29."""
+    """Return log(1 + x), no unit, within 2.5 ULP. XLA's log1p has errors of 128 ULP in float64
+    between -0.414 and -0.29."""
     if x.dtype != jnp.float64:
         return jnp.log1p(x)
     low = x < -0.25

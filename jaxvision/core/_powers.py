@@ -1,5 +1,5 @@
-"""Powers and exponentials with errors of one or two ULP, computed with sums of two floating-point
-numbers.
+"""Compute powers and exponentials with errors of one or two ULP. To this end, intermediate values
+are sums of two floating-point numbers.
 
 Rounding an exponent p such as 1 / 2.4 to float32 changes x^p by |log x| / 2 ULP. Here the exponent
 is a sum of two numbers, p = nearest + rest, and

@@ -120,7 +120,7 @@ def _written(numbers: np.ndarray) -> str:
 def _list_items(
     head: str, given: list[tuple[str, Any, str]], tail: str, indent: str, *, units: bool
 ) -> str:
-    """Print each (name, value, unit) on one line if all fit, otherwise one on each line."""
+    """Print all (name, value, unit) on one line if they fit, otherwise each on a separate line."""
     line = head + ", ".join(n + _shown(one, units=units) + unit for n, one, unit in given) + tail
     if len(indent) + len(line) <= WIDE and "\n" not in line:
         return line

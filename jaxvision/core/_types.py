@@ -27,7 +27,7 @@ from .plain_arrays import plain_array, warn_of_range, within_integers
 
 
 class _OneOf(type):
-    """The metaclass of an alias that stands for several types."""
+    """The metaclass of a type alias that stands for a union of types."""
 
     kinds: tuple[type, ...]
 
@@ -48,8 +48,8 @@ def print_by_name(aliases: dict[str, Any], *names: str) -> None:
 
 
 def members_of(hint: Any) -> tuple[Any, ...]:
-    """Return the members of a union type, also those of unions inside it; for any other type, a
-    tuple of the type itself."""
+    """Return the members of a union type, including the members of unions inside it. For any other
+    type, return a tuple of the type itself."""
     alias = getattr(get_origin(hint) or hint, "__value__", None)  # of a `type` statement
     if alias is not None:
         return members_of(alias[get_args(hint)] if get_args(hint) else alias)
@@ -99,7 +99,8 @@ class Varying(eqx.Module):
 def as_float(x: Any) -> Array:
     """Convert numbers to an array with a definite (not weak) floating dtype.
 
-    JAX compiles a function again when a weakly typed array is followed by one of definite dtype.
+    JAX compiles a function again when it is called with an array of definite dtype after a weakly
+    typed array.
 
     Args:
         x: numbers in any unit.
@@ -188,8 +189,8 @@ def as_optional_float(x: Any) -> Array | None:
 
 
 def as_relative(x: Any) -> Array:
-    """Convert colours or coverage to an array in their own floating dtype. Raise `ValueError` for
-    integer codes and for complex numbers: integer fractions would wrap or round to 0."""
+    """Convert colours or coverage to an array. A floating dtype is not changed. Raise `ValueError`
+    for integer codes and for complex numbers: integer fractions would wrap or round to 0."""
     array = _as_numbers(x)
     if not jnp.issubdtype(array.dtype, jnp.floating):
         codes = jnp.issubdtype(array.dtype, jnp.unsignedinteger)

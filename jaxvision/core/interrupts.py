@@ -8,7 +8,8 @@ at every moment, so they survive such an end, and also `kill -9`. The same comma
 these files. `KeyboardInterrupt` is raised only within `raised_interrupts`, with which a command
 keeps its measurements.
 
-This module imports nothing slow, because a command imports it before everything else.
+This module imports only small modules, because a command imports this module before everything
+else.
 """
 
 import os

@@ -5,8 +5,8 @@ A one-sided convex surface does not shade itself. The outer side of a convex bod
 itself either. A ball or box that contains both lamp and receiver, such as a room, blocks nothing
 between them, because it is convex. An occluder also blocks nothing if the plane of the lamp, the
 receiver or the occluder separates the other two, in one of three ways. A flat occluder has lamp and
-receiver on the same side, its plane included. A flat receiver has the lamp or the occluder behind
-it. A flat lamp has the receiver or the occluder behind it. In all other cases, an occluder blocks
+receiver on the same side, or in its plane. A flat receiver has the lamp or the occluder behind it.
+A flat lamp has the receiver or the occluder behind it. In all other cases, an occluder blocks
 nothing if it is disjoint from the convex hull of lamp and receiver (`bodies.gap`). A point within a
 few rounding errors of a plane is treated as a point of the plane. Rays skip surfaces within the
 much larger distance `geometry.offset_length`, so no ray meets the plane there either. Lengths in m.
@@ -67,8 +67,8 @@ def touching(surfaces: Sequence[Ends[Surface]]) -> float:
 
 @once
 def is_convex(shape: Ends[Shape]) -> bool:
-    """Return whether a shape is a convex body that is shaded with its own normals. The result is
-    True for balls and boxes. For a closed mesh without shading normals, the result is True if all
+    """Return whether a shape is a convex body without separate shading normals. The result is True
+    for balls and boxes. For a closed mesh without shading normals, the result is True if all
     vertices lie below the plane of each face, within a few rounding errors."""
     mesh = shape.low
     if not isinstance(mesh, TriangleMesh):

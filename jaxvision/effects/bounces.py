@@ -12,9 +12,9 @@ and j is entirely behind i. A specular lobe of i may point toward j, which subte
 at most 2 pi (R / d)^2. The share of the light on this lobe that can come from j is at most G_ij =
 min(1, g_i F_ij) with g_i = 2 pi sup(f_r cos) / s_i, where f_r cos is the shading of the lobe. The
 shares that one surface receives sum to at most 1. The bound assigns the largest shares to the
-brightest senders. A path of emitted light has one segment, and a path of light that one surface
-reflects from a lamp has two. The bound is sharp in open scenes with dark surfaces. In a bright
-closed room the bound is far too large, so that long paths are not dropped.
+brightest senders. A path from an emitting surface to the eye has one segment. A path from a lamp by
+one reflection to the eye has two segments. The bound is sharp in open scenes with dark surfaces. In
+a bright closed room the bound is far too large, so that long paths are not dropped.
 """
 
 from collections.abc import Sequence
@@ -169,7 +169,7 @@ class Onward:
         """Return, for each of the f starts in `firsts`, the sum of T^k `sent` over k from the start
         to `last`: (f, n, bands). The operator T multiplies the maximum by at most a factor t, its
         norm. So if t < 1, all later terms sum to at most t / (1 - t) times the maximum of the
-        current one."""
+        current term."""
         found, whole = np.zeros((len(firsts), *sent.shape)), np.zeros_like(sent)
         t = self.transport.norm
         for k in range(1, min(last, _MOST) + 1):

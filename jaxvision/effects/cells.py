@@ -1,9 +1,9 @@
 """Divide surfaces into small cells, each bounded by a ball of points and a cone of normals.
 
-Distances, cosines and mirror directions are bounded over all points and normals of a cell. Such
-bounds are much sharper than bounds over a whole surface. A cell that no pixel sees, because it is
-outside the picture or faces away, is excluded from the bounds on the picture. Lengths are in m,
-angles in rad; computed in NumPy float64.
+Distances, cosines and mirror directions are bounded over all points and normals of a cell. Bounds
+over a small cell are much sharper than bounds over a whole surface. A cell that no pixel sees,
+because it is outside the picture or faces away, is excluded from the bounds on the picture. Lengths
+are in m, angles in rad; computed in NumPy float64.
 """
 
 import math
@@ -181,7 +181,8 @@ def _cells(shape: Ends[Shape], side: int, about: np.ndarray) -> Parts:
 
 
 def _anywhere(shape: Ends[Shape]) -> Parts:
-    """Return one cell that contains a shape at all its free positions, with arbitrary normals."""
+    """Return one cell that contains a shape for all values of its free parameters. The normals of
+    the cell are arbitrary."""
     body = body_of(shape)
     if body is None:
         return [np.zeros((1, 3)), np.array([np.inf]), np.eye(3)[:1], np.array([np.pi])]

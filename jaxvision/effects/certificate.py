@@ -185,8 +185,8 @@ class Certificate:
 
     @property
     def saves(self) -> float:
-        """The share of the rendering time that dropping the effects saves. Dropping the effects one
-        after another, each saves its share of the time that remains."""
+        """The share of the rendering time that dropping the effects saves. If the effects are
+        dropped one after another, each effect saves its share of the time that remains."""
         return 1 - math.prod(1 - effect.saves for effect in self.dropped)
 
     def _repr_html_(self) -> str:

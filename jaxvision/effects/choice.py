@@ -1,5 +1,5 @@
-"""Choose the effects to drop: those with the smallest bound per saved time first, until the
-tolerance is used up.
+"""Choose the effects to drop, in the order of increasing bound per saved time, until the tolerance
+is used up.
 
 Effects with bound 0 are dropped first. The bounds of dropped effects add, by the triangle
 inequality. The bound of an effect is valid whichever other effects were dropped before.
@@ -92,9 +92,8 @@ class Choice:
 
     def decide(self) -> None:
         """Drop the effects that the tolerance allows. Single effects come first, by bound per saved
-        time. Then follow the ladders, which are groups of alternatives of which at most one is
-        dropped.
-        """
+        time. The ladders follow: groups of alternative simplifications, such as limits on path
+        length, of which at most one is chosen."""
         plain = [row for row in self.chain.rows if not row.ladder and row.present]
         parties = [(row,) for row in plain if not row.together]
         joint = sorted((row for row in plain if row.together), key=lambda row: row.together)
@@ -274,7 +273,7 @@ def _many(scene: Scene) -> bool:
 
 
 def _assumed_of(scene: Scene) -> Iterator[str]:
-    """Yield the assumptions behind a scene's bounds, one sentence each."""
+    """Yield the assumptions on which a scene's bounds rest, one sentence for each assumption."""
     if any(has_size(light) for light in scene.lights):
         yield (
             "bounds are of the exact integrals over lamps and skies; a rule with too few nodes for "

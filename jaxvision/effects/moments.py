@@ -60,7 +60,7 @@ def scene_rows(
 
 
 def _uncut(row: Row) -> Row:
-    """Mark the `Row` for long paths as one that cannot be dropped."""
+    """Mark a `Row` that limits the number of path segments as one that cannot be dropped."""
     why = "the integrator follows paths to their end, so they cannot be shortened"
     return replace(row, why=why, drop=None, saves=0.0)
 

@@ -10,7 +10,7 @@ the camera's axis, a visible point with |X / Z| <= M moves in the picture by
 times the distance to the sensor over the pixel pitch, in pixels. Rays through a point of the
 aperture at most r from the axis have slopes up to M + r / z_f, with the focus distance z_f. There
 is no bound on the change of shading: a body that rotates or passes a lamp changes its own shading
-and the shadows around it. The result is therefore an estimate, unless nothing moves.
+and the shadows around it. The rank of the result is therefore "estimate", unless nothing moves.
 """
 
 from collections.abc import Callable, Sequence
@@ -89,8 +89,9 @@ def moments_of(sensor: Sensor, rows: int, moments: int) -> np.ndarray:
 def moved(
     motion: Motion, scene: Scene, view: View, times: Sequence[float] | np.ndarray
 ) -> tuple[float, bool, str]:
-    """Return the largest displacement in pixels from the scene at rest at any of the times, in s;
-    whether nothing changes; and a reason. The displacement is inf if there is no bound."""
+    """Return the largest displacement, in pixels, from the scene at rest at any of the times, in s.
+    Also return whether nothing changes, and a reason. The displacement is inf if there is no bound.
+    """
     farthest, still = 0.0, True
     dtype = view.pixel_pitch.dtype
     for time in times:
@@ -109,7 +110,7 @@ def moved(
 
 def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, str]:
     """Return the largest displacement, in pixels, between the scene at rest and at one time, and
-    the reason if it is inf."""
+    the reason if the displacement is inf."""
     if jax.tree.structure((scene, view)) != jax.tree.structure((now, seen)):
         return INF, "the motion changes kinds, not only numbers"
     if not same(_without_places(scene, view), _without_places(now, seen)):

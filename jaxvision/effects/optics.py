@@ -193,7 +193,8 @@ def diffraction(
     view: Ends[View], irradiance: np.ndarray, oversampling: int
 ) -> tuple[np.ndarray, float, str]:
     """Bound the change of irradiance E by diffraction: (1 - k_0) sup E, where k_0 is the kernel's
-    value at its centre. This holds because the kernel of the diffraction is positive and has sum 1.
+    value at its centre. The bound follows because the kernel of the diffraction is positive and has
+    sum 1.
 
     For a lens with free parameters, k_0 is at least the share of the widest diffraction pattern
     that falls on its central pixel. A narrower pattern has a larger share on its central pixel.

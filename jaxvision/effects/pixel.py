@@ -12,17 +12,19 @@ successive changes add. The rms of a sum of independent parts is the length of t
 rms values. So the rms of the sum changes by at most the length of the change of that vector.
 
 If the number of counted electrons changes in the presence of Gaussian noise of 1 e- rms, the
-Wasserstein distance is at most 1.03 times the bound. With less noise the ratio is larger (1.3 at
-0.5 e-, 2 at 0.2 e-), because counts are integers: one rare extra electron moves a small share of
-the draws by a whole electron.
+Wasserstein distance is at most 1.03 times the bound. With less noise the ratio is larger, 1.3 for
+0.5 e- and 2 for 0.2 e-, because counts are integers: an expected change of a small part of an
+electron changes a few counts by a whole electron.
 
-The signal of a pixel passes these steps:
+The signal of a pixel is computed in these steps:
 
-    charge      light r + dark, with shot noise   r: 1 + PRNU
-    changed     by the effects on charge          mixing, nonlinearity, user-defined effects
-    converted   charge (1 + c)                    c: rms of the conversion gains
-    read        (converted + offsets + noise) (1 + q),   q: rms of the column gains
-    DN          K read + offset
+- The charge is light r + dark, with shot noise. The sensitivity r of a pixel varies around 1 with
+  the PRNU as rms.
+- The effects on charge change it: mixing, the nonlinearity and user-defined effects.
+- The conversion multiplies the charge by a gain that varies around 1 with rms c.
+- The read-out adds offsets and noise, and multiplies the sum by a column gain that varies around 1
+  with rms q.
+- The reading in DN is K times the result plus an offset, with the gain K.
 
 If the charge changes by D, the reading changes by at most K sqrt((1 + c^2)(1 + q^2)) D in DN. A
 given change of the variance changes the rms least where there is most noise. Every pixel has at
@@ -214,8 +216,8 @@ class Pixel:
         return Ends(read_out_variances(self.sensor.low), read_out_variances(self.sensor.high))
 
     def added(self, name: str = "") -> float:
-        """Return the variance added after the conversion by all noise sources except one, at the
-        lower ends of their ranges."""
+        """Return the smallest variance that all noise sources after the conversion add, except the
+        source `name`."""
         return sum(v for key, v in self.variances.low.items() if key != name)
 
     @property
@@ -327,8 +329,8 @@ class Pixel:
 
     @cached_property
     def behind_conversion(self) -> float:
-        """The change in DN for one electron of charge: K sqrt((1 + c^2)(1 + q^2)), with gain K,
-        conversion PRNU c and column PRNU q."""
+        """The largest change in DN for one electron of charge before the conversion: K sqrt((1 +
+        c^2)(1 + q^2)), with gain K, conversion PRNU c and column PRNU q."""
         return self.behind_column * math.hypot(1, self.high("conversion_prnu"))
 
     @cached_property

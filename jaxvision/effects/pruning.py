@@ -1,4 +1,4 @@
-"""List the effects of a scene and a camera (`inspect`), and drop those within a tolerance
+"""List the effects of a scene and a camera (`inspect`), and drop effects within a tolerance
 (`prune`). `inspect` and `prune` cannot be traced by JAX. Radiance is in W m^-2 sr^-1."""
 
 from collections.abc import Callable, Collection
@@ -33,7 +33,7 @@ _probe = jax.jit(render, compiler_options=QUICKLY)
 
 def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
     """Return a `Row` for every effect from the scene to the developed picture. For a view without a
-    sensor, return only those of the scene and the lens."""
+    sensor, return only the rows of the scene and the lens."""
     view, sensor = camera.of("view"), camera.of("sensor")
     rows, arriving = scene_rows(scene, view, sensor.high, method)
     aperture = sensor.low.pixel_aperture
@@ -336,7 +336,8 @@ def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> boo
 
 
 def _kept_with(row: Row, names: tuple[str, ...], reason: str) -> Row:
-    """Mark the `Row` of an effect with one of these names as one that cannot be dropped."""
+    """Mark a `Row` as one that cannot be dropped if the name of its effect begins with one of
+    `names`. `reason` is added to the explanation of the `Row`."""
     if row.drop is None or not row.name.startswith(names):
         return row
     return replace(row, drop=None, why=f"{row.why}; {reason}".removeprefix("; "))

@@ -3,7 +3,7 @@
 The shading f_r cos of a material is the sum of two terms. The diffuse part is at most `body` times
 the cosine. The specular lobe is bounded by a function of the angles of a cell. Each material type
 registers these bounds with `register`. Effects of a material type without registered bounds are
-never dropped. Values have no unit, except those in sr^-1.
+never dropped. Units are stated in the records `Reflection` and `Lobe`.
 """
 
 from typing import Any

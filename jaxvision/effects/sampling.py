@@ -19,9 +19,9 @@ _COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sq
 
 
 def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
-    """Return the `Row` for replacing the rays of a pixel, which extend to its corners, by one ray.
-    The one ray passes through the pixel's centre. `radiance`, (bands,) W m^-2 sr^-1, is the largest
-    radiance of the picture. The blur of the lens must have been dropped before."""
+    """Return the `Row` for replacing the random rays of a pixel, which extend to its corners, by
+    one ray through the pixel's centre. `radiance`, (bands,) W m^-2 sr^-1, is the largest radiance
+    of the picture. The blur of the lens must have been dropped before."""
     nothing, why = np.zeros_like(radiance), "a pixel's rays reach its corners"
     needs = frozenset({"view.defocus"} if isinstance(view.high, ThinLens) else ())
     more = {"unit": IRRADIANCE, "place": _MIDDLE, "saves": 0.5, "needs": needs}
@@ -31,10 +31,10 @@ def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
 def oversampling_row(
     view: Ends[View], opening: float, radiance: np.ndarray, oversampling: int
 ) -> Row:
-    """Return the `Row` for replacing all samples of a pixel aperture by one at the pixel's centre.
-    No sample is farther from the centre than the corners, and the cos^4 falloff changes by at most
-    1.04 times the slope. `opening` is the largest gain, in W m^-2 per W m^-2 sr^-1. Parts of the
-    view that act between pixels must have been dropped before."""
+    """Return the `Row` for replacing all samples of a pixel aperture by a single sample at the
+    pixel's centre. No sample is farther from the centre than the corners, and the cos^4 falloff
+    changes by at most 1.04 times the slope. `opening` is the largest gain, in W m^-2 per W m^-2
+    sr^-1. Parts of the view that act between pixels must have been dropped before."""
     reach = _MIDDLE * (1 - 1 / oversampling)
     amount = np.zeros_like(radiance)
     if not isinstance(view.high, Orthographic) and view.high.f_number is not None:

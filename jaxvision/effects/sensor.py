@@ -117,8 +117,8 @@ def _response(pixel: Pixel, change: np.ndarray) -> float:
 def _row(
     name: str, bound: BoundOf, pixel: Callable[[Gone], Pixel], drop: Drop | None, **more: Any
 ) -> Row:
-    """Return the `Row` of an effect. Its bound is computed for the sensor without the effects that
-    were dropped before."""
+    """Return the `Row` of an effect. The bound of the effect is computed for the sensor without the
+    effects that were dropped before."""
 
     def after(gone: Gone) -> float:
         return clean(bound(pixel(gone - {name})).dn)

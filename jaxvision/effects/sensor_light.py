@@ -1,8 +1,8 @@
 """Bound the change if a sensor effect between light and electrons is dropped; each effect has one
 function.
 
-Each function takes the sensor without the effects that were dropped before. It returns a bound in
-DN, on the distance defined in `pixel`.
+The argument of each function is the sensor without the effects that were dropped before. Each
+function returns a bound, in DN, on the distance of distributions defined in `pixel`.
 """
 
 import math

@@ -1,10 +1,10 @@
 """Bound the change if an effect of the read-out is dropped: fixed patterns, noise, amplifiers and
 the ADC.
 
-Each function takes the sensor without the effects that were dropped before. It returns a bound in
-DN, on the distance defined in `pixel`. Noise of variance v in every pixel has its largest effect in
-the darkest pixel. With K the gain, q the column PRNU, and V the variance of that pixel's other
-noise, the effect is
+The argument of each function is the sensor without the effects that were dropped before. Each
+function returns a bound, in DN, on the distance of distributions defined in `pixel`. Noise of
+variance v in every pixel has its largest effect in the darkest pixel. With K the gain, q the column
+PRNU, and V the variance of that pixel's other noise, the effect is
 
     K sqrt(1 + q^2) (sqrt(V + v) - sqrt(V)).
 """
@@ -147,9 +147,9 @@ def _gaussian(pixel: Pixel) -> float:
 
 
 def _widest(pixel: Pixel) -> float:
-    """Return the variance of a Gaussian whose moment-generating function bounds that of all noise
-    after the conversion, in electrons^2. A mixture counts with the variance of its wider part, and
-    noise between -a and +a with a^2."""
+    """Return the variance of a Gaussian whose moment-generating function bounds the
+    moment-generating function of all noise after the conversion, in electrons^2. A mixture counts
+    with the variance of its wider part, and noise between -a and +a with a^2."""
     variances = dict(pixel.variances.high)
     read = pixel.sensor.high["read_noise"]
     if isinstance(read, HeavyTailedReadNoise):

@@ -112,8 +112,8 @@ class Row:
 
     @property
     def effect(self) -> Effect:
-        """The `Effect` that `inspect` lists for this row. Its bound is in the `unit` of the row: W
-        m^-2 sr^-1, W m^-2 or DN."""
+        """The `Effect` that `inspect` lists for this row. The bound of the `Effect` is in the
+        `unit` of the row: W m^-2 sr^-1, W m^-2 or DN."""
         exact = self.bound == 0 and self.place == 0
         rank = "estimate" if self.estimated else "exact" if exact else "bound"
         what = self.name, self.present, self.why, self.bound, self.place, self.unit, rank

@@ -233,7 +233,7 @@ def _geometry(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute `body`, `lobe` and `facing` of `Sums` for one light and the given lobes. For the
     share `grazing` of the diffuse part, the supremum of E f_r cos / k_d is the supremum of E; for
-    the rest, it is the supremum of E times the cosine."""
+    the remaining share, it is the supremum of E times the cosine."""
     grazing = np.array([own.grazing for own in reflections])[cells.surface]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         arrived = arriving(source, cells, nearest[cells.surface])

@@ -1,4 +1,5 @@
-"""Find the cells that may be in a lamp's shadow, and those in its full shadow.
+"""Find the cells that may be in a lamp's shadow, and the cells that are certainly in its full
+shadow.
 
 A cell cannot be shaded if the convex hull of the cell and the lamp is disjoint from every occluder
 that `blocking.may_block` allows. A cell is in the full shadow of a flat occluder under two
@@ -241,8 +242,8 @@ def _eye_as_source(eye: Eye) -> Source | None:
 
 
 def _shadow_of(shape: Ends[Shape], source: Source) -> _Shadow | None:
-    """Return the full shadow of an occluder, or None if there is none. There is none if the
-    occluder is not flat or has free parameters, if the light is a sky, or if the light is not
+    """Return the full shadow of an occluder, or None if there is none. There is no full shadow if
+    the occluder is not flat or has free parameters, if the light is a sky, or if the light is not
     entirely on one side of the occluder."""
     plane = plane_between(shape)
     if plane is None:

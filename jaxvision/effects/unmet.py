@@ -4,8 +4,9 @@ Rays from the eye stay in the picture's cone of view. A shadow ray goes from a p
 a lamp, so it stays in the convex hull of the cone and the lamp. Let u be a direction with a scalar
 product u.d >= 0 with every ray direction d of the cone. Then u.x is smallest, over the points x of
 the hull, at the cone's apex or at a point of the lamp. No ray meets a body whose points all have a
-smaller u.x. The directions u that are tried are the normals of the cone's planes, and of the planes
-through one of its edges and the lamp. Lengths are in m; computed in NumPy float64.
+smaller u.x. The directions u that are tried are the normals of the planes that bound the cone, and
+the normals of planes through the lamp and an edge of the cone. Lengths are in m; computed in NumPy
+float64.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,5 +1,5 @@
-"""Read metadata and chunks of image files that their decoders ignore, and check that a PNG is
-complete before libpng prints its own messages.
+"""Read metadata and chunks of image files that image decoders ignore. Also check that a PNG file is
+complete, because libpng prints messages of its own for an incomplete file.
 
 A PNG file is a signature and chunks. Each chunk has a length, a type, content, and the CRC-32 of
 type and content (ISO/IEC 15948, section 5). A chunk whose type begins with a lower-case letter is
@@ -131,7 +131,7 @@ def jpeg_extras(file: Path) -> list[str]:
 
 def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield the type and content of each segment of a JPEG file, including segments between scans.
-    The content of the end marker is the rest of the file."""
+    The content of the end marker is everything after the marker."""
     at = 2
     while 0 <= (at := data.find(b"\xff", at)) < len(data) - 1:
         kind = data[at + 1]

@@ -1,4 +1,4 @@
-"""Netpbm files: PBM, PGM and PPM, as text (P1 to P3) or binary (P4 to P6), and PFM.
+"""Read Netpbm files: PBM, PGM and PPM, as text (P1 to P3) or binary (P4 to P6), and PFM.
 
 Codes are returned as stored, from 0 to the largest code that the file states (`maxval`), which need
 not be 255 or 65535. Sources: the manual pages pbm(5), pgm(5) and ppm(5) of Netpbm; pfm(5).

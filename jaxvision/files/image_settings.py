@@ -1,6 +1,6 @@
 """Read the metadata of image files: exposure time, ISO speed, date, camera and bit depth.
-OpenImageIO reads the EXIF of JPEG, TIFF and PNG files, exifread that of raw files, and astropy
-reads FITS headers."""
+OpenImageIO reads the EXIF data of JPEG, TIFF and PNG files. exifread reads the EXIF data of raw
+files. astropy reads FITS headers."""
 
 import datetime
 import os

@@ -1,11 +1,11 @@
 """Read and write image files: PNG, TIFF, JPEG, EXR, Radiance HDR and NumPy arrays. Also read PGM,
 PPM, TGA, raw files of cameras and FITS, which cannot be written.
 
-This module cannot be traced by JAX. It takes and returns NumPy arrays, and reads most files by
-OpenImageIO, which is loaded on first use. Arrays are (h, w) or (h, w, channels). Integer files keep
-their codes of 1 to 16 bits, as uint8 or uint16; floating-point files become float32. If a decoder
-changes the codes, the change is undone. If a file contains more than one picture, a warning of one
-sentence names the pictures that are not read, or an error is raised. Every failure raises an
+This module cannot be traced by JAX. All functions take and return NumPy arrays. Most files are read
+by OpenImageIO, which is loaded on first use. Arrays are (h, w) or (h, w, channels). Integer files
+keep their codes of 1 to 16 bits, as uint8 or uint16; floating-point files become float32. If a
+decoder changes the codes, the change is undone. If a file contains more than one picture, a warning
+of one sentence names the pictures that are not read, or an error is raised. Every failure raises an
 `InputError` with a message of one sentence.
 """
 
@@ -247,7 +247,8 @@ def _open(file: Path) -> Iterator[Any]:
 
 
 def _pixels(file: Path, source: Any, number: int, chosen: Sequence[int], sample: str) -> np.ndarray:
-    """Read the channels `chosen` of one picture of the file, (h, w, channels), in their order."""
+    """Read the channels `chosen` of one picture of the file, (h, w, channels), in the order of
+    `chosen`."""
     first, last = min(chosen), max(chosen) + 1
     spec = source.spec(number, 0)
     wanted = "float" if sample == "half" else sample

@@ -51,10 +51,10 @@ def read_mesh(
     """Read the triangles of a mesh file, in their order.
 
     Vertices are scaled, then rotated, then moved, or mapped by `matrix`. Triangles whose area is 0
-    in `dtype`, which no ray would hit, are dropped; a warning states their number. Coordinates that
-    are not finite are kept; `geometry.problems` reports them. A warning is given if the mesh is so
-    far from the origin that rounding to `dtype` changes its triangles by more than 1 % on average,
-    or moves its vertices by more than 5e-4 of its size.
+    in `dtype`, which no ray would hit, are dropped; a warning states their number. Vertices with
+    coordinates that are not finite are not removed; `geometry.problems` reports them. A warning is
+    given if the mesh is so far from the origin that rounding to `dtype` changes its triangles by
+    more than 1 % on average, or moves its vertices by more than 5e-4 of its size.
 
     Args:
         path: the file.

@@ -297,8 +297,8 @@ def _wrong(reading: Reading, where: str, value: Any, what: str) -> InputError:
 def _chosen_record(
     reading: Reading, where: str, hints: tuple[Any, ...], table: Mapping[str, Any]
 ) -> Any:
-    """Make the record of a field. Its type is the only possible type, or the type that the key
-    `kind` names."""
+    """Make the record of a field. The type of the record is the only possible type, or the type
+    that the key `kind` names."""
     kinds = {k.__name__: k for kind in hints if is_record(kind) for k in _kinds_of(kind)}
     if not kinds:
         what = "no table" if {bool, str} & {*hints} else "a number, not a table"

@@ -1,7 +1,7 @@
 """Read TOML files and check them against a schema; the first mistake is reported in one sentence.
 
 The sentence names the file, the table with its own `name`, and the key. For a misspelt key or word,
-it suggests the nearest known one. The models of a schema are its documentation.
+the sentence suggests the nearest known key or word. The models of a schema are its documentation.
 """
 
 import os

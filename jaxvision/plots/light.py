@@ -198,9 +198,9 @@ _ROUNDS = 40
 def refined(
     function: Callable[[np.ndarray], np.ndarray], places: np.ndarray, *, peaks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions, (m,) ascending, and the values of a function at these positions. They
-    include the given positions, (n,), and more positions where the function is steep. Narrow peaks
-    are searched on all scales around their possible positions."""
+    """Return positions, (m,) ascending, and the values of a function at these positions. The
+    positions are the given positions, (n,), and further positions where the function is steep.
+    Narrow peaks are searched on all scales around their possible positions."""
     low, high = places[0], places[-1]
     steps = (high - low) * np.geomspace(NARROWEST, 0.05, 24)
     about = np.concatenate([peaks, *(peaks[:, None] + sign * steps for sign in (-1, 1))], axis=None)

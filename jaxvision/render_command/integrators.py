@@ -1,8 +1,8 @@
 """Implement the values of `[render] integrator` as functions from pixels, or from passes, to
 radiance.
 
-Four integrators compute each pixel separately, so the picture is rendered in tiles. For radiosity,
-one of the four, the exchange of light is solved before the first tile. Light tracing renders
+Four integrators compute each pixel separately, so the picture is rendered in tiles. One of the four
+is radiosity, which solves the exchange of light before the first tile. Light tracing renders
 several independent pictures, called passes, and takes their mean.
 """
 
@@ -155,7 +155,8 @@ def light_findings(source: SceneFile, settings: RenderEntry) -> list[str]:
 
 
 def _compiled_in(settings: RenderEntry) -> RenderEntry:
-    """Return the settings, with fixed values for those that do not affect the compiled program."""
+    """Return the settings, in which settings that do not affect the compiled program have fixed
+    values."""
     return settings.model_copy(update={"seed": 0, "tile": 1})
 
 

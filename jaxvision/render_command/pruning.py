@@ -155,7 +155,7 @@ def box_of(free: Sequence[str]) -> Box:
 
 
 def name_effect(source: SceneFile, effect: Effect) -> Effect:
-    """Add the name of its surface or light to an effect, if the file gives one."""
+    """Add, to the name of an effect, the name that the scene file gives to the surface or light."""
     place = re.match(r"(surfaces|lights|shadows)\[(\d+)\]", effect.name)
     if place is None:
         return effect

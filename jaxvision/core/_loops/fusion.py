@@ -141,9 +141,10 @@ def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any
 def bilinear(
     name: str, function: Callable[..., Array], *, opaque: Callable[..., bool], **rules: Any
 ) -> Callable[..., Array]:
-    """Return a function that is linear in each of two arrays. Its transposes and its batching
-    follow the `rules` of `primitives.bilinear`. On an accelerator, these rules are used only if
-    `opaque(**named)`, which means that JAX cannot derive the rules itself."""
+    """Return a function that is linear in each of two arrays. The transposes and the batching of
+    the returned function follow the `rules` of `primitives.bilinear`. On an accelerator, these
+    rules are used only if `opaque(**named)`, which means that JAX cannot derive the rules itself.
+    """
     if PLAIN:
         return function
     ours = _primitives.bilinear(name, function, **rules)

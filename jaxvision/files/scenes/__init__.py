@@ -2,8 +2,8 @@
 Scenes of Mitsuba and glTF are read too; the packages `mitsuba` and `gltf` list the supported parts.
 
 `tables` and `schema` define the contents of a scene file. Reading cannot be traced by JAX. Every
-mistake raises an `InputError` with a message of one sentence that names the file and the object.
-Shipped scenes are read by their names instead of a path.
+mistake in a file raises an `InputError` with a message of one sentence that names the file and the
+object. Shipped scenes are read by their names instead of a path.
 """
 
 import hashlib

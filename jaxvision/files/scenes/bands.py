@@ -139,8 +139,8 @@ def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) ->
 def band_values(
     spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quantity
 ) -> np.ndarray:
-    """Convert a spectrum of a scene file to the bands of the scene, (bands,), in its own unit.
-    Raise `InputError` for another number of values, and for an unknown table."""
+    """Convert a spectrum of a scene file to the bands of the scene, (bands,), in the unit of the
+    spectrum. Raise `InputError` for another number of values, and for an unknown table."""
     if isinstance(spectrum, Tabulated):
         return _reduce(spectrum, bands, folder, quantity)
     values = np.atleast_1d(np.asarray(spectrum, float))

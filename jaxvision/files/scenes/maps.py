@@ -1,12 +1,13 @@
 """Make the maps of a scene file. A map takes the place of a constant number or spectrum of a
-material. Its texels are in a picture file or in the scene file itself.
+material. The texels of a map are in a picture file or in the scene file itself.
 
     albedo = { map = "wood.png" }
     roughness = { map = "worn.png", channel = 1, scale = 0.5, uv = [[4, 0, 0], [0, 4, 0]] }
     specular = { texels = [[0.1, 0.3], [0.3, 0.1]], wrap = "clamp" }
 
-The codes of an integer picture are decoded from sRGB if the map replaces a spectrum. Otherwise they
-are linear fractions of the largest code. Floating-point pictures are linear.
+The codes of an integer picture are decoded from sRGB if the map replaces a spectrum. Otherwise the
+texels are the codes divided by the largest code, without decoding. Floating-point pictures are
+linear.
 """
 
 from typing import Annotated, Any, Literal

@@ -1,9 +1,9 @@
 """Convert the tables of a scene file to records.
 
-A table corresponds to a function call. Its keys are the fields of a record, or the arguments of the
-function that makes the record, and have the same meaning. The types of lights and materials
-register their tables by `register`. The tables of shapes and cameras are defined in this module.
-Lengths are in m, angles in degrees, and radiance in W m^-2 sr^-1.
+A table corresponds to a function call. The keys of a table are the fields of a record, or the
+arguments of the function that makes the record, and have the same meaning. The types of lights and
+materials register their tables by `register`. The tables of shapes and cameras are defined in this
+module. Lengths are in m, angles in degrees, and radiance in W m^-2 sr^-1.
 """
 
 from collections.abc import Callable, Mapping

@@ -57,7 +57,7 @@ class Spot(Named):
 
 
 class Light(Named):
-    """A light of KHR_lights_punctual. Its intensity is in cd, or in lux if it is directional."""
+    """A light of KHR_lights_punctual. The intensity is in cd, or in lux for a directional light."""
 
     type: str
     color: Colour = (1.0, 1.0, 1.0)
@@ -168,8 +168,8 @@ class Sampler(Named):
 
 
 class Roughness(Entry):
-    """The object `pbrMetallicRoughness` of a material. Its roughness is the square root of
-    alpha."""
+    """The object `pbrMetallicRoughness` of a material. The roughness is the square root of the GGX
+    parameter alpha."""
 
     baseColorFactor: tuple[Share, Share, Share, Share] = (1.0, 1.0, 1.0, 1.0)
     baseColorTexture: Used | None = None

@@ -14,8 +14,8 @@ Affine = Float[np.ndarray, "4 4"]
 
 def transform_of(steps: Iterable[tuple[str, Mapping[str, str]]], place: str) -> Affine:
     """Return the map to the world: the product of all steps, which are applied in the order of the
-    file. Each step is a tag with its attributes. Raise `InputError` for an unknown step, or for a
-    map without an inverse."""
+    file. A step is a pair of an XML tag and its attributes. Raise `InputError` for an unknown step,
+    or for a map without an inverse."""
     whole = np.eye(4)
     for tag, given in steps:
         whole = _step(tag, given, f"{place}, {tag}") @ whole
