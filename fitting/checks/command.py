@@ -28,8 +28,8 @@ KINDS = {
 def run(
     kind: str, simulations: int, kept: Path | None, reporter: Reporter, *, seed: int = 0
 ) -> Section:
-    """Check the coverage of the intervals in all simulated cases of one kind of fit (such as
-    "noise")."""
+    """Check the coverage of the intervals in all simulated cases of one kind of fit, such as
+    "noise"."""
     room, found = KINDS[kind], {}
     file = f"{kind}, {{}}, seed {seed}, {__version__}.npy"
     if kept is not None:

@@ -3,12 +3,12 @@ Cramer-Rao bound.
 
     python -m fitting.checks.counts
 
-For each read noise, histograms of codes at two levels of light are simulated and fitted by
-`fit_map`, with one gain, read noise and black level for both. If read noise hides single electrons,
-these two histograms do not determine black level, read noise and light. A third histogram, of
-darks, is then fitted with them. The bound is the inverse of the Fisher information of the exact
-distribution of the codes, summed over the codes in NumPy. The derivatives of the codes'
-probabilities are central differences.
+For each value of read noise, histograms of codes at two levels of light are simulated and fitted by
+`fit_map`, with one gain, read noise and black level for both levels. If read noise hides single
+electrons, these two histograms do not determine black level, read noise and light. In that case a
+third histogram, of darks, is fitted together with these two. The bound is the inverse of the Fisher
+information of the exact distribution of the codes, summed over the codes in NumPy. The derivatives
+of the codes' probabilities are central differences.
 """
 
 from dataclasses import dataclass
@@ -44,10 +44,11 @@ class Efficiency:
         read_noise: of the simulated sensor, e-.
         fits: number of fits that converged.
         ratios: (parameters,) the bound over the variance of the estimates, in the order of `NAMES`.
-        whole: the same ratio for all parameters together, from their whitened squared errors (of
-            logarithms, but for the black level).
-        claimed: (parameters,) mean variance that the fits report, over the variance of the
-            estimates.
+        whole: the bound over the variance of the estimates for all parameters together, from their
+            whitened squared errors. These are errors of the black level and of the logarithms of
+            all other parameters.
+        claimed: (parameters,) mean of the variances that the fits report, divided by the variance
+            of the estimates.
     """
 
     read_noise: float
@@ -73,7 +74,7 @@ def shares(
 def information(
     values: Float[np.ndarray, " parameters"], codes: np.ndarray, numbers: int, *, dark: bool
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Return the Fisher information of histograms with `numbers` counts each."""
+    """Return the Fisher information of several histograms that each contain `numbers` codes."""
     slopes = []
     for i, value in enumerate(values):
         step = np.where(np.arange(len(values)) == i, DIFFERENCE * value, 0)

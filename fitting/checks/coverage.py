@@ -3,10 +3,11 @@
 For one fit, u is the cumulative probability of the true value in its posterior. If the posteriors
 are right, u is uniform between 0 and 1 over many simulations. An interval of probability q contains
 the true value if |u - 1/2| < q / 2. The normal deviate of u is z = Phi^-1(u). The ranks in
-simulation-based calibration (Talts et al. 2018) are u in whole steps. Kolmogorov's test compares
-the largest distance of the cumulative distribution of u from the diagonal with that by chance. If
-the posteriors are right, the sum of z^2 over the fits has a chi-square distribution. This test
-needs the fewest fits to detect standard errors that are too small or too large.
+simulation-based calibration (Talts et al. 2018) are values of u rounded to whole steps.
+Kolmogorov's test compares the largest distance of the cumulative distribution of u from the
+diagonal with the distance expected by chance. If the posteriors are right, the sum of z^2 over the
+fits has a chi-square distribution. Of these tests, the chi-square test needs the fewest fits to
+detect standard errors that are too small or too large.
 """
 
 import warnings
@@ -31,15 +32,16 @@ class Coverage:
     """Coverage of the intervals of one parameter.
 
     Attributes:
-        name: of the parameter.
+        name: name of the parameter.
         simulations: number of fits that gave an interval.
-        covered: share of the intervals that contain the true value, at each of `LEVELS`.
-        band: (low, high) range of that share by chance alone, at each level.
+        covered: share of the intervals that contain the true value, for each nominal probability in
+            `LEVELS`.
+        band: (low, high) range of `covered` that chance explains, for each nominal probability.
         z_mean: mean of z.
         z_sd: standard deviation of z; 1 if errors are right, larger if they are too small.
-        departure: largest distance of the ranks' cumulative distribution from the diagonal.
-        allowed: largest departure that chance explains.
-        faults: sentences on every figure outside its band.
+        departure: largest distance of the cumulative distribution of u from the diagonal.
+        allowed: largest distance from the diagonal that chance explains.
+        faults: a sentence on each of these figures that is outside the range explained by chance.
     """
 
     name: str

@@ -51,8 +51,8 @@ CASES = {
 
 
 def places(camera: Camera, seed: int) -> np.ndarray:
-    """Simulate and evaluate one camera; return the cumulative probability of each true figure under
-    the sheet's estimate."""
+    """Simulate one camera and compute its data sheet. Return the cumulative probability of the true
+    value of each figure under the estimate of the sheet."""
     rng = np.random.default_rng(seed)
     dark, response = (
         _pattern(sizes, camera.degrees, rng) for sizes in (camera.offsets, camera.gains)

@@ -22,10 +22,10 @@ class Lab:
     """A simulated laboratory: a glossy sphere, its lights and an uncalibrated camera.
 
     Attributes:
-        sphere: the sphere, with its lights and their errors, whose standard deviations are stated
-            to the fit.
-        gamma: of the camera's encoding; for 1 the camera is linear, and the fit takes gamma as
-            known.
+        sphere: the sphere with its lights. The fit knows the standard deviations of the errors of
+            the lights.
+        gamma: gamma of the camera's encoding. For 1 the camera is linear, and the fit treats gamma
+            as known.
     """
 
     sphere: Sphere = field(default_factory=Sphere)

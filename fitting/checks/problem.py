@@ -26,8 +26,8 @@ class Check:
 
     Attributes:
         coverage: of the intervals of every free number.
-        places: (simulations, P) cumulative probability of the truth in each posterior; NaN where a
-            fit did not converge.
+        places: (simulations, P) cumulative probability of the true value in each posterior, for the
+            P free numbers; NaN where a fit did not converge.
 
     Example:
         >>> import jaxvision as jv
@@ -92,24 +92,23 @@ def check(
     true values, because the search for the optimum is not tested.
 
     Args:
-        problem: its data are replaced by simulated data.
+        problem: the problem whose intervals are checked. Its data are replaced by simulated data.
         simulations: number of simulated data sets; 200 determine a coverage of 95 % to within 1.5
             %.
-        truth: natural values by name, the same in every simulation; needed where a parameter has
-            neither prior nor bounds.
+        truth: true values of parameters in natural units, by name, the same in every simulation.
+            Needed for parameters with neither prior nor bounds.
         posterior: how each posterior is computed, as in `fit`.
-        kept: a file that stores the fits; the same call continues from it, also with more
-            simulations. None stores nothing.
-        seed: of the truths, the data and the fits.
+        kept: path of a file that stores the fits. A later call with this file continues from the
+            stored fits, also with more simulations. None stores nothing.
+        seed: seed of the true values, the data and the fits.
 
     Returns:
         Coverage of 50, 68 and 95 % intervals, mean and standard deviation of z, and ranks of the
         true values.
 
     Raises:
-        InputError: for parameters without priors where no truth is given, for unusable numbers, for
-            stored fits of another problem or seed, and where no fit gives an interval, with the
-            reason.
+        InputError: for parameters without priors or given true values, for unusable numbers, for
+            stored fits of another problem or seed, and if no fit gives an interval.
 
     Example:
         >>> import fitting

@@ -1,5 +1,5 @@
-"""Photographs of a glossy sphere, simulated in NumPy as means over pixels, for the coverage of BRDF
-fits."""
+"""Photographs of a glossy sphere for the coverage of BRDF fits, simulated in NumPy. The signal of a
+pixel is the mean over its area."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -34,10 +34,10 @@ class Sphere:
         truth: true k_d, k_s and n of Phong's model.
         light_sd: relative error of each light's intensity.
         direction_sd: error of each light's direction along both perpendicular axes, rad.
-        stray_sd: standard deviation of stray light on all pixels, relative to the irradiance; it is
-            stated to the fit.
-        black_sd: error of the black level, DN; it is stated to the fit.
-        stated: which of `light_sd` and `direction_sd` are stated to the fit.
+        stray_sd: standard deviation of stray light on all pixels, relative to the irradiance. The
+            fit knows this standard deviation.
+        black_sd: error of the black level, DN, of which the fit knows the standard deviation.
+        stated: names of those of `light_sd` and `direction_sd` that the fit knows.
         prnu: relative error of each pixel's gain.
         clip: DN from which pixels saturate.
         read_noise: electrons rms.
@@ -76,8 +76,8 @@ class Sphere:
         return WHITE / 4 * np.einsum("lhiwj,i,j->lhw", parts, WEIGHTS, WEIGHTS)
 
     def read(self, images: np.ndarray, camera: Camera, **errors: Any) -> Photographs:
-        """Return the images as the input of a fit, with the stated `errors` of lights and
-        camera."""
+        """Return the images as the input of a fit, with the standard deviations `errors` of lights
+        and camera."""
         observation = from_photographs(
             list(images),
             directions(self.lights),
@@ -90,8 +90,8 @@ class Sphere:
 
     @cached_property
     def observed(self) -> tuple[Photographs, Selection, Grouping]:
-        """Photographs of seed 0, their selected samples and their cells. Every simulated fit uses
-        their geometry, with new images."""
+        """Photographs of seed 0, with their selected samples and cells. Every simulated fit uses
+        the samples and cells of these photographs, with new images."""
         camera = Camera(
             bits=BITS,
             black_level=self.black,
@@ -189,8 +189,8 @@ def places(sphere: Sphere, seed: int) -> np.ndarray:
 
 
 def directions(lights: int) -> np.ndarray:
-    """Return unit vectors towards the lights, within 60 degrees of the view. They depend on the
-    number of lights alone."""
+    """Return unit vectors towards the lights, within 60 degrees of the view. The directions depend
+    on the number of lights alone."""
     rng = np.random.default_rng(0)
     z = rng.uniform(np.cos(np.radians(WIDEST)), 1, lights)
     azimuth = rng.uniform(0, 2 * np.pi, lights)

@@ -34,14 +34,14 @@ class Stack:
         times: exposures, s.
         encode: function from linear values in 0..1 to codes over full scale.
         decode: the inverse of `encode`.
-        gamma: of `encode`; None where it is no power law.
+        gamma: gamma of `encode`; None where `encode` is not a power law.
         shutter_sd: relative error of each exposure.
         black: black level, DN.
-        black_sd: error of the black level, DN; it is stated to the fit.
-        stated: whether `shutter_sd` is stated to the fit.
+        black_sd: error of the black level, DN, of which the fit knows the standard deviation.
+        stated: whether the fit knows `shutter_sd`.
         quality: of JPEG files; None for lossless files.
-        hand: largest shift of an image along each axis by a hand-held camera, pixels; where it is
-            not 0, leaves in the scene move too.
+        hand: largest shift of an image along each axis by a hand-held camera, pixels. If it is not
+            0, leaves in the scene move too.
     """
 
     times: tuple[float, ...] = EIGHT

@@ -89,9 +89,9 @@ def _places(shared: tuple[Simulate, int], seed: int) -> Float[np.ndarray, " para
 
 
 def places_in(posterior: Posterior, truth: Mapping[str, float]) -> dict[str, float]:
-    """Return the cumulative probability of the true value in each parameter's posterior. It comes
-    from the same distribution as the printed intervals: the draws, or Laplace's Gaussian or
-    Student's t."""
+    """Return the cumulative probability of the true value in each parameter's posterior. This
+    probability is computed from the same distribution as the printed intervals: the draws, or
+    Laplace's Gaussian or Student's t."""
     labels = names(posterior.space)
     known = [(i, name) for i, name in enumerate(labels) if name in truth]
     if posterior.sampled:

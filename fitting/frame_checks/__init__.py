@@ -1,1 +1,2 @@
-"""Checks before any fit that find frames which deviate from others of the same light."""
+"""Checks, run before any fit, that find frames which deviate from other frames of the same
+light."""

@@ -1,5 +1,5 @@
-"""Comparison of the light levels of a series with each other: their signal, their distribution of
-light over the frame, and their noise."""
+"""Comparison of the light levels of a series with each other, by signal, by distribution of light
+over the frame, and by noise."""
 
 from collections.abc import Sequence
 
@@ -24,7 +24,7 @@ CLIPPED = 1e-3  # share of the pixels at the top code
 
 
 def _lit(levels: ComparedLevels) -> list[int]:
-    """Return the indices of the levels with light and with frames left, ordered by light."""
+    """Return the indices of the levels that have light and still have frames, ordered by light."""
     there = [i for i, frames in enumerate(levels.frames) if frames and levels.light[i] > 0]
     return sorted(there, key=lambda i: levels.light[i])
 
@@ -36,8 +36,9 @@ def _signals(levels: ComparedLevels, there: list[int]) -> np.ndarray:
 
 
 def light_of_levels(levels: ComparedLevels) -> None:
-    """Remove levels that show no light although some is stated, and levels whose signal per light
-    is higher, or lower, than at both neighbours, which no smooth response explains."""
+    """Remove two kinds of level: levels without signal although the rig states light, and levels
+    whose signal per light is higher, or lower, than at both neighbours. No smooth response explains
+    the second kind."""
     assert levels.black is not None
     there = _lit(levels)
     if len(there) < FEWEST_LEVELS:
@@ -98,7 +99,8 @@ def _step(frames: Sequence[FrameSample]) -> int:
 
 def _stated_wrongly(levels: ComparedLevels) -> None:
     """Remove levels whose signal per light deviates from a smooth curve through all other levels. A
-    nonlinear response or a light leak would affect several levels."""
+    deviation of a single level means wrongly stated light, because a nonlinear response or a light
+    leak would affect several levels."""
     assert levels.black is not None
     while True:
         there = _unsaturated(levels)
@@ -125,8 +127,9 @@ def _stated_wrongly(levels: ComparedLevels) -> None:
 
 
 def _unsaturated(levels: ComparedLevels) -> list[int]:
-    """Return the indices of the unsaturated levels with light, ordered by light. The brightest of
-    them is omitted if saturated levels follow, because some of its pixels may be saturated."""
+    """Return the indices of the unsaturated levels with light, ordered by light. If saturated
+    levels follow, the brightest unsaturated level is omitted, because some of its pixels may be
+    saturated."""
     there = _lit(levels)
     if len(there) < FEWEST_LEVELS:
         return there
@@ -140,9 +143,9 @@ def _unsaturated(levels: ComparedLevels) -> list[int]:
 
 
 def _response(light: np.ndarray) -> Float[np.ndarray, "levels terms"]:
-    """Return basis functions of light for the signal per light: a constant, a linear term
-    (curvature), an inverse term (a light leak, a late shutter or a wrong black level) and, with
-    enough levels, a quadratic term."""
+    """Return basis functions of light for a fit to the signal per light. They are a constant, a
+    linear term (a curved response), an inverse term (a light leak, a late shutter or a wrong black
+    level) and, with enough levels, a quadratic term."""
     x = light / light.max()
     terms = [np.ones_like(x), x, light.min() / light]
     return np.stack(terms if len(x) < 2 * len(terms) + 2 else [*terms, x**2], axis=1)
@@ -154,9 +157,10 @@ def _deleted_residuals(
     scatter: np.ndarray,
     least: np.ndarray,
 ) -> tuple[Float[np.ndarray, "levels ..."], Float[np.ndarray, " levels"], int]:
-    """Return each level's deviation from a weighted fit to all others, with its standard deviation
-    (from the scatter of the others, at least that of `least`) and its degrees of freedom. If each
-    level has one value, the ratio of the two has Student's t distribution."""
+    """Return each level's deviation from a weighted fit to all other levels, with the standard
+    deviation of the deviation and the degrees of freedom. The standard deviation comes from the
+    scatter of the other levels, and is at least `least`. If each level has one value, the deviation
+    over its standard deviation has Student's t distribution."""
     q, _ = np.linalg.qr(design / scatter[:, None])
     weighted = (values.T / scatter).T.reshape(len(values), -1)
     rest = weighted - q @ (q.T @ weighted)
@@ -169,10 +173,10 @@ def _deleted_residuals(
 
 
 def distribution_of_levels(levels: ComparedLevels) -> None:
-    """Remove levels whose light is distributed over the frame unlike at all other levels, as by a
-    shadow. Each block of pixels has the same share of the frame's signal at all levels, but for a
-    smooth change toward black (if the black level is uneven) and toward saturation (if the response
-    is nonlinear)."""
+    """Remove levels whose distribution of light over the frame differs from that of all other
+    levels, for example because of a shadow. Without such a change, each block of pixels has the
+    same share of the frame's signal at all levels, except for a smooth change toward black (if the
+    black level is uneven) and toward saturation (if the response is nonlinear)."""
     assert levels.black is not None
     while True:
         there = _unsaturated(levels)
@@ -242,8 +246,8 @@ def _beside(values: np.ndarray, place: int) -> float:
 
 def _peaks(values: np.ndarray, size: float, chance: np.ndarray) -> list[int]:
     """Return the positions of values that are above both neighbours, or below both, significantly
-    and by more than `size`; the largest deviation comes first. Each value found is left out before
-    its neighbours are tested."""
+    and by more than `size`. The position of the largest deviation comes first. A value found in
+    this way is left out before its neighbours are tested."""
     left, found = list(range(len(values))), []
     while len(left) > 2:
         own, around = np.array(left[1:-1]), (np.array(left[:-2]), np.array(left[2:]))
@@ -259,8 +263,8 @@ def _peaks(values: np.ndarray, size: float, chance: np.ndarray) -> list[int]:
 
 
 def _exchanged(signal: np.ndarray, light: np.ndarray, place: int) -> int | None:
-    """Return the index of the level whose frames were probably swapped with those of this one; None
-    if there is none."""
+    """Return the index of the level whose frames were probably exchanged with the frames of the
+    given level; None if there is no such level."""
     rates = signal / light
     usual = float(np.median(rates))
     for other in range(len(light)):

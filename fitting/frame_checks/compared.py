@@ -21,7 +21,8 @@ MEDIAN = 0.6745  # median of |z| for a standard normal z
 
 def usual_size(deviates: Sequence[float] | np.ndarray) -> float:
     """Return the standard deviation of normal deviates with mean 0, from the median of their
-    absolute values. It is robust as long as fewer than half are outliers.
+    absolute values. This estimate is robust as long as fewer than half of the deviates are
+    outliers.
     """
     return float(np.median(np.abs(deviates))) / MEDIAN if len(deviates) else 0.0
 
@@ -30,8 +31,9 @@ def beyond_chance(count: int) -> float:
     """Return the limit, in multiples of `usual_size`, that the largest of `count` independent
     normal deviates exceeds with a probability of 1 in 1,000.
 
-    The limit is higher for few deviates, because their median is imprecise. Simulated quantiles for
-    n = 4 to 100 deviates (at least 400,000 draws) are between 90 and 100 % of 5 + 36 / n.
+    The limit is higher for few deviates, because the median of few deviates is imprecise. Simulated
+    quantiles for n = 4 to 100 deviates (at least 400,000 draws) are between 90 and 100 % of 5 + 36
+    / n.
     """
     return 5 + 36 / max(count, 1)
 
@@ -69,15 +71,15 @@ class ComparedLevels:
         return self._pixel_noise[known]
 
     def chance(self, level: int) -> float:
-        """Return the rms difference, in DN, that pixel noise causes between the means of two
-        frames. This is an upper limit, because a frame's mean covers more pixels than its
-        sample."""
+        """Return an upper limit of the rms difference, in DN, that pixel noise causes between the
+        means of two frames. The limit is computed for the number of pixels in a frame's sample,
+        which is smaller than the number of pixels in its mean."""
         sizes = [frame.sample.size for frame in self.frames[level]]
         return float(self.noise[level]) * float(np.sqrt(2 / max(sizes, default=1)))
 
     def scale(self, level: int) -> float:
-        """Return the unit of relative deviations at a level, DN: the signal for flats, the noise
-        for darks."""
+        """Return the scale, in DN, by which deviations at a level are divided: the signal for
+        flats, the noise for darks."""
         if self.black is None:
             return float(max(self.noise[level], 0.1))
         middle = np.median([frame.mean for frame in self.frames[level]])
@@ -107,8 +109,8 @@ class ComparedLevels:
         return [i for i, frames in enumerate(self.frames) if i != level and len(frames) > 1]
 
     def expected(self, level: int) -> float | None:
-        """Return the mean of this level, DN, as interpolated from the other levels; None if there
-        are fewer than two others."""
+        """Return the mean of this level, DN, interpolated from the other levels; None if there are
+        fewer than two other levels."""
         others = [i for i in self.others(level) if self.black is None or self.light[i] > 0]
         if len(others) < 2:
             return None
@@ -122,7 +124,7 @@ class ComparedLevels:
         return float(self.black[level] + rate * self.light[level])
 
     def remove(self, level: int, places: Sequence[int], reason: str) -> None:
-        """Remove the frames at these places of a level, and record the reason."""
+        """Remove the frames at `places` in a level, and record the reason."""
         names = tuple(self.frames[level][i].name for i in places)
         self.odd.append(OddFrames(names, reason))
         self.frames[level] = [
@@ -140,8 +142,8 @@ class ComparedLevels:
 def _noise_of_levels(
     frames: Sequence[Sequence[FrameSample]], light: np.ndarray, own: Float[np.ndarray, " levels"]
 ) -> Float[np.ndarray, " levels"]:
-    """Return the temporal noise of a pixel at each level, DN rms. At a level of two frames it is
-    limited to twice the noise at other levels, because one of the two may deviate."""
+    """Return the temporal noise of a pixel at each level, DN rms. At a level of two frames, of
+    which one may deviate, the noise is limited to twice the noise at other levels."""
     found, order = own.copy(), np.argsort(light, kind="stable")
     for i, place in enumerate(order):
         rest = np.delete(order, i)
@@ -152,7 +154,8 @@ def _noise_of_levels(
 
 
 def trimmed_variance(residuals: np.ndarray) -> float:
-    """Return the mean square deviation from the median, without the largest 2 % of the squares."""
+    """Return the mean square deviation from the median, without the largest 2 % of the squared
+    deviations."""
     squares = (residuals - np.median(residuals)).ravel().astype(float) ** 2
     if squares.size >= FEWEST_TRIMMED:
         count = int(TRIMMED * squares.size)
@@ -167,8 +170,8 @@ def without_lines(field: np.ndarray) -> np.ndarray:
 
 
 def scaled_to_one_mean(frames: Sequence[FrameSample], black: float | None) -> list[np.ndarray]:
-    """Return the samples of frames, adjusted to one common mean. Flats are scaled above black,
-    because their lamp may flicker; darks and very unequal flats are shifted."""
+    """Return the samples of frames, adjusted to one common mean. The signal above black of flats is
+    scaled, because their lamp may flicker. Darks and very unequal flats are shifted instead."""
     means = np.array([frame.mean for frame in frames])
     middle = float(np.median(means))
     if black is None or np.any(means - black <= MOST * (middle - black)):

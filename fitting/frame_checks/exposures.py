@@ -49,8 +49,8 @@ def blank_images(frames: Sequence[FrameSample]) -> list[OddFrames]:
 def refuse_toned(
     where: str | Path, frames: Sequence[FrameSample], times: ArrayLike, *, full_scale: float
 ) -> None:
-    """Raise InputError if all images are equally bright although their exposures differ, because a
-    camera or a raw converter then adjusted the brightness of each."""
+    """Raise InputError if all images are equally bright although their exposures differ. The camera
+    or a raw converter has then adjusted the brightness of each image."""
     seconds, rises = np.asarray(times, float), []
     fixed = np.zeros(frames[0].sample.shape, bool) if frames else np.zeros(0, bool)
     if len({frame.sample.shape for frame in frames}) == 1:  # bars and overlays
@@ -75,8 +75,8 @@ def refuse_toned(
 def _clear(
     frames: Sequence[FrameSample], i: int, j: int, full_scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the codes of two images at those sampled pixels that are neither black nor saturated
-    in either."""
+    """Return the codes of two images at the sampled pixels that are neither black nor saturated in
+    either image."""
     one, other = frames[i].sample, frames[j].sample
     if one.shape != other.shape:
         return np.zeros(0), np.zeros(0)
@@ -102,7 +102,7 @@ def _other_scene_images(
     frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
     """Return the images whose order of pixels by brightness agrees with no other image, with the
-    reason. There are none unless most images agree with another."""
+    reason. Return no images unless most images agree with at least one other image."""
     alike = np.full((len(frames), len(frames)), np.nan)
     for i, j in combinations(left, 2):
         one, other = _clear(frames, i, j, full_scale)
@@ -125,8 +125,9 @@ def _other_scene_images(
 def _out_of_order(
     frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
-    """Return the images that are darker than a shorter exposure or brighter than a longer one, with
-    the reason; only two images if exchanging their times removes all contradictions."""
+    """Return the images that are darker than a shorter exposure or brighter than a longer exposure,
+    with the reason. If an exchange of two exposure times removes all contradictions, return only
+    these two images."""
     darker = _darker(frames, left, full_scale)
     wrong = _contradictions(darker, times)
     if not wrong:
@@ -169,7 +170,7 @@ def _darker(
 def _contradictions(
     darker: Bool[np.ndarray, "frames frames"], times: np.ndarray
 ) -> list[tuple[int, int]]:
-    """Return the (shorter, longer) pairs of exposures in which the longer one gives the darker
+    """Return the (shorter, longer) pairs of exposures in which the longer exposure gives the darker
     image."""
     longer = times[None, :] > LONGER * times[:, None]
     return [(int(i), int(j)) for i, j in np.argwhere(longer & darker.T)]

@@ -1,4 +1,4 @@
-"""Summaries of frames, by which they are compared, and findings on frames that deviate."""
+"""Summaries of frames for comparison with each other, and findings on frames that deviate."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -41,9 +41,9 @@ class OddFrames:
     """Frames that are left out, with the reason.
 
     Attributes:
-        names: of the frames, at least one.
+        names: names of the frames, at least one.
         reason: why they differ from the others, a clause.
-        spare: whether the frames are good and only belong to another set.
+        spare: whether the frames are correct, but do not belong to this set of frames.
     """
 
     names: tuple[str, ...]
@@ -67,14 +67,14 @@ def frame_sample(name: str, frame: Float[np.ndarray, "h w"], *, top: float) -> F
 
 
 def listed(names: Sequence[str]) -> str:
-    """List names for a sentence; of more than four only the first three, with the number of the
-    others."""
+    """List names for a sentence. Of more than four names, only the first three are listed, with the
+    number of the others."""
     return all_listed([*names] if len(names) <= 4 else [*names[:3], f"{len(names) - 3} more"])
 
 
 def refuse_half(where: str | Path, odd: Sequence[OddFrames], count: int) -> None:
     """Raise InputError if at least half of the frames would be left out, because the user must then
-    decide which are right."""
+    decide which frames are correct."""
     wrong = [one for one in odd if not one.spare]
     if 2 * sum(len(one.names) for one in wrong) >= count > 0:
         first = wrong[0]

@@ -37,7 +37,7 @@ class Stated:
 
 def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[OddFrames], list[str]]:
     """Return the frames of one gain and temperature whose metadata contradict the rig or the
-    majority, and remarks for the report."""
+    majority of frames, and remarks for the report."""
     said = {one.name: _settings(one.path) for one in frames}
     odd: dict[str, str] = {}
     groups: dict[int, list[Stated]] = {}
@@ -60,7 +60,7 @@ def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[OddFram
 
 
 def _settings(path: Path) -> ImageSettings:
-    """Read the metadata of a file; empty if there are none, or if the file is unreadable. An
+    """Read the metadata of a file; empty if the file has no metadata or is unreadable. An
     unreadable file is refused later, when its pixels are read."""
     try:
         return read_settings(path) if path.is_file() else ImageSettings()
@@ -112,8 +112,9 @@ def _minority(
 def _mistimed(
     frames: Sequence[Stated], said: Mapping[str, ImageSettings]
 ) -> tuple[dict[str, str], list[str]]:
-    """Return the frames whose exposure in the metadata differs from the rig, if most frames agree
-    up to a common factor, and a remark on that factor."""
+    """Return the frames whose exposure in the metadata differs from the rig, and a remark if the
+    exposures of most frames differ by a common factor. No frames are returned unless most exposures
+    agree with the rig up to that factor."""
     timed = [(one, said[one.name].exposure) for one in frames if one.exposure > 0]
     ratios = {one.name: time / one.exposure for one, time in timed if time}
     if not ratios:

@@ -1,9 +1,10 @@
 """Detection of frames that differ from the others of their light level.
 
-Frames of one level receive the same light, so they agree in mean, distribution of light and noise.
-A frame deviates if it differs from its level by more than the scatter of frames at all levels, and
-by enough to change results. If a level has only two frames and they disagree, the neighbouring
-levels decide which is wrong.
+A level is a set of frames taken in the same light at the same exposure. Such frames agree in mean,
+in the distribution of light over the frame, and in noise. A frame is left out if it differs from
+the other frames of its level by more than the usual scatter of frames, estimated at all levels, and
+by enough to change results. If a level has two frames that disagree, the frame that is closer to an
+interpolation of the neighbouring levels is kept.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,8 +45,8 @@ def odd_frames(
     light: ArrayLike,
     black: Float[np.ndarray, " levels"] | None = None,
 ) -> list[OddFrames]:
-    """Return the frames that differ from the others of their level, and all frames of levels that
-    differ from their neighbouring levels."""
+    """Return two kinds of frame to leave out: frames that differ from the other frames of their
+    level, and all frames of levels that differ from their neighbouring levels."""
     compared = ComparedLevels([list(level) for level in levels], np.asarray(light, float), black)
     for test in (_copies, _means, _unevenness, moved_frames, _noise):
         test(compared)
@@ -59,13 +60,14 @@ def odd_frames(
 
 
 def _scatter(distances: Sequence[float]) -> float:
-    """Return the standard deviation of a frame, from the lower quartile of pairwise differences. It
-    is robust even if most pairs contain a deviating frame."""
+    """Return the standard deviation of frames about their mean, from the lower quartile of pairwise
+    differences. This estimate is robust even if most pairs contain a deviating frame."""
     return PAIRS * float(np.quantile(distances, 0.25)) if len(distances) else 0.0
 
 
 def _pairs(count: int) -> list[tuple[int, int]]:
-    """Return all pairs of fewer than 24 frames, and only successive pairs of more."""
+    """Return all pairs of frames if there are fewer than 24 frames, else only pairs of successive
+    frames."""
     return list(combinations(range(count), 2) if count < 24 else pairwise(range(count)))
 
 
@@ -75,8 +77,9 @@ def _parted(
     expected: Float[np.ndarray, " frames"] | None,
 ) -> Bool[np.ndarray, " frames"] | None:
     """Return a mask of the frames that are farther than `limit` from the median of their level. If
-    this is at least half of them, the distances `expected` from the prediction of the other levels
-    decide. None if these cannot decide either."""
+    at least half of the frames are, the frames that are farthest from the prediction of the other
+    levels, by the distances `expected`, are marked instead. Return None if these distances do not
+    determine which frames deviate."""
     far = distances > limit
     if 2 * far.sum() < len(far) or not far.any():
         return far
@@ -103,8 +106,8 @@ def _copies(levels: ComparedLevels) -> None:
 
 
 def _copies_across(levels: ComparedLevels) -> None:
-    """Remove frames that occur at two levels, at both, because it is unknown which one is the
-    copy."""
+    """Remove frames that occur at two levels from both levels, because it is unknown which frame is
+    the copy."""
     copies = Copies()
     for level, frames in enumerate(levels.frames):
         for frame in frames if levels.light[level] > 0 else ():
@@ -151,7 +154,8 @@ def _take(
     far: Bool[np.ndarray, " frames"] | None,
     in_words: Callable[[list[FrameSample], list[FrameSample]], str],
 ) -> None:
-    """Remove the frames of a level that differ (`far`), or all of its frames if `far` is None."""
+    """Remove the frames of a level that the mask `far` marks, or all of its frames if `far` is
+    None."""
     frames = levels.frames[level]
     if far is None:
         parted = f"{in_words(frames[:1], frames[1:])}, and it is unknown which of them is right"

@@ -1,8 +1,9 @@
 """Detection of flats between which the camera or an object in front of it moved.
 
-The pattern of unequal pixel gains, dust and light is equal in all frames of a level, so it cancels
-in their differences. If something moved between two frames, a pattern remains in their difference.
-This pattern is the same at all levels and grows with the signal.
+Unequal pixel gains, dust and uneven light cause the same pattern in all frames of a level, so this
+pattern cancels in the difference of two frames. If the camera or an object moved between two
+frames, another pattern remains in their difference. The remaining pattern is the same at all levels
+and grows with the signal.
 """
 
 from itertools import combinations
@@ -25,8 +26,8 @@ MOST_FRAMES = 24  # frames up to which all pairs are compared
 
 
 def moved_frames(levels: ComparedLevels) -> None:
-    """Remove frames that differ from the others of their level by a pattern that also occurs at
-    other levels."""
+    """Remove frames that differ from the other frames of their level by a pattern that also occurs
+    at other levels."""
     if levels.black is None:
         return
     samples = {
@@ -66,10 +67,10 @@ def _difference(samples: list[np.ndarray], groups: list[list[int]]) -> np.ndarra
 
 
 def _parted(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | None:
-    """Group frames that differ by noise alone, the largest group first. Also return the ratio of
-    the variance of differences between groups to that within groups. Two frames are taken as two
-    groups, with the ratio NaN. Return None if there is only one group, or if the groups are
-    unclear."""
+    """Divide frames into groups that differ by noise alone, the largest group first. Also return
+    the variance of differences between groups over the variance of differences within groups. Two
+    frames count as two groups, with the ratio NaN. Return None if there is only one group, or if
+    the division into groups is unclear."""
     if len(samples) == 2:
         return [[0], [1]], np.nan
     variances = {
@@ -99,8 +100,8 @@ def _parted(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | None:
 def _leave_out(
     levels: ComparedLevels, groups: dict[int, list[list[int]]], ratios: list[float]
 ) -> None:
-    """Remove all frames of each level except its largest group. Of a level of two frames remove
-    both."""
+    """Remove all frames of each level except those of its largest group. At a level of two frames,
+    remove both frames."""
     gone: dict[bool, list[str]] = {True: [], False: []}
     example = ""
     for level in sorted(groups):

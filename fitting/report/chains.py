@@ -105,17 +105,17 @@ def _label(parameter: Parameter, *, in_percent: bool) -> str:
 
 
 def _relative(posteriors: Mapping[str, Posterior]) -> np.ndarray:
-    """Return a mask of the parameters that are plotted in per cent of their medians. These are
-    parameters of several posteriors that are far from 0 in all of them, unlike a size with only an
-    upper limit."""
+    """Return a mask of the parameters that are plotted in per cent of their medians. A parameter is
+    plotted in per cent if several posteriors have it and it is far from 0 in all of them, unlike a
+    size with only an upper limit."""
     ends = [np.quantile(one.samples, [0.025, 0.975], axis=0) for one in posteriors.values()]
     clear = [(low * high > 0) & (high - low < np.abs(low + high) / 2) for low, high in ends]
     return np.all(clear, axis=0) & (len(posteriors) > 1)
 
 
 def trace_figure(posterior: Posterior) -> "Figure":
-    """Draw the paths of some chains after burn-in; a converged chain looks like stationary
-    noise."""
+    """Draw the values of some chains over the step after burn-in. A converged chain looks like
+    stationary noise."""
     figure = trace(posterior.by_name)
     for axes, parameter in zip(figure.axes, posterior.space, strict=True):
         axes.set_ylabel(format_axis(parameter.symbol, parameter.unit), fontsize=9)
@@ -131,8 +131,8 @@ def write_chains(
     data: Mapping[str, Columns] | None = None,
 ) -> None:
     """Write the draws of every posterior to one NetCDF file in ArviZ' layout, with a dimension of
-    channels if there are several posteriors. All chains are cut to the last draws, as many as the
-    shortest has. A parameter that is missing in one channel is NaN for this channel."""
+    channels if there are several posteriors. All chains are cut to their last draws, as many as the
+    shortest chain has. A parameter that one channel lacks is NaN for this channel."""
     import xarray
 
     first = next(iter(posteriors.values()))
@@ -185,9 +185,10 @@ def write_chains(
 
 
 def chain_pictures(section: Section) -> tuple[Picture, ...]:
-    """Return the corner plots of a section's posteriors, and the trace plots of those that were
-    sampled. Posteriors with the same parameters share a corner plot. A posterior whose draws are
-    not finite, because the data do not determine its parameters, has no corner plot."""
+    """Return the corner plots of a section's posteriors, and the trace plots of the posteriors that
+    were sampled by chains. Posteriors with the same parameters share a corner plot. A posterior
+    whose draws are not finite, because the data do not determine its parameters, has no corner
+    plot."""
     alike: dict[tuple[str, ...], dict[str, Posterior]] = {}
     for group, posterior in section.posteriors.items():
         if not np.isfinite(posterior.samples).all():  # Laplace's draws of undetermined parameters

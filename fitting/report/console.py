@@ -25,7 +25,7 @@ def output() -> Console:
 
 
 def print_section(console: Console, section: Section) -> None:
-    """Print the estimates and tables of a section, and its findings below."""
+    """Print the estimates and tables of a section, then its findings."""
     console.print()
     if section.headline:
         console.print(f"[bold]{_escaped(section.headline)}", soft_wrap=not console.is_terminal)
@@ -75,9 +75,9 @@ def _cell(cell: Cell) -> str:
 
 
 def plain_tables(content: Table, width: int) -> list[RichTable]:
-    """Format a table of results, with its caption below. A table wider than `width` is split into
-    parts, which each begin with the columns that name the rows. Cells wrap between words; a word is
-    cut only if the columns of names and one other column do not fit."""
+    """Format a table of results, followed by its caption. A table wider than `width` is split into
+    parts. Each part begins with the columns that name the rows. The text of cells wraps between
+    words. A word is cut only if the columns of names and one other column do not fit."""
     rows = [[format_cell(cell) for cell in row] for row in content.rows]
     texts = [*zip(content.columns, *rows, strict=True)]
     least = [max(map(cell_len, " ".join(column).split()), default=0) for column in texts]
@@ -121,8 +121,8 @@ def _columns_of_names(content: Table) -> int:
 
 
 def _spare(chosen: Sequence[int], least: Sequence[int], width: int) -> int:
-    """Return the width left over after the longest words of these columns and the frame; negative
-    if they do not fit."""
+    """Return the width that remains after the longest words of these columns and the frame of the
+    table; negative if these do not fit."""
     return width - sum(least[i] for i in chosen) - 3 * len(chosen) - 1
 
 

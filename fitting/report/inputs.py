@@ -26,8 +26,8 @@ DISPLAY_GAMMA = 2.2
 def with_inputs(
     section: Section, rig: Rig, purpose: Purpose, *, fit_gamma: bool = False
 ) -> Section:
-    """Return a section with the images of its rig added, and with findings on keys of the rig that
-    had no effect."""
+    """Return the section with the list of the rig's images added, and with findings on keys of the
+    rig that had no effect."""
     idle = unused_keys(rig, section.kind, fit_gamma=fit_gamma)
     inputs = inputs_of(rig, purpose)
     region = rig.camera.region
@@ -38,7 +38,7 @@ def with_inputs(
 
 
 def inputs_of(rig: Rig, purpose: Purpose) -> tuple[Input, ...]:
-    """Return the images of a rig that a calibration for this purpose uses."""
+    """Return the images of a rig that a calibration of this kind uses."""
     entries = [
         entry
         for section in NEEDED[purpose]

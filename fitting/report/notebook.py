@@ -20,8 +20,8 @@ class ShownInNotebooks:
 
     @cached_property
     def section(self) -> Section:
-        """The report section of the calibration: estimates, findings, tables, and figures, which
-        `section.figure` draws by name."""
+        """The report section of the calibration: estimates, findings, tables and figures.
+        `section.figure` draws a figure by name."""
         return _section_of(self)
 
     def _repr_html_(self) -> str:
@@ -40,8 +40,8 @@ def _section_of(calibration: ShownInNotebooks) -> Section:
 
 
 def _with_cost(section: Section) -> Section:
-    """Return the section with a finding on the errors of the fit's approximations and on settings
-    that reduce them."""
+    """Return the section with a finding on the errors of the fit's approximations, and on settings
+    that reduce these errors."""
     cost = cost_in_words(section.posteriors.values(), np.nan, argument="sampling")
     return replace(section, findings=(*section.findings, cost)) if cost else section
 
@@ -79,7 +79,7 @@ def _cell(cell: Cell) -> str:
 
 
 def _whole(text: str) -> str:
-    """Return the text as HTML that is never broken into lines."""
+    """Return the text as HTML in which no line break is allowed."""
     return (
         f'<span style="white-space: nowrap">{escape(text)}</span>' if " " in text else escape(text)
     )

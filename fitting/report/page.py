@@ -1,6 +1,6 @@
 """Writing of a calibration's files: `report.html` (self-contained), `results.json`, and the
-posterior draws as NetCDF in ArviZ' layout. Page and results are complete before the first file is
-written, so that a failure leaves no incomplete file."""
+posterior draws as NetCDF in ArviZ' layout. The contents of the page and of the results are computed
+before the first file is written, so that a failure leaves no incomplete file."""
 
 import csv
 import json
@@ -72,8 +72,8 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
 def write_report(
     folder: Path, sections: Sequence[Section], *, title: str, seed: int, settings: dict[str, Any]
 ) -> list[Path]:
-    """Write report, results, posterior draws and fitted records to a folder; return the paths of
-    the files."""
+    """Write report, results, posterior draws and fitted records (such as a sensor) to a folder, and
+    return the paths of the files."""
     page = as_html(sections, title=title)
     data = as_json(sections, seed=seed, settings=settings)
     written = []

@@ -14,7 +14,7 @@ SILENT = 30.0  # s after which a step reports, without a terminal, that it is st
 
 
 class Reporter:
-    """The progress display of a command, with named steps that each may have a bar."""
+    """The progress display of a command, with named steps. Each step may have a progress bar."""
 
     def __init__(self, bars: progress.Progress) -> None:
         self._progress = bars
@@ -44,8 +44,8 @@ class Reporter:
 
 @contextmanager
 def reporting() -> Iterator[Reporter]:
-    """Show progress on standard error while the block runs, as plain lines if that is not a
-    terminal."""
+    """Show progress on standard error while the block of the `with` statement runs. If standard
+    error is not a terminal, progress is written as plain lines."""
     console = Console(stderr=True, highlight=False)
     columns = (
         progress.SpinnerColumn(),

@@ -24,10 +24,10 @@ class Table:
     """A table of a report: rows of text or numbers under column headings.
 
     Attributes:
-        title: above it.
+        title: heading above the table.
         columns: column headings.
         rows: cells; floats are shown to four digits, None as a dash.
-        caption: below it.
+        caption: text below the table.
     """
 
     title: str
@@ -42,11 +42,11 @@ class Picture:
 
     Attributes:
         name: one word, by which `Section.figure` finds the figure.
-        title: heading above it.
-        caption: what it shows and how to read it.
-        draw: the function that draws it.
-        is_whole: whether its columns must be read together; else a narrow page may place them one
-            below the other.
+        title: heading above the figure.
+        caption: text on what the figure shows and how to read it.
+        draw: the function that draws the figure.
+        is_whole: whether the columns of the figure must be seen side by side. If not, a narrow page
+            may place the columns one below the other.
     """
 
     name: str
@@ -68,12 +68,12 @@ class Input:
     """An input of a calibration: an image file, or several files of one setting.
 
     Attributes:
-        files: names.
+        files: names of the files.
         kind: of the files: flat, dark, exposure or light.
-        settings: of the rig, in words.
-        bytes: size of all files; None if one has been removed since.
-        picture: function that returns a small PNG of the first one, base64-encoded, or None if it
-            has been removed since; None where it is not shown.
+        settings: settings that the rig states for the files, in words.
+        bytes: size of all files; None if a file has been removed since.
+        picture: function that returns a small PNG of the first file, base64-encoded, or None if
+            that file has been removed since; None for files without a thumbnail.
     """
 
     files: tuple[str, ...]
@@ -89,24 +89,26 @@ class Section:
 
     Attributes:
         kind: one word, such as "noise", under which chains are stored.
-        title: heading.
+        title: heading of the section.
         estimates: rows of the table of results.
-        findings: full sentences on misfit, identifiability, and data that were masked or refused.
+        findings: full sentences on misfit, on identifiability, and on masked or refused data.
         pictures: figures, the most important first.
-        tables: further tables below that of the estimates.
+        tables: further tables, below the table of estimates.
         posteriors: the posterior of each group (channel, site or setting).
-        arrays: by name, shapes of array parameters whose numbers the posteriors list one by one.
-        settings: everything that is needed to repeat the fit.
+        arrays: shapes of array parameters, by name. The posteriors list the numbers of such arrays
+            one by one.
+        settings: all settings that are needed to repeat the fit.
         about: one line under the heading on what was measured.
-        headings: names of estimates under each heading of their table, in its order.
-        truth: true values of a simulation, by (name, group).
-        inputs: source files.
-        data: full data that are too long for a table: columns by the name of their file.
-        records: fitted records for use in a simulation: by the name of the file (ending in .toml),
-            the function that writes it to a path.
-        failure: why there are no results, as a sentence; empty where there are results.
+        headings: names of estimates under each heading of the table of estimates, in its order.
+        truth: true values of the parameters of a simulation, by (name, group).
+        inputs: source files of the data.
+        data: data that are too long for a table: columns by the name of the file to which they are
+            written.
+        records: for each fitted record (such as a sensor) that a simulation can use, the function
+            that writes the record to a path, by the name of the file (ending in .toml).
+        failure: sentence with the reason why there are no results; empty where there are results.
         headline: the finding that no model describes the data, shown above the estimates; empty if
-            a model does.
+            a model describes the data.
     """
 
     kind: str
@@ -147,8 +149,8 @@ def word_for_file(label: str) -> str:
 
 
 def section_of_part(section: Section, part: str) -> Section:
-    """Return the section of one site, tap or setting of a camera: `part` is added to its kind,
-    title and estimates, and it writes no camera file."""
+    """Return the section for one site, tap or setting of a camera. The name `part` is added to the
+    kind, title and estimates of the section, and the section writes no camera file."""
     return replace(
         section,
         kind=f"{section.kind}_{word_for_file(part)}",
@@ -161,8 +163,8 @@ def section_of_part(section: Section, part: str) -> Section:
 
 
 def failed_section(kind: str, title: str, why: str, *, known: Sequence[str] = ()) -> Section:
-    """Return the section of a calibration that failed, with the reason and with findings `known`
-    before it failed."""
+    """Return the section of a calibration that failed, with the reason and with the findings
+    `known` before the failure."""
     return Section(kind=kind, title=title, estimates=(), findings=(why, *known), failure=why)
 
 

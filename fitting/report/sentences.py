@@ -21,10 +21,10 @@ class Finding(NamedTuple):
 
     Attributes:
         key: name of the finding.
-        condition: function of a calibration that returns whether the sentence is stated, or its
-            numbers by name. A list of these states it several times; None or an empty list not at
-            all.
-        sentence: a format string for the numbers.
+        condition: function of a calibration that returns whether the sentence is stated, or the
+            numbers of the sentence by name. For a list of such results, the sentence is stated once
+            for each. For None or an empty list, the sentence is not stated.
+        sentence: format string of the sentence, into which the numbers are inserted.
     """
 
     key: str
@@ -33,7 +33,7 @@ class Finding(NamedTuple):
 
 
 def said(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:
-    """Return the sentences of a table of findings whose conditions a calibration meets."""
+    """Return the sentences of those findings in a table whose conditions a calibration meets."""
     found = []
     for row in table:
         numbers = row.condition(calibration)

@@ -20,9 +20,9 @@ class Cell:
     """The text of one estimate in the table.
 
     Attributes:
-        value: the value with its standard error; a dash where there is none.
-        interval: the 95 % interval; empty where there is none.
-        note: number of the note with the reason why there is no value; 0 for none.
+        value: the value with its standard error; a dash where there is no value.
+        interval: the 95 % interval; empty where there is no interval.
+        note: number of the note that gives the reason for a missing value; 0 without a note.
     """
 
     value: str = ""
@@ -35,10 +35,10 @@ class Row:
     """The text of one quantity, a row of the table.
 
     Attributes:
-        name: of the quantity, in words.
-        letter: of its symbol.
-        subscript: of its symbol.
-        unit: as printed.
+        name: name of the quantity, in words.
+        letter: letter of the quantity's symbol.
+        subscript: subscript of the quantity's symbol.
+        unit: unit of the quantity, as printed.
         cells: one cell for each column.
         difference: difference of two methods over the larger of their standard errors.
     """
@@ -56,11 +56,12 @@ class Sheet:
     """The content of the table of a section's estimates.
 
     Attributes:
-        columns: headings of the cells.
-        blocks: rows under the headings of the section; the heading is empty where the section has
-            none.
+        columns: headings of the columns of cells.
+        blocks: rows of the table, grouped under the headings of the section. The heading is empty
+            where the section has none.
         notes: reasons for undetermined values, numbered from 1.
-        methods: sentence that names the methods, where the columns are channels.
+        methods: sentence that names the methods of estimation, for a table whose columns are
+            channels.
         compares: whether rows state the difference of two methods.
     """
 

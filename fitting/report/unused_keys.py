@@ -1,5 +1,5 @@
-"""Findings on the keys of a rig that a calibration does not use, each with the reason. Every value
-that a rig states is either used or named in such a finding."""
+"""Findings on the keys of a rig that a calibration does not use, each with the reason. A
+calibration either uses a value stated in the rig or names its key in such a finding."""
 
 from collections.abc import Iterator
 
