@@ -1,4 +1,5 @@
-"""Turn a fitted reflectance into a material for a scene: the best fit, and posterior draws."""
+"""Conversion of a fitted reflectance to materials for a scene: the best fit, and posterior
+draws."""
 
 from collections.abc import Callable
 from functools import partial
@@ -24,9 +25,9 @@ DRAWS = 1000  # most draws that are kept
 def fitted_material(model: Model, index: float, posterior: Posterior) -> tuple[Material, Material]:
     """Return the material of one channel, a record of one band, and posterior draws of it.
 
-    Amplitudes are per unit of the rig's intensity. They are in sr^-1 (no unit for normalised lobes)
-    if that intensity is the digital number, above black, of a surface that faces the light and
-    reflects 1 sr^-1.
+    Amplitudes are per unit of the rig's intensity. The amplitudes are in sr^-1 (without unit for
+    normalised lobes) if that intensity is the digital number, above black, of a surface that faces
+    the light and reflects 1 sr^-1.
     """
     labels = names(posterior.space)
     wanted = ["diffuse"] if model == "lambert" else ["diffuse", shape_of(model).name]
@@ -51,7 +52,8 @@ def fitted_material(model: Model, index: float, posterior: Posterior) -> tuple[M
 def material_files(
     fitted: dict[str, tuple[Model, float, Posterior]],
 ) -> dict[str, Callable[[Path], None]]:
-    """Return, by file name, functions that write the materials of a calibration."""
+    """Return functions that write the materials of a calibration, by the name of the file that each
+    writes."""
     return {
         "material" if channel == "grey" else f"material_{channel}": partial(_write, *of_channel)
         for channel, of_channel in fitted.items()

@@ -1,17 +1,18 @@
-"""List the reflectance models that can be fitted, one row each, with the equations of
-`jaxvision.brdf`.
+"""The reflectance models that can be fitted, as a table with one row for each model. The equations
+are those of `jaxvision.brdf`.
 
-A model is a diffuse part k_d plus k_s times a lobe with one shape parameter. A new model needs one
-row: its record with unit k_s, and the shape's name, unit and range. Lobes are centred on the mirror
-direction or on the half vector. A rough diffuse surface has a shape but no lobe.
+A model is a diffuse part of amplitude k_d plus k_s times a lobe with one shape parameter. A new
+model needs one row: its record with unit k_s, and the name, unit and range of its shape parameter.
+Lobes are centred on the mirror direction or on the half vector. A rough diffuse surface has a shape
+parameter but no lobe.
 
 The facets of `torrance-sparrow` are GGX, as in the record's default, and those of
 `torrance-sparrow-beckmann` Beckmann, both with Smith's height-correlated shadowing. Their Fresnel
 term is that of a clear dielectric of a given index. The index is never fitted, because k_s and the
 normal reflectance enter only as their product, except at grazing angles. Facets of
-`torrance-sparrow-metal` (GGX) have the same reflectance at all angles, which is nearly true for
-metals. In `eon` the interreflection between facets is that of white facets, so that k_d is an
-amplitude in any unit of light.
+`torrance-sparrow-metal` (GGX) have the same reflectance at all angles, which is a good
+approximation for metals. In `eon` the interreflection between facets is that of white facets, so
+that k_d is an amplitude in any unit of light.
 """
 
 from collections.abc import Callable
@@ -183,9 +184,10 @@ def log_range(model: Model) -> tuple[float, float]:
 
 
 def is_searched(model: Model, shape: float) -> bool:
-    """Return whether a shape is inside its searched range. Outside it, predictions hardly change
-    with the shape, so a search that ends there has found a plateau and not an optimum. A rough
-    diffuse model may have any small roughness, because without roughness it is Lambert's.
+    """Return whether a shape is inside its searched range. Outside this range, predictions hardly
+    change with the shape, so a search that ends outside has found a plateau and not an optimum. A
+    rough diffuse model may have any small roughness, because without roughness this model is
+    Lambert's.
     """
     low, high = shape_range(model)
     return shape <= high and (low <= shape or not has_lobe(model))
@@ -202,7 +204,7 @@ def unit_shading(
     model: Model, shape: Float[Array, "*n"], wi: Vec, wo: Vec, index: float
 ) -> Float[Array, " n"]:
     """Return the reflected light per irradiance on a surface that faces the light, for unit
-    amplitude, with one shape for all pairs of directions or one for each pair."""
+    amplitude. The shape is one number for all pairs of directions or one number for each pair."""
     return _pair_values(shading, model, shape, wi, wo, index)
 
 

@@ -1,4 +1,4 @@
-"""Check that paths belong together: either one rig, or files of measured reflectance."""
+"""Checks that the paths given to a command are either one rig or files of measured reflectance."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +10,8 @@ from .names import CLEAR, INDEX, Model, Objective, is_measured_brdf
 
 
 def check_one_rig(paths: Sequence[Path], objective: Objective | None) -> None:
-    """Raise `InputError` for anything but a single rig, and for options that only files take."""
+    """Raise `InputError` for anything but a single rig, and for options that apply only to files of
+    measured reflectance."""
     if len(paths) > 1:
         raise InputError(f"{paths[1]}: a second rig; calibrate one folder of images at a time.")
     if paths[0].is_file() and paths[0].suffix != ".toml":
@@ -23,7 +24,8 @@ def check_one_rig(paths: Sequence[Path], objective: Objective | None) -> None:
 
 
 def check_files(paths: Sequence[Path], of_rigs: dict[str, Any]) -> None:
-    """Raise `InputError` for files of another kind, and for options that only rigs take."""
+    """Raise `InputError` for files other than measured reflectance, and for options that apply only
+    to rigs."""
     for path in paths:
         if not is_measured_brdf(path):
             raise InputError(

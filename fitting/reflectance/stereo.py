@@ -1,11 +1,11 @@
-"""Estimate normals and albedo from photographs under different lights, in closed form, pixel by
-pixel.
+"""Photometric stereo: normals and albedo from photographs under different lights, in closed form
+for each pixel.
 
 For a matte surface under a distant light of direction l and irradiance E, the reading of a pixel is
 m = E rho n.l, with n its unit normal and rho its albedo in the unit of the readings over that of E.
-With g = rho n the reading is linear, so that three lights determine g, and more lights give it by
-least squares (Woodham, Optical Engineering 19, 1980). Attached and cast shadows, clipped pixels and
-highlights are outliers of this model.
+The reading is linear in the vector g = rho n. Therefore three lights determine g, and with more
+lights g is estimated by least squares (Woodham, Optical Engineering 19, 1980). Attached and cast
+shadows, clipped pixels and highlights are outliers of this model.
 """
 
 from collections.abc import Mapping
@@ -76,9 +76,10 @@ class Stereo:
         normals: (h, w, 3) unit normals, in the axes of the lights; NaN where fewer than three
             lights are used.
         albedo: (h, w) ratio of readings to irradiance.
-        normal_sd: (h, w) standard deviation of the normal's direction, rad, root mean square over
-            two axes. A cone of 2.448 times this half-angle contains the normal with 95 %
-            probability. NaN where only three lights are used, because no residual is left.
+        normal_sd: (h, w) standard deviation of the normal's direction, rad, as the root mean square
+            over two axes. A cone whose half-angle is 2.448 times this standard deviation contains
+            the normal with 95 % probability. NaN where only three lights are used, because a fit to
+            three readings has no residual.
         albedo_sd: (h, w) standard deviation of the albedo, in its unit; NaN where `normal_sd` is
             NaN.
         used: (h, w) number of lights that are used.
@@ -165,50 +166,53 @@ def photometric_stereo(
             None for 1.
         covariance: (lights, 4, lights, 4) covariance of directions and logarithms of intensities,
             as `fitting.lights.calibrate` returns it; None for exact lights.
-        lowest: readings at or below this are left out as shadow, in the unit of the images. So are
-            readings that the other images predict to be less than three standard deviations above
-            it.
-        highest: readings at or above this are left out as clipped. So are readings that the other
-            images predict to be less than three standard deviations below it. If None, and many
-            readings equal the largest one, that reading is the limit, and a finding says so.
+        lowest: readings at or below this number are left out as shadow, in the unit of the images.
+            Readings that the other images predict to be less than three standard deviations above
+            this number are also left out.
+        highest: readings at or above this number are left out as clipped. Readings that the other
+            images predict to be less than three standard deviations below this number are also left
+            out. If `highest` is None and many readings equal the largest reading, the largest
+            reading is used as the limit, and a finding says so.
         robust: whether to leave out readings that the other images contradict, as in highlights and
-            cast shadows. A reading is left out if two conditions are met. It lies beyond 2.5
-            standard deviations of the fit of least absolute residuals. And chance would move it as
-            far from the least-squares fit of the other readings in fewer than one of a hundred
-            pixels. This needs at least six usable lights. With five lights, four readings leave one
-            residual only, so that hardly any reading is left out, and the errors are as large as
-            the contradiction. With two wrong readings among six, as at the rim of an object, a
-            wrong one may remain and the normal be wrong by 0.25 rad. An image that the others
-            contradict in most pixels is left out as a whole and named. So is one of at least five
-            images that is brighter or darker than predicted by one factor in all pixels.
+            cast shadows. A reading is left out if two conditions are met. The reading differs by
+            more than 2.5 standard deviations from the fit of least absolute residuals. And a
+            difference as large as that from the least-squares fit of the other readings would occur
+            by chance in fewer than one of a hundred pixels. This test needs at least six usable
+            lights. With five lights, four readings leave one residual only, so that hardly any
+            reading is left out, and the errors are as large as the contradiction. With two wrong
+            readings among six, as at the rim of an object, a wrong one may remain and the normal be
+            wrong by 0.25 rad. An image that the others contradict in most pixels is left out as a
+            whole, and a finding names it. Of at least five images, an image that is brighter or
+            darker than predicted by one factor in all pixels is also left out.
         model: reflectance model, one of those that `calibrate` fits. A lobe is added to a
             Lambertian surface whose albedo differs between pixels. All pixels of a material share
             the amplitude and the shape of the lobe, or the roughness. Facets have an index of
             refraction of 1.5.
         materials: (h, w) integers, one label for each material; pixels with negative labels are
             Lambertian. None for one material.
-        viewer: (3,) unit vector toward the camera, in the axes of the lights. It is used by a
-            `model` other than Lambert's, by the comparison with a rough surface, and by the check
+        viewer: (3,) unit vector toward the camera, in the axes of the lights. The vector is used by
+            a `model` other than Lambert's, by the comparison with a rough surface, and by the check
             of the axes.
 
     Returns:
-        Normals, albedo and their standard deviations. These follow from the residuals of each
-        pixel, with the distribution of the residuals over all pixels as prior. If residuals show
-        that the surface is not Lambertian or the readings are not linear, the standard deviations
-        include the departures that neighbouring lights share, and a finding says so. With fewer
-        than 32 lights they also include the change of the normal by roughness (Oren and Nayar's
-        model), if that explains the residuals. Roughness rotates normals toward the viewer and
-        leaves hardly any residual. A finding names a factor of one light's intensity, or an offset
-        of all readings, if it explains the residuals of all pixels. An offset is also found from
-        pixels that face away from a light. The normals are not corrected for these, but the
-        standard deviations include the change that a correction would make. If no pixel faces away
-        from a light, an offset is not identifiable under lights of equal elevation. On simulated
-        balls under 6 to 96 lights, cones of 95 % contained the true normal in 93 to 98 % of the
-        pixels of a matt ball, in 92 to 100 % of a glossy one and in 91 to 100 % of a rough one.
-        With a `model`, departures are measured from this model, and the standard deviations include
-        the errors of its parameters. Interreflection between parts of a surface has the effect of
-        another normal and leaves hardly any residual. It is not included, so that in a hollow the
-        standard deviations are lower bounds.
+        Normals, albedo and their standard deviations. The standard deviations are computed from the
+        residuals of each pixel, with the distribution of the residuals over all pixels as prior. If
+        residuals show that the surface is not Lambertian or the readings are not linear, the
+        standard deviations include the departures that neighbouring lights share, and a finding
+        says so. With fewer than 32 lights, the standard deviations also include the change of the
+        normal by roughness (Oren and Nayar's model), if roughness explains the residuals. Roughness
+        rotates normals toward the viewer and leaves hardly any residual. A finding names a factor
+        of one light's intensity, or an offset of all readings, if it explains the residuals of all
+        pixels. An offset is also found from pixels that face away from a light. The normals are not
+        corrected for such factors or offsets, but the standard deviations include the change that a
+        correction would make. If no pixel faces away from a light, an offset is not identifiable
+        under lights of equal elevation. On simulated balls under 6 to 96 lights, cones of 95 %
+        contained the true normal in 93 to 98 % of the pixels of a matt ball, in 92 to 100 % of a
+        glossy one and in 91 to 100 % of a rough one. With a `model`, departures are measured from
+        this model, and the standard deviations include the errors of its parameters.
+        Interreflection between parts of a surface has the effect of another normal and leaves
+        hardly any residual. Interreflection is not included, so that in a hollow the standard
+        deviations are lower bounds.
 
     Raises:
         InputError: for fewer than three lights, lights in one plane, and shapes that do not agree.
@@ -334,7 +338,7 @@ def _materials_finding(model: Model, surface: Surface) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Rough:
-    """How the normals change if a rough surface model replaces Lambert's law."""
+    """The change of the normals if a rough surface model replaces Lambert's law."""
 
     covariance: Matrices  # of g, including the change by the rough body
     sigma: float  # roughness, rad
@@ -452,8 +456,8 @@ def _deviations(
 def _common(
     rows: Rows, readings: Readings, between: Counted, limits: tuple[float, float], *, robust: bool
 ) -> tuple[Common | None, Bool[np.ndarray, " lights"]]:
-    """Return factors of the lights, or an offset, common to all pixels, and which few lights have a
-    deviating factor.
+    """Return factors of the lights, or an offset, that are common to all pixels, and the lights
+    whose factor deviates if there are few such lights.
     """
     counts = _counted(rows, readings, between, limits, robust=False)
     common = common_departure(rows, readings, counts)
@@ -677,7 +681,8 @@ def _scatter(
 
 
 def _between(rows: Rows, g: Vectors, scatter: OfPixels, limits: tuple[float, float]) -> Counted:
-    """Find readings that a fit predicts to be clear of both limits."""
+    """Return a mask of the readings that a fit predicts to lie between both limits with a margin of
+    several standard deviations."""
     predicted, margin = rows @ g.T, CLEAR * np.sqrt(np.nan_to_num(scatter))
     return (predicted - margin > limits[0]) & (predicted + margin < limits[1])
 
@@ -685,8 +690,9 @@ def _between(rows: Rows, g: Vectors, scatter: OfPixels, limits: tuple[float, flo
 def _counted(
     rows: Rows, readings: Readings, between: Counted, limits: tuple[float, float], *, robust: bool
 ) -> Counted:
-    """Find the readings that the fit uses: those that it predicts between the limits, if at least
-    three lights remain, and that the others do not contradict.
+    """Return a mask of the readings that the fit uses. A reading is used if the fit predicts it
+    between the limits and the other readings do not contradict it. A limit that would leave fewer
+    than three lights is not applied.
     """
 
     near = _consistent(rows, readings, between) if robust else between.copy()
@@ -744,10 +750,10 @@ def _consistent(rows: Rows, readings: Readings, counts: Counted) -> Counted:
 
 
 def _explained(rows: Rows, readings: Readings, apart: Counted, near: Counted) -> Counted:
-    """Find excluded readings that agree with the prediction from the others, by Student's t for the
-    largest of all prediction errors. Even if no reading is wrong, the accepted readings are those
-    nearest to the fit, so their scatter is too small. Their variance is therefore corrected as for
-    a truncated Gaussian.
+    """Return a mask of excluded readings that agree with the prediction from the accepted readings,
+    by Student's t for the largest of all prediction errors. Even if no reading is wrong, the
+    accepted readings are those nearest to the fit, so their scatter is too small. The variance of
+    the accepted readings is therefore corrected as for a truncated Gaussian.
     """
     some = np.flatnonzero(apart.any(axis=0))
     found = np.zeros_like(apart)
@@ -768,8 +774,8 @@ def _explained(rows: Rows, readings: Readings, apart: Counted, near: Counted) ->
 
 
 def _median(residuals: Readings, used: Int[np.ndarray, " pixels"]) -> OfPixels:
-    """Return the lower median of the residuals, without the three residuals that a
-    least-absolute-deviations fit of three unknowns makes 0."""
+    """Return the lower median of the residuals, without the three residuals that are 0 in any fit
+    of three unknowns by least absolute deviations."""
     ordered = np.sort(residuals, axis=0)  # NaN last
     place = np.clip(3 + (used - 4) // 2, 0, len(ordered) - 1)
     return np.take_along_axis(ordered, place[None], axis=0)[0]

@@ -1,11 +1,11 @@
-"""Check whether normals belong to a surface in the axes of the image: x right, y up, z to the
+"""Test whether normals belong to a surface in the axes of the image: x right, y up, z to the
 camera.
 
 The slopes p = -nx / nz and q = -ny / nz of a surface have no curl (Horn and Brooks, Computer
-Vision, Graphics, and Image Processing 33, 1986). With g = p + i q, (d/dx - i d/dy) g is therefore
-real at every pixel. If the axes of the lights are rotated about the viewing axis, the phase of all
-these numbers is the angle of the rotation. If the axes are mirrored, this is true of the conjugate
-of g.
+Vision, Graphics, and Image Processing 33, 1986). With the complex number g = p + i q, the
+derivative (d/dx - i d/dy) g is therefore real at every pixel. If the axes of the lights are rotated
+about the viewing axis, this derivative has the phase of the rotation angle at every pixel. If the
+axes are mirrored, the derivative of the conjugate of g has that phase instead.
 """
 
 import numpy as np
@@ -67,7 +67,7 @@ def _derivatives(
     normals: Float[np.ndarray, "h w 3"], side: float
 ) -> tuple[Complex[np.ndarray, " cells"], Complex[np.ndarray, " cells"]]:
     """Return (d/dx - i d/dy) of g and of its conjugate, from means over blocks of pixels. The
-    largest tenth of the values, as at edges of the surface, is reduced to the size of the ninth
+    largest tenth of the values, which occur at edges of the surface, is reduced to the ninth
     decile.
     """
     nz = side * normals[..., 2]

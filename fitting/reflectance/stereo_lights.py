@@ -1,13 +1,14 @@
-"""Solve for each pixel under different lights by least squares, and estimate errors that all pixels
+"""Least squares for each pixel under different lights, and estimates of errors that all pixels
 share.
 
 A wrong intensity of a light, another exposure of its image and a drifting lamp scale an image as a
 whole. Room light and a wrong black level add the same offset to all readings. With few lights a
-pixel has only one or two residuals, which cannot determine these errors. The residuals of all
-pixels can: the factors of the lights, or the offset, minimise the sum of squares, with g of each
-pixel as a nuisance parameter (variable projection; Golub & Pereyra, Inverse Problems 19, 2003). The
-errors of these factors or of the offset come from a jackknife over parts of the image, which
-disagree if the surface is not Lambertian.
+pixel has only one or two residuals, which cannot determine these errors, but the residuals of all
+pixels can. The factors of the lights, or the offset, are those that minimise the sum of squares
+over all pixels. The vector g, albedo times normal, of each pixel is a nuisance parameter (variable
+projection; Golub & Pereyra, Inverse Problems 19, 2003). The errors of the factors or of the offset
+come from a jackknife over parts of the image, because parts disagree if the surface is not
+Lambertian.
 """
 
 from dataclasses import dataclass, replace
@@ -56,8 +57,8 @@ class Common:
 
 
 def predicted(rows: np.ndarray, g: Vectors) -> Readings:
-    """Return the readings that a linear model predicts. Its rows are (lights, 3), or (lights,
-    pixels, 3) if they differ between pixels.
+    """Return the readings that a linear model predicts. The rows of the model are (lights, 3), or
+    (lights, pixels, 3) if the rows differ between pixels.
     """
     return rows @ g.T if rows.ndim == 2 else np.einsum("lpi,pi->lp", rows, g)
 
@@ -91,8 +92,8 @@ def by_lights(
     covariance: Float[np.ndarray, "lights 4 lights 4"],
 ) -> Matrices:
     """Return the covariance of g from errors of the lights' directions and logarithms of
-    intensities. With the weights w of the readings, the normal matrix M and r = E l, dg = -M^-1 sum
-    w r (E dl.g + r.g d ln E).
+    intensities. With the weights w of the readings, the normal matrix M, the irradiance E, the
+    light direction l and r = E l, the change of g is dg = -M^-1 sum w r (E dl.g + r.g d ln E).
     """
     flat = covariance.reshape(4 * len(rows), -1)
     sizes, axes = np.linalg.eigh(flat)
@@ -124,8 +125,8 @@ def common_departure(rows: Rows, readings: Readings, counts: Counted) -> Common 
 
 
 def offset_in_shadow(rows: Rows, readings: Readings, counts: Counted) -> Common | None:
-    """Return an offset of all readings, from pixels that face away from a light and should read
-    0."""
+    """Return an offset of all readings, estimated from pixels that face away from a light and
+    should therefore read 0."""
     some = _bright(readings, counts)
     own = readings[:, some]
     g, _ = solved(rows, own, counts[:, some].astype(float))
@@ -142,7 +143,8 @@ def offset_in_shadow(rows: Rows, readings: Readings, counts: Counted) -> Common 
 
 
 def _bright(readings: Readings, counts: Counted) -> Int[np.ndarray, " some"]:
-    """Return the pixels with more than three readings that are not much darker than the others."""
+    """Return the pixels that have more than three readings and are not much darker than the other
+    pixels."""
     mean = np.where(counts, readings, 0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
     known = (counts.sum(axis=0) > 3) & (mean > 0)
     least = np.quantile(mean[known], 0.95) if known.any() else np.inf
@@ -152,8 +154,8 @@ def _bright(readings: Readings, counts: Counted) -> Int[np.ndarray, " some"]:
 def _fitted(
     rows: np.ndarray, readings: np.ndarray, counts: np.ndarray, *, by_offset: bool
 ) -> Common | None:
-    """Fit factors or an offset by Gauss-Newton with Cauchy weights; None if they are not determined
-    or not significant.
+    """Fit factors or an offset by Gauss-Newton with Cauchy weights; None if the result is not
+    determined or not significant.
     """
     factors, offset, weights = np.ones(len(rows)), 0.0, counts.astype(float)
     normals, rights, residuals = np.zeros((3, 0))

@@ -1,5 +1,4 @@
-"""Compute standard errors of normals from shading, which allow for noise and for departures from
-Lambert's law.
+"""Standard errors of normals from shading that include noise and departures from Lambert's law.
 
 The few residuals of a pixel determine its noise poorly: from them alone, with eight lights, the 95
 % cones contained the true normal in 83 % of the pixels. The variance of a pixel is therefore
@@ -13,24 +12,26 @@ The departure of a pixel is modelled as a Gaussian process over the directions o
 
     m_k = E_k (rho n.l_k + f(l_k)) + noise,    cov f(l), f(l') = tau^2 exp(-|l - l'|^2 / 2 w^2),
 
-where w is the reach in direction. The residuals give a restricted likelihood of the ratio tau^2 /
-sigma^2, with sigma^2 the variance of the noise (Harville, J. Am. Stat. Assoc. 72, 1977). The prior
-of the ratio and of sigma^2 is their distribution over the pixels. The covariance of the
-least-squares estimates follows from both variances. It is scaled so that 2.448 standard errors, the
-95 % radius of a two-dimensional Gaussian, are exceeded with a probability of 5 % in the posterior
-of both variances.
+where m_k is the reading under light k, with irradiance E_k and direction l_k, rho is the albedo, n
+the normal, and f the departure, with standard deviation tau and correlation length w. The residuals
+give a restricted likelihood of the ratio tau^2 / sigma^2, with sigma^2 the variance of the noise
+(Harville, J. Am. Stat. Assoc. 72, 1977). The prior of the ratio and of sigma^2 is their
+distribution over the pixels. The covariance of the least-squares estimates follows from both
+variances. This covariance is scaled so that, in the posterior of both variances, errors exceed
+2.448 standard errors, the 95 % radius of a two-dimensional Gaussian, with a probability of 5 %.
 
-The residuals of six lights hardly distinguish noise from departures. Neighbouring pixels do,
-because their noise is independent and their departures are similar. If residuals of neighbours
-correlate, the noise is at most twice the part that they do not share.
+The residuals of a pixel under six lights hardly distinguish noise from departures. A comparison of
+neighbouring pixels does, because their noise is independent and their departures are similar. If
+residuals of neighbours correlate, the noise variance is limited to twice the part that neighbours
+do not share.
 
-Cameras count photons, so the variance of a reading grows with it. If lamps flicker, it grows with
-the square of the reading, and if readings were multiplied by the intensity of the light, with the
-square of that. The growing share of the variance is the one that maximises the restricted
-likelihood. If the variance were taken as constant under lights of unequal intensities, the noise
-under the stronger lights would be mistaken for departures. Only pixels whose mean reading is clear
-of the noise are used. In a dark background, noise selects the readings above 0, which are then not
-Gaussian.
+Cameras count photons, so the variance of a reading grows with the reading. If lamps flicker, the
+variance grows with the square of the reading. If readings were multiplied by the intensity of the
+light, the variance grows with the square of that intensity. The share of the variance that grows in
+this way is estimated by maximum restricted likelihood. If the variance were taken as constant under
+lights of unequal intensities, the noise under the stronger lights would be mistaken for departures.
+Only pixels whose mean reading is well above the noise are used. In a dark background, only readings
+that noise makes positive are used, and such readings are not Gaussian.
 """
 
 from dataclasses import dataclass
@@ -104,7 +105,7 @@ def departures(
     linear: np.ndarray,
 ) -> Departures:
     """Compute the covariance of g, including departures from a linear model with the given slopes.
-    These are (lights, 3), `rows` for Lambert's law, or (lights, pixels, 3).
+    The slopes are (lights, 3), equal to `rows` for Lambert's law, or (lights, pixels, 3).
     """
     flat, counted = readings.reshape(len(rows), -1), counts.reshape(len(rows), -1)
     used = counted.sum(axis=0)
@@ -251,8 +252,8 @@ def _prior(of: _Reduced, unshared: float, ratios: Float[np.ndarray, " ratios"]) 
 
 
 def _squares(of: _Reduced, ratios: Float[np.ndarray, " ratios"]) -> tuple[np.ndarray, np.ndarray]:
-    """Return, both (ratios, pixels), the squared residuals in units of sigma^2 and half the log
-    determinant of their covariance over sigma^2.
+    """Return two arrays (ratios, pixels): the squared residuals in units of sigma^2, and half the
+    log determinant of the covariance of the residuals over sigma^2.
     """
     squares, volume = [], []
     for ratio in ratios:
@@ -280,8 +281,8 @@ def _likelihoods(
 def _shares(
     logs: Float[np.ndarray, "levels ratios pixels"], start: Float[np.ndarray, "levels ratios"]
 ) -> tuple[Float[np.ndarray, "levels ratios"], float]:
-    """Estimate the distribution over the pixels by expectation maximisation, and return it with its
-    log likelihood.
+    """Estimate the distribution over the pixels by expectation maximisation. Return the
+    distribution and its log likelihood.
     """
     flat = logs.reshape(-1, logs.shape[-1])
     most = flat.max(axis=0)

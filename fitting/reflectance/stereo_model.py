@@ -1,14 +1,14 @@
-"""Estimate normals under a reflectance model whose parameters all pixels of a material share.
+"""Estimation of normals under a reflectance model whose parameters all pixels of a material share.
 
     m_k = E_k (rho n.l_k + pi k_s s(n, l_k; shape))   a lobe on a matt body
     m_k = E_k rho s(n, l_k; shape)                    a rough body
 
 Here m_k is the reading under light k of direction l_k and irradiance E_k, n the normal, rho the
-albedo, and s the shading of a model of `models.py`. The shared parameters k_s and shape minimise
-the sum of squares. g = rho n of each pixel is a nuisance parameter, eliminated by its Schur
-complement as in bundle adjustment (Triggs et al., Vision Algorithms, 2000). The covariance of the
-shared parameters is a sandwich over the pixels. Readings far from the model (cast shadows) count
-less, by Cauchy's weights.
+albedo, and s the shading of a model of `models.py`. The shared parameters k_s and shape are those
+that minimise the sum of squares. The vector g = rho n of each pixel is a nuisance parameter,
+eliminated by its Schur complement as in bundle adjustment (Triggs et al., Vision Algorithms, 2000).
+The covariance of the shared parameters is a sandwich over the pixels. Readings far from the model,
+as in cast shadows, have less weight, by Cauchy's weights.
 """
 
 from dataclasses import dataclass
@@ -47,7 +47,8 @@ class Surface:
     numbers: dict[int, tuple[Float[np.ndarray, " numbers"], Float[np.ndarray, " numbers"]]]
 
     def tilt(self, rows: Rows) -> Readings:
-        """Return readings of the linear model with these slopes, minus those of Lambert's law."""
+        """Return the readings of the linear model with the given slopes, minus the readings by
+        Lambert's law."""
         return predicted(self.slopes, self.g) - predicted(rows, self.g)
 
 

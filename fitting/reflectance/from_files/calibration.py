@@ -1,13 +1,13 @@
 """Fit lobes to measured reflectance; report held-out errors and the uncertainty of one model's
 parameters.
 
-Every angle of incidence is left out once and predicted by the fit without it. These predictions
-give the held-out errors. The same fits give the covariance of the parameters by the jackknife over
-incidences (Tukey 1958; Busing, Meijer & van der Leeden, "Delete-m Jackknife for Unequal m", 1999).
-The jackknife allows for errors that all samples of an incidence share, and for the error of a wrong
-model. For few incidences the covariance is widened to the variance of Student's t. With three
-incidences that variance is infinite, and the covariance is widened to match the 95 % interval of
-Student's t.
+Every angle of incidence is left out once and predicted by the fit to all other incidences. The
+errors of these predictions are the held-out errors. The same fits give the covariance of the
+parameters by the jackknife over incidences (Tukey 1958; Busing, Meijer & van der Leeden, "Delete-m
+Jackknife for Unequal m", 1999). The jackknife allows for errors that all samples of an incidence
+share, and for the error of a wrong model. For few incidences the covariance is widened to the
+variance of Student's t. With three incidences that variance is infinite, and the covariance is
+widened to match the 95 % interval of Student's t.
 """
 
 from dataclasses import dataclass, replace
@@ -98,7 +98,7 @@ def calibrate(
 
     Args:
         measured: samples of one material.
-        model: model to report; None for the one with the smallest held-out error.
+        model: model to report; None for the model with the smallest held-out error.
             "torrance-sparrow" has GGX facets, as `jaxvision.TorranceSparrow` by default.
         objective: objective that the fits minimise.
         index: index of refraction of the dielectric facets of Torrance-Sparrow.
@@ -161,8 +161,8 @@ def _natural(fit: LobeFit, space: ParameterSpace) -> Float[np.ndarray, " paramet
 def _jackknife(
     replicates: Float[np.ndarray, "incidences parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Return the covariance from estimates with one incidence left out each, widened for the small
-    number of incidences.
+    """Return the jackknife covariance of estimates that each omit one incidence, widened for the
+    small number of incidences.
     """
     count = len(replicates)
     deviations = replicates - replicates.mean(axis=0)
@@ -176,8 +176,8 @@ def _log_covariance(
     fit: ModelFit, space: ParameterSpace
 ) -> Float[np.ndarray, "parameters parameters"]:
     """Return the covariance of the logarithms of the parameters. Amplitudes may vanish if an
-    incidence is left out, so they enter by their relative deviations. If there are at most as many
-    incidences as parameters, correlations are unknown and set to 0.
+    incidence is left out, so relative deviations replace the logarithms of amplitudes. If there are
+    at most as many incidences as parameters, correlations are unknown and set to 0.
     """
     whole = _natural(fit.whole, space)
     left_out = np.stack([_natural(one, space) for one in fit.without])
@@ -201,9 +201,10 @@ def amplitudes(fit: ModelFit) -> Amplitudes:
 
 
 def albedo(fit: ModelFit, index: float) -> OfBands:
-    """Return the albedo of a fitted surface at normal incidence, (bands,). At that incidence every
-    lobe is centred on the normal, and the albedo is 2 pi times the integral of f_r cos(theta)
-    sin(theta). It is at most 1 for a surface that emits no light.
+    """Return the albedo of a fitted surface at normal incidence, (bands,). At normal incidence
+    every lobe is centred on the normal, and the albedo is 2 pi times the integral of f_r cos(theta)
+    sin(theta) over the angle theta from the normal. The albedo of a surface that emits no light is
+    at most 1.
     """
     u = (np.arange(FINE) + 0.5) / FINE
     theta = np.pi / 2 * u**3  # denser near the normal, for narrow lobes
@@ -245,8 +246,8 @@ def _open_parameters(
 def _posterior(
     problem: Problem, mean: np.ndarray, covariance: np.ndarray, sampling: Emcee | None, seed: int
 ) -> Posterior:
-    """Return the posterior with the jackknife's covariance. For a chain, the density is stretched
-    to that covariance.
+    """Return the posterior with the jackknife's covariance. For draws by a chain, the density is
+    rescaled about its mode so that it has this covariance.
     """
     space, mode = problem.space, jnp.asarray(np.log(mean))
     if sampling is not None:

@@ -37,8 +37,8 @@ class Errors:
 
 
 def errors(measured: MeasuredBRDF, predicted: OfSamples) -> Errors:
-    """Return both error metrics of a prediction of f_r in sr^-1. An error is counted as at least a
-    billionth of the signal, so that rounding does not decide between models.
+    """Return both error metrics of a prediction of f_r in sr^-1. An error below a billionth of the
+    signal counts as that billionth, so that rounding does not decide between models.
     """
     signal = reflected(measured, measured.values)
     missed = reflected(measured, predicted) - signal
@@ -91,8 +91,9 @@ class Ratio:
 
     @property
     def significant(self) -> bool:
-        """Return whether the ratio differs significantly from 1. It does if its logarithm exceeds
-        Student's 95 % limit times its standard error, which is the jackknife's over incidences.
+        """Return whether the ratio differs significantly from 1: whether its logarithm exceeds
+        Student's 95 % limit times the standard error of the logarithm, by the jackknife over
+        incidences.
         """
         count, log = len(self.without), abs(np.log(self.value))
         if count < FEWEST_INCIDENCES or log < SAME:
@@ -110,8 +111,8 @@ class Ratio:
 
     @property
     def chance(self) -> float:
-        """Return the two-sided p-value of a sign test. It is the chance that, of two equally good
-        models, one has the larger error at this many incidence angles.
+        """Return the two-sided p-value of a sign test: the chance that, of two equally good models,
+        one has the larger error at this many incidence angles.
         """
         return min(2 * float(bdtrc(self.more_often - 1, len(self.alone), 0.5)), 1.0)
 
@@ -119,14 +120,14 @@ class Ratio:
     def ordered(self) -> bool:
         """Return whether the same model has the larger error at so many incidences that chance is
         unlikely. A single outlier may make the size of the difference uncertain, so that
-        `significant` is False, while its sign is certain.
+        `significant` is False, although the sign of the difference is certain.
         """
         return self.chance <= LIKELY and abs(np.log(self.value)) >= np.log(NOTABLE)
 
 
 def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
     """Return the ratio of two models' errors on the same samples; 1 for incidences at which one of
-    them has only rounding errors.
+    the models has only rounding errors.
     """
     value = metric(one, objective) / metric(other, objective)
     column = 0 if objective == "cosine" else 1
@@ -141,15 +142,15 @@ def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
 
 
 def exceeds_signal(errors: Errors, objective: Objective) -> bool:
-    """Return whether a prediction's error exceeds that of predicting zero. It is never true for
+    """Return whether a prediction's error exceeds that of predicting zero. The result is False for
     cube roots, whose errors are not relative to their signal.
     """
     return objective == "cosine" and errors.relative > 1
 
 
 def describes(errors: Errors, objective: Objective) -> bool:
-    """Return whether the error of a prediction is at most half of the signal; it is always true for
-    cube roots.
+    """Return whether the error of a prediction is at most half of the signal. The result is True
+    for cube roots, whose errors are not relative to their signal.
     """
     return objective != "cosine" or errors.relative <= DESCRIBES
 
@@ -183,8 +184,8 @@ def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> OfSamples:
 
 
 def best(scores: Mapping[Model, Errors], objective: Objective) -> Model:
-    """Return the model with the smallest error in the metric of an objective; the first one if
-    several are equal.
+    """Return the model with the smallest error in the metric of an objective; of several with equal
+    errors, the first model.
     """
     return min(scores, key=lambda model: metric(scores[model], objective))
 

@@ -210,7 +210,7 @@ def _heat_table(
     *,
     style: str = ".0f",
 ) -> "Figure":
-    """Draw a table of numbers whose cells are shaded by the logarithm of their number."""
+    """Draw a table of numbers in which the shade of a cell shows the logarithm of its number."""
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 

@@ -1,5 +1,6 @@
-"""State the findings on fits to measured reflectance, each with its condition: which model is best,
-by how much, and whether significantly, for one material and for several.
+"""The findings on fits to measured reflectance, each with the condition under which it is reported.
+They state for one material or for several which model is best, by how much, and whether the
+difference is significant.
 """
 
 from collections.abc import Iterable, Sequence
@@ -145,8 +146,8 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
     angles = np.degrees(calibration.measured.incidences)
 
     def compared(models: Sequence[Model], *, counted: bool = False) -> str:
-        """Return, for each model, the ratio of its error to the best one's, the range of this ratio
-        if one incidence is left out, and the number of incidences.
+        """Return, for each model, the ratio of its error to that of the best model, the range of
+        this ratio if one incidence is left out, and the number of incidences.
         """
         sentences = []
         for m in models:
@@ -195,7 +196,8 @@ def _weight(calibration: BRDFCalibration) -> Numbers | None:
 
 
 def _pairs(calibration: BRDFCalibration) -> Numbers:
-    """Report the effect of the lobe's axis alone, by pairs of lobes that differ in nothing else."""
+    """Report the effect of the lobe's axis alone, by comparison of pairs of lobes that differ only
+    in their axis."""
     objective, held_out = calibration.objective, calibration.held_out
     sentences = []
     for mirror, half in PAIRS:
@@ -226,8 +228,8 @@ def _listing(parts: Iterable[str]) -> Numbers | None:
 
 
 def _ends(calibration: BRDFCalibration) -> tuple[list[Model], list[Model]]:
-    """Return the other models whose shape is at an end of its range: first the rough diffuse models
-    of vanishing roughness, then all others.
+    """Return the models, other than the reported one, whose shape is at an end of its range: first
+    rough diffuse models of vanishing roughness, then all others.
     """
     smooth: list[Model] = []
     stuck: list[Model] = []
@@ -275,7 +277,7 @@ def _of_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
 
 def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> Numbers:
     """Report the best lobe about each axis, regardless of other differences, and the materials on
-    which it is better.
+    which each of the two is better.
     """
     wins: dict[Side, list[str]] = {"half": [], "mirror": [], "neither": []}
     confounded = []
@@ -304,9 +306,9 @@ def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> Numbers:
 
 
 def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> Numbers:
-    """Report which axis is better among lobes that differ only in it, and the conclusion. A
-    conclusion requires that these differences are significant and that the best lobes do not
-    contradict them.
+    """Report which axis is better among pairs of lobes that differ only in their axis, and a
+    conclusion. A conclusion requires that the differences of these pairs are significant and that
+    the best lobes about each axis do not contradict them.
     """
     results = [
         winner_of(c.held_out[half], c.held_out[mirror], c.objective)
@@ -333,8 +335,8 @@ def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> Numbers:
 
 
 def _fresnel(calibrations: Sequence[BRDFCalibration]) -> Numbers | None:
-    """Report, if clear facets are best, which part of the lead of GGX is lost without Fresnel
-    reflectance.
+    """Report, if a model with clear facets is best, how much larger the error of GGX facets becomes
+    without Fresnel reflectance, as a share of their lead over Lambert's model.
     """
     objective = calibrations[0].objective
     sentences = []
@@ -365,7 +367,8 @@ def _useless(pair: Pair) -> tuple[bool, bool]:
 
 
 def _order(pair: Pair) -> Numbers | None:
-    """Report which of two models is better if only the size of their difference is uncertain."""
+    """Report which of two models is better, for a difference whose sign is certain although its
+    size is uncertain."""
     found = pair[2]
     if not found.ordered:
         return None

@@ -1,8 +1,9 @@
 """Fit measured reflectance by a diffuse term and a lobe, with amplitudes k_d and k_s for each band
 and one shape for all bands.
 
-The irradiance falls with the cosine of incidence, so errors are measured in the reflected light, x
-= f_r cos(theta_i). There are two objectives, each with its own metric:
+The irradiance is proportional to the cosine of the angle of incidence theta_i, so errors are
+measured in the reflected light, x = f_r cos(theta_i). With the weights w of the samples, there are
+two objectives, each with its own metric of errors:
 
     cosine       sum w (x - x_measured)^2                         (Ngan, Durand & Matusik 2005)
     cube-root    sum w (c(x) - c(x_measured))^2,  c(x) = (x + d)^(1/3)
@@ -12,11 +13,12 @@ the eye does (Fores, Ferwerda & Gu, "Toward a Perceptually Based Metric for BRDF
 The constant d, a thousandth of the RMS of x, keeps the slope of c finite at 0.
 
 For the cosine objective, x is linear in the amplitudes, and variable projection finds the global
-minimum. For the cube root this is repeated with a linearisation about the last prediction
-(Gauss-Newton). The shape is limited to a window about its last value, which shrinks if a step does
-not lower the true objective. Searches begin at the optimum of the cosine objective and at that of
-Lambert's model, which every model contains. If an incidence is left out, one also begins at the
-optimum for all incidences. The lowest result is used.
+minimum. For the cube root, variable projection is repeated with a linearisation about the last
+prediction (Gauss-Newton). The shape is limited to a window about its last value. The window shrinks
+if a step does not lower the true objective. Searches begin at the optimum of the cosine objective
+and at the optimum of Lambert's model, which every model contains. If an incidence is left out, a
+further search begins at the optimum for all incidences. The result with the lowest objective is
+used.
 """
 
 from dataclasses import dataclass, replace
@@ -74,8 +76,8 @@ class ModelFit:
 def brdf(
     model: Model, diffuse: Any, specular: Any, shape: Any, wi: Vec, wo: Vec, index: float
 ) -> Float[Array, "n bands"]:
-    """Return f_r in sr^-1 of amplitudes (bands,) for n directions, (n, bands); n is 1 for
-    Lambert.
+    """Return f_r in sr^-1, (n, bands), of a surface with these amplitudes (bands,) for n pairs of
+    directions; n is 1 for Lambert's model.
     """
     diffuse, specular = (jnp.asarray(k)[None] for k in (diffuse, specular))
     if model == "lambert":
@@ -121,13 +123,13 @@ def problem_of(
 
 @lru_cache
 def _predict_of(model: Model) -> Any:
-    """Return the prediction function of one model. There is one function for each model, because it
-    is part of the compile key.
+    """Return the prediction function of one model. The same function is returned in every call,
+    because the function is part of the key under which JAX stores compiled programs.
     """
 
     def predict(values: Values, inputs: dict[str, Any]) -> Array:
-        """Predict in the objective's metric, with the logarithms of the parameters stretched about
-        the mode.
+        """Predict in the objective's metric, with the deviations of the log parameters from the
+        mode multiplied by a matrix.
         """
         names = list(values)
         vector = jnp.log(jnp.stack([values[name] for name in names]))
@@ -207,7 +209,7 @@ class _Search:
     def at(
         self, kept: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, shape: float | None
     ) -> LobeFit:
-        """Return the fit at some parameters; `kept` is the used fraction of each sample's
+        """Return the fit at some parameters. `kept` is the factor, 0 to 1, on each sample's
         weight."""
         measured = self.measured
         parameters = self.model, diffuse, specular, shape
@@ -243,8 +245,8 @@ class _Search:
         return diffuse, specular, float(np.exp(found.nonlinear))
 
     def minimum(self, kept: np.ndarray, matt: LobeFit | None, near: LobeFit | None) -> LobeFit:
-        """Return the best fit. For cube roots the search also starts at Lambert's model and at
-        `near`, if given.
+        """Return the best fit. For the cube-root objective, further searches start at Lambert's
+        model and at `near`, if given.
         """
         measured = self.measured
         weights = (kept * measured.weights * measured.cosine**2)[:, None]
@@ -260,8 +262,8 @@ class _Search:
         return min(ends, key=lambda end: end.cost)
 
     def descent(self, kept: np.ndarray, start: LobeFit) -> LobeFit:
-        """Run Gauss-Newton on the cube roots. A step that increases the cost is shortened in the
-        amplitudes and in the window of the shape.
+        """Minimise the cube-root objective by Gauss-Newton steps. If a step increases the cost, the
+        step of the amplitudes and the window of the shape are reduced.
         """
         measured, cosine = self.measured, self.measured.cosine[:, None]
         weights, dark = (kept * measured.weights)[:, None], darkness(measured)

@@ -1,12 +1,13 @@
 """Read measured reflectance as samples for a fit: pairs of directions, values, and indices of the
 incidence.
 
-Cornell files have scattered samples, which are used as they are with equal weights. The tables of
-MERL and RGL are sampled on a grid that follows the highlight. The light is at 10, 20, ... 80
-degrees from the normal. Half vectors are at 28 elevations theta_h = (pi / 2) x^2 with x evenly
-spaced, and at every 15 degrees of azimuth. Viewers are up to 80 degrees from the normal, with
-weights by solid angle, d omega_o = 4 (wi.h) d omega_h. A grid that is even in the viewer's angles
-would miss narrow lobes, and its errors would depend on its position relative to them. If a table
+Cornell files contain scattered samples, which are used without resampling and with equal weights.
+The tables of MERL and RGL are sampled on a grid that follows the highlight. In this grid, the light
+is at 10, 20, ... 80 degrees from the normal. Half vectors h are at 28 elevations theta_h = (pi / 2)
+x^2 with x evenly spaced, and at every 15 degrees of azimuth. Viewers are up to 80 degrees from the
+normal. Samples have weights by the solid angle of the viewer, d omega_o = 4 (wi.h) d omega_h, with
+wi the direction toward the light. A grid that is even in the viewer's angles would miss narrow
+lobes, and its errors would depend on the positions of grid points relative to the lobes. If a table
 depends on the light's azimuth, four azimuths are used.
 """
 
@@ -124,8 +125,8 @@ def read_measured_brdf(path: str | os.PathLike[str]) -> MeasuredBRDF:
 def _on_grid(
     material: Material, *, anisotropic: bool
 ) -> tuple[BRDFSamples, Float[np.ndarray, " n"]]:
-    """Sample a table on the grid that the module describes. Return the samples with their solid
-    angles up to a factor.
+    """Sample a table on the grid that the module docstring describes. Return the samples, with
+    weights proportional to their solid angles.
     """
     x = (np.arange(HALF_ELEVATIONS) + 0.5) / HALF_ELEVATIONS
     turn = 2 * np.pi / HALF_AZIMUTHS * np.arange(HALF_AZIMUTHS)
@@ -174,7 +175,7 @@ def from_samples(
     """Check samples and sort them by incidence. Raises `InputError` for samples that cannot be
     fitted.
 
-    Samples with a direction in the horizon are dropped. Negative values are kept as noise about
+    Samples with a direction in the horizon are dropped. Negative values are used as noise about
     zero. `weights` are relative weights (n,) of the samples. `source` is named in messages.
     """
     theta_i, theta_o = (np.asarray(x, np.float64) for x in (samples.theta_i, samples.theta_o))
@@ -280,9 +281,9 @@ def _cut_bands(values: Float[np.ndarray, "n bands"], bands: tuple[str, ...]) -> 
 def _reciprocity_remark(
     theta_i: np.ndarray, theta_o: np.ndarray, azimuth: np.ndarray, values: np.ndarray
 ) -> tuple[str, ...]:
-    """Return a remark if values seem to be f_r times a cosine. By Helmholtz reciprocity, samples
-    with light and viewer exchanged are equal. The remark is made if their ratio is instead that of
-    the viewers' or the lights' cosines.
+    """Return a remark if the values seem to be f_r times a cosine. By Helmholtz reciprocity, f_r is
+    equal for two samples whose light and viewer are exchanged. The remark is made if the ratio of
+    such samples is instead that of the cosines of their viewers or of their lights.
     """
     bright = values.mean(axis=1)
     light, viewer = np.meshgrid(theta_i, theta_o, indexing="ij")
@@ -309,8 +310,9 @@ def _reciprocity_remark(
 def _clipped(
     values: Float[np.ndarray, "n bands"], samples: BRDFSamples, seen: Bool[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Return a mask of clipped samples. A band counts as clipped if more samples share its largest
-    value, over a part of the lobe, than one direction or a rounding step explains.
+    """Return a mask of clipped samples. A band counts as clipped if its largest value occurs in
+    more samples, spread over a part of the lobe, than repeated measurements of one direction or a
+    rounding step would explain.
     """
     wi, wo = sample_directions(samples)
     half = np.stack([np.asarray(a + b) for a, b in zip(wi, wo, strict=True)], axis=-1)

@@ -142,7 +142,8 @@ def error_table(calibration: BRDFCalibration) -> Table:
 
 
 def amplitude_table(calibration: BRDFCalibration) -> Table:
-    """Tabulate k_d and k_s of every band with standard errors. The shape is common to all bands."""
+    """Tabulate the amplitudes k_d and k_s of every band, with standard errors. The shape of the
+    lobe is common to all bands."""
     found = calibration.amplitudes
     unit = format_unit(REFLECTANCES[calibration.model].unit)
     heads = ["k_d [sr⁻¹]"]

@@ -103,16 +103,16 @@ def calibrate(
         observation: photographs of a known shape under known lights.
         model: the model reported in full; "torrance-sparrow" has GGX facets, as
             `jaxvision.TorranceSparrow` by default.
-        compare_all: whether to fit every model instead of the usual rivals, `USUAL`; this takes
-            about twice the time.
+        compare_all: whether to compare `model` with every other model instead of the usual ones
+            (`USUAL`), which takes about twice the time.
         index: index of refraction of the dielectric facets of Torrance-Sparrow.
         sampling: settings for draws of the posterior of `model` by emcee; None for Laplace.
         seed: seed of every draw.
-        ambient: whether to add a constant per channel to the light. It is estimated from the
-            attached shadows, too.
+        ambient: whether to add a constant signal to each channel, which is estimated from lit
+            pixels and from attached shadows.
         fit_gamma: whether to fit the encoding exponent; a known `camera.gamma` is then ignored.
-        minimum_cosine: samples with a smaller n.l are left out. This suits objects on which light
-            at grazing incidence is uncertain.
+        minimum_cosine: samples with a smaller cosine n.l of the angle of incidence are left out.
+            Useful for objects on which light at grazing incidence is uncertain.
         progress: called with (models fitted, all models), the first time with no model fitted.
 
     Returns:
@@ -198,7 +198,8 @@ def calibrate(
 
 
 def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]:
-    """Return, by name, why the data do not determine a parameter of the requested form.
+    """Return the parameters of the requested form that the data do not determine, by name, with the
+    reasons.
 
     A lobe counts as significant if BIC prefers the fit to Lambert's (`without_lobe`). A test by the
     lobe's standard error would be invalid, because the best of many lobes always fits slightly
@@ -243,9 +244,9 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
 
 
 def mean_residual(calibration: ReflectanceCalibration) -> Float[np.ndarray, " pixels"]:
-    """Return, for each pixel, the relative residual (measured - predicted) / predicted. Both are
-    summed over the lights and channels in which the pixel is lit and unsaturated; NaN if there is
-    none.
+    """Return, for each pixel, the relative residual (measured - predicted) / predicted. The
+    measured and predicted signals are summed over the lights and channels in which the pixel is lit
+    and unsaturated; NaN if there are no such lights.
     """
     return _relative(calibration, axis=0)
 

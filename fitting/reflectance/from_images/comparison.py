@@ -1,9 +1,8 @@
-"""Find the model that describes the surface best, by its prediction of held-out lights and by AIC
-and BIC.
+"""Comparison of reflectance models by their predictions of held-out lights and by AIC and BIC.
 
 The model with the smallest relative error on held-out lights is best. Because all models predict
-the same lights, errors are compared light by light. The standard error of a difference is the
-jackknife's over lights. Models count as equal if, in every channel, the 95 % interval of the
+the same lights, errors are compared light by light. The standard error of a difference is estimated
+by the jackknife over lights. Models count as equal if, in every channel, the 95 % interval of the
 difference by Student's t contains zero. A difference within the precision of the solvers counts as
 zero. AIC and BIC assess the fit itself. Pixels of one image share their errors, so the log
 likelihood log L and the number of samples N are divided by the design effect d of the best model.
@@ -183,9 +182,10 @@ def _differences(own: Sequence[ModelScore], other: Sequence[ModelScore]) -> list
 
 
 def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
-    """Return the models whose prediction of held-out lights equals the best one's within chance in
-    every channel. The best model comes first; if predictions are equal, the one that was fitted
-    first. Without held-out lights, return the model with the smallest BIC.
+    """Return the models whose predictions of held-out lights differ insignificantly from those of
+    the best model in every channel. The best model comes first. If predictions are exactly equal,
+    the model that was fitted first comes first. Without held-out lights, return the model with the
+    smallest BIC.
     """
     by_model = _scores_by_model(scores)
     if any(score.predicted_error is None for score in scores):
@@ -209,9 +209,9 @@ def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
 
 
 def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str] | None:
-    """Return a model that is better than the given one, with the difference in words; None if there
-    is none. It predicts held-out lights better or, if these do not decide, has a decisively smaller
-    BIC.
+    """Return a model that is better than the given model, with the difference in words; None if no
+    model is better. The better model predicts held-out lights better or, if these do not decide,
+    has a decisively smaller BIC.
     """
     by_model, equal = _scores_by_model(scores), equally_good(scores)
     tested = all(gap.freedom for gap in _differences(by_model[model], by_model[equal[0]]))
@@ -225,7 +225,8 @@ def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str
 
 
 def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
-    """Name the best model and its lead, in one or two sentences."""
+    """Name the best model and the difference of its error to those of other models, in one or two
+    sentences."""
     channels, by_model = tuple(dict.fromkeys(s.channel for s in scores)), _scores_by_model(scores)
     costs = _bic(by_model)
     cheapest = _least(costs)

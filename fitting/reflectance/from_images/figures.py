@@ -50,8 +50,9 @@ def draw_lights(
     largest: float | None = None,
 ) -> "Figure":
     """Draw the measured image, the predicted image and their difference under some of the lights.
-    `images_of` returns them: two images (channels, pixels) relative to white and the difference
-    (pixels,). `largest` is the end of the scale of differences; None for their 99th percentile.
+    `images_of` returns these three for a light: two images (channels, pixels) relative to white and
+    their difference (pixels,). `largest` is the end of the scale of differences; None for the 99th
+    percentile of the differences.
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import TwoSlopeNorm
@@ -83,7 +84,8 @@ def draw_lights(
 
 
 def lobes_figure(calibration: ReflectanceCalibration) -> "Figure":
-    """Draw the diffuse and the specular term, each after subtracting the other."""
+    """Draw the measured diffuse term, after subtraction of the fitted specular term, and the
+    measured specular term, after subtraction of the fitted diffuse term."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10, 4.2), layout="constrained")
@@ -218,7 +220,7 @@ def _per_unit_light(
     calibration: ReflectanceCalibration, fit: ChannelFit
 ) -> tuple[Float[np.ndarray, " samples"], ...]:
     """Return the decoded signal per irradiance, n.l, mirror angle and unit lobe of the fitted,
-    unsaturated samples. If there are many samples, every n-th is taken.
+    unsaturated samples. Of many samples, only every n-th is used.
     """
     observation = calibration.observation
     step = max(1, len(calibration.fitted.light) // MOST_POINTS)

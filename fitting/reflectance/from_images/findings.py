@@ -1,6 +1,6 @@
-"""State the findings on photographs of a surface, each with its condition.
+"""The findings on photographs of a surface, each with the condition under which it is reported.
 
-The joint calibration uses the same findings on the images and the search, and adds its own on the
+The joint calibration uses the same findings on the images and the search, and adds findings on the
 sensor."""
 
 from collections.abc import Iterable, Sequence
@@ -76,8 +76,8 @@ def _clipped(of: OfChannel) -> Numbers | None:
 
 
 def _misfit(of: OfChannel, *, hopeless: bool) -> Numbers | None:
-    """Report residuals above the sensor's noise. With `hopeless`, report only those that exceed the
-    signal, otherwise only smaller ones.
+    """Report residuals above the sensor's noise. With `hopeless`, only channels whose residuals
+    exceed the signal are reported, otherwise only channels with smaller residuals.
     """
     chi_square, relative = of[1].sensor_chi_square, of[1].spread.relative
     if chi_square is None or relative is None or (relative >= HOPELESS) != hopeless:
@@ -97,7 +97,7 @@ def _lights(fit: ChannelFit) -> int:
 
 
 def _regions(fit: ChannelFit) -> int:
-    """Return the number of regions of lights with similar errors, which is at most the number of
+    """Return the number of groups of lights with correlated errors, which is at most the number of
     lights.
     """
     return len(np.unique(fit.regions[fit.selection.light]))
@@ -174,7 +174,7 @@ def _unseen_winner(calibration: ReflectanceCalibration) -> Numbers | None:
 
 
 def _better_model(calibration: ReflectanceCalibration) -> Numbers | None:
-    """Report that the comparison prefers another model than the reported one."""
+    """Report that another model is better than the reported model in the comparison."""
     found = surpassed_by(calibration.scores, calibration.model)
     if found is None or _unseen_winner(calibration) is not None:
         return None
@@ -248,8 +248,8 @@ def _contrast(logs: np.ndarray, errors: np.ndarray, low: int, high: int) -> floa
 
 
 def _parts(calibration: ReflectanceCalibration) -> list[Numbers]:
-    """Report the misfit at the outline, and that on the side of the object where it is largest, if
-    notable.
+    """Report the misfit at the outline of the object, and the misfit on the side of the object
+    where it is largest, if these are large enough.
     """
     residual, normals = mean_residual(calibration), calibration.observation.normals
     seen = np.isfinite(residual)
@@ -280,8 +280,8 @@ def _parts(calibration: ReflectanceCalibration) -> list[Numbers]:
 
 
 def _texture(calibration: ReflectanceCalibration) -> Numbers | None:
-    """Report a misfit that belongs to the pixels themselves. The average over lights reduces any
-    other misfit.
+    """Report a misfit that is the same under all lights, such as that of a textured surface. Other
+    misfits decrease in the average over lights.
     """
     misfits = [fit.spread.relative for fit in calibration.reported if fit.spread.relative]
     own = float(np.nanstd(mean_residual(calibration)))
@@ -291,7 +291,7 @@ def _texture(calibration: ReflectanceCalibration) -> Numbers | None:
 
 
 def _brightness(calibration: ReflectanceCalibration) -> Numbers | None:
-    """Report a misfit that is one factor for each image."""
+    """Report a misfit that a factor on each image's brightness explains."""
     misfits = [fit.spread.relative for fit in calibration.reported if fit.spread.relative]
     factors = residual_of_images(calibration)
     factors = factors[np.isfinite(factors)]
@@ -308,7 +308,8 @@ def _brightness(calibration: ReflectanceCalibration) -> Numbers | None:
 
 
 def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
-    """Return the assumptions of a fit on files, lights and camera, and how to change them."""
+    """Return sentences on the assumptions of a fit about files, lights and camera, and how to
+    change them."""
     observation = calibration.observation
     granted = []
     if observation.gamma is None and not calibration.reported[0].form.free_gamma:

@@ -1,16 +1,17 @@
 """Fit one model to one channel: the best parameters (`optimum`), the data to assess them, and their
 posterior.
 
-Pixels of one image share errors, so the product of their densities is a composite likelihood. Its
-mode is right, but its curvature is not. For chains, the argument of the likelihood is therefore
-stretched about the mode so that the curvature is the inverse of the covariance over images
-(Ribatet, Cooley & Davison, "Bayesian Inference from Composite Likelihoods", Statistica Sinica 22,
-2012). The priors of surface parameters are flat in the logarithms.
+Pixels of one image share errors, so the product of their densities is a composite likelihood. The
+mode of this product is a consistent estimate, but its curvature overstates the information. For
+chains, the deviation of the parameters from the mode is therefore multiplied by a matrix, so that
+the curvature becomes the inverse of the covariance over images (Ribatet, Cooley & Davison,
+"Bayesian Inference from Composite Likelihoods", Statistica Sinica 22, 2012). The priors of surface
+parameters are flat in the logarithms.
 
-A step of the chain evaluates cells of pixels instead of single pixels. At the mode both predict the
-same mean of each cell, but derivatives vary inside a cell, so the gradients differ. The gradient of
-the cells' density at the mode is therefore subtracted, so that it has the same mode as the density
-of all pixels.
+A step of the chain evaluates cells of similar pixels instead of single pixels. At the mode, cells
+and pixels predict the same mean of each cell. However, derivatives vary inside a cell, so the
+gradients of the two densities differ. The gradient of the cells' density at the mode is therefore
+subtracted, so that this density has the same mode as the density of all pixels.
 """
 
 from collections.abc import Callable
@@ -70,9 +71,7 @@ from .signal import Form, Matrix, OfSamples, Vector, parameter_space
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """The fit of one model to one channel. Its form lacks the terms whose best amplitude is
-    zero.
-    """
+    """The fit of one model to one channel, without the terms whose best amplitude is zero."""
 
     view: View
     requested: Form  # the requested form
@@ -117,8 +116,8 @@ class ChannelFit:
 
     @cached_property
     def regions(self) -> Int[np.ndarray, " lights"]:
-        """Return the region to which each light belongs. Neighbouring lights with correlated errors
-        are in one region, any other light is its own region.
+        """Return the index of the group to which each light belongs. Neighbouring lights with
+        correlated errors form a group. Each of the other lights is a group of its own.
         """
         places = self.view.observation.wi.mean(axis=1)
         return regions(self._scores_and_slopes[0], self.selection.light, places)
@@ -137,9 +136,9 @@ class ChannelFit:
         return 1.0 if self.robustness is None else self.robustness.design_effect
 
     def log_evidence(self, design_effect: float) -> float:
-        """Return the log likelihood marginalised over the light directions. With e their most
-        likely rotations, P the prior covariance of these and S the scaled derivatives of the
-        samples, it is
+        """Return the log likelihood marginalised over the light directions. With e the most likely
+        rotations of the lights, P the prior covariance of the rotations and S the derivatives of
+        the samples with respect to them, in standard deviations, the result is
 
             ln L(e) - e^T P^-1 e / 2 - ln det(1 + P S^T S) / 2,
 
@@ -250,7 +249,8 @@ def predicted_image(
 
 
 class Adjusted(eqx.Module):
-    """A log density that is stretched about its mode to another curvature."""
+    """A log density whose argument is transformed linearly about the mode, so that it has another
+    curvature."""
 
     density: Callable[[Array, Any], Array] = eqx.field(static=True)  # function of (vector, data)
     data: Any  # of the density
@@ -261,7 +261,8 @@ class Adjusted(eqx.Module):
 
 
 def adjusted_log_density(vector: Float[Array, " parameters"], data: Adjusted) -> Array:
-    """Return the log density with its argument stretched about the mode, up to a constant."""
+    """Return the log density with its argument transformed linearly about the mode, up to a
+    constant."""
     away = data.stretch @ (vector - data.mode)
     own = data.density(data.mode + away, data.data)
     return own if data.slope is None else own - data.slope @ away
@@ -292,9 +293,9 @@ def channel_posterior(
 
 
 def robust(covariance: Robustness) -> dict[str, Any]:
-    """Return the arguments of `adjusted_posterior` that follow from a covariance over images. An
-    interval of Student's t is wider than its standard deviation, and a non-Gaussian density is
-    stretched to it.
+    """Return the arguments of `adjusted_posterior` for a covariance over images. With few images,
+    intervals are those of Student's t, which are wider than Gaussian intervals of the same standard
+    deviation. A non-Gaussian density is widened to match these intervals.
     """
     return {
         "covariance": covariance.covariance,
@@ -314,8 +315,8 @@ def adjusted_posterior(
     seed: int,
     **judged: Any,
 ) -> Posterior:
-    """Return draws by emcee if `sampling` is given. Otherwise return Laplace's approximation, or
-    draws where it is inaccurate.
+    """Return a posterior of draws by emcee if `sampling` is given. Otherwise return Laplace's
+    approximation, or draws where this approximation is inaccurate.
     """
     if sampling is None:
         of = adjusted_log_density, space, data.mode, covariance, data

@@ -8,13 +8,13 @@ best parameters change by
 
 where `slope` is the gradient of the prediction in standard deviations, `deviation` the standard
 deviation of a sample and I the Fisher information. Errors of one light (`intensity_sd`,
-`exposure_sd`, `stray_sd`) shift the samples of its image only. The residuals contain these errors,
-too. With few lights the covariance from the stated errors therefore replaces the covariance over
-lights, unless the residuals are larger than stated. Errors of all images at once (`black_sd`,
-`gamma_sd`) have the effect of another surface. The residuals do not reveal them, so their
-covariance is added. The gain only weights the samples, so `gain_sd` changes no parameter to first
-order. Errors that change the distribution of the samples by at most a tenth of their noise are
-dropped (`inference.left_out`).
+`exposure_sd`, `stray_sd`) shift only the samples of its image. The residuals contain these errors,
+too. With few lights, the covariance from the stated errors therefore replaces the covariance over
+lights, unless the residuals are larger than the stated errors explain. Errors of all images at once
+(`black_sd`, `gamma_sd`) have the effect of another surface. The residuals do not reveal such
+errors, so the covariance that these errors cause is added. The gain only weights the samples, so
+`gain_sd` changes no parameter to first order. Errors that change the distribution of the samples by
+at most a tenth of their noise are dropped (`inference.left_out`).
 
 A rig's `direction_sd` is a normal prior for the rotations e of the lights, two for each light. In
 units of standard deviations, the residuals r of the images change by S e to first order. The most
@@ -22,20 +22,18 @@ likely rotations for given parameters are therefore
 
     e = K^-1 S^T r,    K = P^-1 + S^T S,
 
-where P is the prior covariance of all rotations. It is the identity, or the joint covariance of
-lights that were measured on one ball, whose outline error they share. Let J be the derivatives with
-respect to the parameters, and I their information for known directions. After marginalising over
-the rotations the information is
+where P is the prior covariance of all rotations. P is the identity, or the joint covariance of
+lights that were measured on one ball and share the error of its outline. Let J be the derivatives
+of the predictions with respect to the parameters, and I the information about the parameters for
+known directions. After marginalising over the rotations, the information about the parameters is
 
-    I - J^T S K^-1 S^T J,    1 - S K^-1 S^T = (1 + S P S^T)^-1,
+    I - J^T S K^-1 S^T J, where 1 - S K^-1 S^T = (1 + S P S^T)^-1.
 
-for the parameters.
-
-A highlight is not linear in its light's direction. If light directions with errors of a degree are
-not corrected, the fit describes the mean of displaced highlights, which is wider and weaker than
-each of them. All images are affected equally, so the scatter between them does not reveal this
-bias. Rotations and parameters are therefore fitted in alternation, each linearised about the last
-ones (Gauss-Newton).
+A highlight is not a linear function of the direction of its light. If light directions with errors
+of a degree are not corrected, the fit describes the mean of displaced highlights, which is wider
+and weaker than each single highlight. All images are affected equally, so the scatter between
+images does not reveal this bias. Rotations and parameters are therefore fitted in alternation, each
+time linearised about the last values (Gauss-Newton).
 """
 
 from dataclasses import dataclass, replace
@@ -94,8 +92,9 @@ def turned(observation: Photographs, angles_across: Turns) -> Photographs:
 
 
 def shifts_of_turns(view: View, turns: Turns, vector: Vector, samples: Samples) -> Shifts:
-    """Return the change of each sample's prediction, (2, samples) DN, if its light rotates by one
-    standard deviation about each axis. The derivative is taken at the rotations `turns`.
+    """Return the change of each sample's prediction, (2, samples) DN, if the light of the sample
+    rotates by one standard deviation about each axis. The derivative is taken at the rotations
+    `turns`.
     """
 
     def predicted(axis: int, step: float) -> np.ndarray:
@@ -133,7 +132,8 @@ def likeliest_turns(
 def information_on_turns(
     shifts: Shifts, samples: Samples, selection: Selection, lights: int
 ) -> Prior:
-    """Return S^T S, the information of the images about the rotations, without the rig's prior."""
+    """Return S^T S, the information of the images about the rotations of the lights, without the
+    prior from the rig."""
     moves = shifts * inverse_deviation(samples)
     products = [[np.bincount(selection.light, a * b, lights) for b in moves] for a in moves]
     return np.asarray(block_diag(*np.moveaxis(np.array(products), -1, 0)))
@@ -149,8 +149,8 @@ def beyond_turns(
     prior: Prior | None = None,
 ) -> Float[np.ndarray, "rows samples"]:
     """Return (1 + S P S^T)^(-1/2) x for slopes and errors x, (rows, samples) in standard
-    deviations. A product of two results equals x^T (1 - S K^-1 S^T) y, the product after
-    marginalising over the light directions.
+    deviations. The product of the results for x and for y equals x^T (1 - S K^-1 S^T) y, the
+    product after marginalising over the light directions.
     """
     moves, light = shifts * inverse_deviation(samples), selection.light
     information = information_on_turns(shifts, samples, selection, lights)
@@ -166,7 +166,7 @@ def beyond_turns(
 
 @dataclass(frozen=True)
 class TurnedLights:
-    """The light directions that the images show."""
+    """The light directions that were estimated from the images."""
 
     turns: Turns
     size: float  # rms of the rotations over the lights of uncertain direction
@@ -175,8 +175,9 @@ class TurnedLights:
 
     @property
     def followed(self) -> bool:
-        """Return whether the fit uses these directions. If they are too far from the rig's, the
-        model fails for another reason, and the fit uses the rig's directions.
+        """Return whether the fit uses the estimated directions. If the estimated directions are too
+        far from those of the rig, the model fails for another reason, and the fit uses the rig's
+        directions.
         """
         return self.size <= WIDEST
 
@@ -221,9 +222,9 @@ def with_wider_directions(observation: Photographs, factor: float) -> Photograph
 def _consistent_turns(
     nominal: Optimum, view: View, known: np.ndarray, grouping: Grouping, sensor: Spread | None
 ) -> tuple[Optimum, Turns]:
-    """Alternate between optimum and rotations until they are consistent, and return both. With many
-    samples, a subset is used until no light moves, and then all samples twice. The iteration stops
-    if lights move too far.
+    """Alternate between the search for the best parameters and the search for the rotations until
+    neither changes, and return both. With many samples, a subset is used until no light moves, and
+    then all samples in two more iterations. The iteration stops if lights move too far.
     """
     found, turns = nominal, np.zeros((len(known), 2))
     step, prior = max(1, len(view.selection.light) // ENOUGH), view.observation.turn_prior
@@ -258,8 +259,8 @@ def _rms(values: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class StatedErrors:
-    """The vectors p (see the module) of the errors that a rig states, each of one standard
-    deviation.
+    """The vectors p (see the module docstring) of the errors that a rig states, each for an error
+    of one standard deviation.
     """
 
     of_lights: Float[np.ndarray, "errors parameters"]  # each error affects one image
@@ -271,11 +272,12 @@ class StatedErrors:
     left_out: tuple[LeftOut, ...] = ()
 
     def left_of(self, information: Matrix) -> Matrix:
-        """Return the (P, P) information left after marginalising over light directions.
+        """Return the (P, P) information about the parameters after marginalising over light
+        directions.
 
-        The result is the Gauss-Newton information. The exact curvature of the likelihood would not
-        do for a model with a misfit: after subtracting the part of the light directions, it need
-        not be positive.
+        The result is the Gauss-Newton information. The exact curvature of the likelihood is
+        unsuitable for a model with a misfit, because it may not be positive definite after
+        marginalising over the light directions.
         """
         return information if self.slopes is None else self.slopes @ self.slopes.T
 
@@ -283,8 +285,8 @@ class StatedErrors:
 def stated_errors(
     view: View, prediction: Prediction, samples: Samples, turns: Turns | None
 ) -> StatedErrors:
-    """Return p (see the module) for all errors that the rig states and that are not negligible.
-    `turns` are the rotations (lights, 2) of the samples' lights, if they were fitted.
+    """Return the vectors p (see the module docstring) of all stated errors that are not negligible.
+    `turns` are the rotations (lights, 2) of the samples' lights, if rotations were fitted.
     """
     observation, light, lights = view.observation, view.selection.light, view.lights
     sizes, count = observation.uncertain, len(prediction.vector)
@@ -346,12 +348,12 @@ def stated_errors(
 
 
 def light_in_shadows(observation: Photographs, channel: int) -> float | None:
-    """Return the mean of the attached shadows above black in DN, which no light of the rig reaches;
-    None for encoded files and where too few pixels are in shadow.
+    """Return the mean signal in attached shadows, which no light of the rig reaches, in DN above
+    black. Return None for encoded files and where too few pixels are in shadow.
 
-    A wrong black level, stray light or interreflection may add as much to lit pixels. The fit
-    cannot distinguish this from another surface, so intervals include its effect, like that of
-    `black_sd`.
+    A wrong black level, stray light or interreflection may add the same signal to lit pixels. The
+    fit cannot distinguish such a signal from another surface, so intervals include its effect, as
+    they do for `black_sd`.
     """
     light, pixel = np.nonzero(observation.cosine < SHADOWED)
     if observation.gamma is not None or len(light) < FEWEST_SHADOWED:

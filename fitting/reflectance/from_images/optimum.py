@@ -1,23 +1,24 @@
-"""Find the best parameters of one channel by variable projection, then weighted squares, then
-maximum likelihood.
+"""Search for the best parameters of one channel, in three steps: variable projection, weighted
+least squares and maximum likelihood.
 
-Variable projection finds the global optimum of unweighted least squares, without start values. Its
-residuals give the variance model and the weights of the final fit, which is one step of feasible
-generalised least squares. A linear signal X (DN) has the variance
+Variable projection finds the global optimum of unweighted least squares, without start values. The
+residuals of this fit give the variance model and the weights of the final fit, which is one step of
+feasible generalised least squares. A linear signal X (DN) has the variance
 
     floor + shot X + (relative X)^2
 
-`floor` and `shot` are those of the sensor. `relative` is the misfit of the model, due to unequal
-pixel gains (PRNU) or a surface that differs from the model. A misfit is not noise. Weights that
-decreased with it would hardly count the highlights that the model describes badly, although these
-dominate the errors of predicted pictures. The weights therefore treat a misfit as a constant,
+The terms `floor` and `shot` are properties of the sensor. The term `relative` is the misfit of the
+model, due to unequal pixel gains (PRNU) or a surface that differs from the model. With weights by
+this variance, bright highlights that the model describes badly would have little weight, although
+these highlights dominate the errors of predicted pictures. The weights therefore treat a misfit as
+a constant,
 
     floor + shot X + misfit^2,
 
 so that the fit is plain least squares if the misfit dominates, and efficient if there is none.
 
-A saturated pixel enters the likelihood as "at least this bright". If such pixels were dropped or
-used with their numbers, the highlight would be biased.
+A saturated pixel enters the likelihood as "at least this bright". If saturated pixels were dropped,
+or used with their stored numbers, the estimated highlight would be biased.
 """
 
 from collections.abc import Callable, Sequence
@@ -130,7 +131,7 @@ def fit_spread(
 def flat_spread(
     residual: OfSamples, signal: OfSamples, slope: OfSamples, *, sensor: Spread | None
 ) -> Spread:
-    """Return the variance model from which a fit's weights follow: the sensor's plus the constant
+    """Return the variance model for a fit's weights: the variance of the sensor plus the constant
     that makes the residuals most likely.
     """
     bins = counts, squares, _, d = _binned(residual, signal, slope)
@@ -209,8 +210,8 @@ def best(samples: Samples, grouping: Grouping, sensor: Spread | None) -> Optimum
 def weighed(
     first: Vector, samples: Samples, sensor: Spread | None
 ) -> tuple[Samples, Spread, Spread, Prediction]:
-    """Predict the samples at a vector. Return the samples with standard deviations, the variance
-    model of their residuals, the variance model of the weights, and the prediction.
+    """Predict the samples at a parameter vector. Return the samples with standard deviations, the
+    variance model of their residuals, the variance model of the weights, and the prediction.
     """
     prediction = predict(first, samples)
     seen = residual_signal_slope(prediction, samples)
@@ -223,9 +224,9 @@ def weighed(
 def weighed_and_fitted(
     first: Vector, samples: Samples, grouping: Grouping, sensor: Spread | None
 ) -> Optimum:
-    """Return the optimum near a first vector. The residuals at that vector give the weights, and
-    the means over the pixels' areas are linearised about it. The search starts at the optimum of
-    cells and saturated samples if that is nearby, and then needs only two steps.
+    """Return the optimum near a first parameter vector. The weights come from the residuals at this
+    vector, and the means over the pixels' areas are linearised about it. If the optimum for cells
+    and saturated samples is nearby, the search starts at this optimum and needs only two steps.
     """
     samples, spread, weights, prediction = weighed(first, samples, sensor)
     samples = with_offset(samples, prediction) if samples.points else samples
@@ -238,7 +239,8 @@ def weighed_and_fitted(
 
 def project(samples: Samples) -> tuple[Samples, Vector]:
     """Find the global optimum of the weighted squares of the unsaturated samples, with linearised
-    deviations. Return the samples without the terms whose amplitude is zero there, and the optimum.
+    deviations. Return the samples without the terms whose amplitude is zero at the optimum, and the
+    optimum.
     """
     form, gammas = samples.form, GAMMAS if samples.form.free_gamma else (samples.gamma,)
     gamma, found = min(
@@ -340,10 +342,10 @@ def minimise_samples(
 
 
 def optimum(start: Vector, samples: Samples) -> tuple[Prediction, Matrix, bool]:
-    """Return the samples as predicted at the optimum, its information, and whether the search
-    converged to a shape within the searched range. The start should be close, so that Newton's
-    method converges. If it does not, because pixels saturate on the way, a bounded search comes
-    first.
+    """Return the prediction of the samples at the optimum, the information at the optimum, and
+    whether the search converged to a shape within the searched range. Newton's method converges
+    from a close start. If it does not converge, because pixels saturate during the search, a
+    bounded search is done first.
     """
     found = minimise_samples(start, [samples])
     if not found.converged:

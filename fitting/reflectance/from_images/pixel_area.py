@@ -1,5 +1,5 @@
-"""Decide whether pixels are means over their areas, like those of cameras, or values at their
-centres, like those of many rendered pictures.
+"""Test whether pixels are means over their areas, as in cameras, or values at their centres, as in
+many rendered pictures.
 
 A predicted pixel is (1 - a) times the value at its centre plus a times the mean over its area. Fits
 assume a = 1. One Gauss-Newton step from such a fit gives the least-squares estimate of a, with all

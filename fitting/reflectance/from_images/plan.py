@@ -1,4 +1,5 @@
-"""Choose the next light to photograph, so that the error of a reflectance parameter decreases most.
+"""Choice of the next light to photograph, so that the error of a reflectance parameter decreases
+most.
 
 Candidates are the rig's own lights, including those held out, and distant lights of the same
 strength over the hemisphere in front of the object. Each candidate adds the Fisher information of
@@ -30,9 +31,9 @@ SHOWN = 12  # candidates in the table
 
 
 def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
-    """Rank lights by how much each would reduce the error of a parameter of the reported model, in
-    each channel whose parameters are all determined. Raises `InputError` if the model has no such
-    parameter, and if no channel is determined."""
+    """Rank lights by the reduction of the error of a parameter of the reported model, in each
+    channel whose parameters are all determined. Raises `InputError` if the model has no such
+    parameter, and if no channel has all its parameters determined."""
     check_target(target, calibration.reported[0].requested)
     rigs = calibration.observation
     new, described = _all_around(rigs)

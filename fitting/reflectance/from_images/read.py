@@ -1,7 +1,7 @@
-"""Read photographs of a known shape under known lights, from a rig or from memory. The record
-holds, for each light and pixel, the digital number, the cosine of incidence, the angle to the
-mirror direction and the irradiance. If the rig has flats and darks of the camera, their temporal
-noise gives gain and read noise, and darks give the black level.
+"""Reading of photographs of a known shape under known lights, from a rig or from memory. The
+result, `Photographs`, contains for each light and pixel the digital number, the cosine of
+incidence, the angle to the mirror direction and the irradiance. If the rig has flats and darks of
+the camera, their temporal noise gives gain and read noise, and the darks give the black level.
 
 The view is orthographic along +z (x right, y up, z toward the camera), so that the viewer's
 direction is the same everywhere. Angles are in radians, and digital numbers are those of the files.
@@ -128,16 +128,16 @@ class Photographs:
         findings: sentences on assumptions.
         uncertain: (lights,) standard deviations, by their key in the rig; 0 where the value is
             exact.
-        turn_prior: (rotations, rotations) covariance of the rotations of all lights, two per light,
-            in units of `direction_sd`; None for independent lights.
+        turn_prior: (rotations, rotations) prior covariance of the rotations of all light
+            directions, two per light, in units of `direction_sd`; None for independent lights.
         black_sd: DN, standard deviation of the black level; 0 where exact.
         gamma_sd: standard deviation of the encoding exponent; 0 where exact.
         levels: statistics of the flats and darks of each channel; None if there are none or they
             are not requested.
         within: (points, pixels, 3) unit normals at `POINTS` of each pixel; None where pixels count
             as points.
-        reach: (lights,) m, displacement of the surface point per unit change of its normal; 0 for
-            distant lights.
+        reach: (lights,) displacement of a point of the surface per unit change of its normal, m; 0
+            for distant lights.
     """
 
     channels: tuple[str, ...]
@@ -172,7 +172,7 @@ class Photographs:
     @cached_property
     def points(self) -> tuple["Photographs", ...]:
         """Return the photographs once for each of the `POINTS` within a pixel, with the normals and
-        lights there.
+        light directions at these points.
         """
         if self.within is None:
             return (self,)
@@ -362,8 +362,9 @@ def across(wi: Float[np.ndarray, "lights pixels 3"]) -> Float[np.ndarray, "light
 
 
 def _pile_at_top(dn: Float[np.ndarray, "channels lights pixels"]) -> tuple[float, int] | None:
-    """Return the largest number in DN, and how many samples have it, if these far outnumber the
-    samples with the next smaller numbers in several images. The camera then clipped them.
+    """Return the largest number, DN, and how many samples have this number, if these samples far
+    outnumber those with the next smaller numbers in several images. The camera has then clipped
+    these samples.
     """
     top = dn.max()
     values, counts = np.unique(dn[dn >= BRIGHT * top], return_counts=True)
@@ -375,7 +376,8 @@ def _pile_at_top(dn: Float[np.ndarray, "channels lights pixels"]) -> tuple[float
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
-    """Return a rig without the lights whose metadata contradict the majority, with the reasons."""
+    """Return the rig without the lights whose metadata contradict those of the majority, with the
+    reasons."""
     stated = [Stated(light.file, rig.path(light.file), 0.0) for light in rig.light]
     odd, _ = odd_heads(rig.folder, stated)
     refuse_half(rig.folder, odd, len(stated))
@@ -611,7 +613,7 @@ def _refuse_unusable(rig: Rig, observation: Photographs) -> None:
 
 def lightless_images(observation: Photographs) -> dict[int, str]:
     """Return, by index, the images whose lit pixels are all dark or all saturated, and which of the
-    two.
+    two applies.
     """
     found = {}
     dark = _dark(observation)

@@ -1,17 +1,19 @@
 """Samples of photographs, their prediction by a surface and an encoding, and their likelihood.
 
 A sample is a lit pixel under one light, or a cell. A cell is the mean of pixels with similar
-geometry under one light, so that the work of a fit does not grow with the number of pixels. The
-curvature of the model inside a cell changes its mean. The correction for this is computed at given
-parameters, where cells and pixels then agree exactly.
+geometry under one light, so that the time for a fit does not grow with the number of pixels. The
+mean over a cell differs from the value at its centre, because the model is curved inside the cell.
+The correction for this difference is computed at given parameters, so that cells and pixels agree
+exactly at these parameters.
 
-A pixel at or above the clip level states only that its value is at least that large. It is censored
-(Tobin, Econometrica 26, 1958) and contributes log Phi((predicted - clip) / deviation).
+A pixel at or above the clip level has an unknown value of at least the clip level. Such a pixel is
+censored (Tobin, Econometrica 26, 1958) and contributes log Phi((predicted - clip) / deviation) to
+the log likelihood, with Phi the normal distribution function.
 
-Searches compute derivatives in NumPy. JAX computes only the lobe of a model and its derivatives
-(`signal`). All other derivatives follow by the chain rule, so that a new number of pixels, channels
-or terms needs no compilation. With X the signal, D its digital number, ln L = sum l(D) and indices
-for derivatives with respect to parameters,
+JAX computes only the lobe of a model and its derivatives (`signal`). For searches, all other
+derivatives are computed in NumPy by the chain rule, so that a new number of pixels, channels or
+terms needs no compilation. Let X be the signal, D = f(X) its digital number, and ln L the sum over
+samples of l(D). With the indices i and j for derivatives with respect to parameters,
 
     d ln L / d_i = sum l' D_i,    d2 ln L / d_i d_j = sum l'' D_i D_j + l' D_ij,
     D_i = f' X_i,                 D_ij = f'' X_i X_j + f' X_ij.
@@ -148,14 +150,14 @@ class View:
         )
 
     def every_nth_pixel(self, step: int) -> "View":
-        """Return the view with the samples of every `step`-th pixel."""
+        """Return the data with only the samples of every `step`-th pixel."""
         kept = self.selection.pixel % step == 0
         some = Selection(self.selection.light[kept], self.selection.pixel[kept] // step)
         return View(self.observation.of_pixels(slice(None, None, step)), self.channel, some)
 
 
 def image_view(observation: Photographs, channel: int, light: int) -> View:
-    """Return a view of all pixels of the object under one light."""
+    """Return the data of all pixels of the object under one light."""
     pixels = np.arange(observation.cosine.shape[1])
     return View(observation, channel, Selection(np.full_like(pixels, light), pixels))
 
@@ -402,8 +404,9 @@ def average(samples: Samples, grouping: Grouping, *, exact_at: Prediction | None
 
 
 def with_offset(samples: Samples, exact: Prediction) -> Samples:
-    """Return samples that are predicted at the centres of pixels plus a correction. With the
-    correction, the prediction equals the exact one, to first order about its vector.
+    """Return samples whose prediction is the value at the centre of the pixel plus a correction.
+    With this correction, the prediction equals the exact prediction to first order about the
+    parameter vector of the latter.
     """
     samples = replace(samples, points=(), offset=None)
     middle = predict(exact.vector, samples)

@@ -1,7 +1,8 @@
-"""Write the report section of a reflectance from images: one of `reflectance.models`, by channel.
+"""The report section of a reflectance calibration from images: the parameters of one of
+`reflectance.models` in each channel.
 
-Several models are fitted to the same lights and compared on the held-out lights. The requested one
-is reported in full, with the reasons to doubt it.
+Several models are fitted to the same lights and compared on the held-out lights. The requested
+model is reported in full, with findings on its weaknesses.
 """
 
 from collections.abc import Iterable, Sequence
@@ -119,8 +120,8 @@ def determined_estimates(
 
 
 def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimate]:
-    """Estimate the parameters that the data determine, with the others fixed at their best values.
-    For the others, state the reasons.
+    """Estimate the parameters that the data determine, with all others fixed at their best values.
+    For these others, state why the data do not determine them.
     """
     known = [i for i, parameter in enumerate(fit.space) if parameter.name not in reasons]
     errors, freedom = np.zeros(len(fit.space)), np.full(len(fit.space), np.inf)

@@ -1,9 +1,10 @@
-"""Check the rig's light directions and object position against the images.
+"""Checks of the rig's light directions and object position against the images.
 
 Under a distant light, the signal of a matt surface with normal n is g.n, where the vector g has the
-direction of the light. Each image therefore determines its own light direction from known normals
-(Woodham 1980), with the highlight left out as an outlier. A wrong sign, files in another order or a
-displaced sphere make this direction differ from the stated one, whatever the model of the surface.
+direction of the light. Therefore the light direction can be estimated from each image and the known
+normals (Woodham 1980), with the highlight left out as an outlier. A wrong sign, files in another
+order or a displaced sphere make the estimated direction differ from the stated direction, whatever
+the model of the surface.
 """
 
 from dataclasses import replace
@@ -38,7 +39,8 @@ def directions_by_shading(
     observation: Photographs,
 ) -> tuple[Float[np.ndarray, "lights 3"], Bool[np.ndarray, " lights"]]:
     """Return the unit direction (lights, 3) estimated from each image alone, and whether the
-    estimate is valid (lights,). It is valid if the light is distant and the surface matt enough.
+    estimate is valid (lights,). The estimate is valid if the light is distant and the surface matt
+    enough.
     """
     signal = np.mean(observation.dn - observation.black, axis=0)
     if observation.gamma is not None:
@@ -55,7 +57,7 @@ def _direction(
     values: Float[np.ndarray, " pixels"], normals: Float[np.ndarray, "pixels 3"]
 ) -> tuple[Float[np.ndarray, "3"], bool]:
     """Return the least-squares direction of one light, without shadows and highlights, and whether
-    it is valid.
+    this estimate is valid.
     """
     if len(values) < FEWEST_PIXELS:
         return CAMERA, False
@@ -89,10 +91,10 @@ def contradictions(observation: Photographs, *, gamma: float | None = None) -> l
 
 
 def without_strangers(observation: Photographs) -> Photographs:
-    """Leave out images that are dark or saturated throughout and copies of others. Also leave out
-    images whose shading contradicts the stated direction of the light while most others agree with
-    theirs. A finding reports each. If more than half of the images, or all but a few, would be left
-    out, none is.
+    """Leave out images that are dark or saturated throughout, and copies of other images. If most
+    images agree with the stated directions of their lights, also leave out images whose shading
+    contradicts the stated direction. A finding reports each omitted image. If more than half of the
+    images, or all but a few, would be left out, no image is left out.
     """
     reasons = {
         i: f"every pixel that its light reaches is {state}"

@@ -10,11 +10,13 @@ Mean and variance of DN are accurate to second order in the noise, which is enou
 five standard deviations. E is the irradiance on a surface facing the light, in the rig's unit, so
 k_d and k_s are in DN per unit of E. n is the normal, l the light direction, K the system gain,
 sigma the read noise, b the black level and W the DN of full scale above black. `lobe` is the
-SHADING of one of `reflectance.models` with unit k_s. Phong, Blinn and the Gaussian lobe are as
-published, without a cosine. All others are f_r cos(theta_i). For Oren-Nayar, k_d lobe replaces both
-terms. Terms that a `Form` does not name are neither parameters nor computed.
+shading, that is, the reflected light per irradiance on a surface facing the light, of one of
+`reflectance.models` with unit k_s. For Phong, Blinn and the Gaussian lobe, the shading is as
+published, without a cosine. For all other models it is f_r cos(theta_i). For Oren-Nayar, k_d lobe
+replaces both terms. Terms that a `Form` does not name are neither fitted nor computed.
 
-Two calibrations invert this model. They differ in which values must be known from the rig:
+Two calibrations invert this model. The table states how each of them treats the surface, the
+encoding f and the sensor (b, K, sigma), and errors:
 
                       surface   f, b, K, sigma                    errors of lights and pixels
     reflectance       free      known, or K and sigma weights     widen the covariance
@@ -124,8 +126,8 @@ def in_plane(
     cos_i: OfSamples, cos_o: OfSamples, between: OfSamples, irradiance: OfSamples
 ) -> Geometry:
     """Return directions with given cosines between light, normal and viewer: the viewer in the xz
-    plane, the light at positive y. These cosines suffice, because the models depend on nothing
-    else.
+    plane, the light at positive y. Any directions with these cosines may be used, because the
+    models depend only on the cosines.
     """
     sin_i, sin_o = (np.sqrt(np.maximum((1 - c) * (1 + c), 0)) for c in (cos_i, cos_o))
     tilted = sin_i * sin_o > 0
