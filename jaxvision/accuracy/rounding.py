@@ -2,14 +2,14 @@
 the operation that loses most digits.
 
 The function is traced to its jaxpr, and every operation runs in float64 on float32 operands. If the
-result is not a float32 number, it is rounded up or down at random. The probabilities make the
-expectation exact, but neither is below 3/8, so that even a few runs show how many digits of a small
-term are lost in a sum. An exact result is not changed, so that compensated sums and products work.
-The scatter of the results over several runs is the rounding error (Parker, "Monte Carlo
-Arithmetic", UCLA CSD-970002, 1997). Special functions and long sums may have a float32 error above
-one ULP. Such an error is added with a random sign. A result that underflows to 0 becomes 0 or the
-smallest normal number at random. A loop, a branch or a linear solve is reported as one operation,
-but each operation inside it is rounded separately.
+result is not a float32 number, it is rounded up or down at random. The probability of each
+direction makes the expectation exact, but is at least 3/8, so that even a few runs show how many
+digits of a small term are lost in a sum. An exact result is not changed, so that compensated sums
+and products work. The scatter of the results over several runs is the rounding error (Parker,
+"Monte Carlo Arithmetic", UCLA CSD-970002, 1997). Special functions and long sums may have a float32
+error above one ULP. Such an error is added with a random sign. A result that underflows becomes, at
+random, 0 or the smallest normal number. A loop, a branch or a linear solve is reported as one
+operation, but each operation inside it is rounded separately.
 """
 
 from collections.abc import Callable

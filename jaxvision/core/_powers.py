@@ -177,8 +177,8 @@ _FORMAT = {
 
 
 class Decay(NamedTuple):
-    """The parts of a decay and of its complement: exp(-y) = (left + left_rest) scale further, and 1
-    - exp(-y) = lost + lost_rest, no units."""
+    """The parts of a decay and of its complement, no units. The decay is exp(-y) = (left +
+    left_rest) scale further, and the complement is 1 - exp(-y) = lost + lost_rest."""
 
     left: Scalars  # (...) between 0.7 and 1.5
     left_rest: Scalars  # (...)

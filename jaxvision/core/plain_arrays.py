@@ -2,8 +2,8 @@
 or refuse them.
 
 Converting such an array to plain numbers would lose the mask or unit without a message. Masked
-numbers become NaN, which marks a missing number everywhere in this library. For units, coordinates
-and indices, `InputError` is raised.
+numbers become NaN, which marks a missing number everywhere in this library. An array with a unit,
+coordinates or an index raises `InputError`.
 """
 
 import datetime

@@ -25,7 +25,7 @@ def cosine(angles: np.ndarray) -> np.ndarray:
 
 def toward_eye(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
     """Return the unit direction from each cell's centre to the eye, (c, 3), and the largest angle,
-    (c,) rad, by which it varies over the cell."""
+    (c,) rad, between this direction and the direction to the eye from another point of the cell."""
     if eye.everywhere:
         return cells.axis, np.full(len(cells.radius), np.pi)
     if eye.parallel:

@@ -231,7 +231,7 @@ class Pixel:
     @property
     def rank_of_counts(self) -> Rank:
         """The rank of a bound that assumes Poisson counts. With the brighter-fatter effect, counts
-        are not Poisson, and the bound for more light is only an estimate."""
+        are not Poisson-distributed, so the bound is only an estimate."""
         return "bound" if self.repulsion == 0 else "estimate"
 
     @cached_property
@@ -435,11 +435,10 @@ class Pixel:
         """Return how a full well affects the distance between two charges that differ by d = `by`
         electrons.
 
-        The result is an upper limit, in electrons^2, on the variance that may be assumed, and a
-        number of electrons to add to the distance. If charges rarely reach the full well, the well
-        changes each charge by at most the rms excess. Otherwise the well reduces the distance, and
-        the only noise that may be assumed is the shot noise, of a variance of at least a quarter of
-        the well.
+        The result is the largest variance, in electrons^2, that a bound may assume for other noise,
+        and a number of electrons to add to the distance. If charges rarely reach the full well, the
+        well changes each charge by at most the rms excess. Otherwise the well reduces the distance,
+        and a bound may only assume the shot noise, of a variance of at least a quarter of the well.
         """
         if self.spilt.rms <= 1e-3 * by:
             return INF, 2 * self.spilt.rms

@@ -32,9 +32,10 @@ def oversampling_row(
     view: Ends[View], opening: float, radiance: np.ndarray, oversampling: int
 ) -> Row:
     """Return the `Row` for replacing all samples of a pixel aperture by a single sample at the
-    pixel's centre. No sample is farther from the centre than the corners, and the cos^4 falloff
-    changes by at most 1.04 times the slope. `opening` is the largest gain, in W m^-2 per W m^-2
-    sr^-1. Parts of the view that act between pixels must have been dropped before."""
+    pixel's centre. No sample is farther from the centre than the corners of the pixel. Within this
+    distance, the cos^4 falloff changes by at most 1.04 times the change of a ray's slope. `opening`
+    is the largest gain, in W m^-2 per W m^-2 sr^-1. Parts of the view that spread light over
+    several pixels must have been dropped before."""
     reach = _MIDDLE * (1 - 1 / oversampling)
     amount = np.zeros_like(radiance)
     if not isinstance(view.high, Orthographic) and view.high.f_number is not None:

@@ -147,10 +147,11 @@ class Method(NamedTuple):
 
 
 class Arriving(NamedTuple):
-    """Bounds on the light from the scene to the camera. `radiance`: (bands,) W m^-2 sr^-1, the
-    supremum in the picture (inf: unknown). `near`, `far`: m along the axis, the range of depths
-    that may be in view (far: inf with a sky or an infinite plane). `turning`: (bands,) W m^-2
-    sr^-1, the largest difference in the radiance of a point between two points of the lens."""
+    """Bounds on the light from the scene to the camera. `radiance`, (bands,) W m^-2 sr^-1, is the
+    supremum of the picture, or inf if there is no bound. `near` and `far`, in m along the camera's
+    axis, are the smallest and largest depth that may be in view; `far` is inf for an infinite
+    plane. `turning`, (bands,) W m^-2 sr^-1, is the largest difference in the radiance of a point
+    between two points of the lens."""
 
     radiance: np.ndarray
     near: float
@@ -159,8 +160,9 @@ class Arriving(NamedTuple):
 
 
 class OnSensor(NamedTuple):
-    """Bounds on the light behind the lens. `irradiance`: (bands,) W m^-2, its supremum. `opening`:
-    W m^-2 per W m^-2 sr^-1, the largest gain of any pixel, without parts that remove light."""
+    """Bounds on the light behind the lens. `irradiance`, (bands,) W m^-2, is the supremum over all
+    pixels. `opening`, in W m^-2 per W m^-2 sr^-1, is the largest gain of any pixel if all parts
+    that remove light are dropped."""
 
     irradiance: np.ndarray
     opening: float

@@ -5,10 +5,10 @@ A cell cannot be shaded if the convex hull of the cell and the lamp is disjoint 
 that `blocking.may_block` allows. A cell is in the full shadow of a flat occluder under two
 conditions. First, the cell is on the other side of the occluder's plane than the lamp. Second, for
 each corner of the lamp, the cell is inside all planes through that corner and a side of the
-occluder. Then every segment from the cell to a corner of the lamp meets the occluder. So does every
-segment from the cell to any point of the lamp, because these segments cross the plane within the
-convex hull of those crossing points. The eye is treated like a lamp: cells in the full shadow of
-the eye are not seen. Lengths in m.
+occluder. Then every segment from the cell to a corner of the lamp meets the occluder. Segments from
+the cell to other points of the lamp also meet the occluder, because they cross its plane within the
+convex hull of the points where the segments to the corners cross. The eye is treated like a lamp:
+cells in the full shadow of the eye are not seen. Lengths in m.
 """
 
 from collections.abc import Sequence

@@ -18,8 +18,8 @@ NO_NUMBER = "magenta"  # where a map is NaN
 
 
 def picture(image: np.ndarray, *, white: float | None = None, axes: "Axes | None" = None) -> "Axes":
-    """Show an image as a picture. Codes, and values up to white, are shown unchanged. Radiance is
-    encoded in sRGB.
+    """Show an image as a picture. Integer codes, and values up to `white`, are shown unchanged.
+    Radiance is encoded in sRGB.
 
     Args:
         image: (h, w) or (h, w, bands), DN or relative; for more than 4 bands their mean is shown.

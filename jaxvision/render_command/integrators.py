@@ -68,8 +68,9 @@ def pixels_of(
 def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
     """Return a function from a seed to a function that computes pixels. A second seed, for the
     positions of rays within pixels, is optional. The function that computes pixels takes rows,
-    columns and the index of the first sample. For paths, it optionally takes another depth. The
-    radiance, in W m^-2 sr^-1, has the dtype of the scene. One compiled program serves all seeds."""
+    columns and the index of the first sample. For paths, that function optionally takes another
+    depth. The radiance, in W m^-2 sr^-1, has the dtype of the scene. One compiled program serves
+    all seeds."""
     traces = _seeded_traces_of(source, settings)
 
     def seeded(seed: int, within_pixels: int | None = None) -> Computed:

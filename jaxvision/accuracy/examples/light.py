@@ -167,8 +167,8 @@ def _sampler() -> Problem:
 
 
 def _bands() -> Problem:
-    """Make a problem of the tristimulus values of D65 through a filter, where all spectra are
-    sampled at the number of wavelengths that is the setting."""
+    """Make a problem of the tristimulus values of D65 through a filter, where the setting is the
+    number of wavelengths at which all spectra are sampled."""
 
     def prepare(settings: Mapping[str, Any]) -> Compute:
         wavelengths = jnp.linspace(380e-9, 780e-9, settings["bands"])

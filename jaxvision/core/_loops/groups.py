@@ -92,9 +92,9 @@ def fold(step: Callable[[Tree, Record], Tree], start: Tree, records: Sequence[Re
 
 
 def row(leaf: Array, slot: Int[Array, ""]) -> Array:
-    """Return leaf[slot], where the slot must exist. A row of up to four numbers is read one number
-    at a time. Each read is then a gather of scalars, for which CPUs have vector instructions.
-    Numbers that are not used are then not read."""
+    """Return leaf[slot], where `slot` must be a valid index. A row of up to four numbers is read
+    one number at a time. Each read is then a gather of scalars, for which CPUs have vector
+    instructions. Numbers of the row that the program does not use are not read."""
     if leaf.ndim == 2 and leaf.shape[1] <= 4:
         columns = [leaf[:, k].at[slot].get(mode="promise_in_bounds") for k in range(leaf.shape[1])]
         return jnp.stack(columns)

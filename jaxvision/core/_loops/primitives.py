@@ -39,8 +39,9 @@ def not_inlined(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def identity(name: str, loops: Loops) -> Loops:
-    """Return an identity function of any number of arrays that is compiled as `loops`. Tangents and
-    cotangents pass through the same loops, except structural zeros."""
+    """Return a function that returns its arrays unchanged. XLA compiles a call of this function as
+    a call of `loops`. Tangents and cotangents, except structural zeros, are passed through `loops`
+    too."""
     primitive = Primitive(name)
 
     def evaluate(values: Sequence[Any]) -> list[Any]:

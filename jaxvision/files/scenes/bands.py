@@ -197,8 +197,9 @@ def _integrals(
 
 
 def _shares(known: np.ndarray, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the matrix, (known, bands), that sums an interpolated spectrum times weights, (points,
-    bands), over the points."""
+    """Return the matrix, (known, bands), that converts values of a spectrum at `known` wavelengths
+    to bands. A band is the sum over points of the interpolated spectrum times the weights, (points,
+    bands)."""
     above = np.clip(np.searchsorted(known, points, side="right"), 1, max(len(known) - 1, 1))
     below, above = above - 1, np.minimum(above, len(known) - 1)
     t = np.clip((points - known[below]) / np.maximum(known[above] - known[below], 1e-300), 0, 1)
