@@ -4,7 +4,7 @@ Examples of independent tasks are the tiles or passes of a render, the folders o
 simulations of a check. Inside `with jaxvision.cluster(client)`, tasks run on the workers of a Dask
 client. Results are returned in the order of the tasks, whichever task ends first. On the same type
 of processor, a file made from the results has the same bytes with and without workers. If a worker
-is lost, another worker repeats its unfinished tasks.
+is lost, another worker repeats the unfinished tasks of the lost worker.
 """
 
 import hashlib

@@ -1,5 +1,5 @@
-"""Plots of error against time: one for each setting, and one figure with the Pareto fronts of all
-settings."""
+"""Plot error against time: one figure for each knob, and one figure with the Pareto fronts of all
+knobs."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -25,10 +25,10 @@ def plot(
     others: Sequence[tuple[str, float, float]] = (),
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """Plot error against time for one setting. Filled points have error bars for the spread over
-    seeds. A hollow point has an error of less than three times the error of the reference. A dashed
-    line marks the error of the reference, unless it is far below all points. Points on the lower
-    axis have the error 0. The solid line is the Pareto front.
+    """Plot error against time for the settings of one knob. Filled points have error bars for the
+    spread over seeds. A hollow point has an error of less than three times the error of the
+    reference. A dashed line marks the error of the reference, unless it is far below all points.
+    Points on the lower axis have the error 0. The solid line is the Pareto front.
 
     Args:
         curve: measured errors and times, from `curve`.
@@ -104,7 +104,7 @@ def _without_error(axes: "Axes", trials: Sequence[Trial]) -> None:
 
 
 def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
-    """Draw the Pareto fronts of several settings of one problem in one plot.
+    """Draw the Pareto fronts of several knobs of one problem in one plot.
 
     Args:
         curves: measured errors and times, one curve for each setting.

@@ -9,7 +9,7 @@ is a sum of two numbers, p = nearest + rest, and
 so log x is needed to one digit only. That digit comes from the bits of x, read as an integer.
 
 XLA's exp has an error of one ULP, and its expm1 an error of five ULP. Here y is written as k ln 2 +
-r with an integer k, and
+r with an integer k. The functions
 
     exp(-y) = 2^-k (1 + t),    1 - exp(-y) = (1 - 2^-k) - 2^-k t,    t = exp(-r) - 1, |t| < 0.42,
 

@@ -36,8 +36,8 @@ class _OneOf(type):
 
 
 def print_by_name(aliases: dict[str, Any], *names: str) -> None:
-    """Replace named type aliases in `aliases`, a module's `globals()`, by classes of the same name,
-    so that signatures and type errors show the name."""
+    """Replace the named type aliases of a module by classes of the same name, so that signatures
+    and type errors show the name. `aliases` is the module's `globals()`."""
     module = aliases["__name__"].partition(".")[0]
     for name in names:
         alias = aliases[name]
@@ -190,7 +190,8 @@ def as_optional_float(x: Any) -> Array | None:
 
 def as_relative(x: Any) -> Array:
     """Convert colours or coverage to an array. A floating dtype is not changed. Raise `ValueError`
-    for integer codes and for complex numbers: integer fractions would wrap or round to 0."""
+    for complex numbers and for integer codes, because fractions of integer codes would wrap or
+    round to 0."""
     array = _as_numbers(x)
     if not jnp.issubdtype(array.dtype, jnp.floating):
         codes = jnp.issubdtype(array.dtype, jnp.unsignedinteger)
@@ -213,8 +214,8 @@ def map_beside(values: Any, picture: Array) -> Any:
 
 def refuse_codes(values: Any) -> None:
     """Raise `ValueError` for an image whose concrete floating-point values are probably codes such
-    as 0 to 255: at least 16 values, all whole, with the largest above 100. Measured light is not a
-    whole number in every pixel, so such values are not light."""
+    as 0 to 255: at least 16 values, all whole, with the largest above 100. Light is not a whole
+    number in every pixel, so such values are codes."""
     if not is_known(values) or np.size(values) < 16:
         return
     known = np.asarray(values)
@@ -250,8 +251,8 @@ def as_dtype(record: Record, dtype: Any) -> Record:
 
 
 def axes_of(alias: Any) -> tuple[int | str, ...]:
-    """Return the axes of an array alias: an integer for an axis of fixed length, its name for any
-    other."""
+    """Return the axes of an array alias: an integer for an axis of fixed length, and the name of
+    any other axis."""
     return tuple(int(axis) if axis.isdigit() else axis for axis in alias.dim_str.split())
 
 

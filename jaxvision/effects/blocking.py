@@ -203,7 +203,7 @@ def _within(
 ) -> np.ndarray:
     """Return flags, (n,): whether each body lies inside a given ball or box. The flags are False if
     a parameter of the ball or box is free. Unless `strictly`, a body may touch the sides of a box
-    from inside; `relative` is the tolerated rounding error of its coordinates."""
+    from inside. `relative` is the tolerated relative rounding error of coordinates."""
     shape = surface.low.shape
     if not same(*surface.of("shape")) or not isinstance(shape, Sphere | Box):
         return np.zeros(len(bodies.points), bool)

@@ -115,9 +115,9 @@ def times(a: np.ndarray, b: np.ndarray | float) -> np.ndarray:
 def _toward_places(
     source: Source, cells: Cells, least: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the unit direction from each cell to each light position, (c, s, 3). Also return the
-    variation of this direction over the cell, in rad, the largest cosine of incidence, and the
-    largest irradiance E, (c, s) each."""
+    """Return the unit direction from each cell to each light position, (c, s, 3). Also return, (c,
+    s) each, the largest angle between this direction and the direction from another point of the
+    cell, in rad; the largest cosine of incidence; and the largest irradiance E."""
     apart = source.places - cells.centre[:, None]
     distance = np.linalg.norm(apart, axis=-1)
     wi, size = unit(apart), cells.radius[:, None] + source.size

@@ -74,7 +74,7 @@ def _ladder_order(row: Row) -> float:
 def _moved(
     scene: Ends[Scene], view: Ends[View], motion: Motion, times: Sequence[float] | np.ndarray
 ) -> Iterator[tuple[Ends[Scene], Ends[View]]]:
-    """Yield the scene and the view at each time, in s. All their parameters are fixed."""
+    """Yield the scene and the view at each time, in s, with all parameters fixed."""
     dtype = view.low.pixel_pitch.dtype
     for time in times:
         there, seen = motion(scene.low, view.low, jnp.asarray(time, dtype))

@@ -200,8 +200,8 @@ class Pixel:
 
     @cached_property
     def bright(self) -> float:
-        """The electrons of the brightest pixel, including the root mean square of the excess of a
-        hot pixel."""
+        """The mean number of electrons of the brightest pixel, plus the root mean square of the
+        excess of a hot pixel."""
         return self.light + self.dark + math.sqrt(2) * self.hot
 
     @property

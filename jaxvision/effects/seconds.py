@@ -2,10 +2,10 @@
 without it.
 
 A picture is made by four programs, for the scene, the lens, the sensor and the development, with
-separate records as arguments. Dropping an effect changes the records of some programs. The
-difference of their times is the time of the effect. Programs whose records have the same structure
-and sizes, in any order of the surfaces, are compiled and timed only once. The program that traces
-paths is the same for all numbers of segments.
+separate records as arguments. Dropping an effect changes the records of some programs. The time of
+the effect is the difference between the times of these programs with and without it. Programs whose
+records have the same structure and sizes, in any order of the surfaces, are compiled and timed only
+once. The program that traces paths is the same for all numbers of segments.
 """
 
 import time

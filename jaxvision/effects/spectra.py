@@ -150,8 +150,8 @@ def _step(bands: int, kept: np.ndarray, expand: np.ndarray, residual: np.ndarray
 
 
 def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
-    """Return a scene with a few of its bands. Every spectrum of `bands` numbers is reduced; neutral
-    spectra stay."""
+    """Return a scene with a few of its bands. Every spectrum of `bands` numbers is reduced to these
+    bands. Neutral spectra, of one number, are not changed."""
 
     def cut(spectrum: Any) -> Any:
         if spectrum is None or spectrum.shape[-1] != bands:

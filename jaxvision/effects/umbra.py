@@ -242,9 +242,9 @@ def _eye_as_source(eye: Eye) -> Source | None:
 
 
 def _shadow_of(shape: Ends[Shape], source: Source) -> _Shadow | None:
-    """Return the full shadow of an occluder, or None if there is none. There is no full shadow if
-    the occluder is not flat or has free parameters, if the light is a sky, or if the light is not
-    entirely on one side of the occluder."""
+    """Return the full shadow of an occluder, or None if no point is in full shadow. The result is
+    None if the occluder is not flat or has free parameters, if the light is a sky, or if the light
+    is not entirely on one side of the occluder."""
     plane = plane_between(shape)
     if plane is None:
         return None

@@ -16,8 +16,8 @@ A view without `position` and `rotation` is at the origin and looks along +z, wi
 and +y downward. Instead of a `transmission`, `[sensor.colour_filter]` may name measured
 sensitivities of the package colour-science, such as `sensitivities = "Nikon 5100 (NPL)"`, with
 `peak`, the largest number of electrons per photon of any band. The table `[bands]` then gives the
-wavelengths by `first`, `last` and `step`, in m. A Bayer `pattern` may be written as "RGGB". `about`
-is free text.
+wavelengths by `first`, `last` and `step`, in m. A Bayer `pattern` may be written as "RGGB". The key
+`about` holds free text.
 """
 
 import os

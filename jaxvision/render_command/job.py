@@ -68,11 +68,11 @@ def render_to_file(
 ) -> Cost:
     """Render a scene file to an EXR file, in W m^-2 sr^-1, tile by tile. Return the rms standard
     error over the rms radiance, and the time in s. With several samples, the file has a layer
-    `error` of standard errors, which assume independent samples. `pruned` is the scene to render in
-    place of the whole scene, whose certificate is written to the header. `preview` is the path of
-    an 8-bit picture. `fresh` states whether to drop the finished tiles of an interrupted call.
-    `advance(done, all)` is called after each tile. The message of a `KeyboardInterrupt` says how to
-    continue. Any other failure raises `InputError`."""
+    `error` of standard errors, which assume independent samples. `pruned` is a pruned scene to
+    render in place of the whole scene. The certificate of `pruned` is written to the file's header.
+    `preview` is the path of an 8-bit picture. `fresh` states whether to drop the finished tiles of
+    an interrupted call. `advance(done, all)` is called after each tile. The message of a
+    `KeyboardInterrupt` says how to continue. Any other failure raises `InputError`."""
     if out.suffix.lower() != ".exr":
         raise InputError(f"{out}: a render holds radiance and is written as EXR; name it so.")
     check_writable(out)

@@ -216,8 +216,9 @@ def material_tables() -> dict[str, Table]:
 
 
 def _tables_by_word(things: str, registered: Mapping[type, Any]) -> dict[str, Table]:
-    """Return tables by the word that names them in a scene file. If a class is defined again, its
-    new definition replaces the old one; two different classes may not have the same word."""
+    """Return the tables of light or material types, by the word that names the type in a scene
+    file. If a class is defined again, its new definition replaces the old one; two different
+    classes may not have the same word."""
     found: dict[str, Table] = {}
     tables: list[Table | None] = [own.table for own in registered.values()]
     for table in tables:

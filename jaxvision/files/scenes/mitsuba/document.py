@@ -326,8 +326,8 @@ class _Reader:
 
 
 def _alike(value: Any, otherwise: Any) -> bool:
-    """Return whether two values have the same shape. A transform and a point, for example, are both
-    arrays, but of different shapes."""
+    """Return whether two values have the same shape. For example, a transform and a point are both
+    arrays, but have different shapes."""
     return not isinstance(otherwise, np.ndarray) or np.shape(value) == otherwise.shape
 
 
