@@ -21,6 +21,9 @@ LIKE_SHOT_NOISE = 0.5  # relative variance per signal below which a level is sat
 UNLIKE = 2.0  # ratio to the scatter of the other levels, which 256 blocks determine to 5 %
 ALONE_ON_IT = 1e-3  # least assumed share of a level's deviation that remains after a fit
 CLIPPED = 1e-3  # share of the pixels at the top code
+SATURATED = 0.1  # the same for darks, of which hot pixels alone saturate fewer
+FEWEST_DARKS = 4  # levels of darks, for a line over exposure through all but one
+LIT = 10.0  # least deviation of a dark level from that line, in standard deviations of a pixel
 
 
 def _lit(levels: ComparedLevels) -> list[int]:
@@ -33,6 +36,42 @@ def _signals(levels: ComparedLevels, there: list[int]) -> np.ndarray:
     assert levels.black is not None
     means = [np.median([frame.mean for frame in levels.frames[i]]) for i in there]
     return np.maximum(np.array(means) - levels.black[there], 1e-9)
+
+
+def dark_levels(levels: ComparedLevels) -> None:
+    """Remove saturated levels of darks, and those whose mean deviates from a line over exposure
+    through the others, as the dark current gives it. For darks, `light` is the exposure."""
+    for level, frames in enumerate(levels.frames):
+        top = float(np.mean([frame.at_top for frame in frames])) if frames else 0.0
+        if top > SATURATED:
+            names = tuple(frame.name for frame in frames)
+            reason = f"{format_percent(top)} of the pixels are saturated, though they are darks"
+            levels.odd.append(OddFrames(names, reason, spare=True))
+            levels.frames[level] = []
+    while True:
+        there = [i for i, frames in enumerate(levels.frames) if frames]
+        exposure = levels.light[there]
+        if len(there) < FEWEST_DARKS or len(np.unique(exposure)) < FEWEST_DARKS - 1:
+            return
+        means = np.array([np.median([frame.mean for frame in levels.frames[i]]) for i in there])
+        away, scatter = np.zeros(len(there)), np.zeros(len(there))
+        for i in range(len(there)):
+            rest = np.arange(len(there)) != i
+            line = np.polynomial.Polynomial.fit(exposure[rest], means[rest], 1)
+            away[i] = means[i] - line(exposure[i])
+            scatter[i] = np.abs(means[rest] - line(exposure[rest])).max()
+        noise = np.maximum(levels.noise[there], 1 / np.sqrt(12))
+        beyond = np.abs(away) / np.maximum(LIT * noise, SURE * scatter)
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= 1:
+            return
+        frames = levels.frames[there[worst]]
+        reason = (
+            f"the mean is {means[worst]:.5g} DN, where a line over exposure through the other "
+            f"darks gives {means[worst] - away[worst]:.5g} DN, as if light fell in or their "
+            "exposure was another one"
+        )
+        levels.remove(there[worst], range(len(frames)), reason)
 
 
 def light_of_levels(levels: ComparedLevels) -> None:

@@ -17,7 +17,12 @@ from jaxvision import ArrayLike
 
 from ..copies import Copies
 from ..inference.formatting import format_percent
-from .between_levels import distribution_of_levels, light_of_levels, noise_of_levels
+from .between_levels import (
+    dark_levels,
+    distribution_of_levels,
+    light_of_levels,
+    noise_of_levels,
+)
 from .compared import (
     MOST,
     MOSTLY,
@@ -56,6 +61,8 @@ def odd_frames(
         light_of_levels(compared)
         noise_of_levels(compared)
         _copies_across(compared)
+    else:
+        dark_levels(compared)
     return compared.odd
 
 

@@ -16,7 +16,7 @@ from fitting.noise.across_settings.prediction import predict_settings
 from fitting.noise.doubts import drifting
 from fitting.noise.emva1288 import evaluate, ranges
 from fitting.noise.findings import _glow, _periodic
-from fitting.noise.levels import linear_levels
+from fitting.noise.levels import linear_levels, shot_of, signal_of
 from fitting.noise.levels_table import read_table
 from fitting.noise.live_pixels import stuck_bits
 from fitting.noise.pattern import fitted_pattern
@@ -522,3 +522,35 @@ def test_the_light_of_a_lamp_that_wanders_is_less_known_than_that_of_independent
     found = under_lamp(np.random.default_rng(0), mixed)
     assert not told(found, "lights that drift")
     assert found.shown["quantum_efficiency"].standard_error < 0.6
+
+
+@pytest.mark.parametrize("place", [0, 3, 7])
+@pytest.mark.parametrize("what", ["saturated", "lit"])
+def test_a_dark_level_of_too_much_light_is_left_out_alone(place, what):
+    """The flats of its exposure stay, with the darks of the nearest exposure."""
+    rng, light = np.random.default_rng(place), np.linspace(500, 4000, 8)
+    flats, darks = ([[exposed(rng, x) for _ in "ab"] for x in of] for of in (light, 0 * light))
+    full = np.full_like(darks[0][0], 4095)
+    darks[place] = [full, full] if what == "saturated" else [exposed(rng, 3000.0) for _ in "ab"]
+    times = list(light / light[-1])
+    found = noise.from_frames(flats, darks, times, list(light), camera=noise.Camera(bits=12))
+    (said,) = found.dark.left_out
+    assert f"darks[{place}][0] and darks[{place}][1] were left out" in said
+    assert ("100 % of the pixels are saturated" if what == "saturated" else "a line over") in said
+    assert found.bright.left_out == ()
+    assert len(found.bright.mean) == 8
+    assert len(found.dark.mean) == 7
+    gain = float(np.sum(shot_of(found)) / np.sum(signal_of(found)))
+    assert abs(gain / K - 1) < 0.02
+
+
+def test_saturated_darks_of_a_large_dark_current_leave_the_others():
+    """The last of ten darks has .5 · 8500 + 64 DN of 4095."""
+    rng, seconds = np.random.default_rng(1), np.linspace(0.1, 1.0, 10)
+    flats = [[exposed(rng, e) for _ in "ab"] for e in ELECTRONS]
+    darks = own_darks(rng, seconds, 8500.0)
+    of = {"camera": noise.Camera(bits=12), "dark_exposures": list(seconds)}
+    found = noise.from_frames(flats, darks, [0.01] * 8, list(ELECTRONS), **of)
+    (said,) = found.dark.left_out
+    assert "are saturated, though they are darks" in said
+    assert len(found.dark.mean) == 9
