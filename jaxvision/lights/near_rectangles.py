@@ -27,6 +27,7 @@ from .rules import Quadrature, Rule
 # An error of irradiance is reported above this fraction of the irradiance on surfaces that face
 # the light.
 MISSED = 0.1
+_ROUGH = 3  # the largest order that is chosen for speed alone, without a warning
 _NEAR = 1 / 64  # of the longer edge: nearer points share one map of the edge
 _ON = 1e-5  # of the longer edge: surfaces that are nearer bear the rectangle
 _SIDE = 9  # receivers along each side of a rectangle
@@ -166,7 +167,7 @@ def _checked(
     for i, (light, rule) in enumerate(zip(lights, rules, strict=True)):
         if not (isinstance(light, RectangleLight) and isinstance(rule, Quadrature)):
             continue
-        if all(map(is_known, jax.tree.leaves(light))):
+        if rule.order > _ROUGH and all(map(is_known, jax.tree.leaves(light))):
             yield i, light, rule
 
 

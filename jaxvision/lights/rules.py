@@ -24,8 +24,8 @@ class Quadrature(Shown):
     -1.9 % at .03 and -34 % at a hundredth (+47 % at other points). Order 32 has an error of -4e-4
     at a hundredth. `orders.order_for` gives the order that a distance needs, and
     `adaptive.adaptive_irradiance` chooses the order for many receivers. `irradiance` and the
-    pictures warn of an error above 10 %. Quadrature misses structure that is finer than the
-    distance between nodes:
+    pictures warn of an error above 10 % from order 4 on. Quadrature misses structure that is finer
+    than the distance between nodes:
 
       * The sun in a sky. `render`, `ray_traced`, `capture` and `outgoing_radiance` then warn.
       * A glossy lobe. For the highlight of GGX facets in a square light, at a distance equal to its
