@@ -1,4 +1,4 @@
-"""Calibrate surface, response and sensor jointly from the same images."""
+"""Joint calibration of surface, response and sensor from the same images."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -40,10 +40,11 @@ class JointCalibration(ShownInNotebooks):
         model: reflectance model of the surface.
         fits: the fits, one for each channel.
         posteriors: posteriors by channel, where data and priors determine every parameter.
-        robust: by channel, the covariance that is robust to errors shared within images. Absent if
-            the rig states errors of images and the images show no larger errors. If images
-            disagree, the design effect is above 1.
-        halves: by channel, separate fits of two halves of the images, where images disagree.
+        robust: by channel, the covariance that is robust to errors shared within images. A channel
+            has none if the rig states errors of images and these explain the disagreement of the
+            images. If images disagree by more than chance explains, the design effect is above 1.
+        halves: by channel, separate fits of two halves of the images, for channels whose images
+            disagree.
     """
 
     observation: Photographs
@@ -78,7 +79,7 @@ def calibrate(
     states are left out and named in the findings.
 
     Args:
-        measurement: photographs, with flats and darks if there are any.
+        measurement: photographs, with optional flats and darks.
         model: reflectance model of the surface.
         index: index of refraction of the clear facets of Torrance-Sparrow.
         fit_gamma: whether the encoding exponent is fitted even where the rig states it.
@@ -129,9 +130,9 @@ def calibrate(
 
 
 def _recognised(observation: Photographs, channel: int, fit: JointFit) -> Photographs:
-    """Decide whether a pixel's digital number is its area's mean or the value at its centre, from
-    the highlights of a fitted channel. Return the photographs, in which pixels are points if the
-    highlights show that they are.
+    """Test, with the highlights of a fitted channel, whether a pixel's digital number is the mean
+    over its area or the value at its centre. Return the photographs, with pixels as points if the
+    values are those at centres.
     """
     seen, known = fit.grid.observation, names(fit.space)  # with the lights as fitted
     vector = fit.vector[[known.index(name) for name in names(parameter_space(fit.form))]]

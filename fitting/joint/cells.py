@@ -1,18 +1,19 @@
-"""Reduce images of an object to cells of pixels with similar normals.
+"""Reduction of images of an object to cells of pixels with similar normals.
 
-A cell is described by the number of its pixels, their mean and their scatter. These determine the
-likelihood if the pixels of a cell have equal signals. Signals within a cell differ a little, so a
-reference model near the best one is subtracted first, averaged over the area of each pixel. The
-prediction of a cell is corrected by the reference's mean over the pixels minus its value at their
-mean geometry, and the scatter is taken about the reference. At the reference, cells and pixels have
-the same likelihood. For other models they differ by the curvature of the model within a cell. Cells
+A cell is described by the number of its pixels, their mean and their scatter. These three numbers
+determine the likelihood if the pixels of a cell have equal signals. Signals within a cell differ a
+little, so a reference model near the best model is subtracted first, averaged over the area of each
+pixel. The prediction of a cell is corrected: the mean of the reference model over the pixels is
+added, and its value at the mean geometry of the pixels is subtracted. The scatter is computed about
+the reference model. At the parameters of the reference, cells and pixels have the same likelihood.
+At other parameters, the two likelihoods differ by the curvature of the model within a cell. Cells
 are therefore wide where an image is smooth, and are divided at its highlight and near black or
 saturation.
 
 A cell is used in an image if all of its pixels are lit and away from both ends of the scale. The
-reference decides this, because a selection by measured numbers would depend on their noise. Pixels
-whose measured numbers are far from both ends are used as well, because a wrong reference would
-otherwise exclude them.
+selection is by the numbers that the reference model predicts, because a selection by measured
+numbers would depend on their noise. Pixels whose measured numbers are far from both ends are used
+as well, because a wrong reference model would otherwise exclude such pixels.
 """
 
 from dataclasses import dataclass
@@ -66,7 +67,7 @@ class Grid:
 
 
 def cell_width(form: Form, shape: float | None) -> float:
-    """Return the width of the finest cells in rad. They resolve the lobe of a given `shape` (None
+    """Return the width of the finest cells in rad, which resolve the lobe of a given `shape` (None
     for Lambert).
     """
     if shape is None or not has_lobe(form.model):
@@ -92,9 +93,10 @@ def make_grid(
 ) -> Grid:
     """Group the pixels of an object by their normals, for the lights that are not held out.
 
-    Where the model with the `reference` values varies, the cells are as fine as `width` in rad.
-    `turns` adds the derivatives of cells with respect to light directions. With `shared`, all
-    images have the same cells, which is needed if a pixel's error is the same in all images.
+    The cells are as fine as `width`, rad, where the model with the `reference` values varies.
+    `turns` adds the derivatives of the cells' geometry with respect to light directions. With
+    `shared`, all images have the same cells, which is needed if a pixel's error is the same in all
+    images.
     """
     lights = np.flatnonzero(~observation.held_out)
     levels, ones = _levels(observation.normals, width), np.ones(len(observation.normals))
@@ -123,8 +125,8 @@ def make_grid(
 
 
 def _levels(normals: np.ndarray, width: float) -> list[np.ndarray]:
-    """Return the cell of each pixel for each width, from the widest down to `width`. Each cell
-    contains four of the next finer ones.
+    """Return the cell of each pixel for each width of cells, from the widest down to `width`. Each
+    cell contains four cells of the next smaller width.
     """
     x, y, z = normals.T
     plane = np.sqrt(2 / (1 + z))  # Lambert's: equal areas for equal solid angles
@@ -138,7 +140,7 @@ def _levels(normals: np.ndarray, width: float) -> list[np.ndarray]:
 
 
 def _uneven(cell: np.ndarray, usable: np.ndarray, shading: np.ndarray) -> np.ndarray:
-    """Return, for each pixel, whether its cell is only partly used or crossed by a highlight."""
+    """Return a mask of the pixels whose cell is only partly used or is crossed by a highlight."""
     count = np.bincount(cell)
     part = np.bincount(cell, usable)
     low, high = np.full(len(count), np.inf), np.full(len(count), -np.inf)
@@ -160,10 +162,10 @@ def _divided(levels: list[np.ndarray], split: np.ndarray) -> np.ndarray:
 def reduce_images(
     grid: Grid, reference: Values, *, within: Float[np.ndarray, "images cells"] | None = None
 ) -> Cells:
-    """Reduce images to the cells of a grid, about a model of natural `reference` values, which must
-    include gain and read noise. If the values include unequal pixel gains, the cells also contain
-    products of the deviations in two images. `within` is the count of pixels (images, cells) of
-    cells that may be used; None allows all.
+    """Reduce images to the cells of a grid, about a reference model. The natural values `reference`
+    of that model must include gain and read noise. If the values include unequal pixel gains, the
+    cells also contain products of the deviations in two images. `within` is the number of pixels
+    (images, cells) of the cells that may be used, 0 for all others; None allows all cells.
     """
     observation, channel, form = grid.observation, grid.channel, grid.form
     count, mean, scatter, offset = (np.zeros(grid.count.shape) for _ in range(4))
@@ -218,9 +220,10 @@ def image_geometry(
 def pixels_at(
     observation: Photographs, channel: int, light: int, values: Values, form: Form
 ) -> tuple[Float[np.ndarray, " pixels"], Bool[np.ndarray, " pixels"]]:
-    """Return the expected DN of the pixels in one image, and a mask of pixels away from both ends
-    of the scale and from the partly lit outline, (pixels,) each. A pixel is in the mask by its
-    expected number, or by a measured number that is at least twice as far from both ends.
+    """Return the expected DN of the pixels in one image, and a mask of usable pixels, (pixels,)
+    each. Usable pixels are away from both ends of the scale and from the partly lit outline. A
+    pixel is away from both ends if its expected number is, or if its measured number is at least
+    twice as far from both ends as required.
     """
     white, (geometry, weights) = observation.white, _points(observation, channel, light)
     found = _pixel_moments(values, form, geometry, jnp.asarray(white), weights)
@@ -248,8 +251,8 @@ def _points(observation: Photographs, channel: int, light: int) -> tuple[Geometr
 
 @eqx.filter_jit
 def _slopes(surface: tuple[str, ...], values: Values, *of: Any) -> Values:
-    """Return the derivatives of the expected number of X (see `_pixel_moments`) with respect to the
-    surface's natural values.
+    """Return the derivatives of the expected digital number of a pixel with respect to the natural
+    values of the surface.
     """
 
     def mean_of(own: Values) -> Array:
@@ -262,9 +265,10 @@ def _slopes(surface: tuple[str, ...], values: Values, *of: Any) -> Values:
 def _pixel_moments(
     values: Values, form: Form, geometry: Geometry, white: Array, weights: np.ndarray
 ) -> tuple[Array, ...]:
-    """Return five arrays. X is the signal averaged over the points of a pixel, the first axis of
-    the geometry. The arrays are the expected number for X raised to at least its noise, X itself,
-    the variance of the number, the standard deviation of X, and the expected number for X.
+    """Return five arrays for X, the signal averaged over the points of a pixel, which are the first
+    axis of the geometry. The arrays are the expected digital number for X or its noise, whichever
+    is larger; X itself; the variance of the digital number; the standard deviation of X; and the
+    expected digital number for X.
     """
     x = jnp.tensordot(weights, signal(values, form, geometry), 1)
     gain = values["system_gain"]
@@ -274,8 +278,8 @@ def _pixel_moments(
 
 
 def _means(values: np.ndarray, cell: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """Return the mean of values by cell in one image. A cell without pixels takes the mean of the
-    first cell.
+    """Return the mean of values for each cell in one image. A cell without pixels gets the mean of
+    the first cell.
     """
     columns = values.reshape(len(values), -1).T
     sums = np.stack([np.bincount(cell, column, len(count)) for column in columns], axis=1)

@@ -39,8 +39,8 @@ def images_figure(calibration: JointCalibration) -> "Figure":
 
 
 def noise_figure(calibration: JointCalibration) -> "Figure":
-    """Draw the mean squared residual of a pixel and the model's variance as functions of the mean.
-    Fitted errors of whole images are subtracted from the residual.
+    """Draw the mean squared residual of a pixel and the model's variance as functions of the
+    pixel's mean. Fitted errors of whole images are subtracted from the residual.
     """
     from matplotlib.figure import Figure
 

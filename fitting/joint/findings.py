@@ -1,4 +1,5 @@
-"""State the findings of a joint calibration, each with its condition, and its tables."""
+"""The findings of a joint calibration, each with the condition under which it is reported, and the
+tables of its report."""
 
 from dataclasses import replace
 from functools import partial
@@ -67,8 +68,8 @@ def darker_than_darks(observation: Photographs) -> list[Numbers]:
 
 
 def gains_disagree(fit: JointFit, stated: float | None) -> Numbers | None:
-    """Report if the gain from the object's pixels differs from that of flats and darks, or of the
-    rig (DN/e-), in a linear fit.
+    """Report, for linear files, if the gain estimated from the object's pixels differs from the
+    gain from flats and darks, or from the gain that the rig states (DN/e-).
     """
     cells, levels = fit.data.cells, fit.data.levels
     freedom = np.asarray(cells.count, float) - 1
@@ -92,8 +93,8 @@ def gains_disagree(fit: JointFit, stated: float | None) -> Numbers | None:
 
 
 def _slope(mean: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> tuple[float, float]:
-    """Fit variances as a linear function of means by iteratively weighted least squares, and return
-    the slope with its standard error.
+    """Fit variances as a linear function of means by iteratively reweighted least squares, and
+    return the slope with its standard error.
     """
     if len(mean) < 3 or np.ptp(mean) == 0:
         return np.nan, np.inf
@@ -111,8 +112,8 @@ def _slope(mean: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> tuple
 
 
 def misses_as_noise(calibration: JointCalibration, fit: JointFit) -> bool:
-    """Return whether the fitted gain and read noise absorb the model's misfit: images disagree, but
-    the scatter within their cells is not larger than that noise.
+    """Return whether the fitted gain and read noise absorb the model's misfit. The sign is that
+    images disagree although the scatter within their cells is not larger than the fitted noise.
     """
     free = not {*NOISE} <= set(fit.data.known) and fit.data.levels is None
     robust = calibration.robust.get(fit.channel)
@@ -142,8 +143,9 @@ def _misfit(of: OfChannel) -> Numbers | None:
 
 
 def hiding_pixels(of: OfChannel) -> tuple[UnequalPixels, bool] | None:
-    """Estimate the unequal gains of pixels from their scatter, and return whether these make gain
-    and read noise unidentifiable; None if the scatter does not determine them.
+    """Estimate unequal gains of pixels from the scatter of pixels within cells. Return the
+    estimate, and whether unequal gains make system gain and read noise unidentifiable. Return None
+    if the scatter does not determine unequal gains.
     """
     calibration, fit = of
     if "prnu" in fit.values or _posterior(of) is None or misses_as_noise(calibration, fit):
@@ -166,8 +168,8 @@ def _shadows(of: OfChannel) -> Numbers | None:
 
 
 def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
-    """Report unequal pixels that are significant (`found`), or those that are not and yet could
-    bias gain and read noise.
+    """Report significant unequal pixel gains (`found`), or insignificant ones that could bias
+    system gain and read noise.
     """
     judged = hiding_pixels(of)
     if judged is None or not judged[1] or judged[0].found != found:
@@ -193,7 +195,8 @@ def _gain_of_scatter(of: OfChannel) -> Numbers | None:
 
 
 def _disagree(of: OfChannel) -> Numbers | None:
-    """Report images that disagree: their scores exceed those of independent cells."""
+    """Report that images disagree: the gradients of their log likelihoods are larger than
+    independent cells explain."""
     calibration, fit = of
     robust = calibration.robust.get(fit.channel)
     if _posterior(of) is None or robust is None or robust.design_effect <= 1:
@@ -204,9 +207,7 @@ def _disagree(of: OfChannel) -> Numbers | None:
 
 
 def _halves(of: OfChannel, *, agree: bool | None) -> Numbers | None:
-    """Report whether two halves of the images, fitted separately, differ by more than their
-    noise.
-    """
+    """Report whether separate fits to two halves of the images differ by more than their noise."""
     halves = of[0].halves.get(of[1].channel)
     if _disagree(of) is None or agree != (None if halves is None else halves.agree):
         return None

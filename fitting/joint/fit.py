@@ -1,16 +1,18 @@
-"""Fit one channel by Newton's method on the marginal posterior, starting from variable projection.
+"""Joint fit of one channel by Newton's method on the marginal posterior, started from a fit by
+variable projection.
 
-Images are reduced to cells about a reference model. The reference is replaced by the best model
-until it no longer changes. If the cells scatter more than noise and the stated errors explain, a
-misfit is added to the model.
+Images are reduced to cells about a reference model. After each fit the best model becomes the new
+reference, until the reference no longer changes. If the cells scatter more than noise and the
+stated errors explain, a misfit is added to the model.
 
-The error of a light's direction enters linearly, although a highlight is not linear in it: averaged
-over directions that vary by a degree, a highlight is wider and weaker than each single one. The fit
-is therefore repeated about the fitted directions (Gauss-Newton) until no light moves.
+The fit is linear in the error of a light's direction, although a highlight is not. Averaged over
+directions that vary by a degree, a highlight is wider and weaker than each single highlight. The
+fit is therefore repeated about the fitted directions (Gauss-Newton) until no light moves.
 
-An error that all pixels of an image share does not average out over them. It is therefore compared
-with the combined noise of all pixels, and dropped if it is negligible (`inference.left_out`). The
-comparison uses the upper end of the prior of its scale, so that it is valid for every fitted scale.
+An error that all pixels of an image share does not average out over the pixels. Such an error is
+therefore compared with the combined noise of all pixels, and dropped if it is negligible
+(`inference.left_out`). The comparison uses the upper end of the prior on the error's scale, so that
+it is valid for every fitted scale.
 """
 
 from dataclasses import dataclass, replace
@@ -106,8 +108,8 @@ def fit_channel(
     about: Float[np.ndarray, "2 images"] | None = None,
 ) -> JointFit:
     """Return the best fit of one channel. The fit is linear in errors of the light directions.
-    `about` states the rotations (2, images), in rad, by which this observation's lights differ from
-    the rig's; None for none.
+    `about` are the rotations (2, images), rad, between the light directions of the rig and those of
+    this observation; None if the directions are equal.
 
     If no highlight is significant, Lambert's model is fitted. Too few lit cells raise `InputError`.
     """
@@ -156,8 +158,8 @@ def is_searched_shape(vector: Float[Array, " parameters"], data: JointData) -> b
 
 
 def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid, JointData, Array]:
-    """Return the cells of one channel about a first model, and that model's unconstrained
-    values.
+    """Return the cells of one channel about a first model, and the unconstrained values of that
+    model.
     """
     form, start = first_reflectance(observation, channel, form)
     space, known = parameters(observation, channel, form, start)
@@ -195,8 +197,8 @@ def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid,
 def first_reflectance(
     observation: Photographs, channel: int, form: Form
 ) -> tuple[Form, dict[str, float]]:
-    """Return the reflectance model that the images support (Lambert's if there is no highlight),
-    and least-squares values of reflectance and gamma in natural units.
+    """Return the reflectance model to fit (Lambert's if no highlight is significant), and
+    least-squares values of reflectance and gamma in natural units.
     """
     chosen = select(observation, held_out=False, form=form)
     every = -(-len(chosen.light) // MOST_AT_START)
@@ -211,8 +213,8 @@ def first_reflectance(
 
 
 def first_noise(observation: Photographs, channel: int, gamma: float | None) -> dict[str, float]:
-    """Return natural start values of gain, read noise, black level and error sizes, for an encoding
-    exponent that is None for linear files."""
+    """Return start values of gain, read noise, black level and sizes of errors, in natural units.
+    The encoding exponent `gamma` is None for linear files."""
     camera = observation.camera
     found = {name: size for name, (size, _) in scatter_scales(observation).items()}
     gain = camera.gain
@@ -243,8 +245,8 @@ def _gain_of_neighbours(observation: Photographs, channel: int, gamma: float | N
 
 
 def _rounds(grid: Grid, data: JointData, vector: Array) -> tuple[JointData, NewtonSolution]:
-    """Return the optimum with cells reduced about it. The reference is replaced by the optimum
-    until it no longer changes.
+    """Return the optimum, with cells reduced about it. After each search the optimum becomes the
+    new reference model, until it no longer changes.
     """
     solution = minimise(cost, vector, data)
     for number in range(MOST_ROUNDS):
@@ -272,9 +274,9 @@ def _chi_square(vector: Array, data: JointData) -> tuple[float, int]:
 def without_small_errors(
     data: JointData, vector: Array
 ) -> tuple[JointData, Array, tuple[LeftOut, ...]]:
-    """Return data and unconstrained vector without those stated errors that are negligible in
-    total. Return these errors too, in standard deviations of the noise of all data. Dropped errors
-    are not traced.
+    """Return the data and the unconstrained vector without those stated errors that are negligible
+    in total. Also return the dropped errors, in standard deviations of the noise of all data.
+    Programs compiled later do not contain dropped errors.
     """
     scatters = [parameter for parameter in data.space if parameter.name in SCATTERS]
     if not scatters:
@@ -310,8 +312,8 @@ def with_misfit(data: JointData, vector: Array) -> tuple[JointData, Array]:
     """Return the data and the start of a model with a misfit, whose size is estimated from the
     cells' residuals.
 
-    The cells must be reduced about the start, because the gain and read noise of the best model
-    without a misfit have already absorbed part of the misfit."""
+    The cells must be reduced about the start of the search, because the gain and read noise of the
+    best model without a misfit have already absorbed part of the misfit."""
     data = replace(data, space=(*data.space, MISFIT))
 
     def starting(size: float) -> Array:
@@ -329,8 +331,9 @@ def with_misfit(data: JointData, vector: Array) -> tuple[JointData, Array]:
 
 
 def fit_turned(observation: Photographs, channel: int, form: Form) -> JointFit:
-    """Fit one channel about the light directions that its images show, or about the rig's
-    directions if those differ from them by far more than stated.
+    """Fit one channel about light directions estimated from its images. If the estimates differ
+    from the rig's directions by far more than the stated uncertainty, the fit is about the rig's
+    directions.
     """
     sizes = observation.uncertain["direction_sd"][~observation.held_out]
     if not sizes.any():
@@ -353,9 +356,9 @@ def fit_turned(observation: Photographs, channel: int, form: Form) -> JointFit:
 def likeliest_turns(
     fit: JointFit,
 ) -> tuple[Float[np.ndarray, "2 images"], Float[np.ndarray, " images"]] | None:
-    """Return the most likely (2, images) rotations, in rad, of the lights from the rig's
-    directions, and the (images,) standard deviations that the rig states. The result is None if
-    directions are exact or the fit is not an optimum."""
+    """Return the most likely rotations (2, images), rad, of the lights from the rig's directions,
+    and the standard deviations (images,) that the rig states. Return None if directions are exact
+    or the fit is not an optimum."""
     found = image_errors(fit)
     if "direction_scatter" not in fit.data.relative or not fit.converged or found is None:
         return None

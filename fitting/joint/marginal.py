@@ -1,13 +1,14 @@
-"""Compute the density of Gaussian data with shared errors, which are marginalised in closed form.
+"""Density of Gaussian data with shared errors, marginalised over these errors in closed form.
 
 The residual r_jc of cell c in image j is
 
     r_jc = e_jc + sum_k H_jkc u_jk + G_jc g_c,        e ~ N(0, 1 / w),   u, g ~ N(0, 1)
 
 where e is noise, u_jk the k-th error of a whole image (the strength or direction of its light, or
-stray light), and g_c the error of a cell's pixels in all images (their gains). H and G convert
-these errors to digital numbers. The density of r alone follows from Woodbury's identity. With the
-weights W and D = 1 + sum_j w G^2, and with g eliminated first, the remaining matrix is
+stray light), and g_c the error of a cell's pixels in all images (the gains of the pixels). The
+factors H and G convert these errors to digital numbers. The density of r, marginalised over u and
+g, follows from Woodbury's identity. With W the diagonal matrix of the weights w, D = 1 + sum_j w
+G^2, and g eliminated first, the remaining matrix is
 
     M = 1 + H'W H - (H'W G) D^-1 (G'W H)
 
@@ -48,8 +49,8 @@ def log_density(of: Residuals) -> Float[Array, ""]:
 
 
 def chi_square(of: Residuals) -> Float[Array, ""]:
-    """Return r' C^-1 r with C the covariance of r. Its expectation is the number of cells with
-    data.
+    """Return the chi-square r' C^-1 r, with C the covariance of r. The expectation of this
+    chi-square is the number of cells with data.
     """
     return _parts(of)[0]
 
@@ -92,7 +93,8 @@ def _cell_sums(of: Residuals, errors: Table) -> tuple[Array, Array]:
 
 def _image_error_system(of: Residuals, image_errors: Array) -> tuple[Array, Array]:
     """Return the Cholesky factors (blocks, n, n) of M, and the right hand sides (blocks, n) H'W r
-    minus the part that g explains. A block is an image; if g couples the images there is one block.
+    minus the part that g explains. Each image is a block. If g couples the images, there is a
+    single block.
     """
     images, errors, cells = image_errors.shape
     weighted = of.weight[:, None] * image_errors
@@ -124,9 +126,9 @@ def scatter_log_density(
 ) -> Float[Array, ""]:
     """Return ln p of the scatter of each cell's pixels about their mean, up to a constant.
 
-    `scatter` is the sum of n squared deviations in DN^2 and has n - 1 degrees of freedom.
-    `variance` is that of one pixel. A pixel may have an error P_jc g with g ~ N(0, 1) the same in
-    all images (`pixel_errors` P in DN). The scatter of a cell in all images then has a Wishart
+    `scatter` is the sum of n squared deviations in DN^2, with n - 1 degrees of freedom. `variance`
+    is the variance of one pixel, DN^2. A pixel may have an error P_jc g with g ~ N(0, 1) the same
+    in all images (`pixel_errors` P in DN). The scatter of a cell in all images then has a Wishart
     distribution of covariance diag(variance) + P P', which needs `products`, the sums of products
     of deviations in two images, DN^2.
     """

@@ -1,42 +1,43 @@
-"""Estimate how uncertain a joint fit is: how much its images disagree, and how well the scales of
-its errors are known.
+"""The uncertainty of a joint fit, from the disagreement of its images and from the uncertainty of
+the fitted scales of errors.
 
-The misfit of a model is correlated within an image, so cells are not independent. Images count as
-the independent data, or regions of neighbouring lights if these have similar errors. The sandwich
-covariance (`inference.clustering`) of the images' scores replaces the inverse information of
-surface and encoding. The information from priors, flats and darks is unchanged. If a pixel has the
-same error in several images, their scores are scaled to the information of their sum.
+The misfit of a model is correlated within an image, so cells are not independent. The independent
+data are therefore the images, or groups of images with neighbouring lights if these have similar
+errors. The score of an image is the gradient of its log likelihood. The sandwich covariance
+(`inference.clustering`) of the scores replaces the inverse information of surface and encoding. The
+information from priors, flats and darks is unchanged. If a pixel has the same error in several
+images, the scores of these images are rescaled to the information of all images together.
 
-Chi-square does not reveal the misfit. A fitted gain and read noise absorb it as photon noise, and
-cells of single pixels have no scatter to separate the two. The scores of the images do reveal it.
-Their sum is zero at the best fit, and they are as large as the noise implies if cells have
-independent errors. With few images no test detects errors as large as the noise. The sandwich
-covariance is therefore always used, as in `from_images.fit`, unless the rig states errors of images
-and the images show no larger ones.
+Chi-square does not reveal the misfit. Fitted gain and read noise absorb the misfit as photon noise,
+and cells of single pixels have no scatter to separate misfit and noise. The scores of the images do
+reveal a misfit. The sum of the scores is zero at the best fit, and the scores are as large as the
+noise implies if cells have independent errors. With few images no test detects errors as large as
+the noise. The sandwich covariance is therefore always used, as in `from_images.fit`, unless the rig
+states errors of images and these explain the scores.
 
 With a wrong model, the best shape of the lobe may differ between lights, which the curvature at one
-optimum does not show. The images are therefore also fitted in two halves. The estimates from two
-independent halves differ by about twice the standard error of the whole. If they differ by far
-more, half of their difference is used as the standard error (the random-groups estimate for two
-groups).
+optimum does not reveal. The images are therefore also fitted in two halves. The estimates from two
+independent halves differ by about twice the standard error of the fit to all images. If the
+estimates differ by far more, half of their difference is used as the standard error (the
+random-groups estimate for two groups).
 
-With few lights, the scale s of their errors is poorly known, and so are the intervals that depend
-on it. If ln s has the standard error t, the variance s^2 has 1 / (2 t^2) degrees of freedom, and
-the interval is that of Student's t. If s contributes only the part
+With few lights, the scale s of the lights' errors is poorly known, and so are intervals that depend
+on s. If ln s has the standard error t, the variance s^2 has 1 / (2 t^2) degrees of freedom, and the
+interval is that of Student's t. If s contributes only the part
 
     a = d ln variance / d ln s^2
 
 of a parameter's variance, the number of degrees of freedom is 1 / (2 a^2 t^2) by Satterthwaite's
-rule. For several scales the inverses of these numbers add.
+rule. For several scales, the inverses of these numbers of degrees of freedom add.
 
 The scatter of pixels may exceed photon and read noise because of unequal pixel gains or a texture.
 The sample variance s^2 of n pixels of a cell scatters about the model's variance v with the
 variance 2 v^2 / (n - 1). Unequal gains with a relative standard deviation p add p^2 R^2 to v, where
-R is the response of a pixel to a relative change of the light. The estimate of p^2 is a regression
-of s^2 - v on R^2, after projecting out the part that gain and read noise explain (score test: Rao,
-Proc. Cambridge Phil. Soc. 44, 1948). Insignificant unequal gains may still bias gain and read
-noise, by p^2 C J. Here C is the posterior's covariance and J = dv^T W R^2, with dv the derivatives
-of v and W the weights n / (2 v^2) of variances.
+R is the response of a pixel to a relative change of the light. The estimate of p^2 is the slope of
+a regression of s^2 - v on R^2, after projection of R^2 on the part that gain and read noise cannot
+explain (score test: Rao, Proc. Cambridge Phil. Soc. 44, 1948). Insignificant unequal gains may
+still bias system gain and read noise, by p^2 C J. Here C is the posterior's covariance and J = dv^T
+W R^2, with dv the derivatives of v and W the weights n / (2 v^2) of variances.
 
 Source:
     Satterthwaite, "An Approximate Distribution of Estimates of Variance Components", Biometrics
@@ -93,11 +94,11 @@ ALONE = 1e-9  # share of R^2 left by gain and read noise below which it is round
 
 
 def image_sandwich(observation: Photographs, fit: JointFit) -> Robustness | None:
-    """Return the sandwich covariance of a fit whose images err independently, or None if the rig
-    states errors of images and the images show no larger ones.
+    """Return the sandwich covariance of a fit, for images with independent errors. Return None if
+    the rig states errors of images and these explain the disagreement of the images.
 
-    Its design effect measures the disagreement of images. It is the mean square of their scores
-    relative to independent cells, and 1 if chance explains that ratio.
+    The design effect of the result measures the disagreement of images. It is the mean square of
+    the images' scores divided by that for independent cells, and 1 if chance explains this ratio.
     """
     vector = jnp.asarray(fit.vector)
     scores, information = (np.asarray(x, np.float64) for x in _image_scores(vector, fit.data))
@@ -132,8 +133,8 @@ def image_sandwich(observation: Photographs, fit: JointFit) -> Robustness | None
 def _disagreement(
     total: Matrix, scores: np.ndarray, information: np.ndarray
 ) -> tuple[float, float]:
-    """Return the mean square of the images' scores relative to independent cells, and the limit
-    that it exceeds by chance with probability `CHANCE`.
+    """Return the mean square of the images' scores divided by that for independent cells, and the
+    limit that this ratio exceeds by chance with probability `CHANCE`.
     """
     root = np.linalg.inv(np.linalg.cholesky(total))
     shares = root @ information @ root.T
@@ -146,8 +147,8 @@ def _disagreement(
 def _sandwich(
     scores: np.ndarray, information: np.ndarray, total: Matrix, prior: Matrix, alike: np.ndarray
 ) -> Robustness:
-    """Return the sandwich covariance over regions of images. `alike` is the region of each
-    image.
+    """Return the sandwich covariance over groups of images. `alike` is the index of the group of
+    each image.
     """
     images, count = scores.shape
     values, axes = np.linalg.eigh(information)
@@ -181,8 +182,9 @@ def _image_scores(
     vector: Array, data: JointData
 ) -> tuple[Float[Array, "images parameters"], Float[Array, "images parameters parameters"]]:
     """Return, for each image, the gradient of its log likelihood with respect to the parameters,
-    and the negative second derivatives. The log likelihoods of images that share no errors add up,
-    so one derivative with respect to all images' separate parameters serves all.
+    and the negative second derivatives. The log likelihoods of images without common errors add up.
+    Therefore a single derivative of the sum, with separate parameters for each image, gives the
+    scores of all images.
     """
     count = data.cells.count.shape[0]
     alike = jnp.broadcast_to(vector, (count, vector.size))
@@ -269,8 +271,8 @@ def widened(robust: Robustness, halves: Halves) -> Robustness:
 
 def degrees_of_freedom(fit: JointFit, covariance: Matrix) -> Vector | None:
     """Return the degrees of freedom (P,) of the parameters' variances, which are uncertain because
-    the scales of errors are fitted. For the scales themselves they are infinite. Return None if no
-    scale is fitted.
+    the scales of errors are fitted. For the variances of the scales themselves, these numbers are
+    infinite. Return None if no scale is fitted.
     """
     labels = names(fit.space)
     scales = [i for i, name in enumerate(labels) if name in SCATTERS]
@@ -337,15 +339,15 @@ class UnequalPixels:
         return self.deviations > BEYOND_CHANCE
 
     def hide_noise(self, stated: bool) -> bool:
-        """Return whether unequal pixels make gain and read noise unidentifiable. `stated` says
-        whether the rig gives the size of their inequality.
+        """Return whether unequal pixel gains make system gain and read noise unidentifiable.
+        `stated` is whether the rig states the size of the differences between pixel gains.
         """
         return self.found or (not stated and self.moved > TOLERATED)
 
 
 def unequal_pixels(fit: JointFit) -> UnequalPixels:
-    """Estimate by a score test how unequal the pixel gains are, for a fit that assumes equal
-    ones.
+    """Estimate the relative rms of unequal pixel gains by a score test, for a fit that assumes
+    equal gains.
     """
     cells = fit.data.cells
     count = np.asarray(cells.count, np.float64)

@@ -1,16 +1,17 @@
-"""Predict images from a reflectance, an encoding and a sensor together, and compute their
-likelihood.
+"""Prediction of images from a reflectance, an encoding and a sensor together, and the likelihood of
+the images.
 
-Numbers that the rig states exactly are fixed, those with an `_sd` have a prior, and missing ones
-are free. The stated scale of an error of lights or pixels is itself uncertain by a factor of about
-`TRUST`.
+Numbers that the rig states without an `_sd` are fixed, numbers with an `_sd` have a prior, and
+numbers that the rig does not state are free. The stated scale of an error of lights or pixels is
+itself uncertain by a factor of about `TRUST`.
 
 `from_images.signal` defines the signal, encoding and noise of a pixel, or of a cell of pixels with
-similar normals. A cell has a count, a mean and a scatter of its pixels. Its likelihood is that of
-its pixels, so the scatter determines the gain K.
+similar normals. The data of a cell are the number, the mean and the scatter of its pixels. The
+likelihood of a cell is the likelihood of its pixels, so the scatter determines the gain K.
 
 A stated error is common to a whole image, or to a pixel in all images. The signal X is linear in
-such an error. The error is marginalised (`marginal`), so only its scale s is a parameter:
+such an error. The likelihood is marginalised over the error (`marginal`), so only the scale s of
+the error is a parameter. The errors and their effects are:
 
     light_scatter      X (1 + s u)                      strength of the light, exposure
     direction_scatter  X + (s u_1 - t_1) dX/dt_1 + (s u_2 - t_2) dX/dt_2
@@ -20,15 +21,14 @@ such an error. The error is marginalised (`marginal`), so only its scale s is a 
     prnu               X (1 + s g)                      gain of a pixel
     misfit             rho sqrt(W_0 D P / n) DN, independent for each cell in each image
 
-Here u and g are N(0, 1), and E is the irradiance. The misfit allows for a surface that the model
-does not describe. It grows like photon noise, so that neither shadows nor highlights dominate. rho
-is its relative size, n the number of pixels of a cell and P that of the widest cells, so that a
-patch has the same weight whether or not it is divided. W_0 is a tenth of full scale. D is the
-digital number above black by the cells' reference model. With a D of its own, a model could inflate
-its uncertainty where it fails.
+Here u and g are standard normal numbers, and E is the irradiance. The misfit represents a surface
+that the model does not describe. The misfit grows like photon noise, so that neither shadows nor
+highlights dominate. Its relative size is rho. With n the number of pixels of a cell and P that of
+the widest cells, a part of the image has the same weight whether or not its cells are divided. W_0
+is a tenth of full scale. D is the digital number above black by the cells' reference model. If D
+were predicted by the fitted model, the fit could increase the misfit where the model fails.
 
-A value that is known exactly is not a parameter. An error that the rig does not state is not
-computed.
+Errors that the rig does not state are not part of the model.
 """
 
 from dataclasses import field, replace
@@ -74,8 +74,8 @@ SCATTERS = {
 
 
 def surface_mask(space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
-    """Return which parameters describe surface and encoding. Only these enter the comparison of
-    images, since gain and read noise follow from the scatter of pixels within cells.
+    """Return a mask of the parameters of surface and encoding. Images are compared only by these
+    parameters, because gain and read noise follow from the scatter of pixels within cells.
     """
     others = {GAIN.name, READ_NOISE.name, BLACK.name, *SCATTERS, "misfit"}
     return np.array([p.name not in others for p in space])
@@ -84,9 +84,9 @@ def surface_mask(space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
 def scatter_scales(
     observation: Photographs,
 ) -> dict[str, tuple[float, Float[np.ndarray, " lights"]]]:
-    """Return, by name, the typical size of each error that the rig states and each light's size
-    relative to it. The strength of a light and the exposure of its image have the same effect, so
-    they count as one error."""
+    """Return, by name of each error that the rig states, its typical size, and the size for each
+    light relative to the typical size. The strength of a light and the exposure of its image have
+    the same effect, so they count as one error."""
     known = observation.uncertain
     stated = {
         "light_scatter": np.hypot(known["intensity_sd"], known["exposure_sd"]),
@@ -106,8 +106,8 @@ def scatter_scales(
 def parameters(
     observation: Photographs, channel: int, form: Form, start: dict[str, float]
 ) -> tuple[ParameterSpace, dict[str, float]]:
-    """Return the parameters with their priors, and by name the numbers that the rig states exactly.
-    `start` holds the values from which the search begins; it has no gamma for linear files.
+    """Return the parameters with their priors, and the numbers that the rig states exactly, by
+    name. `start` contains the values at which the search begins, without a gamma for linear files.
     """
     camera, known = observation.camera, {}
     space = [*surface_parameters(form)]
@@ -201,7 +201,8 @@ def error_columns(data: JointData) -> dict[str, slice]:
 
 
 def values_at(vector: Float[Array, " parameters"], data: JointData) -> Values:
-    """Return natural values by name at an unconstrained vector, including those that are known."""
+    """Return natural values by name at an unconstrained vector, including the values of known
+    numbers."""
     natural = to_natural(data.space, vector)
     return data.known | {name: natural[i] for i, name in enumerate(names(data.space))}
 
@@ -278,8 +279,8 @@ def weights(cells: Cells, model: Prediction) -> Table:
 
 
 def residuals(model: Prediction, data: JointData) -> marginal.Residuals:
-    """Return the residuals of cells with the errors that they share. Pixel gains shift the mean of
-    n pixels by their standard deviation over the square root of n.
+    """Return the residuals of cells with the errors that cells share. Unequal pixel gains shift the
+    mean of n pixels by the standard deviation of the gains over the square root of n.
     """
     cells, of_cells, precision = data.cells, None, None
     if model.gains is not None:
@@ -315,8 +316,8 @@ def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Arra
 def log_likelihood_by_image(
     vectors: Float[Array, "images parameters"], data: JointData
 ) -> Float[Array, ""]:
-    """Return the log likelihood of the images alone, if each had its own parameters, a row of
-    `vectors` (images, P).
+    """Return the log likelihood of the images alone, with separate parameters for each image, the
+    rows of `vectors` (images, P).
     """
     about = data.cells.geometry.about
     cells = replace(data.cells, geometry=replace(data.cells.geometry, about=None), products=None)

@@ -1,4 +1,4 @@
-"""Predict single pixels by a joint fit, with standard deviations."""
+"""Prediction of single pixels by a joint fit, with standard deviations."""
 
 from dataclasses import dataclass, replace
 

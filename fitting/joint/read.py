@@ -1,5 +1,5 @@
-"""Read the input of a joint calibration: the photographs of a reflectance calibration, flats and
-darks.
+"""The input of a joint calibration: photographs, read as for a reflectance calibration, with flats
+and darks.
 """
 
 from ..reflectance.from_images.read import Camera as Camera
