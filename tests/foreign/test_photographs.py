@@ -82,3 +82,25 @@ def test_a_right_black_level_stays_as_stated():
     found = joint.calibrate(of(photographs(Sphere(), 0), gain=GAIN, read_noise=6.0)).section
     assert not any("Pixels that face away" in s for s in found.findings)
     assert "black_level" not in [estimate.name for estimate in found.estimates]
+
+
+@pytest.mark.slow
+def test_a_highlight_between_the_samples_has_no_exponent():
+    """A polished ball, 1e4 for the exponent, sampled at pixel centres: one pixel is bright."""
+    place = (np.arange(SIZE) - (SIZE - 1) / 2) / RADIUS
+    x, y = np.meshgrid(place, -place)
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    normals, wi = np.stack([x, y, z], axis=-1) * (z > 0)[..., None], directions(10)
+    cosine = np.einsum("hwc,lc->lhw", normals, wi)
+    mirrored = np.maximum(2 * cosine * normals[..., 2] - wi[:, None, None, 2], 0)
+    signal = WHITE * np.where(cosine > 0, 0.4 * cosine + 3 * mirrored**1e4, 0)
+    rng = np.random.default_rng(0)
+    electrons = rng.poisson(signal / GAIN) + 6 * rng.standard_normal(signal.shape)
+    images = np.clip(np.round(60 + GAIN * electrons), 0, 4095)
+    found = reflectance.calibrate(of(images, lights=10, gain=GAIN, read_noise=6.0), model="phong")
+    estimates = found.section.estimates
+    assert all(find(estimates, name).value is None for name in ("specular", "exponent"))
+    clear = reflectance.calibrate(
+        of(photographs(Sphere(), 0), gain=GAIN, read_noise=6.0), model="phong"
+    )
+    assert find(clear.section.estimates, "exponent").value == pytest.approx(40, abs=1)

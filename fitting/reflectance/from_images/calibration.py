@@ -24,11 +24,13 @@ from .comparison import ModelScore, compare
 from .fit import ChannelFit, channel_posterior, fit_channel, lights_as_fitted, predicted_image
 from .pixel_area import recognise_points
 from .read import Photographs
-from .samples import Selection, View, cells_of, select
+from .samples import Selection, View, cells_of, predict, select
 from .shading_check import without_strangers
 from .signal import Form, parameter_space
 
 FEWEST_SAMPLES = 50
+FEWEST_IN_HIGHLIGHT = 6.0  # samples that determine size, height and width of a highlight
+NEGLIGIBLE = 40.0  # fall of ln k_s after which no highlight is left
 USUAL: tuple[Model, ...] = (
     "lambert",
     "oren-nayar",
@@ -227,6 +229,14 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
         for name in of_lobe:
             if name in present:
                 reasons.setdefault(name, astray)
+    if not fit.converged:
+        reasons |= dict.fromkeys(present, "the fit did not converge")
+    elif "specular" in present and (seen := samples_in_highlight(fit)) < FEWEST_IN_HIGHLIGHT:
+        narrow = (
+            f"the highlight is narrower than the samples: it is seen by only {seen:.1f} of them"
+        )
+        for name in of_lobe:
+            reasons.setdefault(name, narrow)
     if fit.robustness is None:
         for name, inflation in zip(present, fit.identifiability.inflation, strict=True):
             if not np.isfinite(inflation):
@@ -241,6 +251,16 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
             why = f"its 95 % interval is from 1/{factor:.2g} to {factor:.2g} times its value"
             reasons.setdefault(name, why)
     return reasons
+
+
+def samples_in_highlight(fit: ChannelFit) -> float:
+    """Effective number of samples in the fitted highlight: the square of their sum over the sum of
+    their squares."""
+    matt = np.array(fit.vector)
+    matt[[parameter.name for parameter in fit.space].index("specular")] -= NEGLIGIBLE
+    lobe = np.asarray(predict(fit.vector, fit.samples).dn - predict(matt, fit.samples).dn)
+    squares = float(np.sum(lobe**2))
+    return float(np.sum(lobe)) ** 2 / squares if squares > 0 else 0.0
 
 
 def mean_residual(calibration: ReflectanceCalibration) -> Float[np.ndarray, " pixels"]:
