@@ -223,8 +223,8 @@ def _bias_of_last(ratio: float, before: float, after: float) -> float:
 
 
 def _bias_rate(ratio: float, before: float, after: float) -> float:
-    """Return the rate at which errors decrease whose differences all have the same sign, from the
-    ratio of two steps; 0 if the errors do not decrease."""
+    """Return the rate at which errors decrease, from the ratio of two steps of equal sign; 0 if the
+    errors do not decrease."""
     if ratio <= before / after:
         return 0.0
     return _rate(lambda k: np.expm1(k * before) / -np.expm1(-k * after), ratio, before, after)

@@ -150,8 +150,9 @@ def _fewest(values: list[np.ndarray]) -> float:
 def _evaluate(
     jaxpr: Any, key: Any, consts: list[Any], arguments: list[Any], *, names: list[str]
 ) -> tuple[list[Any], list[Any]]:
-    """Evaluate a jaxpr with random rounding. Return its results and, for each rounded operation,
-    its operands and its result. The names of these operations are appended to `names`."""
+    """Evaluate a jaxpr with random rounding. Return the results of the jaxpr and, for each rounded
+    operation, the operands and the result. The names of these operations are appended to `names`.
+    """
     known: dict[Any, Any] = dict(
         zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *arguments], strict=True)
     )

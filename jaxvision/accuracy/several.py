@@ -61,8 +61,8 @@ def combined(
     tolerance: float | None = None,
     seconds: float | None = None,
 ) -> Combination:
-    """Choose the best combination of the settings of several approximations, from their Pareto
-    fronts. A deterministic knob whose error is unknown keeps its value in `base`.
+    """Choose the best combination of settings of several knobs, from the Pareto fronts of the
+    knobs. A deterministic knob whose error is unknown keeps its value in `base`.
 
     Args:
         curves: measured curves of one problem, one for each knob; the other knobs had their values

@@ -423,8 +423,8 @@ def check_range(
     nan: bool = False,
 ) -> None:
     """Raise `ValueError` unless every number of `value` lies in [low, high], or in (low, high] if
-    `above`. With `nan`, NaN is accepted. None, for an absent effect, and traced numbers are
-    accepted."""
+    `above`. With `nan`, NaN is accepted. Traced numbers are accepted, and so is None, which stands
+    for an absent effect."""
     if value is None or not is_known(value):
         return
     numbers = np.asarray(value)

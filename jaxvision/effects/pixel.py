@@ -420,9 +420,9 @@ class Pixel:
         """Return the change of a pixel's distribution, in DN, if its charge changes by `by`
         electrons, called d.
 
-        The mean changes by d, the sensitivity pattern by p d (if the charge is `patterned`, with
-        PRNU p), and the variance of the counts by d. The rms changes most in the darkest pixel, of
-        variance V: by sqrt(V + d) - sqrt(V).
+        The mean changes by d, and the variance of the counts by d. If the charge is `patterned`,
+        the sensitivity pattern changes by p d, with the PRNU p. The rms changes most in the darkest
+        pixel, of variance V: by sqrt(V + d) - sqrt(V).
         """
         if not math.isfinite(by):
             return INF

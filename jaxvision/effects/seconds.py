@@ -51,7 +51,8 @@ def seconds_of(
     dropped alone. Effects that can only be dropped together share the saved time equally.
 
     `start` is the `Draft` with all effects. `whole` states whether a sensor and a development
-    follow the lens. `advance` is called with the number of finished programs and of all programs.
+    follow the lens. `advance` is called with two numbers: of programs finished so far, and of all
+    programs.
     """
     view = start.camera.view
     scale = max(max(view.resolution) / _SIDE, 1.0)

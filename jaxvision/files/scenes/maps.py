@@ -41,10 +41,10 @@ def make_map(
     wrap: Literal["repeat", "clamp"] = "repeat",
 ) -> Map:
     """Make a map from the keys of its table in a scene file, in the unit of the number that the map
-    replaces. A map from a picture may have the keys `encoding` and `channel`, an index from 0. By
-    default, a map of a spectrum uses all channels of the picture except alpha, and a map of one
-    number uses their luminance. Raise `InputError` if the number of channels does not fit the
-    spectrum."""
+    replaces. A map from a picture may have the key `encoding`, and the key `channel`, which is the
+    index of one channel, from 0. By default, a map of a spectrum uses all channels of the picture
+    except alpha, and a map of one number uses their luminance. Raise `InputError` if the number of
+    channels does not fit the spectrum."""
     if (map is None) == (texels is None):
         raise InputError("give either map, the name of a picture, or texels.")
     if map is not None:

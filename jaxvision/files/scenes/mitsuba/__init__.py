@@ -12,8 +12,8 @@ Supported values are float, integer, boolean, string, vector, point, rgb, spectr
 `<default>`, `<ref>`, `<alias>` and `<include>`, and for lights also blackbody. Colours are
 converted as in Mitsuba's RGB variants. A part that is not supported is never dropped; the file is
 refused, and the message names the part. If a part is rendered slightly differently, a warning says
-so. If a mesh has mirrored texture coordinates, the y axis of a normal map stays upward in its
-picture, whereas Mitsuba turns it downward.
+so. If a mesh has mirrored texture coordinates, the y axis of a normal map points upward in the
+picture of the map, whereas in Mitsuba it points downward.
 """
 
 from pathlib import Path
