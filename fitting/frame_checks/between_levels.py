@@ -182,9 +182,9 @@ def _unsaturated(levels: ComparedLevels) -> list[int]:
 
 
 def _response(light: np.ndarray) -> Float[np.ndarray, "levels terms"]:
-    """Return basis functions of light for a fit to the signal per light. They are a constant, a
-    linear term (a curved response), an inverse term (a light leak, a late shutter or a wrong black
-    level) and, with enough levels, a quadratic term."""
+    """Return basis functions of light for a fit to the signal per light: a constant, a linear term
+    (a curved response), an inverse term (a light leak, a late shutter or a wrong black level) and,
+    with enough levels, a quadratic term."""
     x = light / light.max()
     terms = [np.ones_like(x), x, light.min() / light]
     return np.stack(terms if len(x) < 2 * len(terms) + 2 else [*terms, x**2], axis=1)

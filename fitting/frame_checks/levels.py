@@ -161,8 +161,8 @@ def _take(
     far: Bool[np.ndarray, " frames"] | None,
     in_words: Callable[[list[FrameSample], list[FrameSample]], str],
 ) -> None:
-    """Remove the frames of a level that the mask `far` marks, or all of its frames if `far` is
-    None."""
+    """Remove the frames of a level that a mask (`far`) marks, or all frames of the level if the
+    mask is None."""
     frames = levels.frames[level]
     if far is None:
         parted = f"{in_words(frames[:1], frames[1:])}, and it is unknown which of them is right"

@@ -97,8 +97,8 @@ def image_sandwich(observation: Photographs, fit: JointFit) -> Robustness | None
     """Return the sandwich covariance of a fit, for images with independent errors. Return None if
     the rig states errors of images and these explain the disagreement of the images.
 
-    The design effect of the result measures the disagreement of images. It is the mean square of
-    the images' scores divided by that for independent cells, and 1 if chance explains this ratio.
+    The design effect of the result measures the disagreement of images: the mean square of the
+    images' scores divided by that for independent cells, or 1 if chance explains this ratio.
     """
     vector = jnp.asarray(fit.vector)
     scores, information = (np.asarray(x, np.float64) for x in _image_scores(vector, fit.data))

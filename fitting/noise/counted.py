@@ -3,11 +3,11 @@ fit to the histograms.
 
 If read noise is below about one electron, the histogram of the codes has a peak for each number of
 electrons, or is skewed. Mean and variance do not contain most of this information. The black levels
-of pixels differ (DSNU), which would blur the peaks. Therefore the black level of each pixel is
-subtracted from its codes. It is estimated by the pixel's mean over the dark frames of the same
-exposure. The noise of that mean is known and enters the fit, and no distribution of the black
-levels is assumed. A histogram is used only at levels where unequal gains of the pixels shift the
-codes by less than a fifth of the read noise.
+of pixels differ (DSNU), which would blur the peaks. Therefore the black level of each pixel,
+estimated by the pixel's mean over the dark frames of the same exposure, is subtracted from its
+codes. The noise of that mean is known and enters the fit, and no distribution of the black levels
+is assumed. A histogram is used only at levels where unequal gains of the pixels shift the codes by
+less than a fifth of the read noise.
 
 The fit uses the exact distribution of a code at level l,
 

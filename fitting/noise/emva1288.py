@@ -17,8 +17,8 @@ The limits in per cent are shares of the saturation signal. The figures are a di
 function of the measured means and variances, so the delta method gives the standard error of each
 figure from the sampling covariance of the means and variances. If measured values scatter about
 their regression more than pixel noise explains (p < 1 %), their sampling variances are multiplied
-by chi-square per degree of freedom (Birge 1932). This widens the errors but leaves the standard's
-estimates unchanged.
+by chi-square per degree of freedom (Birge 1932). This factor widens the errors but leaves the
+standard's estimates unchanged.
 
 Decibels are 20 log10. Usable bits are the base-2 logarithm of the dynamic range.
 """

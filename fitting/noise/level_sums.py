@@ -33,10 +33,10 @@ def temporal_variance(
     live: LivePixels, pixels: float, rows: float, columns: float, frames: float
 ) -> TemporalVariance:
     """Divide the temporal variance into parts of pixels, rows, columns and whole frames, DN^2. The
-    arguments `pixels`, `rows`, `columns` and `frames` are variances between frames: T of a pixel
-    about the frame's mean, Q_rows and Q_columns of the means of rows and of columns about the
-    frame's mean, and W of the frames' means. In the formulas, pixels, rows, columns and frames are
-    the returned parts, which solve
+    arguments are variances between frames. `pixels` is the variance T of a pixel about the frame's
+    mean. `rows` and `columns` are the variances Q_rows and Q_columns of the means of rows and of
+    columns about the frame's mean. `frames` is the variance W of the frames' means. In the
+    formulas, pixels, rows, columns and frames are the returned parts, which solve
 
         (T, Q_rows, Q_columns) = A (pixels, rows, columns),
         frames = W - b (pixels, rows, columns),
@@ -99,9 +99,9 @@ class SquareSums:
             self._sums[name] = self._sums.get(name, 0.0) + weight * square(deviation)
 
     def variance(self, name: str, total: np.ndarray, count: int) -> np.ndarray:
-        """Return the variance (or covariance) `name` between `count` frames: the sum of squares of
-        their deviations from their mean, over `count` - 1. `total` is the sum of the added
-        deviations."""
+        """Return the variance (or covariance) `name` between frames. It is the sum of squares of
+        the deviations of `count` frames from their mean, divided by the number of frames minus 1.
+        The argument `total` is the sum of the added deviations."""
         return (count * self._sums[name] - self._of[name](total)) / (count * (count - 1))
 
 

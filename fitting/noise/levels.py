@@ -17,9 +17,9 @@ of s_k DN at the knee, the shot-noise variance at the signal s is
     K s                        below the knee,
     r K (s - (1 - r) s_k)      above.
 
-At the knee the variance falls to r^2 of its value, as at a full well, and then rises again. The
-knee is found from signal and variance without the light, so a lamp that changes between levels
-neither hides nor imitates it.
+From below to above the knee, the variance falls by the factor r^2, similarly to the fall at a full
+well, and then rises again. The knee is found from signal and variance without the light, so a lamp
+that changes between levels neither hides nor imitates it.
 """
 
 from typing import NamedTuple

@@ -133,8 +133,8 @@ def _inner_half(h: int, w: int) -> Bool[np.ndarray, "h w"]:
 
 def _step(lines: np.ndarray) -> tuple[float, float]:
     """Return the step of the means of rows or columns at the middle of the frame, and the two-sided
-    p-value of the step. Its error is estimated from the differences between neighbouring blocks of
-    lines elsewhere in the frame."""
+    p-value of the step. The error of the step is estimated from the differences between
+    neighbouring blocks of lines elsewhere in the frame."""
     size = max(len(lines) // BLOCKS // 2 * 2, 2)  # even, for structure that repeats after two lines
     before = -(-len(lines) // 2) - size
     start = before % (2 * size)

@@ -234,8 +234,8 @@ def _beside_the_likelihood(
     rng, found = np.random.default_rng(calibration.posterior.seed), {}
 
     def add(name: str, variance: float, degrees: float, noise: float = 0.0) -> None:
-        """Add a variance and draws of it, which follow from the degrees of freedom and the noise of
-        its estimate."""
+        """Add a variance to the parameters, with draws from its distribution, which follows from
+        the degrees of freedom and the noise of the estimate."""
         drawn = variance * degrees / rng.chisquare(degrees, count)
         drawn = np.maximum(drawn + noise * rng.standard_normal(count), 0.0)
         found[name] = np.concatenate([[max(variance, 0.0)], drawn])

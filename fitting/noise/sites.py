@@ -8,9 +8,10 @@ and s_i, where s_i has the covariance S_i. Together they give
 
     s = (sum S_i^-1)^-1 sum S_i^-1 s_i          o_i' = o_i + C_i S_i^-1 (s - s_i)
 
-where C_i is the covariance of o_i with s_i, and o_i' is the updated o_i. This is the Gaussian
-posterior of all taps, conditional on a common s. Because the equations are linear, they also
-convert draws of the separate posteriors to draws of the joint posterior.
+where C_i is the covariance of o_i with s_i, and o_i' is the updated o_i. The updated values s and
+o_i' are those of the Gaussian posterior of all taps, conditional on a common s. Because the
+equations are linear, they also convert draws of the separate posteriors to draws of the joint
+posterior.
 """
 
 import re

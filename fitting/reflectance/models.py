@@ -7,12 +7,12 @@ Lobes are centred on the mirror direction or on the half vector. A rough diffuse
 parameter but no lobe.
 
 The facets of `torrance-sparrow` are GGX, as in the record's default, and those of
-`torrance-sparrow-beckmann` Beckmann, both with Smith's height-correlated shadowing. Their Fresnel
-term is that of a clear dielectric of a given index. The index is never fitted, because k_s and the
-normal reflectance enter only as their product, except at grazing angles. Facets of
-`torrance-sparrow-metal` (GGX) have the same reflectance at all angles, which is a good
-approximation for metals. In `eon` the interreflection between facets is that of white facets, so
-that k_d is an amplitude in any unit of light.
+`torrance-sparrow-beckmann` Beckmann, both with Smith's height-correlated shadowing. The Fresnel
+term of both is that of a clear dielectric of a given index of refraction. The index is never
+fitted, because k_s and the normal reflectance enter only as their product, except at grazing
+angles. Facets of `torrance-sparrow-metal` (GGX) have the same reflectance at all angles, which is a
+good approximation for metals. In `eon` the interreflection between facets is that of white facets,
+so that k_d is an amplitude in any unit of light.
 """
 
 from collections.abc import Callable

@@ -123,8 +123,8 @@ def _mixture(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean and the variance of ln X at the unobserved codes under a mixture of
     Gaussians, given the `measured` ln X at the observed codes. Each member of the mixture has a
-    mean, a covariance and a prior weight. It is entered once for each of `sizes`, the factors on
-    the rms of the random `departure` from its mean."""
+    mean, a covariance and a prior weight. Each member is also given a random deviation from its
+    mean, and occurs once for each of several sizes of this deviation."""
     own, evidence, means, variances = np.arange(len(measured)), [], [], []
     for (mean, covariance, prior), size in product(members, sizes):
         spread = covariance + size**2 * departure

@@ -15,8 +15,8 @@ curve g, the weights w and residuals r of a pixel, and the share of noise in the
 
 - Noise in a code shifts the g of that code: E[w r h(z)] = (1 - w / sum w) share h' / g', where
   `share` is the share of the variance that is independent of the light.
-- A rounding error without noise is a function of the light. It shifts the g of the pixel's codes in
-  other exposures: E[w r h(z)] = (w / sum w) h' / g' times the sum of (1 - share) over these
+- A rounding error without noise is a function of the light, and shifts the g of the pixel's codes
+  in other exposures: E[w r h(z)] = (w / sum w) h' / g' times the sum of (1 - share) over these
   exposures.
 - Noise before the response curve lowers the mean of ln X by half the variance of ln X.
 - A weight that changes across an interval of codes favours one end of the interval.
@@ -40,8 +40,8 @@ SMOOTHED = 0.3  # smoothing of the exponent, as a share of a code or, near white
 
 @dataclass(frozen=True)
 class PairStatistics:
-    """The information of the pixels about a curve: the matrix A and score b for the unknowns (g in
-    each bin, s of each exposure).
+    """The information of the pixels about a curve: the matrix A and score b for the unknowns, which
+    are the log exposure g in each bin of codes and the log time s of each exposure.
 
     Attributes:
         matrix: the matrix A.

@@ -1,10 +1,11 @@
 """Rounding errors of JPEG's colour conversion, which all pixels of one hue share.
 
-A JPEG picture holds integers Y, Cb and Cr, from which the decoder computes (ITU-T T.871)
+A JPEG picture contains integers Y, Cb and Cr. From these the decoder computes the colours by (ITU-T
+T.871)
 
     R = Y + 1.402 Cr,   G = Y - 0.344136 Cb - 0.714136 Cr,   B = Y + 1.772 Cb,
 
-and rounds each product again. In a scene of several hues, pixels with equal codes have different
+where each product is rounded. In a scene of several hues, pixels with equal codes have different
 rounding errors, which average out. In a scene of one hue, the rounding errors are equal in every
 exposure and every part of the picture. The codes of that scene deviate from a smooth response by
 half a code rms, and the scatter of pixels does not reveal this deviation. The variance of Cb and Cr

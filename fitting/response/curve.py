@@ -9,9 +9,9 @@ the number of pixels:
 
     A (g, s) = b, precision of the posterior = A / phi + prior, phi the design effect (`solve.py`).
 
-With b = 0, as in least squares, the curve would be too flat, because the codes are noisy. Therefore
-the score b is set to the expected gradient at the true curve (the corrected score of Nakamura,
-Biometrika 77, 1990).
+With a score of b = 0, as in least squares, the curve would be too flat, because the codes are
+noisy. Therefore the score b is set to the expected gradient at the true curve (the corrected score
+of Nakamura, Biometrika 77, 1990).
 
 The covariance of the posterior is enlarged for errors that this fit does not include:
 

@@ -37,7 +37,7 @@ APART = 0.5  # least spread of the activity at a code, relative to its mean
 
 
 def is_registered(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
-    """Return whether the images are registered. They count as registered if the noise variance at
+    """Return whether the images are registered. Images count as registered if the noise variance at
     steep places is less than twice that of flat places."""
     if any(noise is None for noise in noises):
         return False

@@ -2,10 +2,11 @@
 
 Suppose the true times are the stated times raised to a common exponent. Then another curve explains
 the images equally well, so the images cannot reveal this error of the times: the error is
-invisible. Its expected size depends on tau, the rms of the errors delta_j of ln t. All other errors
-of the times contradict the images. These visible errors determine tau, but they are few. With three
-exposures there is only one visible error, which may be small by chance although tau is large.
-Therefore the error of the curve is modelled as a mixture over a grid of values tau_k,
+invisible. The expected size of this error depends on tau, the rms of the errors delta_j of ln t.
+All other errors of the times contradict the images. The visible errors determine tau, but there are
+few of them. With three exposures there is only one visible error, which may be small by chance
+although tau is large. Therefore the error of the curve is modelled as a mixture over a grid of
+values tau_k,
 
     sum_k w_k N(0, v + r tau_k^2), w_k ~ p(visible errors | tau_k) p(tau_k),
 

@@ -125,8 +125,8 @@ def exponent_increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
 
 
 def shutter_basis(log_t: Float[np.ndarray, " exposures"]) -> Float[np.ndarray, "exposures free"]:
-    """Return an orthonormal basis of the visible shutter errors. They are orthogonal to the two
-    invisible errors, a common factor and a common exponent of the times."""
+    """Return an orthonormal basis of the visible shutter errors, that is, of errors orthogonal to
+    the two invisible ones: a common factor and a common exponent of the times."""
     absorbed = np.stack([np.ones_like(log_t), log_t], axis=1)
     return np.linalg.svd(absorbed)[0][:, 2:]
 

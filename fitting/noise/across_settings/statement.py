@@ -1,4 +1,4 @@
-"""The joint fit to all settings of a camera, as a `Problem`. Its data are the estimates from each
+"""The joint fit to all settings of a camera, as a `Problem` whose data are the estimates from each
 setting's separate fit.
 
 At setting s of gain g and temperature T,

@@ -1,6 +1,6 @@
 """The findings on fits to measured reflectance, each with the condition under which it is reported.
-They state for one material or for several which model is best, by how much, and whether the
-difference is significant.
+The findings state, for one material or for several, which model is best, by how much, and whether
+the difference is significant.
 """
 
 from collections.abc import Iterable, Sequence

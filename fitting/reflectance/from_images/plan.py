@@ -60,7 +60,7 @@ def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
 
 
 def check_target(target: str, form: Form) -> None:
-    """Raise `InputError` for a parameter that a form does not have."""
+    """Raise `InputError` if the model has no parameter of this name."""
     known = names(parameter_space(form))
     if target not in known:
         raise InputError(f"target = {target!r} is no parameter; {nearest(target, known)}.")

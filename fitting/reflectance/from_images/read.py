@@ -403,7 +403,7 @@ def _surface(
     channel: str,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return rows, columns and unit normals of the pixels that show the object, and the normals at
-    `POINTS` inside them.
+    several points (`POINTS`) inside each of these pixels.
     """
     if geometry.sphere is not None:
         normals, seen = _sphere_normals(geometry.sphere, rig.camera, *np.indices(shape))

@@ -353,8 +353,8 @@ def group(
     *,
     width: float = 1.0,
 ) -> Grouping:
-    """Group samples by light, n.l and mirror angle (rad), most finely near the mirror direction;
-    `width` scales the cells."""
+    """Group samples by light, n.l and mirror angle (rad), most finely near the mirror direction.
+    The widths of the cells are multiplied by the factor `width`."""
     row = np.floor(cosine / (width * COSINE_STEP)).astype(np.int64)
     angle = np.log1p(mirror_angle / FINE_ANGLE) / (width * np.log(ANGLE_RATIO))
     column = np.floor(angle).astype(np.int64)
@@ -365,7 +365,7 @@ def group(
 
 
 def cells_of(observation: Photographs, selection: Selection, *, width: float = 1.0) -> Grouping:
-    """Group a selection's samples to cells; `width` scales the cells."""
+    """Group a selection's samples to cells, whose widths are multiplied by the factor `width`."""
     at = selection.light, selection.pixel
     return group(at[0], observation.cosine[at], observation.mirror_angle[at], width=width)
 
