@@ -160,6 +160,16 @@ def _lamp(kind: str, calibration: NoiseCalibration) -> Numbers | None:
     }
 
 
+def _dim(calibration: NoiseCalibration) -> Numbers | None:
+    """The brightest level, if it is within the range of 8 bits, although the camera has more."""
+    measurement = calibration.measurement
+    top, step = measurement.full_scale or 0.0, min(measurement.converter.step or 1.0, 1.0)
+    brightest = float(measurement.bright.mean.max())
+    if top <= 255 or brightest / step > 255:
+        return None
+    return {"brightest": brightest, "top": top}
+
+
 def _has(name: str, calibration: NoiseCalibration) -> bool:
     """Whether the chosen model includes the parameter `name`."""
     return calibration.likelihood is not None and name in calibration.chosen.values
@@ -828,6 +838,13 @@ FINDINGS = (
         _unsaturated,
         "{which} saturates the camera, so no figure that needs its capacity is determined. The "
         "ranges of the standard end at the brightest level. Add brighter flats.",
+    ),
+    Finding(
+        "dim flats",
+        _dim,
+        "The brightest flat has {brightest:.4g} DN of {top:g}. If the files hold 8-bit data, "
+        "correct camera.bits, which sets the end of the scale. Otherwise add brighter flats, "
+        "because the figures hold for this range alone.",
     ),
     Finding(
         "saturation",

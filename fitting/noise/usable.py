@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxvision.errors import InputError
 
+from .emva1288 import least_dark_variance
 from .levels import PhotonTransfer, linear_levels, shot_of, signal_of
 from .raw_frames import tone_curve
 
@@ -87,10 +88,11 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
             "more light."
         )
     brightest = float(bright.mean.max()) / min(measurement.converter.step or 1.0, 1.0)
-    if (measurement.full_scale or 0) > 255 and brightest <= 255:
+    quiet = float(np.median(dark.variance)) < least_dark_variance(measurement)
+    if (measurement.full_scale or 0) > 255 and brightest <= 255 and quiet:
         raise InputError(
-            f"{file}: no flat exceeds 255 DN, as in 8-bit data; correct camera.bits, or give more "
-            "light."
+            f"{file}: no flat exceeds 255 DN, and the darks hardly vary, as in 8-bit data; correct "
+            "camera.bits, or give more light."
         )
     usable = linear_levels(measurement)
     if len(usable) < FEWEST_LEVELS:

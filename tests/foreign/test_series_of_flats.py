@@ -554,3 +554,18 @@ def test_saturated_darks_of_a_large_dark_current_leave_the_others():
     (said,) = found.dark.left_out
     assert "are saturated, though they are darks" in said
     assert len(found.dark.mean) == 9
+
+
+@pytest.mark.slow
+def test_dim_flats_of_12_bits_are_calibrated():
+    """All codes lie below 256."""
+    rng, light = np.random.default_rng(5), np.linspace(20, 200, 8)
+    flats, darks = ([[exposed(rng, x) for _ in "ab"] for x in of] for of in (light, 0 * light))
+    camera = noise.Camera(bits=12)
+    found = noise.calibrate(
+        noise.from_frames(flats, darks, list(light / 200), list(light / 0.5), camera=camera)
+    )
+    gain = found.shown["system_gain"]
+    assert abs(gain.value - K) < 3 * gain.standard_error < 0.06 * K
+    (said,) = told(found, "dim flats")
+    assert "DN of 4095" in said
