@@ -93,8 +93,8 @@ def _cell_sums(of: Residuals, errors: Table) -> tuple[Array, Array]:
 
 def _image_error_system(of: Residuals, image_errors: Array) -> tuple[Array, Array]:
     """Return the Cholesky factors (blocks, n, n) of M, and the right hand sides (blocks, n) H'W r
-    minus the part that g explains. Each image is a block. If g couples the images, there is a
-    single block.
+    minus the part that g explains. Each image is a block of the matrix M. If the pixel errors g
+    couple the images, M is a single block.
     """
     images, errors, cells = image_errors.shape
     weighted = of.weight[:, None] * image_errors

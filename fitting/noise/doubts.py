@@ -1,19 +1,20 @@
 """Checks for frames that do not come from one camera in one state, over all light levels of a
-series.
+series. Each check looks for one of these signs:
 
-multiplied  flats as skewed as those of an EMCCD, whose variance over signal is not the gain
-            (`multiplied`)
-averaged    fractional values in the darks alone, or in the flats alone: an average has too little
-            noise
-afterglow   darks that fade in the order in which they were taken, in proportion to the flats of
-            their level: persistence of the flats, not dark current
-two gains   variance over signal that is constant up to one level, and has another constant value
-            from the next level on
-two modes   the same for the variance of the darks alone: another gain of the darks, or an exposure
-            from which the camera subtracts a dark frame of its own
-drifting    flats whose signal drifts in one direction from frame to frame, as while a lamp or a
-            camera warms up; between levels such a drift resembles a curved response
-printed     exposure times that a camera rounded for display, so that the light seems to scatter
+- Flats are as skewed as those of an EMCCD, whose ratio of variance to signal is not the gain
+  (`multiplied`).
+- The darks alone, or the flats alone, have fractional values. Such frames are averages, which have
+  too little noise.
+- Darks get darker in the order in which they were taken, in proportion to the flats of their level.
+  The cause is an afterglow (persistence) of the flats, not dark current.
+- The ratio of variance to signal is constant up to one level, and has another constant value from
+  the next level on. The frames were taken at two gains.
+- The variance of the darks alone jumps in the same way. The cause is another gain of the darks, or
+  an exposure from which the camera subtracts a dark frame.
+- The signal of flats drifts in one direction from frame to frame, for example while a lamp or a
+  camera warms up. Such a drift between levels resembles a curved response (`drifting`).
+- The light seems to scatter because a camera rounded exposure times for display
+  (`printed_times`).
 
 Without electron multiplication, a signal of x DN at the gain K has variance K x and third cumulant
 K^2 x. The multiplication register of an EMCCD turns each electron into an exponentially distributed

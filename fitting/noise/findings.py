@@ -362,9 +362,9 @@ def _variance_scatter(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _rest(explained: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding on the chosen model's chi-square; None if it does not
-    apply. With `explained`, the finding applies if only the misfit of the linear model is
-    significant. Otherwise it applies if the misfit of the chosen model is significant."""
+    """Return the numbers for the finding on the chosen model's chi-square; None if the finding does
+    not apply. With `explained`, the finding applies if only the misfit of the linear model is
+    significant. Otherwise the finding applies if the misfit of the chosen model is significant."""
     if calibration.likelihood is None or (calibration.chosen.inflation == 1) != explained:
         return None
     chosen = calibration.chosen

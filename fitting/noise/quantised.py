@@ -25,9 +25,10 @@ standard deviation s, the moments of a pixel at offset + d are averaged over d ~
 average is a trapezoidal sum over J nodes, which converges exponentially for such smooth functions.
 The temporal variance of each pixel, given its offset, is averaged in this way. The variance of the
 pixels' means over the offsets is the DSNU after rounding. The n pixels of a sensor are a sample of
-the distribution of offsets. The fit adapts to the mean and the spread of this sample. Averages over
-the sample still scatter between sensors, by the parts of a pixel's mean, variance and squared
-deviation that are neither linear nor quadratic in d.
+the distribution of offsets. The fit estimates the mean and the spread of the offsets in this
+sample. Averages over the sample of a pixel's mean, variance and squared deviation still differ
+between sensors with equal mean and spread. The parts of these quantities that are neither linear
+nor quadratic in d cause this difference.
 
 The usual moments, with a variance of 1/12 for rounding, are wrong for small read noise and for
 clipped black; `window` decides whether this is significant.

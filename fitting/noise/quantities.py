@@ -7,7 +7,8 @@ from ..inference.parameters import Parameter
 
 
 class Quantity(NamedTuple):
-    """A figure of the EMVA 1288 data sheet."""
+    """The description of one figure (result) on the EMVA 1288 data sheet: its name, symbol and
+    unit."""
 
     name: str  # a word
     symbol: str  # the standard's

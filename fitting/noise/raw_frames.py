@@ -1,11 +1,13 @@
 """Detection of compression, resizing, denoising and tone curves, after which a gain is meaningless.
 
-JPEG       noise that neighbours share, except across the borders of blocks of 8 x 8 pixels;
-           at high quality, block cosine transforms at multiples of the quantiser steps
-resizing   noise that neighbours share, with less of it after every second or fourth line
-denoising  frames that share noise: a pattern whose variance grows with the signal, as shot
-           noise, and not as offsets and gains of pixels, d + p x^2
-gamma      a signal that grows as a power of the light, and noise that does not grow with it
+- After JPEG compression, neighbouring pixels share noise, except across the borders of blocks of
+  8 x 8 pixels. At high quality, the block cosine transforms are multiples of the quantiser steps.
+- After resizing, neighbouring pixels share noise, and share less of it after every second or fourth
+  row or column.
+- After denoising, frames share noise. The variance of their common pattern grows with the signal x
+  as shot noise does, and not as d + p x^2 like that of unequal offsets and gains of pixels.
+- After a tone curve (gamma), the signal grows as a power of the light, and the noise does not grow
+  with the signal.
 """
 
 import numpy as np

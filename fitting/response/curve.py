@@ -354,8 +354,8 @@ def _well_exposed(codes: np.ndarray, bins: CodeBins) -> tuple[np.ndarray, np.nda
 
 
 def _exposures_in_use(codes: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """Return the indices of the exposures that share enough pixels with another. Raises InputError
-    unless these form one connected set."""
+    """Return the indices of the exposures that have enough well exposed pixels in common with at
+    least one other exposure. Raises InputError unless these form one connected set."""
     usable = (bins.lookup[codes] >= 0).astype(int)
     shared = usable @ usable.T
     np.fill_diagonal(shared, 0)

@@ -90,8 +90,8 @@ def problem_of(
     measured: MeasuredBRDF, fit: ModelFit, space: ParameterSpace, index: float
 ) -> Problem:
     """State the fit of one model to a material as a problem in its mean amplitudes and its shape.
-    The spectra of the amplitudes are fixed, and all samples have equal errors in the objective's
-    metric.
+    The spectra of the amplitudes are fixed. All samples have equal errors in the quantity that the
+    objective compares, the reflected light or its cube root.
     """
     whole = fit.whole
     mean = {"diffuse": whole.diffuse.mean(), "specular": whole.specular.mean() or 1.0}
@@ -197,7 +197,7 @@ class _Search:
         return compared_quantity(self.measured, self.objective, self.measured.values)
 
     def columns(self, log_shapes: Any) -> Array:
-        """Return f_r (knots, n) of a lobe of unit amplitude."""
+        """Return f_r (knots, n) of a lobe of unit amplitude, for each of several shapes."""
         measured = self.measured
         return _columns(self.model, measured.wi, measured.wo, self.index, jnp.asarray(log_shapes))
 

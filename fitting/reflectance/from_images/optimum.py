@@ -192,7 +192,7 @@ class Optimum:
 
 def best(samples: Samples, grouping: Grouping, sensor: Spread | None) -> Optimum:
     """Return the most likely parameters, found without start values. Terms whose best amplitude is
-    zero are removed from the form.
+    zero are removed from the model.
     """
     cells, first = project(average(samples, grouping))
     own = replace(samples, form=cells.form)

@@ -12,9 +12,9 @@ k_d and k_s are in DN per unit of E. n is the normal, l the light direction, K t
 sigma the read noise, b the black level and W the DN of full scale above black. `lobe` is the
 shading, that is, the reflected light per irradiance on a surface facing the light, of one of
 `reflectance.models` with unit k_s. For Phong, Blinn and the Gaussian lobe, the shading is as
-published, without a cosine. For all other models it is f_r cos(theta_i). For Oren-Nayar's model,
-the single term k_d times the lobe replaces the diffuse and the specular term. Terms that a `Form`
-does not name are neither fitted nor computed.
+published, without a cosine. For all other models, the shading is f_r cos(theta_i). For Oren-Nayar's
+model, the single term k_d times the lobe replaces the diffuse and the specular term. Terms that a
+`Form` does not name are neither fitted nor computed.
 
 Two calibrations invert this model. The table states how each of them treats the surface, the
 encoding f and the sensor (b, K, sigma), and errors:
