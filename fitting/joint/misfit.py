@@ -36,8 +36,9 @@ variance 2 v^2 / (n - 1). Unequal gains with a relative standard deviation p add
 R is the response of a pixel to a relative change of the light. The estimate of p^2 is the slope of
 a regression of s^2 - v on R^2, after projection of R^2 on the part that gain and read noise cannot
 explain (score test: Rao, Proc. Cambridge Phil. Soc. 44, 1948). Insignificant unequal gains may
-still bias system gain and read noise, by p^2 C J. Here C is the posterior's covariance and J = dv^T
-W R^2, with dv the derivatives of v and W the weights n / (2 v^2) of variances.
+still bias the parameters, above all system gain and read noise, by the vector p^2 C J. Here C is
+the posterior's covariance and J = dv^T W R^2, with dv the derivatives of v and W the weights n / (2
+v^2) of variances.
 
 Source:
     Satterthwaite, "An Approximate Distribution of Estimates of Variance Components", Biometrics
@@ -291,8 +292,8 @@ def degrees_of_freedom(fit: JointFit, covariance: Matrix) -> Vector | None:
 
 
 def laplace_miss(fit: JointFit, covariance: Matrix) -> Vector:
-    """Return (P,) the difference of the log density from Laplace's Gaussian at two standard
-    deviations.
+    """Return, for each of P parameters, the difference between the log density and that of
+    Laplace's Gaussian approximation at two standard deviations from the mode.
 
     `gaussian_miss` evaluates the density along a line. For the scale of a shared error, the density
     after marginalising over the other parameters is used instead, because their posterior volume

@@ -87,7 +87,7 @@ def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
 
 def periodic_findings(calibration: NoiseCalibration, *, apart: bool = False) -> list[str]:
     """Return findings on rows, columns, mosaic sites and parts of the frame that differ from each
-    other. `apart` states that these classes of pixels were calibrated separately."""
+    other. The argument `apart` is true if these classes of pixels were calibrated separately."""
     spacing = 1 if calibration.measurement.pattern is None else 2
     return periodic_in_words(_periodic(calibration), calibration.gain, apart=apart, spacing=spacing)
 

@@ -243,7 +243,7 @@ class PhotonTransfer(eqx.Module):
     @property
     def saturated(self) -> int | None:
         """Index of the bright level at the standard's saturation point. None if the variance has no
-        maximum, or if a knee explains it."""
+        maximum, or if a knee of the response explains the maximum."""
         return None if self.knee is not None else saturation_index(self.bright)
 
     @property

@@ -386,9 +386,9 @@ def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
     scatter's logarithm would make the posterior improper. A prior that is flat in the scatter
     itself would make intervals from few levels too wide. A scatter tau adds tau^2 a to the variance
     v of each level, with a known factor a. Therefore the Fisher information on ln tau is
-    proportional to the sum of (tau^2 a / (v + tau^2 a))^2 over the levels, and the prior is its
-    square root. The prior is flat in ln tau if the scatter dominates, and falls as tau^2 if the
-    noise dominates.
+    proportional to the sum of (tau^2 a / (v + tau^2 a))^2 over the levels, and the prior is the
+    square root of this information. The prior is flat in ln tau if the scatter dominates, and falls
+    as tau^2 if the noise dominates.
 
     Source:
         Box & Tiao, "Bayesian Inference in Statistical Analysis", 1973, section 5.2.

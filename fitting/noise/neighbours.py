@@ -60,8 +60,8 @@ def above_dark(measurement: PhotonTransfer) -> tuple[np.ndarray, np.ndarray, np.
     """Return three arrays: the covariances of bright levels minus those of the darks, the sampling
     variances of these differences, and the sampling variances of their sums over all neighbours.
     Return None if there are no frames of adjacent pixels. Also return None if the light flickers,
-    because flicker makes neighbouring pixels covary more strongly than the repulsion of charges
-    does."""
+    because flicker causes larger covariances of neighbouring pixels than the repulsion of
+    charges."""
     bright, dark = measurement.bright, measurement.dark
     if bright.covariances is None or dark.covariances is None or bright.flicker is not None:
         return None
@@ -199,9 +199,9 @@ def _powers_of(
 
 
 def variance_terms(shape: Lags) -> Float[np.ndarray, " terms"]:
-    """Return the coefficients of C_00 / mu in powers m of a_00 mu, the highest first. Coefficient m
-    is 2^m / (m + 1)! times (a * ... * a)_00 / a_00^m, with a convolution of m factors a (Astier et
-    al. 2019).
+    """Return the coefficients of C_00 / mu in powers m of a_00 mu, the highest first. The
+    coefficient of power m is 2^m / (m + 1)! times (a * ... * a)_00 / a_00^m, where a * ... * a is
+    the convolution of m copies of the area changes a_ij (Astier et al. 2019).
     """
     lags = np.arange(-REACH, REACH + 1)
     around = np.zeros((PERIOD, PERIOD))

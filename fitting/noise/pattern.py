@@ -8,8 +8,9 @@ saturation. The weighted fit uses all darks and all bright levels below saturati
 count uneven light as PRNU. Both methods estimate the variance of the population of pixels, of which
 this sensor's pixels are a sample. The variance over the pixels of a frame contains only the share 1
 - 1 / w of the variance of w unequal columns. Therefore significant contributions of rows and
-columns are scaled up to those of their population. The sampling error of each contribution
-(`parts`) is that of a chi-square with n degrees of freedom for n pixels, or w - 1 for w columns.
+columns are divided by this share, to give the variance of their population. The sampling error of
+each contribution (`parts`) is that of a chi-square with n degrees of freedom for n pixels, or w - 1
+for w columns.
 
 In a sample of pixels, even independent offsets and gains have a random covariance c, which adds 2 c
 (mu_y - mu_y.dark) to s^2. The mean of c is 0, so c is treated as an error.

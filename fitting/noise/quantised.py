@@ -30,8 +30,8 @@ sample. Averages over the sample of a pixel's mean, variance and squared deviati
 between sensors with equal mean and spread. The parts of these quantities that are neither linear
 nor quadratic in d cause this difference.
 
-The usual moments, with a variance of 1/12 for rounding, are wrong for small read noise and for
-clipped black; `window` decides whether this is significant.
+The usual mean and variance, with a variance of 1/12 for rounding, are wrong for small read noise
+and for clipped black. The module `window` tests whether this error is significant.
 """
 
 from collections.abc import Sequence

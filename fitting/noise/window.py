@@ -1,4 +1,5 @@
-"""The choice of levels that need the exact moments of rounding and clipped black.
+"""The choice of light levels for which mean and variance after rounding and clipping at black are
+computed exactly.
 
 The usual moments count rounding as a variance of 1/12 and assume no clipping of black. For a normal
 signal of standard deviation s rounded to whole numbers, the errors of mean and variance are at most
@@ -86,8 +87,8 @@ def needed_window(
 
 
 def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window:
-    """Compute the weights of the exact moments for the darks and for all levels that clipping or
-    rounding may affect."""
+    """Compute the weights for exact means and variances (`quantised`), for the darks and for all
+    levels that clipping or rounding may affect."""
     data, mean, variance = _in_codes(measurement, usable)
     lit, converter = np.asarray(data.lit), measurement.converter
     deviation, dark = np.sqrt(variance), lit == 0

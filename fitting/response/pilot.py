@@ -127,7 +127,7 @@ def make_rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.n
 def rebin(
     means: Float[np.ndarray, " bins"], bins: CodeBins, other: CodeBins
 ) -> Float[np.ndarray, " others"]:
-    """Interpolate the bin means of a curve to other bins."""
+    """Interpolate a curve, given by its means over bins of codes, to other bins."""
     spline = CubicSpline(bins.log_codes, means)
     return spline(other.log_codes)
 

@@ -294,8 +294,8 @@ def _stated(
     labels: dict[str, tuple[str, ...]] = {}
 
     def averages(name: str, values: np.ndarray) -> np.ndarray:
-        """Average `values` over the settings that share each value of a parameter. If none of these
-        settings has an estimate, average over all settings."""
+        """For each value of a parameter, average the estimates `values` over the settings that
+        share it. If none of these settings has an estimate, average over all settings."""
         labels[name] = tuple(dict.fromkeys(shared[name]))
         inputs[name] = np.array([labels[name].index(word) for word in shared[name]])
         known = np.isfinite(values)

@@ -1,2 +1,2 @@
-"""The data sheet of EMVA Standard 1288, release 4.0 (2021): both modules, *Linear* and *General*,
-with intervals."""
+"""The data sheets *Linear* and *General* of EMVA Standard 1288, release 4.0 (2021), with intervals
+for every figure."""

@@ -262,7 +262,8 @@ def _uneven(found: Mapping[str, Nonuniformity]) -> list[str]:
 
 def _leaks(sheet: Release4, averages: Averages) -> list[str]:
     """Return findings on temporal noise of rows and columns that remains in the average frame, and
-    on drift that the standard subtracts as noise of the pixels."""
+    on a drift of the frames' means, which the standard's formulas subtract as if it were noise of
+    the pixels."""
     measurement, unlit, sentences = sheet.stacks.measurement, averages.unlit, []
     shared, own = measurement.dark.shared, int(measurement.dark_of[averages.level])
     split: Split = sheet.nonuniformity[PLAIN].dark

@@ -37,8 +37,8 @@ class Errors:
 
 
 def errors(measured: MeasuredBRDF, predicted: OfSamples) -> Errors:
-    """Return both error metrics of a prediction of f_r in sr^-1. An error below a billionth of the
-    signal counts as that billionth, so that rounding does not decide between models.
+    """Return both error metrics of a prediction of f_r in sr^-1. Errors below a billionth of the
+    signal are set to a billionth of the signal, so that rounding does not decide between models.
     """
     signal = reflected(measured, measured.values)
     missed = reflected(measured, predicted) - signal
@@ -175,7 +175,8 @@ def weight_by_incidence(measured: MeasuredBRDF, objective: Objective) -> OfIncid
 
 
 def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> OfSamples:
-    """Return f_r in sr^-1 of every sample, predicted by the fit without its incidence."""
+    """Return f_r in sr^-1 of every sample, predicted by the fit to the samples of all other
+    incidences."""
     predicted = np.empty_like(measured.values)
     for i, without in enumerate(fit.without):
         own = measured.incidence == i

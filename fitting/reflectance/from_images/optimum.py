@@ -344,8 +344,8 @@ def minimise_samples(
 def optimum(start: Vector, samples: Samples) -> tuple[Prediction, Matrix, bool]:
     """Return the prediction of the samples at the optimum, the information at the optimum, and
     whether the search converged to a shape within the searched range. Newton's method converges
-    from a close start. If it does not converge, because pixels saturate during the search, a
-    bounded search is done first.
+    from a close start. If Newton's method does not converge, because pixels saturate during the
+    search, a bounded search is done first.
     """
     found = minimise_samples(start, [samples])
     if not found.converged:

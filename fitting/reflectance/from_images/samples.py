@@ -167,7 +167,8 @@ def image_view(observation: Photographs, channel: int, light: int) -> View:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The prediction of samples at an unconstrained vector."""
+    """The predicted signals and digital numbers of samples at a vector of log parameters, with
+    their derivatives."""
 
     vector: Vector
     signal: OfSamples  # X, DN above black
