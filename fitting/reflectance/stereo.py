@@ -59,6 +59,7 @@ PASSES = 8  # at most, of a fit and the readings that it predicts between the li
 CONTRADICTED, USUAL = 0.5, 0.25  # share of contradicted pixels; largest in the median image
 APART = 8.0  # ratio to the median image's median residual from which an image deviates
 FEWEST = 30  # fewest pixels to judge an image
+HALF_NORMAL = 0.8318  # interquartile range of |x| if x is a Gaussian of unit variance
 ALONE = 0.02  # logarithm of a factor from which an image deviates from those that agree
 SHARED, SMALL = 0.5, 0.02  # shares of residuals' squares and of the albedo to be reported
 FITTED = 256  # pixels of a first test whether a rough body explains residuals
@@ -73,8 +74,8 @@ class Stereo:
     """Normals, albedo and their errors for each pixel. Print the record, or show it in a notebook.
 
     Attributes:
-        normals: (h, w, 3) unit normals, in the axes of the lights; NaN where fewer than three
-            lights are used.
+        normals: (h, w, 3) unit normals, in the axes of the lights; NaN where the lights that are
+            used have fewer than three directions, or have directions in one plane.
         albedo: (h, w) ratio of readings to irradiance.
         normal_sd: (h, w) standard deviation of the normal's direction, rad, as the root mean square
             over two axes. A cone whose half-angle is 2.448 times this standard deviation contains
@@ -168,7 +169,9 @@ def photometric_stereo(
             as `fitting.lights.calibrate` returns it; None for exact lights.
         lowest: readings at or below this number are left out as shadow, in the unit of the images.
             Readings that the other images predict to be less than three standard deviations above
-            this number are also left out.
+            this number are also left out. The noise of dark readings is estimated from readings
+            below 0, or from the residuals of dim pixels. Within three standard deviations of it, a
+            reading is left out even if fewer than three directions of light remain.
         highest: readings at or above this number are left out as clipped. Readings that the other
             images predict to be less than three standard deviations below this number are also left
             out. If `highest` is None and many readings equal the largest reading, the largest
@@ -691,18 +694,20 @@ def _counted(
     rows: Rows, readings: Readings, between: Counted, limits: tuple[float, float], *, robust: bool
 ) -> Counted:
     """Return a mask of the readings that the fit uses. A reading is used if the fit predicts it
-    between the limits and the other readings do not contradict it. A limit that would leave fewer
-    than three lights is not applied.
+    between the limits and the other readings do not contradict it. Readings within the noise of the
+    lower limit are not used, because readings in attached shadow do not follow the model. A margin
+    beyond this noise that would leave fewer than three lights is not applied.
     """
 
     near = _consistent(rows, readings, between) if robust else between.copy()
-    moving = np.arange(readings.shape[1])
+    moving, dark = np.arange(readings.shape[1]), _dark_noise(rows, readings, near)
     for _ in range(PASSES):
         own, own_near, own_between = readings[:, moving], near[:, moving], between[:, moving]
         g, _ = solved(rows, own, own_near.astype(float))
-        chosen = own_near
+        lit = ~(rows @ g.T <= limits[0] + CLEAR * dark)
+        chosen = own_near & lit
         for spread in (0 * own[0], _usual_residual(rows, own, own_near, g)):
-            narrower = own_between & _between(rows, g, spread**2, limits)
+            narrower = own_between & lit & _between(rows, g, spread**2, limits)
             known = np.isfinite(solved(rows, own, narrower.astype(float))[1][:, 0, 0])
             chosen = np.where(known, narrower, chosen)
         if robust:
@@ -713,6 +718,23 @@ def _counted(
         if not moving.size:
             break
     return near
+
+
+def _dark_noise(rows: Rows, readings: Readings, near: Counted) -> float:
+    """Return the standard deviation of readings without light. It comes from the quartiles of the
+    readings below 0; without such readings, as in clipped images, from the residuals of the dimmer
+    half of the pixels.
+    """
+    below = -readings[readings < 0]
+    if below.size >= FEWEST:
+        return float(np.subtract(*np.quantile(below, [0.75, 0.25]))) / HALF_NORMAL
+    g, _ = solved(rows, readings, near.astype(float))
+    largest = np.where(near, readings, 0).max(axis=0)
+    known = (near.sum(axis=0) > 3) & np.isfinite(g[:, 0])
+    if known.sum() < FEWEST:
+        return 0.0
+    dim = known & (largest <= np.median(largest[known]))
+    return float(np.median(_usual_residual(rows, readings, near, g)[dim]))
 
 
 def _usual_residual(rows: Rows, readings: Readings, near: Counted, g: Vectors) -> OfPixels:

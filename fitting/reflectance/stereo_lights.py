@@ -163,9 +163,11 @@ def _fitted(
         scaled, moved = rows * factors[:, None], readings - offset
         g, inverse = solved(scaled, moved, weights)
         known = np.isfinite(g[:, 0])
-        weights, predicted = weights * known, np.nan_to_num(scaled @ g.T)
+        if not known.any():
+            return None
+        counts, weights, predicted = counts & known, weights * known, np.nan_to_num(scaled @ g.T)
         inverse[~known] = 0
-        residuals = np.where(counts & known, moved - predicted, 0)
+        residuals = np.where(counts, moved - predicted, 0)
         normals, rights = _normal_parts(scaled, weights, inverse, predicted, residuals, by_offset)
         step = np.linalg.pinv(normals.sum(axis=0), rcond=FLAT, hermitian=True) @ rights.sum(axis=0)
         if by_offset:

@@ -555,3 +555,24 @@ def test_infinite_readings_are_left_out_and_named():
 def test_three_lights_say_that_they_leave_no_errors():
     found = photometric_stereo(READ[:3], LIGHTS[[0, 4, 8]], intensities=E[:3])
     assert "only three lights are used" in found.findings[-1]
+
+
+@pytest.mark.parametrize("clipped", [False, True])
+@pytest.mark.parametrize("azimuths", [[90, 210, 330], [45, 135, 225, 315]])
+def test_repeated_lights_of_which_two_see_a_pixel_give_no_normal(azimuths, clipped):
+    """Two lit directions leave the normal free, however often each is repeated."""
+    turns = np.radians(np.repeat(azimuths, 4))
+    high = np.full(turns.size, 0.5)
+    lights = np.stack([0.75**0.5 * np.cos(turns), 0.75**0.5 * np.sin(turns), high], axis=1)
+    normals = ball(48)
+    inside = np.isfinite(normals[..., 2])
+    shade = np.einsum("kc,hwc->khw", lights, normals)
+    readings = 1000 * np.maximum(shade, 0) + np.random.default_rng(0).normal(0, 2, shade.shape)
+    found = photometric_stereo(np.maximum(readings, 0) if clipped else readings, lights)
+    directions = (shade[::4] > 0).sum(axis=0)
+    off = np.arccos(np.clip((found.normals * normals).sum(axis=-1), -1, 1))
+    undetermined, lit = inside & (directions < 3), inside & (shade[::4] > 0.03).all(axis=0)
+    assert undetermined.sum() > 200
+    assert np.isfinite(off[undetermined]).mean() <= (0.02 if clipped else 0)
+    assert np.isfinite(off[lit]).all()
+    assert off[lit].max() < np.radians(0.5)
