@@ -13,7 +13,7 @@ Two mirror balls give two lines of sight, which meet at a near light.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -26,7 +26,7 @@ from jaxvision.errors import InputError
 from ..copies import Copies
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent
-from ..inference.given import plain_numbers
+from ..inference.given import plain_numbers, require_positive
 from ..observation import require_as_many, require_several_images
 from ..rig import SiteCamera
 from .file import Lights
@@ -74,7 +74,8 @@ def calibrate(
         The lights. Intensities are NaN where a highlight is clipped.
 
     Raises:
-        InputError: for a ball without a highlight, with two, or with one that is saturated or cut
+        InputError: for another kind of ball, lengths and standard deviations that are out of their
+            range, for a ball without a highlight, with two, or with one that is saturated or cut
             by the border, for a mask that is not the outline of a ball, and for lights too far away
             for a position.
 
@@ -88,6 +89,13 @@ def calibrate(
         >>> print(found.places.round(2) + 0.0)
         [[0. 0. 1.]]
     """
+    if kind not in get_args(Kind):
+        raise InputError(f"kind must be one of {', '.join(get_args(Kind))}, got {kind!r}.")
+    if not 0 <= outline_sd < np.inf:
+        raise InputError(f"outline_sd must be at least 0 and finite, in pixels, got {outline_sd}.")
+    for name, length in (("focal_length", focal_length), ("radius", radius)):
+        if length is not None:
+            require_positive(name, length)
     require_several_images("images", images)
     require_several_images("masks", masks)
     names = [f"images[{i}]" for i in range(len(images))] if files is None else list(files)

@@ -208,6 +208,12 @@ TWICE = [np.maximum(IMAGES[0], IMAGES[1])]
         ([4095 + 0 * IMAGES[0]], MASK, {"kind": "matte"}, "of the ball are saturated"),
         ([64 + 0 * IMAGES[0]], MASK, {"kind": "matte"}, "expose longer"),
         ([IMAGES[0] * np.nan], MASK, {}, "finite numbers"),
+        (IMAGES[:1], MASK, {"kind": "glass"}, "kind must be one of mirror, matte, got 'glass'"),
+        (IMAGES[:1], MASK, {"outline_sd": -1.0}, "outline_sd must be at least 0 and finite"),
+        (IMAGES[:1], MASK, {"outline_sd": np.nan}, "outline_sd must be at least 0 and finite"),
+        (IMAGES[:1], MASK, {"focal_length": 0.0}, "focal_length must be positive and finite"),
+        (IMAGES[:1], MASK, {"focal_length": np.nan}, "focal_length must be positive and finite"),
+        (IMAGES[:1], MASK, {"radius": -0.1}, "radius must be positive and finite"),
     ],
 )
 def test_bad_images_are_a_sentence(images, mask, options, said):
