@@ -313,8 +313,9 @@ def accuracy(
     out: PageFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure error against time for each approximation of a scene: the cheapest settings for 10, 1
-    and 0.1 %, for each and for all together. An interrupt keeps the measurements."""
+    """Measure error against time for each approximation of a scene. The report gives the cheapest
+    setting for an error of 10, 1 and 0.1 %, of each approximation and of all together. An interrupt
+    keeps the measurements."""
     begun = time.perf_counter()
     file = existing_file(scene, "scene")
     _prepare()

@@ -201,7 +201,8 @@ class Choice:
         return taken
 
     def result(self, scene: Scene, camera: Camera | View) -> Pruned:
-        """Return the pruned records with their certificate."""
+        """Return the scene and the camera without the dropped effects, and the list of kept and
+        dropped effects with their bounds."""
         draft, expand, own = self.draft, None, self.draft.camera
         threshold = draft.threshold
         left = finished(scene, draft)

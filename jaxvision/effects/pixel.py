@@ -9,7 +9,8 @@ For Gaussian distributions, D is the 2-Wasserstein distance. For other distribut
 bound on that distance (Gelbrich, "On a formula for the L2 Wasserstein metric", Mathematische
 Nachrichten 147 (1990)). D is the distance of two points (m, s) in a plane, so the bounds of
 successive changes add. The rms of a sum of independent parts is the length of the vector of their
-rms values. So the rms of the sum changes by at most the length of the change of that vector.
+rms values. So if the parts change, the rms of their sum changes by at most the length of the
+difference between the old and the new vector (triangle inequality).
 
 If the number of counted electrons changes in the presence of Gaussian noise of 1 e- rms, the
 Wasserstein distance is at most 1.03 times the bound. With less noise the ratio is larger, 1.3 for

@@ -1,5 +1,6 @@
-"""The implementation that all linear filters share. A kernel is a sum of terms, each a full kernel
-or a column times a row, and is applied to a picture at a border.
+"""The implementation that all linear filters share. A kernel is stored
+as a sum of terms. Each term is a full (rows, columns) kernel or a column times a row. A rule for
+the border gives the values outside the picture.
 
 One program is compiled for each shape and dtype of picture and each `Settings`. The kernel's
 numbers and the fill are traced.

@@ -118,8 +118,8 @@ def likeliest_turns(
     selection: Selection,
     prior: Prior | None,
 ) -> Turns:
-    """Return the (lights, 2) most likely rotations at given parameters, linearised about
-    `turns`."""
+    """Return the most likely rotations of the lights' directions, (lights, 2) rad, at given
+    parameters. The prediction is linearised about the rotations `turns`."""
     moves, light = shifts * inverse_deviation(samples), selection.light
     left = (samples.dn - prediction.dn) * inverse_deviation(samples)
     left = left + np.einsum("as,sa->s", moves, turns[light])

@@ -121,7 +121,8 @@ class Mesh(Named):
 
 class Placed(Entry):
     """KHR_texture_transform, which scales texture coordinates and then adds an offset. A rotation
-    raises an error, because programs rotate in different directions."""
+    of texture coordinates raises an error, because programs that write glTF disagree on its
+    direction."""
 
     offset: tuple[Finite, Finite] = (0.0, 0.0)
     rotation: Annotated[float, Field(ge=0, le=0)] = 0.0
