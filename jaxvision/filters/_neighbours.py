@@ -71,10 +71,10 @@ def weighted_mean(
 
     Only neighbours for which `taken(dy, dx)` is true count; None takes all. The weight w is
     `weight_of(change, dy, dx)`, where `change` is guide(p + (dy, dx)) - guide(p) on the picture and
-    `margin` pixels around it. The windows of `margin` pixels about a pixel and about its neighbour are
-    compared. The neighbour has weight 0 if the guide is infinite in one window and finite at the
-    corresponding place of the other. Border "normalised_zero" ignores neighbours outside
-    the picture. The backward pass recomputes each row of neighbours, to save memory.
+    `margin` pixels around it. The windows of `margin` pixels about a pixel and about its neighbour
+    are compared. The neighbour has weight 0 if the guide is infinite in one window and finite at
+    the corresponding place of the other. Border "normalised_zero" ignores neighbours outside the
+    picture. The backward pass recomputes each row of neighbours, to save memory.
     """
     zero = jnp.zeros_like(values[0])
     height, width = zero.shape[1:]

@@ -149,9 +149,9 @@ def layered_defocus(
 
     The layers are spaced by equal steps of blur radius from the farthest to the nearest depth. Each
     pixel is divided between the two nearest layers. The coverage A of a layer is the mask of all
-    surfaces at or in front of it, blurred like the layer. The layer is visible where its
-    coverage A exceeds the coverage of the next nearer layer. The colour of a layer is a mean over the pixels that belong to
-    it, so a flat picture stays flat.
+    surfaces at or in front of it, blurred like the layer. The layer is visible where its coverage A
+    exceeds the coverage of the next nearer layer. The colour of a layer is a mean over the pixels
+    that belong to it, so a flat picture stays flat.
 
     Args:
         view: the lens.

@@ -220,8 +220,9 @@ def _given_all(
 def _black_level(
     calibration: CameraCalibration, i: int, at: Figures, numbers: Numbers | None
 ) -> Float[np.ndarray, " draws"]:
-    """Return the black level of a setting, DN, which does not include dark current. The black level comes from the
-    separate fit of the setting, or from all darks of the setting if it has no flats."""
+    """Return the black level of a setting, DN, which does not include dark current. The black level
+    comes from the separate fit of the setting, or from all darks of the setting if it has no
+    flats."""
     frames = calibration.frames[i].frames
     darks = frames if isinstance(frames, Levels) else frames.dark
     weight = np.asarray(darks.frames) / np.asarray(darks.variance)
