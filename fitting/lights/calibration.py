@@ -25,7 +25,7 @@ from jaxvision.errors import InputError
 
 from ..copies import Copies
 from ..inference.diagnostics import listed
-from ..inference.formatting import format_percent
+from ..inference.formatting import format_percent, format_with_error
 from ..inference.given import plain_numbers, require_positive
 from ..observation import require_as_many, require_several_images
 from ..rig import SiteCamera
@@ -311,6 +311,17 @@ def _locate_by_shading(
     shared = np.einsum("lio,op,mjp->limj", by_outline, found.outline_covariance, by_outline)
     own = to_four @ found.own @ np.swapaxes(to_four, 1, 2)
     findings = _outline_findings([outline])
+    if found.moved is not None:
+        moved = np.einsum("lij,lj->li", to_four, found.moved)
+        shared = shared + moved[:, :, None, None] * moved
+        turn = np.degrees(np.median(np.linalg.norm(moved[:, :3], axis=1)))
+        findings += (
+            "Readings of the ball grow as (n.l)^p with p = "
+            f"{format_with_error(found.power, found.power_sd)} in place of 1: they are not linear "
+            "(a gamma, an unstated black level), or the ball is not Lambertian. This power would "
+            f"turn the directions by {turn:.2g} degrees (median), which their standard deviations "
+            "include.",
+        )
     if found.floor:
         findings += (
             f"Pixels of the ball that face away from a light read {found.floor:.4g} DN above "

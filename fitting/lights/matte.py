@@ -10,6 +10,10 @@ outline's information is
 with D_k = d(N g_k)/do and the residuals' standard deviation s_k under light k. If residuals of
 neighbouring pixels are correlated, the design effect of sectors of the ball reduces the effective
 number of pixels.
+
+A second fit has one more unknown that all lights share, the power p of m = |g| (n.l)^p. A gamma, a
+response that is not linear and a surface that is not Lambertian change it from 1, and the outline
+absorbs most of their residuals if p is fixed.
 """
 
 from dataclasses import dataclass, replace
@@ -30,6 +34,8 @@ STEP = 1e-3  # pixels
 UNLIT = 0.1  # -n.l of pixels that should read black
 SMALL = 0.002  # of the largest signal: a reading of the unlit side too small to matter
 SECTORS, RINGS = 8, 3
+CLEAR = 5.0  # standard errors from which the power differs from 1
+POWERS = 0.4, 2.5  # range of the power
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,9 @@ class Shading:
         misfit: rms residual over the largest signal, median over lights.
         effect: design effect of the residuals.
         floor: level of pixels that face away from the lights, DN above black; it was subtracted.
+        power: fitted power of n.l, 1 for Lambert's law.
+        power_sd: its standard error.
+        moved: (lights, 3) change of g if the power is free; None if it does not differ from 1.
     """
 
     values: Float[np.ndarray, "3"]
@@ -55,6 +64,9 @@ class Shading:
     misfit: float
     effect: float
     floor: float = 0.0
+    power: float = 1.0
+    power_sd: float = 0.0
+    moved: Float[np.ndarray, "lights 3"] | None = None
 
 
 def shading_of(
@@ -71,9 +83,14 @@ def shading_of(
     """
     found = _shading(signals, ball, clip, outline, names)
     floor = _floor(signals, ball, found, outline)
-    if floor == 0:
+    if floor != 0:
+        signals, clip = signals - floor, clip - floor
+        found = replace(_shading(signals, ball, clip, outline, names), floor=floor)
+    free = _shading(signals, ball, clip, outline, names, free_power=True)
+    found = replace(found, power=free.power, power_sd=free.power_sd)
+    if not abs(free.power - 1) > CLEAR * free.power_sd:
         return found
-    return replace(_shading(signals - floor, ball, clip - floor, outline, names), floor=floor)
+    return replace(found, moved=free.g - found.g)
 
 
 def _floor(
@@ -110,13 +127,17 @@ def _shading(
     clip: float,
     outline: Outline,
     names: list[str],
+    *,
+    free_power: bool = False,
 ) -> Shading:
     rows, columns = np.nonzero(ball)
     whole = np.stack([columns, rows], axis=1).astype(float)
-    prior = np.linalg.inv(outline.covariance)
-    values, effect, parts = outline.values.copy(), 1.0, []
-    information = prior
-    for _ in range(ROUNDS):
+    prior, start = np.zeros((4, 4)), np.append(outline.values, 1.0)
+    prior[:3, :3] = np.linalg.inv(outline.covariance)
+    free = slice(0, 4 if free_power else 3)
+    values, power, effect, parts = outline.values.copy(), 1.0, 1.0, []
+    information = prior[free, free]
+    for _ in range(2 * ROUNDS if free_power else ROUNDS):
         apart = (whole - values[:2]) / values[2]
         kept = np.hypot(*apart.T) < SIGHT
         pixels, apart = whole[kept], apart[kept] / SIGHT
@@ -135,21 +156,28 @@ def _shading(
             axis=-1,
         ) / (2 * STEP)
         parts = [
-            _solve_light(reading, normals, slopes, sector, clip, name)
+            _solve_light(reading, normals, slopes, sector, clip, name, power)
             for reading, name in zip(readings, names, strict=True)
         ]
         effect = max(float(np.mean([part.effect for part in parts])), 1.0)
-        information = prior + sum(part.information for part in parts) / effect
-        pull = prior @ (outline.values - values) + sum(part.pull for part in parts) / effect
-        values = values + np.linalg.solve(information, pull)
+        information = (prior + sum(part.information for part in parts) / effect)[free, free]
+        pull = prior @ (start - np.append(values, power))
+        pull = (pull + sum(part.pull for part in parts) / effect)[free]
+        step = np.linalg.solve(information, pull)
+        values = values + step[:3]
+        if free_power:
+            power = float(np.clip(power + step[3], *POWERS))
+    covariance = np.linalg.inv(information)
     return Shading(
         values,
-        np.linalg.inv(information),
+        covariance[:3, :3],
         np.array([part.g for part in parts]),
         np.array([part.own for part in parts]) * effect,
         np.array([part.by_outline for part in parts]),
         float(np.median([part.misfit for part in parts])),
         effect,
+        power=power,
+        power_sd=float(np.sqrt(covariance[-1, -1])) if free_power else 0.0,
     )
 
 
@@ -171,27 +199,32 @@ def _solve_light(
     sector: np.ndarray,
     clip: float,
     name: str,
+    power: float,
 ) -> _Light:
-    """Fit one light by least squares for a given outline, and return its contribution to the normal
-    equations of the outline.
+    """Fit one light by least squares for a given outline and power, and return its contribution to
+    the normal equations of outline and power.
     """
     usable = np.isfinite(normals[:, 2]) & (reading < clip)
     if (share := float(np.mean(reading >= clip))) > 0.5:
         raise InputError(f"{name}: {format_percent(share)} of the ball are saturated; expose less.")
     lit = usable & (reading > 0.3 * np.quantile(reading, 0.98))
-    g = np.zeros(3)
+    g, linear = np.zeros(3), reading
     for _ in range(6):
         if lit.sum() < FEWEST or np.quantile(reading, 0.98) < 2:
             raise InputError(
                 f"{name}: {lit.sum()} pixels of the ball are lit, of at least {FEWEST} needed; "
                 "expose longer, or leave the image out."
             )
-        g = np.linalg.lstsq(normals[lit], reading[lit], rcond=None)[0]
+        size = float(np.linalg.norm(g)) or float(np.quantile(reading, 0.98))
+        linear = size * (np.maximum(reading, 0) / size) ** (1 / power) if power != 1 else reading
+        g = np.linalg.lstsq(normals[lit], linear[lit], rcond=None)[0]
         lit = usable & (normals @ g > LIT * np.linalg.norm(g))
-    n, left = normals[lit], reading[lit] - normals[lit] @ g
+    n, left = normals[lit], linear[lit] - normals[lit] @ g
     inverse = np.linalg.inv(n.T @ n)
     variance = max(float(left @ left) / (lit.sum() - 3), 1e-12 * float(g @ g))
-    change = np.einsum("pco,c->po", slopes[lit], g)
+    shade = n @ g
+    bent = shade * np.log(np.maximum(shade, 1e-300) / np.linalg.norm(g)) / power
+    change = np.column_stack([np.einsum("pco,c->po", slopes[lit], g), bent])
     back = inverse @ (n.T @ change)
     beyond = change - n @ back
     sums = np.stack([np.bincount(sector[lit], column * left) for column in n.T], axis=1)
@@ -199,7 +232,7 @@ def _solve_light(
     return _Light(
         g,
         inverse * variance,
-        -back,
+        -back[:, :3],
         beyond.T @ beyond / variance,
         beyond.T @ left / variance,
         float(np.sqrt(variance) / np.linalg.norm(g)),

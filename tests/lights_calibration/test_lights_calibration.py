@@ -117,6 +117,22 @@ def test_what_the_unlit_side_reads_is_taken_off(floor):
         assert float(told[0].split("read ")[1].split()[0]) == pytest.approx(floor, abs=2)
 
 
+@pytest.mark.parametrize("gamma", [0.9, 1.0, 1.1, 1.2])
+def test_a_small_gamma_of_a_matte_ball_is_found_and_allowed_for(gamma):
+    """The outline absorbs its residuals, so that directions were 1.4 to 3.8 degrees off."""
+    rng, centre, lights = np.random.default_rng(5), np.full(2, (SIDE - 1) / 2), directions(5)
+    shades = np.maximum(np.einsum("hwi,li->lhw", np.nan_to_num(ball(centre, RADIUS)), lights), 0)
+    images = np.round(64 + 2500 * shades ** (1 / gamma) + 3 * rng.normal(size=shades.shape))
+    mask = np.hypot(COLUMNS - centre[0], ROWS - centre[1]) < RADIUS
+    found = calibrate(list(images), [mask], camera=CAMERA, kind="matte")
+    told = [text for text in found.findings if "grow as (n.l)^p" in text]
+    assert len(told) == (gamma != 1)
+    assert np.abs(standardised(found, lights)[0]).max() < 4
+    if told:
+        value, sd = (float(part.split()[0]) for part in told[0].split("p = ")[1].split("±")[:2])
+        assert value == pytest.approx(1 / gamma, abs=4 * sd)
+
+
 def test_outlines_of_mask_and_shading_that_differ_and_a_view_without_lens_are_told():
     images, _, _, _ = simulated("matte", 3, off=0.0)
     mask = np.hypot(COLUMNS - (SIDE - 1) / 2, ROWS - (SIDE - 1) / 2) < RADIUS + 5
