@@ -61,7 +61,8 @@ RIG = {
     "[geometry]": Geometry,
     "geometry.sphere": SphereGeometry,
 }
-SHAPE = re.compile(r"^(?:\([^)]*\) (?:or )?)+(?!pixels)")  # of arrays, before their unit
+SHAPE = re.compile(r"^(?:(?:or )?(?:neutral )?\([^)]*\),? )+(?!pixels)")  # before the unit
+STATIC = re.compile(r"[;.] [Ss]tatic(?=\.$)")  # concerns Python alone
 SAID = re.compile(r"^(\w+): (.*?)(?=\n\w+: |\Z)", re.DOTALL | re.MULTILINE)
 
 
@@ -118,7 +119,7 @@ def table_of(heading, make, keys):
         if key.default is MISSING and "by default" in key.about:
             default = "by integrator"
         words = words_of(key.hint)
-        meaning = SHAPE.sub("", " ".join(key.about.split())).replace("|", "\\|")
+        meaning = SHAPE.sub("", STATIC.sub("", " ".join(key.about.split()))).replace("|", "\\|")
         if words and not all(word in meaning for word in words):
             meaning += f" One of {', '.join(map(repr, words))}.".replace("'", '"')
         lines.append(f"| `{name}` | {meaning} | {default} |")

@@ -265,7 +265,13 @@ def _from_file(
     distribution: Distribution = "ggx",
 ) -> Coated:
     """A matt body under a clear coat; `body_roughness` is the roughness of an `EON` body, without
-    which the body is `Lambert`."""
+    which the body is `Lambert`.
+
+    Args:
+        diffuse: (bands,) k_d of the body in sr^-1.
+        eta: index of refraction of the coat, no unit, from 1.1 to 2.5.
+        body_roughness: r of the body, no unit, in [0, 1].
+    """
     body = Lambert(diffuse) if body_roughness is None else EON(diffuse, body_roughness)
     return Coated(
         body,

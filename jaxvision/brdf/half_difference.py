@@ -148,7 +148,11 @@ def evaluate(material: HalfDifferenceTable, wi: Direction, wo: Direction) -> Col
 
 
 def _from_file(*, file: Measured) -> Material:
-    """A measured BRDF."""
+    """A measured BRDF.
+
+    Args:
+        file: path of the measurement, relative to the scene file.
+    """
     from .measured import tabulate_sampler
 
     return tabulate_sampler(file) if isinstance(file, HalfDifferenceTable) else file

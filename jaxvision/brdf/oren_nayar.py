@@ -135,7 +135,11 @@ def _bound(x: Ends[OrenNayar]) -> Reflection:
 
 
 def _from_file(*, sigma: Annotated[float, NOT_NEGATIVE], **fields: Any) -> OrenNayar:
-    """A rough diffuse surface."""
+    """A rough diffuse surface.
+
+    Args:
+        sigma: degrees, standard deviation of the facets' slope angle, in [0, 90].
+    """
     return OrenNayar(sigma=np.radians(sigma), **fields)
 
 

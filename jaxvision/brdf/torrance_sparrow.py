@@ -440,7 +440,14 @@ def _from_file(
     interface: None = None,
     **fields: Any,
 ) -> TorranceSparrow:
-    """A surface of microfacets, which reflect everything unless `eta` or `f0` is given."""
+    """A surface of microfacets, which reflect everything unless `eta` or `f0` is given.
+
+    Args:
+        eta: (bands,) index of refraction of the facets, no unit; for a metal the real part.
+        k: (bands,) extinction coefficient of a metal, no unit; with `eta` only.
+        f0: (bands,) reflectance at normal incidence, no unit, for Schlick's approximation in place
+            of `eta`.
+    """
     if f0 is not None and eta is not None:
         raise ValueError("give either eta (with k for a metal) or f0.")
     if k is not None and eta is None:

@@ -196,8 +196,9 @@ class Reading(NamedTuple):
 def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str, Key]:
     """Return the keys of a record's table, by name. The keys are the record's fields, or the
     keyword arguments of the function that makes the record. If that function takes `**fields`, the
-    keys include the fields of `record`."""
-    said = meanings(make)
+    keys include the fields of `record`. A key that the function does not describe has the
+    description of the field."""
+    said = (meanings(record) if record else {}) | meanings(make)
     if isinstance(make, type):
         hints = get_type_hints(make, include_extras=True)
         spectra = (*getattr(make, "spectra", ()), *getattr(make, "neutral_spectra", ()))

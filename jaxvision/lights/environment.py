@@ -223,7 +223,21 @@ def _from_file(
     toward: Float[Array, "3"] = (1.0, 0.0, 0.0),  # type: ignore[assignment]
 ) -> EnvironmentMap:
     """Distant light from all directions: a picture, a constant, or one of the CIE's skies, 1 to 16
-    (`lights.daylight`), given its irradiance on level ground and the direction of the sun."""
+    (`lights.daylight`), given its irradiance on level ground and the direction of the sun.
+
+    Args:
+        file: path of a latitude-longitude picture of radiance, W m^-2 sr^-1, relative to the scene
+            file.
+        radiance: (bands,) W m^-2 sr^-1, from all directions.
+        sky: number of a CIE sky, 1 to 15, or 16 for the traditional overcast sky.
+        sun: (3,) toward the sun of the `sky` (its length is ignored), not below the horizon; by
+            default [0, 0, 1].
+        irradiance: (bands,) W m^-2 of the `sky` on open level ground.
+        scale: factor on the light, no unit.
+        up: (3,) direction of the picture's upper pole in the world.
+        toward: (3,) direction of the picture's middle column in the world; its component along `up`
+            is ignored.
+    """
     from .environment_tables import environment_map
     from .skies import daylight
 

@@ -462,7 +462,18 @@ def _from_file(
     opening: bool = False,
 ) -> Goniometric:
     """A lamp with the photometric data of its IES or EULUMDAT file; `opening` spreads its light
-    over the luminous opening."""
+    over the luminous opening.
+
+    Args:
+        file: path of the photometric data, relative to the scene file.
+        position: (3,) m, of the middle of the lamp's luminous opening.
+        up: (3,) direction of the lamp's own z axis in the world.
+        toward: (3,) direction of the lamp's photometric horizontal, its x axis; its component along
+            `up` is ignored.
+        colour: (bands,) share of the light in each band, no unit.
+        opening: whether to spread the light over the rectangle of the luminous opening, which is
+            the better model near the lamp.
+    """
     return goniometric_light(
         file, position, up=up, toward=toward, colour=np.asarray(colour), opening=opening
     )

@@ -120,7 +120,12 @@ def _from_file(
     outer: Annotated[float, Range(0, 180, above=True)],
     **fields: Any,
 ) -> SpotLight:
-    """A point that shines into a cone, whose half angles are in degrees."""
+    """A point that shines into a cone, whose half angles are in degrees.
+
+    Args:
+        inner: degrees, half angle of the inner cone, at least 0.
+        outer: degrees, half angle of the outer cone, above `inner` and at most 180.
+    """
     return SpotLight(inner=np.radians(inner), outer=np.radians(outer), **fields)
 
 

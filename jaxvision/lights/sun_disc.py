@@ -113,7 +113,11 @@ def _from_file(
     irradiance: Colour,
     radius: Annotated[float, Range(0, 90, above=True)] = 0.2666,
 ) -> SunDisc:
-    """The sun as a disc, whose angular radius is in degrees."""
+    """The sun as a disc, whose angular radius is in degrees.
+
+    Args:
+        radius: degrees, angular radius, above 0 and at most 90.
+    """
     return SunDisc(direction, irradiance, np.radians(radius))
 
 

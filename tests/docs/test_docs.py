@@ -95,6 +95,17 @@ def test_commands_exist():
         assert set(re.findall(r"--[a-z-]+", rest.partition("#")[0])) <= options, (name, command)
 
 
+def test_every_key_of_a_file_has_a_meaning(tmp_path):
+    module("file_keys").key_pages(tmp_path)
+    row = re.compile(r"^\| `(\w+)` \| (.*) \| [^|]+ \|$", re.MULTILINE)
+    found = [key for page in sorted(tmp_path.iterdir()) for key in row.findall(page.read_text())]
+    assert len(found) > 280
+    assert not [key for key, meaning in found if not meaning.partition("One of")[0].strip()]
+    assert {said for key, said in found if key == "sigma"} == {
+        "degrees, standard deviation of the facets' slope angle, in [0, 90]."
+    }  # the record's field is in radians
+
+
 def shown(file):
     """The Python that a reader copies from a notebook, a script or a page."""
     if file.suffix == ".ipynb":

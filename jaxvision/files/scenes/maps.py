@@ -44,7 +44,21 @@ def make_map(
     replaces. A map from a picture may have the key `encoding`, and the key `channel`, which is the
     index of one channel, from 0. By default, a map of a spectrum uses all channels of the picture
     except alpha, and a map of one number uses their luminance. Raise `InputError` if the number of
-    channels does not fit the spectrum."""
+    channels does not fit the spectrum.
+
+    Args:
+        map: path of a picture, relative to the scene file.
+        texels: rows of numbers, or rows of lists with one number for each channel, in place of a
+            picture.
+        encoding: of the codes of a picture; by default "srgb" for an integer picture of a spectrum,
+            and "linear" otherwise.
+        channel: index of the only channel that is used, from 0.
+        scale: factor on the texels, no unit.
+        uv: two rows of three numbers, which map the shape's (u, v, 1) to the map's (u, v), or of
+            four, which map (x, y, z, 1) of a point in the world, m; by default the shape's own
+            coordinates.
+        wrap: continuation beyond the map: "repeat" tiles it, "clamp" extends its border.
+    """
     if (map is None) == (texels is None):
         raise InputError("give either map, the name of a picture, or texels.")
     if map is not None:

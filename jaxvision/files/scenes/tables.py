@@ -59,7 +59,14 @@ Angle = Annotated[float, Range(0, float(np.nextafter(180, 0)), above=True)]
 
 
 def _box(*, centre: Point, half_extents: Point, rotation: Axes | None = None) -> Box:
-    """A box."""
+    """A box; its front is the outside.
+
+    Args:
+        centre: (3,) m.
+        half_extents: (3,) m, > 0, half of each side.
+        rotation: (3, 3) no unit, rows are the unit axes of its sides in the world; by default the
+            world's axes.
+    """
     return Box(centre, half_extents, rotation=_checked_axes(rotation))
 
 
@@ -76,7 +83,21 @@ def _mesh(
     flip: bool = False,
     primitive: tuple[Whole, Whole] | None = None,
 ) -> Shape:
-    """Triangles from a file. Vertices are scaled, rotated and then moved, or mapped by `matrix`."""
+    """Triangles from a file. Vertices are scaled, rotated and then moved, or mapped by `matrix`.
+
+    Args:
+        file: path of the mesh, relative to the scene file.
+        scale: length of the mesh's unit, m; by default 1.
+        rotation: (3, 3) no unit, rows are the mesh's axes in the world; by default the world's
+            axes.
+        position: (3,) m, of the mesh's origin in the world; by default [0, 0, 0].
+        matrix: three rows of four numbers, the affine map from the mesh's points, as columns, to m
+            in the world, in place of `scale`, `rotation` and `position`.
+        smooth: whether to shade with normals at the vertices; otherwise triangles are flat.
+        flip: whether to reverse every triangle and every normal.
+        primitive: of a glTF file: the numbers, from 0, of a mesh and of a primitive in it, without
+            the transform of the file's scene; by default all meshes, placed as in that scene.
+    """
     placed = {"scale": scale, "rotation": rotation, "position": position}
     placed = {name: value for name, value in placed.items() if value is not None}
     if matrix is not None and placed:
@@ -105,7 +126,16 @@ def beside_shape(
     two_sided: bool = False,
     normals: Map | None = None,
 ) -> dict[str, Any]:
-    """Check the keys that every table `[[surface]]` has, whatever its shape."""
+    """Check the keys that every table `[[surface]]` has, whatever its shape.
+
+    Args:
+        name: of the surface in messages; by default its number.
+        material: the NAME of a table `[material.NAME]`; may be omitted if `emission` is given.
+        emission: (bands,) W m^-2 sr^-1, the radiance of the front, equal in all directions.
+        two_sided: whether the back counts as a front; otherwise it is black.
+        normals: a map of (3,) shading normals; x points along growing u, z along the shape's
+            normal.
+    """
     if material is None and emission is None:
         raise InputError("give a material, an emission or both.")
     given = {"material": material, "emission": emission, "two_sided": two_sided}
@@ -122,7 +152,14 @@ def beside_camera(
     up: Point = (0.0, 0.0, 1.0),  # type: ignore[assignment]
     resolution: tuple[Count, Count],
 ) -> dict[str, Any]:
-    """Convert the keys that every table `[camera]` has, whatever its kind."""
+    """Convert the keys that every table `[camera]` has, whatever its kind.
+
+    Args:
+        position: (3,) m, of the camera.
+        target: (3,) m, a point in the middle of the picture, at which the camera looks.
+        up: (3,) direction that points up in the picture (its length is ignored).
+        resolution: [rows, columns] of the picture, pixels.
+    """
     forward = np.subtract(target, position)
     if not forward.any():
         raise InputError("position and target are one point; move one of them.")
@@ -134,7 +171,11 @@ def beside_camera(
 
 
 def _orthographic(resolution: tuple[int, int], *, width: Size, **placed: Any) -> Orthographic:
-    """Parallel projection."""
+    """Parallel projection.
+
+    Args:
+        width: m, of the part of the scene that the picture shows.
+    """
     return Orthographic(pixel_pitch=width / resolution[1], resolution=resolution, **placed)
 
 
@@ -150,6 +191,14 @@ def _pinhole(
 ) -> Pinhole:
     """Central projection. The field of view is given by `field_of_view`, by `focal_length` and
     `pixel_pitch`, or by the `matrix` of an OpenCV calibration.
+
+    Args:
+        field_of_view: degrees, of the picture's width.
+        focal_length: m, from the pinhole to the sensor.
+        pixel_pitch: m, between pixels on the sensor.
+        matrix: (3, 3) pixels, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]].
+        distortion: k1, k2, p1, p2, k3 of the calibration, in the order of OpenCV: none, four or
+            five of them; with `matrix` only.
     """
     sizes = (focal_length, pixel_pitch)
     if matrix is not None:
@@ -179,7 +228,18 @@ def _thin_lens(
     blades: Count | None = None,
     **placed: Any,
 ) -> ThinLens:
-    """Central projection through a thin lens."""
+    """Central projection through a thin lens, without distortion, rim or diffraction: these fields
+    of `ThinLens` have no key.
+
+    Args:
+        focal_length: m.
+        pixel_pitch: m, between pixels on the sensor.
+        f_number: focal length over the lens's diameter, no unit.
+        focus_distance: m, along the axis from the lens to the plane in focus, beyond the focal
+            length; by default infinity.
+        blades: number of the aperture's blades, at least 3, for an aperture that is a regular
+            polygon; by default the aperture is round.
+    """
     return ThinLens(
         focal_length=focal_length,
         pixel_pitch=pixel_pitch,
@@ -202,7 +262,11 @@ VIEWS: dict[str, Callable[..., View]] = {
 
 
 def beside_light(*, name: str | None = None) -> None:
-    """Define the keys that every table `[[light]]` has, whatever its kind."""
+    """Define the keys that every table `[[light]]` has, whatever its kind.
+
+    Args:
+        name: of the light in messages; by default its number.
+    """
 
 
 def light_tables() -> dict[str, Table]:
@@ -245,7 +309,9 @@ def keys_of_kind(table: Table) -> dict[str, Key]:
     if "diffuse" not in keys or not issubclass(table.record, Material):
         return keys
     instead = {
-        "diffuse": keys["diffuse"]._replace(default=None, about="k_d in sr^-1, or instead:"),
+        "diffuse": keys["diffuse"]._replace(
+            default=None, about="k_d in sr^-1; give either `diffuse` or `albedo`."
+        ),
         "albedo": Key(Colour | None, None, "pi k_d, at most 1, no unit."),
     }
     return instead | {name: key for name, key in keys.items() if name != "diffuse"}
