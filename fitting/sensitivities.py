@@ -29,7 +29,8 @@ from jaxvision import ArrayLike, colour_spaces
 from jaxvision.errors import InputError
 
 from .fits.bands import Bands, bands
-from .inference.given import plain_numbers
+from .inference.formatting import format_percent
+from .inference.given import plain_numbers, require_seed, require_whole
 from .inference.precision import double_precision
 
 if TYPE_CHECKING:
@@ -42,6 +43,12 @@ _OF_MODEL = 1e-4  # share of the largest reading: least error of any model of li
 # logarithm of a ratio of evidences from which a larger noise replaces the stated one
 _REFUTED = 5.0
 _LOUDER = 1.3  # ratio of residuals to the stated noise from which a misfit is reported
+_BEYOND = 2.0  # ratio of residuals to the fitted noise that sensitivities above 0 do not explain
+_COARSE = 0.05  # share of the largest reading: larger residuals are no noise of a photograph
+_CAUSES = (
+    "Causes are uneven light, a gamma, a black level, stray light, clipped patches, or spectra "
+    "that are wrong or in another order."
+)
 
 
 @dataclass(frozen=True)
@@ -228,15 +235,16 @@ def from_patches(
         sd: (patches, channels), (patches, 1) or () standard deviations of the readings. None
             estimates one for each channel from its residuals.
         channels: names of the channels.
-        draws: number of posterior draws.
+        draws: number of posterior draws, at least 2.
         seed: seed of the draws.
 
     Returns:
         The sensitivities.
 
     Raises:
-        InputError: for shapes that do not fit, fewer than 4 readings of a channel, wavelengths that
-            are not in m or do not increase, and standard deviations that are not above 0.
+        InputError: for shapes that do not fit, fewer than 4 readings of a channel, light that is 0
+            everywhere, wavelengths that are not in m or do not increase, and standard deviations
+            that are not above 0.
 
     Example:
         >>> from fitting import sensitivities
@@ -267,24 +275,42 @@ def from_patches(
         stated = np.broadcast_to(np.asarray(plain_numbers("sd", sd), float), y.shape)
         if not (np.isfinite(stated) & (stated > 0)).all():
             raise InputError("sd must be above 0.")
+    require_whole("draws", draws, least=2)
+    require_seed(seed)
     rng = np.random.default_rng(seed)
     found, lengths, noises, sentences = [], [], [], []
     for i, name in enumerate(names):
         kept = np.isfinite(y[:, i])
         if kept.sum() < _FEWEST:
             raise InputError(f"{name}: {kept.sum()} readings are numbers; give at least {_FEWEST}.")
+        if not spectra[kept].any():
+            raise InputError(f"{name}: light is 0 in all bands of its patches; give the spectra.")
         own = None if stated is None else stated[kept, i]
         channel = _Channel(spectra[kept], y[kept, i], at, own)
         best, spread = channel.best()
         found.append(channel.draws(best, spread, draws, rng))
+        left = y[kept, i] - spectra[kept] @ found[-1].mean(axis=0)
+        noise, off = channel.unit * channel.noise(best), float(np.sqrt(np.mean(left**2)))
         lengths.append(np.exp(best[1]))
         noises.append(np.exp(best[2]) * (channel.unit if stated is None else 1.0))
-        if stated is not None and np.exp(best[2]) > _LOUDER:
+        if np.sqrt(np.mean((left / noise) ** 2)) > _BEYOND:
+            below = int(np.sum(y[kept, i] < -_BEYOND * noise))
+            sentences.append(
+                f"{name}: no sensitivity of at least 0 explains the readings, which differ from "
+                f"the fit by {format_percent(off / channel.unit)} of the largest (rms)"
+                + (f"; {below} of {kept.sum()} are below 0" if below else "")
+                + f". Intervals do not allow for it. {_CAUSES}"
+            )
+        elif stated is not None and np.exp(best[2]) > _LOUDER:
             sentences.append(
                 f"{name}: readings differ from any smooth sensitivity by {np.exp(best[2]):.2g} "
-                "times their standard deviation; intervals allow for it. Causes are uneven light, "
-                "a gamma, a black level, stray light, clipped patches, or spectra that are wrong "
-                "or in another order."
+                f"times their standard deviation; intervals allow for it. {_CAUSES}"
+            )
+        elif stated is None and off > _COARSE * channel.unit:
+            sentences.append(
+                f"{name}: readings differ from any smooth sensitivity by "
+                f"{format_percent(off / channel.unit)} of the largest (rms), more than noise does; "
+                f"intervals allow for it. {_CAUSES}"
             )
     return Sensitivities(
         at, names, np.stack(found, axis=-1), np.array(lengths), np.array(noises), tuple(sentences)

@@ -97,11 +97,33 @@ def test_louder_noise_is_found_and_said():
 @pytest.mark.parametrize(
     ("change", "said"),
     [
+        (lambda readings: readings, ""),
+        (lambda readings: -readings, "no sensitivity of at least 0 explains the readings"),
+        (lambda readings: readings[::-1], "any smooth sensitivity"),
+        (lambda readings: readings**0.45, "any smooth sensitivity"),
+    ],
+)
+@pytest.mark.parametrize("stated", [False, True])
+def test_readings_that_no_sensitivity_explains_are_named(change, said, stated):
+    readings, _ = chart(camera(NAMES[0]), 0)
+    wrong = change(readings)
+    found = sensitivities.from_patches(
+        wrong, CHART * DAY, 1e-9 * NM, sd=0.01 * np.abs(wrong).max() if stated else None, draws=20
+    )
+    assert len(found.findings) == (3 if said else 0)
+    assert all(said in one for one in found.findings)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
         ({"wavelengths": NM}, "in metres"),
         ({"light": CHART[:5]}, "give \\(patches, 3\\), \\(patches, bands\\) and \\(bands,\\)"),
         ({"sd": 0.0}, "sd must be above 0"),
         ({"readings": np.full((24, 3), np.nan)}, "red: 0 readings are numbers"),
         ({"light": -CHART}, "light must be finite and at least 0"),
+        ({"light": 0 * CHART}, "red: light is 0 in all bands"),
+        ({"draws": 0}, "draws = 0: give a whole number of at least 2"),
     ],
 )
 def test_what_cannot_be_used_is_a_sentence(change, said):
