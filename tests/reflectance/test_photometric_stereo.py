@@ -16,6 +16,7 @@ NORMALS = np.stack([x, -y, np.sqrt(np.maximum(1 - x**2 - y**2, 0.04))], axis=-1)
 NORMALS /= np.linalg.norm(NORMALS, axis=-1, keepdims=True)
 RHO = 100 + 50 * x
 READ = E[:, None, None] * RHO * np.maximum(np.einsum("kc,hwc->khw", LIGHTS, NORMALS), 0)
+COVARIANCE = 1e-4 * np.eye(48).reshape(12, 4, 12, 4)
 
 
 def angles(found):
@@ -467,6 +468,19 @@ def test_pixels_with_too_few_lights_are_nan_and_three_have_no_error():
         (READ, LIGHTS, {"model": "ggx"}, "model must be one of"),
         (READ, LIGHTS, {"materials": np.zeros((3, 3), int)}, "one label a pixel"),
         (READ, LIGHTS, {"viewer": [0, 0, 2]}, "viewer must be a unit vector"),
+        (
+            READ,
+            LIGHTS,
+            {"covariance": COVARIANCE * np.nan},
+            "covariance holds numbers that are not",
+        ),
+        (READ, LIGHTS, {"covariance": -COVARIANCE}, "covariance has a negative variance"),
+        (
+            READ,
+            LIGHTS,
+            {"covariance": COVARIANCE + 1e-4 * np.eye(48, k=1).reshape(12, 4, 12, 4)},
+            "covariance is not symmetric",
+        ),
     ],
 )
 def test_bad_input_is_a_sentence(images, lights, options, said):
