@@ -5,6 +5,7 @@ import difflib
 import re
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ Attached = tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]
 def names_of(package: str, file: str) -> Attached:
     """Return `__getattr__`, `__dir__` and `__all__` of a package, made from its stub file. A name
     is imported when it is first used. A name that the stub does not list raises `AttributeError`.
-    The error message says where the name is defined, or which listed name is nearest."""
+    The error message says where the name is defined, which record has a field of that name, or
+    which listed name is nearest."""
     load, listed, offered = lazy_loader.attach_stub(package, file)
 
     def attribute(name: str) -> Any:
@@ -41,6 +43,8 @@ def names_of(package: str, file: str) -> Attached:
             hint = f"import {package}.{name} gives it"
         elif meaning := places(name, sys.modules["jaxvision"].__all__):
             hint = f"here it is {meaning}"
+        elif records := _records_with(name, offered):
+            hint = f"it is a field of {', '.join(records)}"
         else:
             hint = f"the nearest is {near[0]!r}" if near else f"dir({package}) lists what it has"
         said = f"{package} has no {name!r}; {hint}."
@@ -54,14 +58,38 @@ def _is_module(file: Path, name: str) -> bool:
 
 
 def _home(package: str, folder: Path, name: str) -> str | None:
-    """Return the subpackage that exports a name, or the submodule that defines it, or None."""
+    """Return the subpackage that exports a name, or the public submodule that defines it, or
+    None."""
     listed = re.compile(rf"\bas {re.escape(name)}\b")
-    for stub in sorted(folder.glob("*/__init__.pyi")):
+    for stub in sorted(folder.glob("*/__init__.pyi")) + sorted(folder.glob("*/*/__init__.pyi")):
         if listed.search(stub.read_text()):
-            return f"{package}.{stub.parent.name}"
+            return ".".join((package, *stub.parent.relative_to(folder).parts))
     defined = re.compile(rf"^(?:def|class) {re.escape(name)}\b", re.MULTILINE)
     for module in sorted(folder.rglob("*.py")):
         inner = module.relative_to(folder).with_suffix("").parts
-        if not any(part.startswith("_") for part in inner) and defined.search(module.read_text()):
+        if any(part.startswith("_") for part in inner) or not _is_offered(folder, inner):
+            continue
+        if defined.search(module.read_text()):
             return ".".join((package, *inner))
     return None
+
+
+def _is_offered(folder: Path, inner: tuple[str, ...]) -> bool:
+    """Return whether the stub of each package below the first lists the next part of a module's
+    path."""
+    stubs = (folder.joinpath(*inner[:i], "__init__.pyi") for i in range(1, len(inner)))
+    return all(
+        stub.exists() and re.search(rf"\bas {re.escape(part)}\b", stub.read_text())
+        for stub, part in zip(stubs, inner[1:], strict=True)
+    )
+
+
+def _records_with(name: str, offered: list[str]) -> list[str]:
+    """Return the records of scenes, views and sensors among `offered` that have a field."""
+    scene = import_module("jaxvision.scene")
+    kinds = [(one, getattr(scene, one)) for one in scene.__all__ if one in offered]
+    return [
+        f"jaxvision.{one}"
+        for one, kind in kinds
+        if name in getattr(kind, "__dataclass_fields__", ())
+    ]

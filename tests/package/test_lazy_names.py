@@ -27,6 +27,17 @@ import jaxvision
             "jaxvision has no 'render_command'; import jaxvision.render_command gives it.",
         ),
         (jaxvision, "over", "jaxvision has no 'over'; it is jaxvision.matting.over."),
+        (
+            jaxvision,  # an internal function of `effects` has the same name
+            "dark_current",
+            "jaxvision has no 'dark_current'; it is a field of jaxvision.Sensor.",
+        ),
+        (
+            jaxvision,
+            "focal_length",
+            "jaxvision has no 'focal_length'; it is a field of jaxvision.Pinhole, "
+            "jaxvision.ThinLens.",
+        ),
         (jaxvision, "Sensr", "jaxvision has no 'Sensr'; the nearest is 'Sensor'."),
         (
             jaxvision.filters,

@@ -72,6 +72,10 @@ def test_the_page_of_notions_has_every_word():
         ),
         ("motion_blur", "jaxvision.capture or jaxvision.RollingShutter"),
         ("k_e", "the argument 'exponent'"),
+        ("demosaicing", "jaxvision.demosaic"),
+        ("dof", "jaxvision.depth_of_field"),
+        ("foreshortening", "jaxvision.lambert_shading or jaxvision.irradiance"),
+        ("alpha_blending", "jaxvision.matting.over or jaxvision.matting.composite"),
         ("photon_transfer", "fitting.noise.from_frames or fitting.noise.calibrate"),
     ],
 )
@@ -85,6 +89,18 @@ def test_a_name(word, here):
     ("call", "said"),
     [
         (lambda: jv.Phong(k_d=[0.1], k_s=[0.1]), "Phong has no field 'k_d'; here it is 'diffuse'."),
+        (
+            lambda: jv.Sensor(black_level=64),
+            "Sensor has no field 'black_level'; here it is 'offset'.",
+        ),
+        (
+            lambda: jv.TorranceSparrow([0.1], [0.1], alpha=0.3),
+            "TorranceSparrow has no field 'alpha'; here it is 'roughness'.",
+        ),
+        (
+            lambda: jv.Pinhole(aperture=8),
+            "Pinhole has no field 'aperture'; here it is 'f_number'.",
+        ),
         (
             lambda: jv.Phong([0.1], k_s=[0.1], exponent=2),
             "Phong has no field 'k_s'; here it is 'specular'.",
