@@ -20,7 +20,7 @@ from jaxvision import BrighterFatter, Mixing
 from jaxvision.sensor import area_changes, flat_covariances
 
 from .levels import PhotonTransfer
-from .live_pixels import REACH
+from .live_pixels import LARGEST_LAG
 from .model import compressed, expected_electrons
 from .neighbours import COPIES, PERIOD, Lags, above_dark, area_shape
 from .statement import LikelihoodFit
@@ -84,11 +84,11 @@ def _fitted(
 ) -> tuple[Array, Array]:
     """Fit the a_ij at fixed a_00, and return their values and standard errors. If the model
     includes linear mixing, a term proportional to mu is also fitted at each offset."""
-    size = (REACH + 1) ** 2 - 1
+    size = (LARGEST_LAG + 1) ** 2 - 1
     weight = 1 / jnp.sqrt(variances)
 
     def missed(vector: Array) -> Array:
-        a = jnp.concatenate([own[None], vector[:size]]).reshape(REACH + 1, REACH + 1)
+        a = jnp.concatenate([own[None], vector[:size]]).reshape(LARGEST_LAG + 1, LARGEST_LAG + 1)
         expected = flat_covariances(a, mu)
         if mixing:
             share = jnp.concatenate([jnp.zeros(1), vector[size:]]).reshape(1, *a.shape)
@@ -103,7 +103,7 @@ def _fitted(
         slopes = jax.jacfwd(lambda v: missed(v * unit))(vector / unit)
         vector = vector - unit * jnp.linalg.lstsq(slopes, missed(vector))[0]
     errors = unit * jnp.sqrt(jnp.diagonal(jnp.linalg.inv(slopes.T @ slopes)))
-    values = jnp.concatenate([own[None], vector[:size]]).reshape(REACH + 1, REACH + 1)
+    values = jnp.concatenate([own[None], vector[:size]]).reshape(LARGEST_LAG + 1, LARGEST_LAG + 1)
     return values, jnp.concatenate([jnp.zeros(1), errors[:size]]).reshape(values.shape)
 
 
@@ -113,10 +113,10 @@ def fitted_kernel(
     """Return the kernel, scaled to a_00 = -1, whose area changes fit the measured area changes
     best."""
     weight = np.sqrt(np.maximum(COPIES, 1))
-    of_kernel = np.asarray(jax.jacfwd(area_changes)(jnp.zeros((REACH, REACH))))
+    of_kernel = np.asarray(jax.jacfwd(area_changes)(jnp.zeros((LARGEST_LAG, LARGEST_LAG))))
     design = (weight[:, :, None, None] * of_kernel).reshape(weight.size, -1)
     wanted = -(weight * area_shape(measurement, usable)).ravel()
-    kernel = np.linalg.lstsq(design, wanted, rcond=None)[0].reshape(REACH, REACH)
+    kernel = np.linalg.lstsq(design, wanted, rcond=None)[0].reshape(LARGEST_LAG, LARGEST_LAG)
     return kernel / -np.asarray(area_changes(jnp.asarray(kernel)))[0, 0]
 
 
@@ -142,11 +142,11 @@ def fitted_mixing(
     """
     if shares is None or "pixel_mixing" not in values:
         return None
-    lags = np.arange(-REACH, REACH + 1)
+    lags = np.arange(-LARGEST_LAG, LARGEST_LAG + 1)
     places, sizes = np.ix_(lags % PERIOD, lags % PERIOD), np.ix_(abs(lags), abs(lags))
     around = jnp.zeros((PERIOD, PERIOD)).at[places].set(shares[sizes])
     share = jnp.maximum(values["pixel_mixing"], 0)
     power = 1 - share + share * jnp.fft.fft2(around).real
     kernel = jnp.fft.ifft2(jnp.sqrt(jnp.maximum(power, 0))).real
     kernel = kernel[places]
-    return Mixing(kernel.at[REACH, REACH].add(1 - jnp.sum(kernel)))
+    return Mixing(kernel.at[LARGEST_LAG, LARGEST_LAG].add(1 - jnp.sum(kernel)))

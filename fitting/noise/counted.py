@@ -45,9 +45,10 @@ from .shared import drift
 SUB_ELECTRON = 1.5  # read noise, e-, above which moments contain as much information
 FINEST = 0.4  # read noise, in codes, below which a pixel's black level between two codes is unknown
 FEWEST, MOST = 0.1, 30.0  # electrons of a level
-UNEVEN = 0.2  # largest shift of a level's codes by unequal gains, relative to the read noise
+# Largest shift of a level's codes by unequal gains, relative to the read noise
+LARGEST_CODE_SHIFT = 0.2
 LEVELS = 8  # most levels in a fit: more levels cost time and add little information
-REACH = 8.0  # standard deviations on either side that a table covers
+TABLE_HALF_WIDTH = 8.0  # standard deviations on either side that a table covers
 SIZES = 64  # tables are padded to multiples of this, because each size is compiled separately
 PLACES = 8  # most classes of the pixels' black level between two codes
 
@@ -77,7 +78,7 @@ def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
         )
     response = fitted_pattern(measurement, usable).response
     uneven = float(np.sqrt(response.variance)) if response.significant else 0.0
-    most = min(MOST, UNEVEN * read / uneven) if uneven else MOST
+    most = min(MOST, LARGEST_CODE_SHIFT * read / uneven) if uneven else MOST
     if most < FEWEST:  # uneven light, or gain and read noise are of frames that flicker
         return none
     electrons = signal / gain
@@ -122,8 +123,8 @@ def code_tables(
         for level in levels[matched == d]:
             signal = float(bright.mean[level] - dark.mean[d]) / converter.step
             deviation = np.sqrt(float(bright.variance[level]) / converter.step**2 + error)
-            first = int(np.floor(-REACH * noise))
-            size = int(np.ceil(signal + REACH * deviation)) + 2 - first
+            first = int(np.floor(-TABLE_HALF_WIDTH * noise))
+            size = int(np.ceil(signal + TABLE_HALF_WIDTH * deviation)) + 2 - first
             counts = np.zeros(count * size)
             for name in flats[int(level)]:
                 at = np.round(codes_of(name)).astype(int) - whole - first
@@ -147,8 +148,9 @@ def code_tables(
     )
 
 
-BEYOND = 1.3  # largest read noise in the sum over electrons, relative to that from moments
-TOLERATED = 2.0  # chi-square per degree of freedom up to which the tables are used
+# Largest read noise in the sum over electrons, relative to that from moments
+LARGEST_READ_NOISE_RATIO = 1.3
+LARGEST_REDUCED_CHI_SQUARE = 2.0  # chi-square per degree of freedom up to which the tables are used
 TREND = 3  # exposures of darks needed to separate dark electrons from the black level
 
 
@@ -195,7 +197,7 @@ def counts_problem(
     unlit = _dark_signal(measurement)[darks] / step
     unsure = np.sqrt(dark_variance[darks] / np.asarray(dark.frames)[darks] / float(dark.pixels))
     known = np.asarray(tables.known)[:, None]
-    widest = np.sqrt((BEYOND * read_noise) ** 2 + float(known.max()) / gain**2)
+    widest = np.sqrt((LARGEST_READ_NOISE_RATIO * read_noise) ** 2 + float(known.max()) / gain**2)
     codes = np.asarray(tables.first)[:, None] + np.arange(tables.counts.shape[1])
     one = jnp.ones((len(codes), 1))
     sensor = Sensor(shot_noise=PoissonShotNoise(), gain=gain, read_noise=read_noise, offset=0.0)
@@ -261,7 +263,7 @@ def fitted_tables(measurement: PhotonTransfer) -> CodeFit | None:
     covariance = found.posterior.covariance[np.ix_(at, at)] * factor
     failures = [] if found.optimum.stationary else ["the search did not converge."]
     ratio = found.misfit.chi_square / found.misfit.dof
-    if ratio > TOLERATED:
+    if ratio > LARGEST_REDUCED_CHI_SQUARE:
         failures.append(
             "Poisson's electrons with Gaussian read noise do not describe it (chi-square per "
             f"degree of freedom is {ratio:.3g})."

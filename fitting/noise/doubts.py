@@ -39,7 +39,7 @@ from .quantities import ON_GAIN
 
 SKEWED, NEAR = 1.5, 0.15  # ratio to the third cumulant of light alone, and tolerance
 SURE_OF_SKEW = 6.0  # standard errors
-SMALL = 0.1  # share of the third cumulant that unequal pixels may add
+LARGEST_CUMULANT_SHARE = 0.1  # share of the third cumulant that unequal pixels may add
 FEWEST_SKEWED = 3
 
 
@@ -62,7 +62,11 @@ def multiplied(
         gain = float(shots[level]) / max(float(signals[level]), 1e-9)
         of_light = gain**2 * float(signals[level])
         clipped = any(frame.at_bottom > 0 for frame in (*flats[level], *darks[own]))
-        if clipped or gain <= 0 or max(uneven[level], 0.0) ** 1.5 > SMALL * of_light:
+        if (
+            clipped
+            or gain <= 0
+            or max(uneven[level], 0.0) ** 1.5 > LARGEST_CUMULANT_SHARE * of_light
+        ):
             continue
         found, error = _third_cumulant(flats[level], float(bright.variance[level]))
         unlit, unlit_error = of_darks[own]
@@ -165,14 +169,14 @@ def _scatter(signal: Float[np.ndarray, " levels"], times: Float[np.ndarray, " le
     return float(np.sqrt(np.sum(rest**2) / (len(x) - design.shape[1])))
 
 
-CHANCE = 1e-4  # probability that darks of a faultless camera seem to fade
+FALSE_ALARM_PROBABILITY = 1e-4  # probability that darks of a faultless camera seem to fade
 FEWEST_LEVELS = 5
 CONSTANT = 1 / 3  # share of the decrease at the brightest level that may be common to all levels
 STEP = np.log(1.25)  # least step of ln gain, or of ln dark variance
-SURE = 6.0  # standard errors of the difference of two groups
+SIGNIFICANCE_SIGMAS = 6.0  # standard errors of the difference of two groups
 ALIKE, SUDDEN = 0.25, 0.6  # of a step: largest scatter in a group, least between neighbours
 DITHERED = 1.0  # variance, in squared steps, below which rounding distorts it
-KNOWN = 0.05  # relative error of a level's variance up to which it is used
+LARGEST_VARIANCE_ERROR = 0.05  # relative error of a level's variance up to which it is used
 OF_DARK_NOISE = (
     *("temporal_dark_noise", "read_noise", "threshold_photons", "threshold_electrons"),
     *("dynamic_range", "dynamic_range_db", "usable_bits", "dark_current_variance"),
@@ -230,7 +234,7 @@ def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[FrameSample]])
     if not scatter > 0:
         return None
     error = np.sqrt(scatter * np.linalg.inv(design.T @ design)[1, 1])
-    if stdtr(degrees, -share / error) > CHANCE or abs(constant) > CONSTANT * share:
+    if stdtr(degrees, -share / error) > FALSE_ALARM_PROBABILITY or abs(constant) > CONSTANT * share:
         return None
     top = there[int(np.argmax(x))]
     means = [frame.mean for frame in darks[top]]
@@ -289,7 +293,7 @@ def _step(
     within = max(np.abs(part - part.mean()).max() for part in (low, high))
     sudden = np.sign(size) * (logs[place] - logs[place - 1])
     if (
-        abs(size) < max(STEP, SURE * scatter * np.sqrt(1 / len(low) + 1 / len(high)))
+        abs(size) < max(STEP, SIGNIFICANCE_SIGMAS * scatter * np.sqrt(1 / len(low) + 1 / len(high)))
         or within > ALIKE * abs(size)
         or sudden < SUDDEN * abs(size)
     ):
@@ -303,7 +307,7 @@ def _two_gains(measurement: PhotonTransfer, flats: Sequence[Sequence[FrameSample
     signal, shot = signal_of(measurement)[usable], shot_of(measurement)[usable]
     errors = bright.variance_error[usable] / np.maximum(shot, 1e-9)
     dithered = np.asarray(bright.variance)[usable] > DITHERED * measurement.converter.width**2
-    known = (signal > 0) & (shot > 0) & (errors < KNOWN) & dithered
+    known = (signal > 0) & (shot > 0) & (errors < LARGEST_VARIANCE_ERROR) & dithered
     found = _step(shot[known] / signal[known], errors[known], usable[known])
     if found is None:
         return None

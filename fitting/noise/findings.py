@@ -26,14 +26,14 @@ from .shared import LINES, Found, drift, temporal_lines
 from .statement import gain_drop
 
 LEAST_EFFICIENCY = 1e-4  # least efficiency of any sensor in its design spectrum
-FAR = 3.0  # standard errors from which two figures disagree
-ASTRAY = 0.5  # relative deviation from which a gain is meaningless
+DISAGREEMENT_SIGMAS = 3.0  # standard errors from which two figures disagree
+LARGEST_GAIN_DEVIATION = 0.5  # relative deviation from which a gain is meaningless
 FEWEST_FOR_OFFSET = 5  # levels besides the dimmest, for a line and an offset
-SURE = 6.0  # standard errors of a smooth unevenness of darks
-GROWS = 3.0  # ratio of the rms unevenness to that at the shortest exposure
-MATTERS = 0.1  # least unevenness, relative to the noise of a pixel
-CONTRADICTED = 4.0  # standard errors between a number of the rig and its estimate
-SAID = 2.0  # standard errors below which an offset of the light is not reported
+SIGNIFICANCE_SIGMAS = 6.0  # standard errors of a smooth unevenness of darks
+LEAST_GROWTH = 3.0  # ratio of the rms unevenness to that at the shortest exposure
+LEAST_UNEVENNESS = 0.1  # least unevenness, relative to the noise of a pixel
+CONTRADICTION_SIGMAS = 4.0  # standard errors between a number of the rig and its estimate
+LEAST_OFFSET_SIGMAS = 2.0  # standard errors below which an offset of the light is not reported
 
 
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
@@ -129,7 +129,7 @@ def _contradicted(calibration: NoiseCalibration) -> tuple[str, ...]:
         if estimate is None or estimate.value is None or not estimate.standard_error:
             continue
         found, error = float(estimate.value), float(np.hypot(estimate.standard_error, sd))
-        if abs(found - stated) > CONTRADICTED * error:
+        if abs(found - stated) > CONTRADICTION_SIGMAS * error:
             sentences.append(
                 f"camera.{key} states {stated:g} {estimate.unit}, but the frames have "
                 f"{format_with_error(found, estimate.standard_error)} {estimate.unit}, which is "
@@ -240,7 +240,7 @@ def _linear(fits: bool, calibration: NoiseCalibration) -> Numbers | None:
         "degrees": linear.degrees,
         "ratio": linear.chi_square / linear.degrees,
         "p": format_p(linear.p_value),
-        "moved": f" ({100 * off:+.2g} % off)" if 0 < abs(off) < ASTRAY else "",
+        "moved": f" ({100 * off:+.2g} % off)" if 0 < abs(off) < LARGEST_GAIN_DEVIATION else "",
     }
 
 
@@ -270,7 +270,7 @@ def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | Non
     if not _has("light_offset", calibration) or calibration.chosen.data.photons_known == in_time:
         return None
     offset, error = _shown(calibration, "light_offset")
-    if abs(offset) < SAID * error:
+    if abs(offset) < LEAST_OFFSET_SIGMAS * error:
         return None
     scale, late = 1e6 if in_time else 1.0, ""
     if not in_time:
@@ -324,7 +324,7 @@ def _dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
     design, rates = np.stack([np.ones_like(x), x, 1 / x], axis=1), signal / light
     found, squares, *_ = np.linalg.lstsq(design, rates)
     covariance = np.linalg.inv(design.T @ design) * squares[0] / (len(x) - design.shape[1])
-    return bool(abs(found[2]) < FAR * np.sqrt(covariance[2, 2]))
+    return bool(abs(found[2]) < DISAGREEMENT_SIGMAS * np.sqrt(covariance[2, 2]))
 
 
 def _brighter_fatter(calibration: NoiseCalibration) -> Numbers | None:
@@ -464,7 +464,11 @@ def _glow(calibration: NoiseCalibration) -> Numbers | None:
     rounding = dark.converter.rounding
     noise = float(np.sqrt(np.median(np.asarray(dark.variance)) + rounding))
     uneven = np.sqrt(np.maximum(smooth, 0.0))
-    least = max(SURE * error[long], GROWS**2 * beneath, (MATTERS * noise) ** 2)
+    least = max(
+        SIGNIFICANCE_SIGMAS * error[long],
+        LEAST_GROWTH**2 * beneath,
+        (LEAST_UNEVENNESS * noise) ** 2,
+    )
     if not smooth[long] >= least:
         return None
     return {
@@ -485,7 +489,7 @@ def _dark_currents(kind: str, calibration: NoiseCalibration) -> Numbers | None:
         return None
     mean, variance = (float(values[f"dark_current_{way}"]) for way in ("mean", "variance"))
     error = float(np.hypot(errors["dark_current_mean"], errors["dark_current_variance"]))
-    if abs(mean - variance) < FAR * error or calibration.measurement.doubts:
+    if abs(mean - variance) < DISAGREEMENT_SIGMAS * error or calibration.measurement.doubts:
         return None
     scattered = float(calibration.standard.factors[1]) > 1
     own = "scattered" if scattered else "biased" if _exact(calibration) else "plain"
@@ -497,7 +501,9 @@ def _bounds_alone(calibration: NoiseCalibration) -> bool:
     """Whether both linearity errors are insignificant."""
     values, errors = calibration.standard.values, calibration.standard.errors
     names = ("linearity_error_min", "linearity_error_max")
-    return all(abs(float(values[name])) <= FAR * float(errors[name]) for name in names)
+    return all(
+        abs(float(values[name])) <= DISAGREEMENT_SIGMAS * float(errors[name]) for name in names
+    )
 
 
 def _shared_noise(calibration: NoiseCalibration) -> list[Numbers]:

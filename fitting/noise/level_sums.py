@@ -105,7 +105,7 @@ class SquareSums:
         return (count * self._sums[name] - self._of[name](total)) / (count * (count - 1))
 
 
-UNEVEN = 3.0  # standard errors from which light counts as uneven
+UNEVENNESS_SIGMAS = 3.0  # standard errors from which light counts as uneven
 LEAST_FLICKER = 1e-5  # share of a pixel's variance below which lamp flicker is not removed
 
 
@@ -198,7 +198,7 @@ class LevelSums:
         noise = temporal / count
         uneven = float(np.sum(pattern**2)) - noise
         share = size / signal**2
-        seen = uneven > UNEVEN * noise * np.sqrt(2 / self.live.count)
+        seen = uneven > UNEVENNESS_SIGMAS * noise * np.sqrt(2 / self.live.count)
         if not seen or share * uneven < LEAST_FLICKER * temporal * (count - 1):
             return 1.0
         pattern *= np.sqrt(share)

@@ -32,11 +32,14 @@ from jaxtyping import Array, Bool, Float, Int
 from ..codes import Converter
 
 FEWEST = 3  # fewest levels on either side
-BENT = 0.85  # r above which a bend may be a smooth curve
-FLAT = 0.02  # r below which the well is full
-ALIKE = 0.03  # relative rms deviation of variances from both lines, beyond their noise
-RISES = 1.05  # least ratio of the largest signal to that of the first level above a knee
-BESIDE = 0.1  # largest distance of the knee from the gap between the levels, relative to the signal
+LARGEST_VARIANCE_RATIO = 0.85  # r above which a bend may be a smooth curve
+LEAST_VARIANCE_RATIO = 0.02  # r below which the well is full
+# Relative rms deviation of variances from both lines, beyond their noise
+VARIANCE_MODEL_ERROR = 0.03
+# Least ratio of the largest signal to that of the first level above a knee
+LEAST_SIGNAL_RATIO = 1.05
+# Largest distance of the knee from the gap between the levels, relative to the signal
+LARGEST_KNEE_DISTANCE = 0.1
 
 
 class Knee(NamedTuple):
@@ -59,18 +62,26 @@ def knee_of(
     s, v, e = signal[places], shot[places], error[places] / shot[places]
     best, found = np.inf, None
     for place in range(FEWEST, len(s) - FEWEST + 1):
-        if s[-1] < RISES * s[place]:
+        if s[-1] < LEAST_SIGNAL_RATIO * s[place]:
             continue
-        gain = float(np.average(v[:place] / s[:place], weights=1 / (e[:place] ** 2 + ALIKE**2)))
+        gain = float(
+            np.average(
+                v[:place] / s[:place], weights=1 / (e[:place] ** 2 + VARIANCE_MODEL_ERROR**2)
+            )
+        )
         slope, cut = np.polyfit(s[place:], v[place:], 1, w=1 / v[place:])
         ratio = float(slope) / gain
-        if not FLAT < ratio < BENT:
+        if not LEAST_VARIANCE_RATIO < ratio < LARGEST_VARIANCE_RATIO:
             continue
         knee = -float(cut) / (slope * (1 - ratio))
-        if not (1 - BESIDE) * s[place - 1] <= knee <= (1 + BESIDE) * s[place]:
+        if (
+            not (1 - LARGEST_KNEE_DISTANCE) * s[place - 1]
+            <= knee
+            <= (1 + LARGEST_KNEE_DISTANCE) * s[place]
+        ):
             continue
         line = np.concatenate([gain * s[:place], slope * s[place:] + cut])
-        left = (v / line - 1) / np.hypot(e, ALIKE)
+        left = (v / line - 1) / np.hypot(e, VARIANCE_MODEL_ERROR)
         sides = [float(np.sqrt(np.mean(part**2))) for part in (left[:place], left[place:])]
         if max(sides) < min(best, 1.5):
             best, found = max(sides), Knee(int(places[place]), ratio, knee)

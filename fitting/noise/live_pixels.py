@@ -21,12 +21,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-WIDE = 0.5  # noise of a pixel over a bit's value from which both states of the bit occur
+# Noise of a pixel over a bit's value from which both states of the bit occur
+LEAST_NOISE_RATIO = 0.5
 FEWEST = 64  # pixels of a line in which both states must then occur
 MOST_LINES = 0.75  # of the lines; a bit stuck in more of them makes the converter's own grid
 SHOWN_LINES = 4  # lines that are listed
 SITES = 2  # rows and columns of a cell
-REACH = 3  # rows and columns up to which pixels count as neighbours
+LARGEST_LAG = 3  # rows and columns up to which pixels count as neighbours
 
 
 class StuckBit(NamedTuple):
@@ -59,7 +60,7 @@ def stuck_bits(frames: Sequence[np.ndarray]) -> list[StuckBit]:
     if len(frames) < 2 or not all(np.array_equal(one, np.floor(one)) for one in frames[:2]):
         return []
     noise = float(np.median(np.abs(frames[1] - frames[0]))) / 0.9539
-    highest = int(np.floor(np.log2(noise / WIDE))) if noise > WIDE else -1
+    highest = int(np.floor(np.log2(noise / LEAST_NOISE_RATIO))) if noise > LEAST_NOISE_RATIO else -1
     whole = [one.astype(np.int64) for one in frames if one.min() >= 0]
     if highest < 0 or len(whole) < 2:
         return []
@@ -106,9 +107,9 @@ def _words(name: str, lines: np.ndarray) -> str:
     return f"{len(lines)} {name}s ({listed}, ...)"
 
 
-FOLLOWS = 0.1  # share of the signal of most pixels below which a pixel is dead
+DEAD_SIGNAL_SHARE = 0.1  # share of the signal of most pixels below which a pixel is dead
 LIT = 20.0  # least signal for this test, relative to a pixel's noise
-FAR = 6.0  # standard deviations from the other pixels in every dark frame of an exposure
+OUTLIER_SIGMAS = 6.0  # standard deviations from the other pixels in every dark frame of an exposure
 DECILE = 1.2816  # standard deviations of a normal distribution from its middle to a decile
 MOST = 0.1  # share of the pixels; of more, something else is the cause
 MOST_COVERED = 0.5  # share of the pixels in rows and columns at a border that light never reaches
@@ -124,11 +125,11 @@ def line_products(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def neighbour_products(x: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "lags lags"]:
-    """Return, for each offset of 0 to `REACH` rows and columns, the sum of x_p x_q over all pairs
-    of pixels p and q at that distance. Offsets of both signs are added. Offsets larger than the
-    frame give 0."""
-    rows, columns = (min(REACH, size - 1) for size in x.shape)
-    width, found = x.shape[1] + columns, np.zeros((REACH + 1, REACH + 1))
+    """Return, for each offset of 0 to `LARGEST_LAG` rows and columns, the sum of x_p x_q over all
+    pairs of pixels p and q at that distance. Offsets of both signs are added. Offsets larger than
+    the frame give 0."""
+    rows, columns = (min(LARGEST_LAG, size - 1) for size in x.shape)
+    width, found = x.shape[1] + columns, np.zeros((LARGEST_LAG + 1, LARGEST_LAG + 1))
     flat = np.pad(x, ((0, 0), (0, columns))).ravel()  # zeros beside the frame
     for i, j in product(range(rows + 1), range(columns + 1)):
         for apart in {i * width + j, abs(i * width - j)}:
@@ -269,7 +270,7 @@ def dead_pixels(flats: Sequence[np.ndarray], darks: Sequence[np.ndarray]) -> Dea
         usual = float(np.median(gained))
         noise = float(np.median(high - low))
         if usual > LIT * max(noise, _step(low)):
-            still = gained < FOLLOWS * usual
+            still = gained < DEAD_SIGNAL_SHARE * usual
             hot &= ~still
     stuck = tuple(stuck_bits([*flats, *darks]))
     covered = _covered_border(still)
@@ -298,7 +299,7 @@ def _far(values: np.ndarray, sign: int) -> np.ndarray:
     """Return a mask of the values that are far above (sign 1) or far below (-1) all others."""
     middle = float(np.median(values))
     decile = float(np.quantile(sign * (values - middle), 0.9)) / DECILE
-    return sign * (values - middle) > FAR * max(decile, _step(values))
+    return sign * (values - middle) > OUTLIER_SIGMAS * max(decile, _step(values))
 
 
 def _step(values: np.ndarray) -> float:
@@ -327,7 +328,7 @@ def _where(mask: Bool[np.ndarray, "h w"]) -> str:
 
 HIT, BULK = 8.0, 5.0  # standard deviations of a pixel's change: typical of hits; beyond noise
 MOST_HIT = 0.01  # share of the pixels; of more, something else is the cause
-AWAY = 5  # rows to the pixel that replaces a hit, farther than compared neighbours
+REPLACEMENT_ROWS = 5  # rows to the pixel that replaces a hit, farther than compared neighbours
 SAMPLED = 100_000  # pixels used to estimate the usual change
 
 
@@ -355,6 +356,6 @@ def hits(change: Float[np.ndarray, "h w"], live: LivePixels) -> Hits | None:
     count, plain = int(far.sum()), int((far & (size > HIT * usual)).sum())
     if not count < 2 * plain or count > MOST_HIT * live.count:
         return None
-    other = np.roll(change, AWAY, axis=0)
-    spare = np.where(np.roll(far | ~live.mask, AWAY, axis=0), middle, other)
+    other = np.roll(change, REPLACEMENT_ROWS, axis=0)
+    spare = np.where(np.roll(far | ~live.mask, REPLACEMENT_ROWS, axis=0), middle, other)
     return Hits(far & (change > middle), far & (change < middle), np.where(far, spare, change))

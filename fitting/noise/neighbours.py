@@ -24,13 +24,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .levels import Levels, PhotonTransfer, shot_of, signal_of
-from .live_pixels import REACH
+from .live_pixels import LARGEST_LAG
 from .shared import temporal_lines
 
 PERIOD = 32  # period, in pixels, of the sensor for which the series is computed
 TERMS = 20  # the next term is below 1e-10 up to a_00 mu = -1
 
-SURE = 3.6  # standard errors of a significant covariance: 1 in 1,000 cameras without one
+# Standard errors of a significant covariance: 1 in 1,000 cameras without one
+SIGNIFICANCE_SIGMAS = 3.6
 
 Lags = Float[np.ndarray, "lags lags"]
 
@@ -52,7 +53,7 @@ def are_known(around: NeighbourData | None) -> bool:
 
 
 # The number of offsets of either sign for each size; 0 at the pixel itself.
-COPIES: Lags = np.outer(*2 * [np.where(np.arange(REACH + 1) == 0, 1.0, 2.0)])
+COPIES: Lags = np.outer(*2 * [np.where(np.arange(LARGEST_LAG + 1) == 0, 1.0, 2.0)])
 COPIES[0, 0] = 0
 
 
@@ -67,7 +68,7 @@ def above_dark(measurement: PhotonTransfer) -> tuple[np.ndarray, np.ndarray, np.
         return None
     assert bright.shared is not None
     shape = np.asarray(bright.shared.shape)
-    reach = np.arange(REACH + 1)
+    reach = np.arange(LARGEST_LAG + 1)
     # The number of pairs in each averaged covariance.
     along = [size - reach for size in shape]
     both = np.where(np.outer(reach, reach), 2, 1)
@@ -89,7 +90,9 @@ def above_dark(measurement: PhotonTransfer) -> tuple[np.ndarray, np.ndarray, np.
             product = product / shape[axis] / freedom
             twice = np.expand_dims(np.where(reach, 1.0, 2.0), 1 - axis)
             each = each + product[:, None, None] * twice
-            total = total + product * (2 * (2 * REACH) ** 2 + REACH * (4 * REACH + 2) ** 2)
+            total = total + product * (
+                2 * (2 * LARGEST_LAG) ** 2 + LARGEST_LAG * (4 * LARGEST_LAG + 2) ** 2
+            )
         return each, total
 
     varying = np.asarray(dark.variance) > 0  # identical frames contain no information
@@ -116,7 +119,9 @@ def are_significant(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
     sums = np.sum(shapes * along / errors, axis=-1)
     information = np.sum(shapes**2 / errors, axis=-1)
     both = np.sum(sums, axis=1) / np.sqrt(np.sum(information, axis=1))
-    return bool(max(np.abs(sums / np.sqrt(information)).max(), np.abs(both).max()) > SURE)
+    return bool(
+        max(np.abs(sums / np.sqrt(information)).max(), np.abs(both).max()) > SIGNIFICANCE_SIGMAS
+    )
 
 
 def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> NeighbourData:
@@ -167,7 +172,7 @@ def shares(measurement: PhotonTransfer, usable: np.ndarray, *, power: int) -> La
     neighbours have equal shares. For repulsion, the shares affect variances only at second order in
     a_00.
     """
-    even = np.zeros((REACH + 1, REACH + 1))
+    even = np.zeros((LARGEST_LAG + 1, LARGEST_LAG + 1))
     even[0, 1] = even[1, 0] = 0.25
     above = above_dark(measurement)
     if above is None:
@@ -203,7 +208,7 @@ def variance_terms(shape: Lags) -> Float[np.ndarray, " terms"]:
     coefficient of power m is 2^m / (m + 1)! times (a * ... * a)_00 / a_00^m, where a * ... * a is
     the convolution of m copies of the area changes a_ij (Astier et al. 2019).
     """
-    lags = np.arange(-REACH, REACH + 1)
+    lags = np.arange(-LARGEST_LAG, LARGEST_LAG + 1)
     around = np.zeros((PERIOD, PERIOD))
     around[np.ix_(lags % PERIOD, lags % PERIOD)] = shape[np.ix_(abs(lags), abs(lags))]
     spectrum = np.fft.fft2(around).real

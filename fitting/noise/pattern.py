@@ -27,9 +27,10 @@ from .levels import LINEAR_TOP, Levels, PhotonTransfer, signal_of
 from .regressions import Part, p_value, sampling_variance
 from .shared import NOTHING, Found, fixed_lines, one_pattern
 
-HALF = 0.5  # of the saturation signal: where the standard measures PRNU
-MOSTLY = 2.0  # ratio to the bound from temporal noise above which other errors dominate
-SEEN = 2.0  # standard errors above zero from which a pattern variance is a finding
+PRNU_SIGNAL_SHARE = 0.5  # of the saturation signal: where the standard measures PRNU
+# Ratio to the bound from temporal noise above which other errors dominate
+LARGEST_BOUND_RATIO = 2.0
+SIGNIFICANCE_SIGMAS = 2.0  # standard errors above zero from which a pattern variance is a finding
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Spread:
     @property
     def significant(self) -> bool:
         """Whether the variance exceeds 0 significantly."""
-        return self.variance > SEEN * self.noise
+        return self.variance > SIGNIFICANCE_SIGMAS * self.noise
 
     @property
     def bound(self) -> float:
@@ -70,10 +71,12 @@ class Spread:
     @property
     def hidden_by_noise(self) -> bool:
         """Whether temporal noise limits the bound, so that more frames would lower it."""
-        return self.temporal is None or self.bound < MOSTLY * self._below(self.temporal)
+        return self.temporal is None or self.bound < LARGEST_BOUND_RATIO * self._below(
+            self.temporal
+        )
 
     def _below(self, noise: float) -> float:
-        return max(self.variance, 0.0) + SEEN * noise
+        return max(self.variance, 0.0) + SIGNIFICANCE_SIGMAS * noise
 
 
 @dataclass(frozen=True)
@@ -215,7 +218,7 @@ def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVari
     matched = np.asarray(measurement.dark_of)
     signal = signal_of(measurement)
     linear = np.flatnonzero(np.asarray(within.linearity))
-    half = HALF * signal[linear].max() / LINEAR_TOP
+    half = PRNU_SIGNAL_SHARE * signal[linear].max() / LINEAR_TOP
     frames = np.minimum(np.asarray(bright.frames), np.asarray(dark.frames)[matched])[linear]
     level = int(linear[np.lexsort((np.abs(signal[linear] - half), -frames))[0]])
     own = matched[level]

@@ -24,7 +24,7 @@ from .live_pixels import LivePixels
 from .shared import LINES, believed_lines
 
 RESIDUES = 16  # rows or columns modulo it; also places in a cell of 4 x 4
-LONGER = 30  # modulus that reveals periods of 3, 5 and 6
+LONG_MODULUS = 30  # modulus that reveals periods of 3, 5 and 6
 CELL = 4
 PERIODS = (2, 4, 8)
 CENTRE, QUARTERS = "centre and border", "quadrants"
@@ -42,9 +42,10 @@ CONTRASTS = (
 )
 BLOCKS = 24  # blocks of lines along a side for the detection of steps
 FEWEST_STEPS = 6  # needed to estimate chance differences between blocks of lines
-CHANCE = 1e-4  # probability of a false finding
-SMALL = 0.1  # of a pixel's temporal noise, below which structure is negligible
-BENT = 0.2  # largest gain difference that nonlinearity makes of a signal difference, relative to it
+FALSE_ALARM_PROBABILITY = 1e-4  # probability of a false finding
+NEGLIGIBLE_NOISE_SHARE = 0.1  # of a pixel's temporal noise, below which structure is negligible
+# Largest gain difference that nonlinearity makes of a signal difference, relative to it
+NONLINEARITY_GAIN_SHARE = 0.2
 WORDS = {
     2: "Even and odd {0}",
     3: "The {0} of every three",
@@ -68,15 +69,15 @@ def residues(
     """Return means of the average frame, and of the temporal variance, over five kinds of classes:
     row and column modulo 16, position in a cell of 4 x 4, and row and column modulo 30.
     """
-    found = np.full((2, 5, LONGER), np.nan)
+    found = np.full((2, 5, LONG_MODULUS), np.nan)
     if min(average.shape) < 2 * RESIDUES:
         return found
     for own, plane in zip(found, (average, temporal), strict=True):
         rows, columns = (live.line_means(plane, axis) for axis in (0, 1))
         cell = _quotient(_cell_sums(live.only(plane)), _cell_sums(live.mask))
         own[:3, :RESIDUES] = _modulo(rows, RESIDUES), _modulo(columns, RESIDUES), cell
-        if min(average.shape) >= 2 * LONGER:
-            own[3:] = _modulo(rows, LONGER), _modulo(columns, LONGER)
+        if min(average.shape) >= 2 * LONG_MODULUS:
+            own[3:] = _modulo(rows, LONG_MODULUS), _modulo(columns, LONG_MODULUS)
     return found
 
 
@@ -192,14 +193,18 @@ def periodic_structure(
     )
     of_rows = gains[0, :RESIDUES]
     known = float(np.std(of_rows, ddof=1) / np.mean(of_rows) / np.sqrt(RESIDUES))
-    least = {"gains": known, "offsets": SMALL * of_dark, "signals": SMALL * of_top}
+    least = {
+        "gains": known,
+        "offsets": NEGLIGIBLE_NOISE_SHARE * of_dark,
+        "signals": NEGLIGIBLE_NOISE_SHARE * of_top,
+    }
     values = {"gains": gains, "offsets": black, "signals": share}
     if not np.isfinite(gains[:3, :RESIDUES]).all():
         return tuple(_unequal_parts(measurement, usable, matched))
 
     def that_matter(classes: dict[str, tuple[float, ...]], signals: tuple[float, ...]) -> dict:
         """Return the quantities whose differences between classes are large enough to matter."""
-        bent = BENT * _spread("signals", signals)
+        bent = NONLINEARITY_GAIN_SHARE * _spread("signals", signals)
         small = least | {"gains": max(least["gains"], bent)}
         return {name: own for name, own in classes.items() if _spread(name, own) > small[name]}
 
@@ -257,7 +262,11 @@ def _shortest(values: Float[np.ndarray, " residues"], periods: tuple[int, ...]) 
         more = period - (chosen or 1)
         gain, left = np.sum((fitted - explained) ** 2), np.sum((values - fitted) ** 2)
         degrees = count - period
-        if gain > 0 and fdtrc(more, degrees, gain / more / max(left / degrees, 1e-300)) < CHANCE:
+        if (
+            gain > 0
+            and fdtrc(more, degrees, gain / more / max(left / degrees, 1e-300))
+            < FALSE_ALARM_PROBABILITY
+        ):
             chosen, explained = period, fitted
     return chosen
 
@@ -270,7 +279,7 @@ def _cell_classes(values: Float[np.ndarray, " residues"]) -> tuple[float, ...]:
     contrast = sites[0, 0] + sites[1, 1] - sites[0, 1] - sites[1, 0]
     left = float(np.sum((cell - sites[None, :, None, :]) ** 2)) / 12
     ratio = contrast**2 / max(4 * left / 4, 1e-300)
-    return tuple(sites.ravel().tolist()) if fdtrc(1, 12, ratio) < CHANCE else ()
+    return tuple(sites.ravel().tolist()) if fdtrc(1, 12, ratio) < FALSE_ALARM_PROBABILITY else ()
 
 
 def _unequal_parts(
@@ -289,7 +298,7 @@ def _unequal_parts(
     stepped = [
         part
         for part, p, size in zip(HALVES, rare, step, strict=True)
-        if p < CHANCE and size > SMALL * of_dark
+        if p < FALSE_ALARM_PROBABILITY and size > NEGLIGIBLE_NOISE_SHARE * of_dark
     ]
     gains, unequal = _gains_of_parts(measurement, usable, lit[..., :6], unlit[:, :, :6][matched])
     found = [Periodic(CENTRE, 0, gains=tuple(gains[4:]))] if CENTRE in unequal else []
@@ -331,11 +340,11 @@ def _gains_of_parts(
         pair = gains[one].mean(), gains[other].mean()
         error = np.sqrt(sum(np.mean(errors[half] ** 2) / len(half) for half in (one, other)))
         lights = signal[:, one].sum(), signal[:, other].sum()
-        bent = BENT * abs(lights[0] - lights[1]) / (lights[0] + lights[1])
+        bent = NONLINEARITY_GAIN_SHARE * abs(lights[0] - lights[1]) / (lights[0] + lights[1])
         apart = abs(pair[0] - pair[1])
         if not np.isfinite(error) or apart / (pair[0] + pair[1]) < bent:
             continue
-        if 2 * ndtr(-apart / error) < CHANCE:
+        if 2 * ndtr(-apart / error) < FALSE_ALARM_PROBABILITY:
             found.append(where)
     return gains, found
 

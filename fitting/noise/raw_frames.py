@@ -19,10 +19,13 @@ from .levels import PhotonTransfer, shot_of, signal_of
 from .live_pixels import LivePixels, line_products
 
 BLOCK = 8  # pixels of a side
-SURE = 6.0  # standard errors
-SHARED = 0.1  # share of the noise by which the covariance across a border must be smaller
-PARTED = 0.5  # share of the lowest covariance's deficit that the others of a period must have
-KEPT = 0.1  # share of K below which the growth of a pattern with the signal is accepted
+SIGNIFICANCE_SIGMAS = 6.0  # standard errors
+# Share of the noise by which the covariance across a border must be smaller
+LEAST_COVARIANCE_DEFICIT = 0.1
+# Share of the lowest covariance's deficit that the others of a period must have
+LEAST_DEFICIT_SHARE = 0.5
+# Share of K below which the growth of a pattern with the signal is accepted
+LARGEST_SLOPE_SHARE = 0.1
 STEPS = np.arange(1, 17)  # quantiser steps of JPEG that are tested, DN
 SMOOTH = 1 / 1.3  # deviation of a coefficient, in steps, above which raw frames have no comb
 COMB, FEWEST_COMBS = 5.0, 10  # standard errors, and coefficients of 63, that show a comb
@@ -153,7 +156,7 @@ def _parted_blocks(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]
     error = widest / np.sqrt(np.sum(frames - 1) * float(bright.pixels) / BLOCK)
     least = found.min(axis=1)
     others = (found.sum(axis=1) - least) / (BLOCK - 1)
-    if not np.all(others - least > max(SURE * error, SHARED)):
+    if not np.all(others - least > max(SIGNIFICANCE_SIGMAS * error, LEAST_COVARIANCE_DEFICIT)):
         return []
     period = next((p for p in (2, 4) if _repeats(found, p)), BLOCK)
     if period < BLOCK:
@@ -174,7 +177,7 @@ def _repeats(shares: Float[np.ndarray, "2 residues"], period: int) -> bool:
     """Return whether the noise that neighbours share drops once every `period` rows and columns."""
     for own in shares:
         low = np.arange(BLOCK) % period == int(np.argmin(own)) % period
-        if own[~low].mean() - own[low].max() < PARTED * (own[~low].mean() - own.min()):
+        if own[~low].mean() - own[low].max() < LEAST_DEFICIT_SHARE * (own[~low].mean() - own.min()):
             return False
     return True
 
@@ -219,7 +222,7 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
         # Correlated offsets and gains of pixels add at most this.
         together = 2 * np.sqrt(max(found[0], 0) * max(found[2], 0))
         slope = float(found[1] - together) / top
-        if slope < max(SURE * float(error) / top, KEPT * gain):
+        if slope < max(SIGNIFICANCE_SIGMAS * float(error) / top, LARGEST_SLOPE_SHARE * gain):
             return []
     return [
         "The pattern that is the same in all frames of a level grows with the signal as shot noise "
@@ -241,7 +244,7 @@ def tone_curve(measurement: PhotonTransfer) -> float | None:
     light, variance = np.asarray(bright.light), np.asarray(bright.variance)
     signal, errors = signal_of(measurement), bright.variance_error
     seen = (light > 0) & (variance > 0) & (signal <= BELOW_SATURATION * signal.max())
-    seen &= signal > SURE * np.sqrt(variance / float(bright.pixels))
+    seen &= signal > SIGNIFICANCE_SIGMAS * np.sqrt(variance / float(bright.pixels))
     if seen.sum() < FEWEST_FOR_CURVE or np.ptp(np.log(light[seen])) < np.log(2):
         return None
     light, signal, variance, errors = (x[seen] for x in (light, signal, variance, errors))
@@ -251,5 +254,5 @@ def tone_curve(measurement: PhotonTransfer) -> float | None:
     (slope, _), covariance = np.polyfit(signal, variance, 1, w=1 / errors, cov="unscaled")
     top = int(np.argmax(light))
     gained = float(variance[top] - np.median(np.asarray(dark.variance)))
-    most = (slope + SURE * np.sqrt(covariance[0, 0])) * signal[top]
+    most = (slope + SIGNIFICANCE_SIGMAS * np.sqrt(covariance[0, 0])) * signal[top]
     return exponent if most < GROWS * max(gained, 0.0) or slope < 0 else None

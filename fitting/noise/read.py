@@ -37,7 +37,7 @@ from .levels import (
     rounding_step,
 )
 from .levels_table import read_table
-from .live_pixels import BULK, REACH, DeadPixels, LivePixels, dead_pixels
+from .live_pixels import BULK, LARGEST_LAG, DeadPixels, LivePixels, dead_pixels
 from .settings import require_one_setting
 from .usable import check
 
@@ -385,7 +385,7 @@ def _reduced(
         name: _array([row.numbers[name] for row in rows]) for name in rows[0].numbers
     }
     # In a mosaic the nearest sites of one colour are two pixels apart.
-    if rig.camera.cell != (1, 1) or min(live.shape) <= 2 * REACH:
+    if rig.camera.cell != (1, 1) or min(live.shape) <= 2 * LARGEST_LAG:
         numbers |= dict.fromkeys(("covariances", "blocks", "combs"))
     levels = Levels(
         light=jnp.asarray(amounts[there]),

@@ -24,7 +24,7 @@ from .calibration import NoiseCalibration
 from .levels import reached, shot_of
 from .model import compressed
 from .neighbours import shares
-from .pattern import SEEN
+from .pattern import SIGNIFICANCE_SIGMAS
 from .shared import drift, temporal_lines
 from .statement import fitted_without
 
@@ -88,7 +88,7 @@ def _well_of(held: float, mean: float) -> float:
 
 
 DRAWS = 1000  # most draws that are kept
-WHOLE = 0.01  # bits by which a range may exceed a power of two
+BIT_TOLERANCE = 0.01  # bits by which a range may exceed a power of two
 LINES = ("row_noise", "column_noise")  # noise that the likelihood's read noise includes
 
 
@@ -185,7 +185,9 @@ def bits_of(full_scale: float, converter: Converter) -> float:
     rounded up, because a step that was scaled in the file is known to few digits, and because the
     range may end before the last code."""
     return float(
-        np.ceil(np.log2((full_scale - converter.origin) / (converter.step or 1.0) + 1) - WHOLE)
+        np.ceil(
+            np.log2((full_scale - converter.origin) / (converter.step or 1.0) + 1) - BIT_TOLERANCE
+        )
     )
 
 
@@ -261,14 +263,14 @@ def _beside_the_likelihood(
     if calibration.patterns is not None:
         offsets, gains = calibration.patterns[1].dark, calibration.patterns[1].response
         own, *lines = offsets.parts
-        if own.variance > SEEN * offsets.noise or "dsnu" in asked:
+        if own.variance > SIGNIFICANCE_SIGMAS * offsets.noise or "dsnu" in asked:
             add("dsnu", own.variance, own.degrees, offsets.noise)
         for name, part in zip(("row_dsnu", "column_dsnu"), lines, strict=False):
             if part.variance > 0 or name in asked:
                 add(name, part.variance, part.degrees)
         own, *lines = gains.parts
         pixels = own.variance + (lines[0].variance if lines else 0.0)
-        if pixels > SEEN * gains.noise or "prnu" in asked:
+        if pixels > SIGNIFICANCE_SIGMAS * gains.noise or "prnu" in asked:
             add("prnu", pixels, own.degrees, gains.noise)
         if lines[1:] and (lines[1].variance > 0 or "column_prnu" in asked):
             add("column_prnu", lines[1].variance, lines[1].degrees)

@@ -23,7 +23,7 @@ from scipy.special import chdtri, fdtrc, ndtri
 from .levels import Levels
 
 LINES = ("rows", "columns")  # of a frame; axis 0 and axis 1
-SURE = 4.0  # normal deviate, exceeded once in 30,000 cameras without shared noise
+SIGNIFICANCE_SIGMAS = 4.0  # normal deviate, exceeded once in 30,000 cameras without shared noise
 LOWEST = 0.05  # probability of so small an estimate in the darks if they have the noise
 RAREST, EPSILON = 1e-300, 1e-16  # least probability, and least distance from 1
 MOST_DEGREES, TINY = 1e9, 1e-300  # degrees that count as infinite; ratio that counts as 0
@@ -49,7 +49,7 @@ class Found:
 
     @property
     def believed(self) -> bool:
-        return self.significance > SURE
+        return self.significance > SIGNIFICANCE_SIGMAS
 
     @property
     def deviation(self) -> float:

@@ -13,7 +13,8 @@ from .raw_frames import tone_curve
 
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
 MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8
-SEEN = 3.0  # standard errors by which the variance of a level must exceed that of its darks
+# Standard errors by which the variance of a level must exceed that of its darks
+SIGNIFICANCE_SIGMAS = 3.0
 FEWEST_FOR_BLACK = 6  # levels needed to estimate the flats' black level by a parabola
 SURE_OF_BLACK = 6.0  # standard errors by which this black level must differ from the darks
 MOST_OFF_BLACK = 0.1  # of the least signal: the change of the gain by a smaller difference
@@ -81,7 +82,10 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
     if signal_of(measurement).max() < 3 * float(np.sqrt(dark.variance.max() / bright.pixels)):
         raise InputError(f"{file}: the flats are as dark as the darks; give more light.")
     of_dark = dark.variance_error[measurement.dark_of]
-    if np.max(shot_of(measurement) / np.hypot(bright.variance_error, of_dark)) < SEEN:
+    if (
+        np.max(shot_of(measurement) / np.hypot(bright.variance_error, of_dark))
+        < SIGNIFICANCE_SIGMAS
+    ):
         raise InputError(
             f"{file}: the flats vary no more from frame to frame than the darks do. The gain needs "
             "visible shot noise; give raw frames, neither averaged, smoothed nor compressed, and "

@@ -34,7 +34,7 @@ ROUNDING = 1 / 12  # variance of rounding to whole numbers
 NAME = "exact rounding and clipping"
 HARMONICS = np.arange(1, 9)
 NEAR_BLACK = 4.5  # standard deviations above 0 DN within which clipping changes the moments
-BETWEEN = 0.25  # largest variance of a rounded signal, midway between two codes
+LARGEST_ROUNDING_VARIANCE = 0.25  # largest variance of a rounded signal, midway between two codes
 AFFECTED_DEVIATION = 1.0  # codes; at larger noise, rounding always has a variance of 1/12
 
 
@@ -98,7 +98,7 @@ def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -
     widest = (2 if near_black[dark].any() else 1.2) * float(deviation[affected].max())
     # Midway between two codes, even vanishing noise gives a variance of 1 / 4.
     least = variance[dark].max() - ROUNDING
-    read_noise = float(np.sqrt(least)) if least > BETWEEN else 0.0
+    read_noise = float(np.sqrt(least)) if least > LARGEST_ROUNDING_VARIANCE else 0.0
     levels = np.flatnonzero(affected)
     offsets = offset_data(measurement, usable)
     spread, known = 0.0, None

@@ -13,7 +13,7 @@ from fitting.noise.brighter_fatter import fitted_area_changes, own_area_change
 from fitting.noise.calibration import calibrate
 from fitting.noise.findings import findings
 from fitting.noise.level_sums import SquareSums
-from fitting.noise.live_pixels import REACH, LivePixels
+from fitting.noise.live_pixels import LARGEST_LAG, LivePixels
 from fitting.noise.neighbours import variance_terms
 from fitting.noise.section import section
 from fitting.noise.sensor import fitted_sensor
@@ -69,8 +69,8 @@ def test_sums_over_frames_are_those_of_plain_loops():
     products = sums.variance("neighbours", (stack - stack[0]).sum(axis=0), 5)
     got = products / live.neighbours
     away = stack - stack.mean(axis=0)
-    for i in range(REACH + 1):
-        for j in range(REACH + 1):
+    for i in range(LARGEST_LAG + 1):
+        for j in range(LARGEST_LAG + 1):
             found = [
                 (away[:, p, q] * away[:, p + i, q + k]).sum() / 4
                 for k in {j, -j}
@@ -82,7 +82,7 @@ def test_sums_over_frames_are_those_of_plain_loops():
 
 
 def test_the_series_is_that_of_the_sensor():
-    nearest = np.zeros((REACH + 1, REACH + 1))
+    nearest = np.zeros((LARGEST_LAG + 1, LARGEST_LAG + 1))
     nearest[0, 0], nearest[0, 1], nearest[1, 0] = 1.0, -0.25, -0.25
     for shape in (nearest, CHANGES / CHANGES[0, 0]):
         a, mu = -1.5e-6 * shape, 1e5

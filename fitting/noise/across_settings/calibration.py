@@ -26,7 +26,7 @@ from ...inference.precision import double_precision
 from ...report.notebook import ShownInNotebooks
 from ..calibration import LIKELIHOOD, NoiseCalibration, calibrate
 from ..levels import Levels, PhotonTransfer
-from ..pattern import SEEN
+from ..pattern import SIGNIFICANCE_SIGMAS
 from ..raw_frames import processing_in_words
 from ..regressions import MISFIT, Part, p_value
 from ..sensor import ends_at_full_scale
@@ -34,7 +34,8 @@ from ..settings import Setting
 from .setting import FramesOfSetting, estimates_from_calibration, estimates_from_darks
 from .statement import Figures, SharedFit, fitted
 
-ALIKE = 0.1  # relative deviation of settings up to which one value with a larger error is used
+# Relative deviation of settings up to which one value with a larger error is used
+LARGEST_RELATIVE_SPREAD = 0.1
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Pooled:
     def serves(self) -> bool:
         """Whether the report gives one value for all settings, because the values of the settings
         agree or differ by less than 10 %."""
-        return self.holds or self.spread < ALIKE * abs(self.value)
+        return self.holds or self.spread < LARGEST_RELATIVE_SPREAD * abs(self.value)
 
     @property
     def known_to(self) -> float:
@@ -71,7 +72,7 @@ class Pooled:
 
     @property
     def significant(self) -> bool:
-        return self.value > SEEN * self.error
+        return self.value > SIGNIFICANCE_SIGMAS * self.error
 
 
 def full_well(calibrations: Sequence[NoiseCalibration | None]) -> Pooled | None:

@@ -16,7 +16,7 @@ from .calibration import CameraCalibration
 from .statement import Axis, Law, OwnDeviation, Quantity, proportional_gain
 
 HALF_GAP, GAP = 0.56, 1.12  # eV, of silicon at room temperature
-FAR = 3.0  # standard errors
+DISAGREEMENT_SIGMAS = 3.0  # standard errors
 NAMES: dict[Quantity, str] = {
     "system_gain": "the conversion gain",
     "quantum_efficiency": "the quantum efficiency",
@@ -135,7 +135,7 @@ def _energy(calibration: CameraCalibration) -> Numbers | None:
     place = labels.index("activation_energy")
     energy = float(calibration.fit.vector[place])
     error = float(np.sqrt(calibration.fit.covariance[place, place]))
-    if max(HALF_GAP - energy, energy - GAP) <= FAR * error:
+    if max(HALF_GAP - energy, energy - GAP) <= DISAGREEMENT_SIGMAS * error:
         return None
     return {"energy": format_with_error(energy, error), "low": HALF_GAP, "high": GAP}
 

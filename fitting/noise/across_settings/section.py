@@ -21,7 +21,7 @@ from ...inference.parameters import Parameter, names
 from ...report.section import Section, Table, failed_section, section_of_part, word_for_file
 from ...rig import Camera
 from ..calibration import NoiseCalibration
-from ..pattern import SEEN
+from ..pattern import SIGNIFICANCE_SIGMAS
 from ..regressions import Part, deviation_quantiles, sampling_variance
 from ..section import TITLE as TITLE_OF_ONE
 from ..section import section as section_of_one
@@ -204,8 +204,8 @@ def _root(
     """Return the standard deviation for an estimated variance `square`, or an upper bound if the
     variance is not significant. `parts` are components of the variance that are known from few
     samples."""
-    if square < SEEN * error:
-        bound = scale * np.sqrt(max(square, 0) + SEEN * error)
+    if square < SIGNIFICANCE_SIGMAS * error:
+        bound = scale * np.sqrt(max(square, 0) + SIGNIFICANCE_SIGMAS * error)
         return not_determined(what, f"below {bound:.3g} {what.unit}, hidden under {under}")
     value = np.sqrt(square)
     total = np.sqrt(error**2 + sampling_variance(parts))

@@ -55,7 +55,8 @@ from ..settings import Setting
 from .setting import ESTIMATED, SettingEstimates
 
 BOLTZMANN_EV = 1.380649e-23 / 1.602176634e-19  # eV/K
-SEEN = 4.0  # standard errors of dark current at the warmest setting from which it has a law
+# Standard errors of dark current at the warmest setting from which it has a law
+SIGNIFICANCE_SIGMAS = 4.0
 USUAL_ENERGY = 0.6  # eV, start of the search
 EXPLAINED = 1e-6  # share of a deviation's length below which the parameters explain it
 
@@ -325,7 +326,9 @@ def _stated(
     kelvin = np.array([setting.temperature or hottest for setting in settings])
     warmest = known & (kelvin == np.max(kelvin, where=known, initial=0))
     own_dark = [("dark_current", "gain") in freed, ("dark_current", "temperature") in freed]
-    seen = np.sum((weight * current)[warmest]) > SEEN * np.sqrt(np.sum(weight[warmest]))
+    seen = np.sum((weight * current)[warmest]) > SIGNIFICANCE_SIGMAS * np.sqrt(
+        np.sum(weight[warmest])
+    )
     if seen and len({*kelvin[known]}) > 1 and not any(own_dark):
         inputs["colder"] = -(1 / kelvin - 1 / hottest) / BOLTZMANN_EV
         start["dark_current"] = np.average(current[warmest], weights=weight[warmest])

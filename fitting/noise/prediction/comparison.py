@@ -42,7 +42,7 @@ from .moments import (
 
 REFINEMENTS = 3  # updates of the rate of the light; the signal is nearly linear in it
 CLOSE = (0.9, 1.1)  # chi-square per degree of freedom at which no missing effect is searched
-CHANCE = 1e-3  # probability of such a chi-square without a missing effect
+FALSE_ALARM_PROBABILITY = 1e-3  # probability of such a chi-square without a missing effect
 NEIGHBOURS = "covariances of neighbours"
 IN_ONE = 1e-4  # codes from an end of the scale, and variance, within which all values have one code
 UNKNOWN = 1e9  # relative variance of a quantity that a camera does not predict
@@ -75,7 +75,7 @@ class Agreement:
     def is_missed(self) -> bool:
         """Whether chi-square per degree of freedom differs from 1 by more than a tenth, and
         significantly."""
-        return not CLOSE[0] <= self.ratio <= CLOSE[1] and self.p_value < CHANCE
+        return not CLOSE[0] <= self.ratio <= CLOSE[1] and self.p_value < FALSE_ALARM_PROBABILITY
 
 
 @dataclass(frozen=True)

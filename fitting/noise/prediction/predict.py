@@ -32,7 +32,7 @@ from .missing import Missing, missing_effects
 DRAWS = 200  # draws of a camera file that are used for its uncertainty
 LEAST = 3  # levels, beyond the number of a curve's terms, that half of the levels must have
 NOISES = ("read_noise", "shot_noise")  # fields needed to predict variances
-EVERY = 2  # one of this many levels is held out
+HOLD_OUT_STRIDE = 2  # one of this many levels is held out
 FEWEST_DARKS = 8  # number of darks from which darks are held out, too
 
 Camera = NoiseCalibration | Sensor | str | os.PathLike[str]
@@ -235,7 +235,7 @@ def levels_kept_out(calibration: NoiseCalibration) -> Bool[np.ndarray, " levels"
     measurement, chosen = calibration.measurement, calibration.chosen
     bright, darks = len(calibration.usable), measurement.dark.mean.size
     curve = {"compression", "compression_2", "light_offset"} & {*names(chosen.space)}
-    apart = np.arange(bright) % EVERY == 1
+    apart = np.arange(bright) % HOLD_OUT_STRIDE == 1
     if (~apart).sum() < LEAST + len(curve) + 1:
         return None
     unlit = np.zeros(darks, bool)
