@@ -108,11 +108,11 @@ def lobe(
         shape_only: whether each lobe is divided by its largest value.
         components: whether to draw also, as dashed lines, the diffuse and the specular term of each
             material that has both.
-        axes: polar axes of matplotlib to draw on; None makes new ones.
+        axes: matplotlib axes to draw on, polar or Cartesian; None makes new polar ones.
 
     Returns:
-        The axes: radius in sr^-1, or relative; angle from the normal, with the mirror direction on
-        the right.
+        The axes, with the mirror direction on the right: the BRDF in sr^-1, or relative, over the
+        angle from the normal, which is in degrees on Cartesian axes.
 
     Raises:
         InputError: for an angle of incidence outside of [0, pi / 2), and for mirrors and glass,
@@ -134,6 +134,7 @@ def lobe(
     dtype = jnp.result_type(float)
     light = jnp.asarray([-np.sin(incidence), 0, np.cos(incidence)], dtype)
     axes = new_axes(axes, polar=True)
+    polar = axes.name == "polar"
     for name, material in [*several.items(), *parts.items()]:
         if is_delta(material):
             raise InputError(
@@ -156,15 +157,27 @@ def lobe(
         ]
         angle, radius = refined(reflected, first, peaks=np.concatenate(peaks))
         shown = radius / (radius.max() or 1) if shape_only else radius
-        axes.plot(angle, shown, "--" if name in parts else "-", label=name or None)
-    axes.plot([-incidence, -incidence], [0, axes.get_ylim()[1]], color="0.5", ls=":", lw=1.5)
+        label = name or ("sum" if parts else None)
+        x = angle if polar else np.degrees(angle)
+        axes.plot(x, shown, "--" if name in parts else "-", label=label)
+    toward = -incidence if polar else -np.degrees(incidence)
+    axes.plot([toward, toward], [0, axes.get_ylim()[1]], color="0.5", ls=":", lw=1.5)
+    quantity = "over largest" if shape_only else "$f_r$ [sr$^{-1}$]"
+    labelled = bool(parts) or len(several) > 1 or "" not in several
+    if not polar:
+        axes.set(xlabel="angle from the normal [degrees]", ylabel=quantity, xlim=(-90, 90))
+        axes.set_xticks(range(-90, 91, 30))
+        axes.set_ylim(bottom=0)
+        if labelled:
+            axes.legend(fontsize=8)
+        return axes
     axes.set(theta_zero_location="N", theta_direction=-1, thetamin=-90, thetamax=90)  # type: ignore[call-arg]
     axes.set_ylim(bottom=0)
     ticks = MaxNLocator(3).tick_values(*axes.get_ylim())
     axes.set_yticks([r for r in ticks if 0 < r <= axes.get_ylim()[1]])
     axes.tick_params(labelsize=8)
     axes.annotate(  # next to the numbers of the radius, which are below its other half
-        "over largest" if shape_only else "$f_r$ [sr$^{-1}$]",
+        quantity,
         (np.pi / 2, axes.get_ylim()[1] / 2),
         (0, -6),
         textcoords="offset points",
@@ -172,7 +185,7 @@ def lobe(
         va="top",
         fontsize=8,
     )
-    if parts or len(several) > 1 or "" not in several:
+    if labelled:
         axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 0.12))
     return axes
 

@@ -3,7 +3,8 @@
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
-from ..scene import Camera
+from ..errors import InputError
+from ..scene import Camera, Sensor
 from .legible_axes import new_axes
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ _PRESENT, _ABSENT = "tab:blue", "0.75"
 _COLUMNS = 5
 
 
-def pipeline(camera: Camera, *, axes: "Axes | None" = None) -> "Axes":
+def pipeline(camera: Camera | Sensor, *, axes: "Axes | None" = None) -> "Axes":
     """Plot the stages of a camera in the order in which light passes them, with absent stages in
     grey.
 
@@ -22,11 +23,14 @@ def pipeline(camera: Camera, *, axes: "Axes | None" = None) -> "Axes":
     an absent stage, which is not computed.
 
     Args:
-        camera: the camera.
+        camera: the camera, or a sensor alone.
         axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
         The axes, one box for each stage; no unit.
+
+    Raises:
+        InputError: for something else than a camera or a sensor.
 
     Example:
         >>> axes = jv.plots.pipeline(jv.read_camera("ideal"))
@@ -34,6 +38,8 @@ def pipeline(camera: Camera, *, axes: "Axes | None" = None) -> "Axes":
         >>> print(shown["read noise"], shown["quantum efficiency"] != "0.75")
         0.75 True
     """
+    if not isinstance(camera, Camera | Sensor):
+        raise InputError(f"pipeline shows a Camera or a Sensor, got {type(camera).__name__}.")
     axes = new_axes(axes)
     row = 0.0
     for title, record, names in _stages(camera):
@@ -58,9 +64,11 @@ def pipeline(camera: Camera, *, axes: "Axes | None" = None) -> "Axes":
     return axes
 
 
-def _stages(camera: Camera) -> list[tuple[str, Any, list[str]]]:
+def _stages(camera: Camera | Sensor) -> list[tuple[str, Any, list[str]]]:
     """Return the title, the record and the field names of the lens, the sensor and the
     development."""
+    if isinstance(camera, Sensor):
+        return [("sensor", camera, [field.name for field in fields(Sensor)])]
     stages: list[tuple[str, Any, list[str]]] = [("lens", camera.view, list(_LENS))]
     for title, record in (("sensor", camera.sensor), ("development", camera.development)):
         if record is not None:

@@ -101,6 +101,20 @@ def test_the_components_of_a_lobe_sum_to_it():
     assert axes.get_legend() is not None
 
 
+def test_a_lobe_on_cartesian_axes_is_over_degrees():
+    """By the closed form, and the sum has its entry in the legend."""
+    axes = plots.lobe(
+        jv.PhongBRDF([0.2], [0.5], 20.0), incidence=0.6, components=True, axes=Figure().gca()
+    )
+    angle, sums = axes.lines[0].get_data()
+    expected = 0.2 + 0.5 * np.maximum(np.cos(np.radians(angle) - 0.6), 0) ** 20
+    np.testing.assert_allclose(sums, expected, atol=1e-5)
+    assert axes.lines[-1].get_xdata()[0] == pytest.approx(-np.degrees(0.6))
+    assert axes.get_xlabel() == "angle from the normal [degrees]"
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names == ["sum", "diffuse", "specular"]
+
+
 def test_a_lobe_of_any_width_shows_its_height():
     """Of cos^n, 1 at the mirror's direction, and to 1 % what a line between two points shows."""
     shiny = {f"{n:g}": jv.PhongBRDF([0.0], [1.0], n) for n in (1e2, 1e3, 1e4, 1e5, 1e6)}
@@ -297,3 +311,8 @@ def test_the_pipeline_of_a_camera_shows_absent_stages_in_grey():
         value = getattr(camera.sensor, field.name)
         assert is_grey == (value is None or (field.name == "own" and not value)), field.name
     assert {"lens", "sensor", "f number"} <= colours.keys()
+    alone = {text.get_text(): text.get_color() for text in plots.pipeline(camera.sensor).texts}
+    assert alone.items() <= colours.items()
+    assert "lens" not in alone
+    with pytest.raises(jv.InputError, match="shows a Camera or a Sensor, got Lambert"):
+        plots.pipeline(jv.Lambert([0.1]))
