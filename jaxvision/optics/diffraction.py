@@ -23,7 +23,7 @@ from ._bessel import jinc
 from .overlap import overlap_of_discs
 from .thin_lens import _reciprocal
 from .views import sensor_vergence
-from .wavefront import wavefront_kernel
+from .wavefront import STOP, wavefront_kernel
 
 # The first zero of J_1, divided by pi.
 _FIRST_ZERO = 1.2196698912665045
@@ -83,6 +83,7 @@ def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Sca
 
 
 @takes_numbers
+@in_range(wavelength=AMOUNT, f_number=AMOUNT, pixel_pitch=AMOUNT)
 def airy_kernel(
     wavelength: Scalar | Colour,
     f_number: Scalar,
@@ -118,7 +119,7 @@ def airy_kernel(
         (size, size), or (size, size, bands) for wavelengths (bands,); no unit, of sum 1.
 
     Raises:
-        ValueError: `size` is even or `order` below 1.
+        ValueError: `size` is even, `order` below 1, or another argument below 0.
     """
     check_count("size", size, 1, odd=True)
     check_count("order", order, 1)
@@ -263,6 +264,7 @@ def diffracted(view: ThinLens, diffraction: Diffraction | Wavefront, irradiance:
 
 
 @takes_numbers
+@in_range(wavelength=AMOUNT, f_number=AMOUNT, obstruction=STOP)
 def diffraction_mtf(
     frequency: Scalars,
     wavelength: Scalars,
@@ -286,6 +288,9 @@ def diffraction_mtf(
 
     Returns:
         (...) relative contrast, in [0, 1].
+
+    Raises:
+        ValueError: for a wavelength or an f-number below 0, or an obstruction outside [0, 1).
 
     Example:
         >>> half = jnp.array(0.5 / (550e-9 * 8.0))  # half of the cut-off

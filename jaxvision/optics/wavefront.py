@@ -20,9 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
-from ..core._types import Scalar, Scalars, check_count, is_known
+from ..core._arguments import in_range, takes_numbers
+from ..core._types import DIVISOR, Range, Scalar, Scalars, check_count, is_known
 
+STOP = Range(0, float(np.nextafter(1, 0)), nan=True)  # diameter of a central stop
 _MOST = 66  # number of terms of order up to 10
 
 
@@ -71,6 +72,12 @@ def zernike(x: Scalars, y: Scalars, *, count: int) -> Float[Array, "... count"]:
 
 
 @takes_numbers
+@in_range(
+    wavelength=DIVISOR,
+    f_number=DIVISOR,
+    pixel_pitch=DIVISOR,
+    obstruction=STOP,
+)
 def wavefront_kernel(
     coefficients: Float[Array, " terms"],
     wavelength: Scalars,
@@ -106,8 +113,9 @@ def wavefront_kernel(
         (size, size), or (size, size, bands); no unit, of sum 1.
 
     Raises:
-        ValueError: `size` is even, or `order` or `samples` are too few for arguments that are
-            known.
+        ValueError: `size` is even, `wavelength`, `f_number` or `pixel_pitch` is not above 0,
+            `obstruction` is outside [0, 1), or `order` or `samples` are too few for arguments that
+            are known.
 
     Example:
         Half a wave of defocus takes light from the middle.

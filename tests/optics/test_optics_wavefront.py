@@ -146,6 +146,26 @@ def test_too_few_nodes_are_refused(more, said):
         optics.wavefront_kernel(SHARP, WAVE, 8.0, 4e-6, **{"size": 33, **more})
 
 
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"obstruction": 1.0}, r"obstruction must be finite, at least 0 and below 1, got 1.0"),
+        ({"obstruction": 2.0}, r"obstruction must be finite, at least 0 and below 1, got 2.0"),
+        ({"wavelength": -WAVE}, r"wavelength must be above 0, got -5"),
+        ({"wavelength": 0.0}, r"wavelength must be above 0, got 0.0"),
+        ({"f_number": 0.0}, r"f_number must be above 0, got 0.0"),
+        ({"pixel_pitch": -1e-6}, r"pixel_pitch must be above 0, got -1e-06"),
+    ],
+)
+def test_what_no_lens_has_is_refused(more, said):
+    lens = {"wavelength": WAVE, "f_number": 8.0, "pixel_pitch": 4e-6, "size": 9}
+    with pytest.raises(ValueError, match=said):
+        optics.wavefront_kernel(SHARP, **{**lens, **more})
+    if "obstruction" in more:
+        with pytest.raises(ValueError, match=said):
+            optics.diffraction_mtf(1e4, WAVE, 8.0, **more)
+
+
 @pytest.mark.slow
 def test_coefficients_are_fitted_from_a_star_with_intervals_that_hold():
     """Two focus settings tell the signs of the even terms, which one star leaves open."""
