@@ -5,10 +5,19 @@ from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import equinox as eqx
+import numpy as np
 
 from ..core._maps import maps_of
 from ..core._shown import Shown
-from ..core._types import AMOUNT, Colour, as_optional_float, check_count, check_fields, check_kind
+from ..core._types import (
+    AMOUNT,
+    Colour,
+    as_optional_float,
+    check_count,
+    check_fields,
+    check_kind,
+    is_known,
+)
 from .light import AmbientLight, Light
 from .maps import Map
 from .shapes import Quad, Shape, Sphere, TriangleMesh
@@ -50,7 +59,8 @@ class Surface(Shown):
             normal is bent until this direction grazes the surface.
 
     Raises:
-        ValueError: for a map on a shape without texture coordinates, unless `Map.uv` places it.
+        ValueError: for a map on a shape without texture coordinates, unless `Map.uv` places it, and
+            for a shading normal of length 0.
 
     Example:
         A lamp shines only to its front.
@@ -73,6 +83,13 @@ class Surface(Shown):
             raise ValueError(
                 f"Surface.normals must be a Map of (3,) numbers, got {self.normals.shape}."
             )
+        if self.normals is not None and is_known(self.normals.values):
+            black = ~np.any(np.asarray(self.normals.values), axis=-1)
+            if black.any():
+                raise ValueError(
+                    f"Surface.normals has {black.sum()} of {black.size} normals of length 0; a "
+                    "flat surface has [0, 0, 1]."
+                )
         own = isinstance(self.shape, Quad | Sphere) or (
             isinstance(self.shape, TriangleMesh) and self.shape.uv is not None
         )

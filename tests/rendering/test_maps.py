@@ -135,6 +135,13 @@ def turned(x, y, z):
 
 
 @pytest.mark.slow
+def test_a_normal_of_length_0_is_refused():
+    some = np.broadcast_to([0.0, 0, 1], (3, 4, 3)).copy()
+    some[1, 2:] = 0
+    with pytest.raises(ValueError, match="normals has 2 of 12 normals of length 0"):
+        jv.Surface(CARD, jv.Lambert([1 / np.pi]), normals=jv.Map(some))
+
+
 def test_a_normal_map_shades_as_a_turned_surface():
     """x follows growing u, which is y of the world; n x x is x of the world here."""
     middle = replace(VIEW, resolution=(1, 1))
