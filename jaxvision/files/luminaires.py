@@ -185,6 +185,8 @@ def _ies(path: Path, lines: list[str]) -> Luminaire:
         if system == "B" and vertical[0] == 0:
             vertical, across = _mirror(vertical, table.T)
             table = across.T
+    if width < 0 and length == 0:  # a circle in LM-63-1995
+        length = width
     round_one = _SQUARE if width < 0 and length < 0 else 1.0
     opening = np.array([abs(length) * round_one, abs(width) * round_one, abs(height)])
     name = _keyword(lines[:at], "LUMINAIRE") or _keyword(lines[:at], "LUMCAT")

@@ -87,6 +87,8 @@ def test_old_files_have_a_further_factor_and_round_openings_a_minus(tmp_path):
     old = read(tmp_path, ies(head="IESNA91\n", ballast="1 0.5 40", opening="-0.2 -0.2 0"))
     assert flux(old) == pytest.approx(500 * np.pi, rel=1e-3)
     assert old.opening[0] * old.opening[1] == pytest.approx(np.pi * 0.1**2, rel=1e-6)
+    of_1995 = read(tmp_path, ies(opening="-0.2 0 0"))
+    np.testing.assert_allclose(of_1995.opening, [0.1 * np.sqrt(np.pi)] * 2 + [0], rtol=1e-6)
     new = read(tmp_path, ies(ballast="1 0.5 40"))
     assert flux(new) == pytest.approx(1000 * np.pi, rel=1e-3)
 
