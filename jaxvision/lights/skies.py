@@ -180,7 +180,7 @@ def daylight(
         The light; +z is up, and the lower half is black.
 
     Raises:
-        ValueError: for a sun below the horizon, and another kind.
+        ValueError: for a sun of length 0 or below the horizon, and another kind.
 
     Warns:
         UserWarning: if the formula is negative in some direction, where the radiance is then set to
@@ -193,17 +193,23 @@ def daylight(
         [100.]
     """
     toward = np.asarray(sun, float)
-    toward = toward / np.linalg.norm(toward)
+    length = np.linalg.norm(toward)
+    if not 0 < length < np.inf:
+        raise ValueError(f"sun must be a finite vector with a direction, got {toward}.")
+    toward = toward / length
     if toward[2] < 0:
         raise ValueError(f"the sun must stand above the horizon, got {toward}.")
     if rows < 16:
         raise ValueError(f"rows must be at least 16, got {rows}.")
 
+    # a whole number, also of NumPy or JAX
+    whole = np.ndim(parameters) == 0 and np.asarray(parameters).dtype.kind in "iu"
+
     def relative(directions: np.ndarray) -> np.ndarray:
-        if isinstance(parameters, int) and parameters == OVERCAST:
+        if whole and parameters == OVERCAST:
             up = directions[:, 2]
             return np.where(up > 0, (1 + 2 * up) / 3, 0)
-        own = cie_sky(parameters) if isinstance(parameters, int) else np.asarray(parameters, float)
+        own = cie_sky(parameters) if whole else np.asarray(parameters, float)
         return np.asarray(_over_sky(jnp.asarray(own), jnp.asarray(toward), jnp.asarray(directions)))
 
     theta = np.pi * (np.arange(rows) + 0.5) / rows

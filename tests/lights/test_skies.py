@@ -128,8 +128,20 @@ def test_what_is_no_sky_is_named():
         lights.cie_sky(17)
     with pytest.raises(ValueError, match="the sun must stand above the horizon"):
         lights.daylight(12, [0, 0, -1], irradiance=[1.0])
+    with pytest.raises(ValueError, match=r"sun must be a finite vector with a direction, got \[0"):
+        lights.daylight(12, [0, 0, 0], irradiance=[1.0])
     with pytest.raises(ValueError, match="a Perez sky has a clearness of at least 1"):
         lights.perez_sky(0.5, 0.5, 0.2)
+
+
+@pytest.mark.parametrize("whole", [np.int64, np.uint8, jnp.asarray])
+@pytest.mark.parametrize("kind", [12, 16])
+def test_a_whole_number_of_any_library_names_a_sky(whole, kind):
+    want, got = (
+        lights.daylight(number, [0, 0.6, 0.8], irradiance=[1.0], rows=16).radiance
+        for number in (kind, whole(kind))
+    )
+    np.testing.assert_array_equal(got, want)
 
 
 def test_a_sky_that_its_formula_makes_negative_is_told():
