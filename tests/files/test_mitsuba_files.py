@@ -249,7 +249,7 @@ def test_an_orthographic_camera_may_be_scaled_across_alone(tmp_path):
             [SENSOR, '<shape type="obj"><string name="filename" value="none.obj"/></shape>'],
             "none.obj",
         ),
-        ([SENSOR, BALL, '<emitter type="spot"/>'], "'spot' is not read"),
+        ([SENSOR, BALL, '<emitter type="projector"/>'], "'projector' is not read"),
         (
             [SENSOR, BALL, '<emitter type="point"><float name="$a" value="1"/></emitter>'],
             r"\$a has no",
