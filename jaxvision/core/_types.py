@@ -450,6 +450,24 @@ def check_direction(name: str, value: Any) -> None:
         raise ValueError(f"{name} must have a direction, got a vector of length 0.")
 
 
+# Tolerance for unit axes at right angles, because rotations in files may have three digits.
+ASKEW = 2e-3
+
+
+def check_rotation(name: str, rotation: Any, axes: str) -> None:
+    """Raise `ValueError` unless the rows of a concrete matrix are the unit vectors of a
+    right-handed frame, named as in "x, y and z"; traced matrices are accepted."""
+    if not is_known(rotation):
+        return
+    rows = np.asarray(rotation, float)
+    if not (np.abs(rows @ rows.T - np.eye(3)).max() <= ASKEW and np.linalg.det(rows) > 0):
+        first, second, third = axes.replace(" and", ",").split(", ")
+        raise ValueError(
+            f"{name} must be a rotation, rows of unit axes {axes} at right angles, {first} x "
+            f"{second} = {third}, got {rows.tolist()}."
+        )
+
+
 class Range(NamedTuple):
     """The allowed range of a field: [low, high], or (low, high] if `above`."""
 

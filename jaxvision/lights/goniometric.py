@@ -27,12 +27,16 @@ from ..core._quadrature import gauss_legendre
 from ..core._shown import Shown
 from ..core._types import (
     AMOUNT,
+    ASKEW,
     ArrayLike,
     Colour,
+    Range,
     Scalar,
     as_float,
     check_choice,
+    check_direction,
     check_fields,
+    check_rotation,
     is_known,
 )
 from ..core._vector import Direction, Vec, Vector, as_array, as_vec
@@ -47,6 +51,12 @@ from .window import Window, _window_bound, hit_window, window_pdf, window_sample
 
 System = Literal["C", "B", "A"]
 _TURN = 2 * np.pi
+_HALF = {"vertical": (-np.pi / 2, np.pi / 2), "horizontal": (-np.pi / 2, np.pi / 2)}
+_SPAN = {
+    "C": {"vertical": (0.0, np.pi), "horizontal": (-2 * _TURN, 2 * _TURN)},
+    "B": _HALF,
+    "A": _HALF,
+}  # rad, the smallest and largest angles of each system
 
 
 class GoniometricLight(Light):
@@ -64,6 +74,11 @@ class GoniometricLight(Light):
             symmetric. In system C the nodes span a whole turn.
         rotation: (3, 3), rows the lamp's x, y and z axes in the world, no unit.
         system: "C", "B" or "A"; static.
+
+    Raises:
+        ValueError: for angles that do not increase or lie beyond those of the system, as angles in
+            degrees do; for values of the distribution below 0 or not finite; for a `rotation` that
+            is none.
 
     Example:
         >>> down = jnp.array([[1.0], [0.0]])  # bright straight down, dark at the horizon
@@ -86,6 +101,7 @@ class GoniometricLight(Light):
 
     def __check_init__(self) -> None:
         _check(self)
+        check_rotation("GoniometricLight.rotation", self.rotation, "x, y and z")
 
 
 class GoniometricAreaLight(Light):
@@ -102,6 +118,9 @@ class GoniometricAreaLight(Light):
         edge_v: (3,) m, along the other side, at a right angle to the first.
         intensity: (bands,) W sr^-1 of the whole lamp, where the distribution is 1.
         distribution, vertical, horizontal, system: as of `GoniometricLight`.
+
+    Raises:
+        ValueError: as `GoniometricLight`, and for edges of length 0 or not at a right angle.
 
     Example:
         >>> even = np.ones((2, 1)), [0, np.pi / 2], [0.0]
@@ -123,19 +142,38 @@ class GoniometricAreaLight(Light):
 
     def __check_init__(self) -> None:
         _check(self)
+        for name in ("edge_u", "edge_v"):
+            check_direction(f"GoniometricAreaLight.{name}", getattr(self, name))
+        if not (is_known(self.edge_u) and is_known(self.edge_v)):
+            return
+        u, v = np.asarray(self.edge_u, float), np.asarray(self.edge_v, float)
+        cosine = float(u @ v / (np.linalg.norm(u) * np.linalg.norm(v)))
+        if abs(cosine) > ASKEW:
+            raise ValueError(
+                "GoniometricAreaLight: edge_u and edge_v must be at a right angle, got "
+                f"{np.degrees(np.arccos(cosine)):.4g} degrees."
+            )
 
 
 Goniometric = GoniometricLight | GoniometricAreaLight
 
 
 def _check(light: Goniometric) -> None:
-    check_fields(light, intensity=AMOUNT, distribution=AMOUNT)
+    check_fields(light, intensity=AMOUNT, distribution=Range(0))
     kind = type(light).__name__
     check_choice(f"{kind}.system", light.system, ("C", "B", "A"))
     if light.vertical.shape[0] < 2:
         raise ValueError(f"{kind}.vertical must have two nodes or more, got one.")
     for name in ("vertical", "horizontal"):
         nodes = getattr(light, name)
+        low, high = _SPAN[light.system][name]
+        if is_known(nodes) and not (
+            np.all(np.asarray(nodes) >= low - 1e-4) and np.all(np.asarray(nodes) <= high + 1e-4)
+        ):
+            raise ValueError(
+                f"{kind}.{name} must be in rad, from {low:.5g} to {high:.5g} in system "
+                f"{light.system}, got {np.asarray(nodes).tolist()}."
+            )
         if is_known(nodes) and np.any(np.diff(nodes) <= 0):
             raise ValueError(f"{kind}.{name} must increase.")
     turns = light.horizontal

@@ -1,7 +1,6 @@
 """The records of a camera's projection, which gives the ray of each pixel."""
 
 import equinox as eqx
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..core._shown import Shown
@@ -15,6 +14,7 @@ from ..core._types import (
     check_count,
     check_fields,
     check_range,
+    check_rotation,
     is_known,
     print_by_name,
 )
@@ -173,24 +173,8 @@ def _check_view(view: View, **ranges: Range) -> None:
                 f"{name}.pixel_pitch must be in m (5 um are 5e-6), got {float(pitch):g} with a "
                 f"focal_length of {float(length):g} m: one pixel would see more than 125 degrees."
             )
-    _check_rotation(f"{name}.rotation", view.rotation)
+    check_rotation(f"{name}.rotation", view.rotation, "right, down and forward")
     if not isinstance(view.resolution, tuple) or len(view.resolution) != 2:
         raise ValueError(f"{name}.resolution must be (rows, columns), got {view.resolution!r}.")
     for size in view.resolution:
         check_count(f"{name}.resolution", size, 1)
-
-
-# Tolerance for unit axes at right angles, because rotations in files may have three digits.
-_ASKEW = 2e-3
-
-
-def _check_rotation(name: str, rotation: Float[Array, "3 3"]) -> None:
-    if not is_known(rotation):
-        return
-    axes = np.asarray(rotation, float)
-    turned = np.abs(axes @ axes.T - np.eye(3)).max() <= _ASKEW and np.linalg.det(axes) > 0
-    if not turned:
-        raise ValueError(
-            f"{name} must be a rotation, rows of unit axes right, down and forward at right "
-            f"angles, right x down = forward, got {axes.tolist()}."
-        )

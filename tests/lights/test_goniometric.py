@@ -135,6 +135,22 @@ def test_what_no_lamp_is_is_named():
         jv.GoniometricLight([0.0] * 3, [1.0], even, [1.0, 0.5], [0.0])
     with pytest.raises(ValueError, match=r"horizontal must span a turn"):
         jv.GoniometricLight([0.0] * 3, [1.0], np.ones((2, 2)), [0, 1.0], [0.0, 3.0])
+    point = [0.0] * 3, [1.0]
+    for table, vertical, more, words in (
+        (even, [0, 90.0], {}, r"vertical must be in rad, from 0 to 3.1416 in system C, got \[0"),
+        (even, [0, 90.0], {"system": "A"}, r"vertical must be in rad, from -1.5708 to 1.5708"),
+        (even, [0, np.nan], {}, r"vertical must be in rad"),
+        (np.nan * even, [0, 1.0], {}, r"distribution must be finite, at least 0, got nan"),
+        (even, [0, 1.0], {"rotation": 2 * np.eye(3)}, r"rotation must be a rotation, .* x, y and"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            jv.GoniometricLight(*point, table, vertical, [0.0], **more)
+    for edge, words in (
+        ([1.0, -1, 0], r"edge_u and edge_v must be at a right angle, got 45 degrees"),
+        ([0.0, 0, 0], r"edge_v must have a direction, got a vector of length 0"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            jv.GoniometricAreaLight([0.0] * 3, [1.0, 0, 0], edge, [1.0], even, [0, 1.0], [0.0])
     upward = jv.Luminaire(even, [0, np.pi], [0.0], [1.0, 1, 0], 100.0, 9.0)
     with pytest.raises(ValueError, match="shines upward too"):
         jv.goniometric_light(upward, [0, 0, 2], opening=True)
