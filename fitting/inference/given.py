@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from jaxvision.core.plain_arrays import plain_array
 from jaxvision.errors import InputError
@@ -16,6 +16,7 @@ from jaxvision.errors import InputError
 from .on_host import on_host
 
 INSIDE = "Student's t of data with ends is StudentT(scale, low=..., high=...)"
+ASYMMETRIC = 1e-5  # of the largest entry of a covariance: rounding of float32
 LARGEST_SEED = 2**32 - 1  # largest seed that every random generator accepts
 
 
@@ -132,6 +133,21 @@ def require_positive(what: str, value: Any) -> None:
     wrong = values[~((values > 0) & (values < np.inf))]
     if wrong.size:
         raise InputError(f"{what} must be positive and finite, got {wrong.flat[0]:g}.")
+
+
+def require_covariance(what: str, matrix: Float[np.ndarray, "n n"]) -> None:
+    """Refuse a matrix that is not finite, symmetric and positive semi-definite up to rounding."""
+    wrong, least = "", ASYMMETRIC * float(np.abs(matrix).max(initial=0))
+    if not np.isfinite(matrix).all():
+        wrong = "holds numbers that are not finite"
+    elif np.abs(matrix - matrix.T).max(initial=0) > least:
+        wrong = "is not symmetric"
+    elif (size := float(np.linalg.eigvalsh(matrix).min(initial=0))) < -least:
+        wrong = f"has a negative variance along some direction (least eigenvalue {size:.3g})"
+    if wrong:
+        raise InputError(
+            f"{what} {wrong}; a covariance is finite, symmetric and positive semi-definite."
+        )
 
 
 def require_ascending(what: str, low: Any, high: Any) -> None:

@@ -11,6 +11,8 @@ from jaxtyping import Float
 from jaxvision.core.in_notebooks import record_html
 from jaxvision.errors import InputError
 
+from ..inference.given import require_covariance
+
 HEADS = ("light", "x", "y", "z", "s.d.", "intensity")
 
 
@@ -111,7 +113,8 @@ def read_lights(path: str | os.PathLike[str]) -> Lights:
         The lights, without findings.
 
     Raises:
-        InputError: for a file that is missing or holds no lights.
+        InputError: for a file that is missing or holds no lights, or whose covariance is not
+            finite, symmetric and positive semi-definite.
     """
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file of lights; `jaxvision-fit lights` writes one.")
@@ -130,4 +133,5 @@ def read_lights(path: str | os.PathLike[str]) -> Lights:
             f"{path}: {count} files, places {found.places.shape} and covariance "
             f"{found.covariance.shape} do not agree; write it anew."
         )
+    require_covariance(f"{path}: covariance", found.covariance.reshape(4 * count, -1))
     return found

@@ -25,7 +25,7 @@ from ..codes import converter_of
 from ..copies import Copies
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_spread, format_with_error
-from ..inference.given import plain_numbers
+from ..inference.given import plain_numbers, require_covariance
 from .models import has_lobe, shape_of
 from .names import MODELS, Model
 from .stereo_axes import axes_findings
@@ -65,7 +65,6 @@ SHARED, SMALL = 0.5, 0.02  # shares of residuals' squares and of the albedo to b
 FITTED = 256  # pixels of a first test whether a rough body explains residuals
 SHOWN_BY = 32  # lights from which residuals reveal the effect of roughness on normals
 NEGLIGIBLE = 1e-6  # of the albedo: departures from Lambert's law below it are rounding
-ASYMMETRIC = 1e-5  # of the largest entry of a covariance: rounding
 DARK = 3.0  # standard errors from 0 within which the mean of images shows no light
 HEADS = ("", "median", "90 % of pixels in", "unit")
 
@@ -664,22 +663,8 @@ def _common_errors(covariance: ArrayLike, lights: int) -> np.ndarray:
             f"covariance must be ({lights}, 4, {lights}, 4), of x, y, z and the logarithm of the "
             f"intensity, got {together.shape}."
         )
-    flat = together.reshape(4 * lights, -1)
-    if (wrong := _covariance_fault(flat)) is not None:
-        raise InputError(f"covariance {wrong}; give the one that fitting.lights.calibrate returns.")
+    require_covariance("covariance", together.reshape(4 * lights, -1))
     return together
-
-
-def _covariance_fault(matrix: Float[np.ndarray, "n n"]) -> str | None:
-    """Return why a matrix is no covariance up to the rounding of float32; None if it is one."""
-    if not np.isfinite(matrix).all():
-        return "holds numbers that are not finite"
-    least = ASYMMETRIC * float(np.abs(matrix).max())
-    if np.abs(matrix - matrix.T).max() > least:
-        return "is not symmetric in exchanging two lights with their parts"
-    if (size := float(np.linalg.eigvalsh(matrix)[0])) < -least:
-        return f"has a negative variance along some direction (least eigenvalue {size:.3g})"
-    return None
 
 
 def _least_squares(

@@ -237,6 +237,17 @@ def test_bad_images_are_a_sentence(images, mask, options, said):
         calibrate(images, [mask], camera=CAMERA, **options)
 
 
+@pytest.mark.parametrize(
+    ("factor", "said"), [(np.nan, "not finite"), (-1.0, "negative variance along some direction")]
+)
+def test_a_file_whose_covariance_is_none_is_refused(tmp_path, factor, said):
+    found = calibrate(IMAGES[:1], [MASK], camera=CAMERA)
+    wrong = replace(found, covariance=factor * found.covariance)
+    write_lights(wrong, tmp_path / "lights.npz")
+    with pytest.raises(InputError, match=rf"lights.npz: covariance .*{said}"):
+        read_lights(tmp_path / "lights.npz")
+
+
 def test_a_file_and_its_rig_are_read_by_reflectance(tmp_path):
     found = calibrate(IMAGES, [MASK], camera=CAMERA, files=[f"{i}.png" for i in range(8)])
     write_lights(found, tmp_path / "lights.npz")
