@@ -65,6 +65,7 @@ SHARED, SMALL = 0.5, 0.02  # shares of residuals' squares and of the albedo to b
 FITTED = 256  # pixels of a first test whether a rough body explains residuals
 SHOWN_BY = 32  # lights from which residuals reveal the effect of roughness on normals
 NEGLIGIBLE = 1e-6  # of the albedo: departures from Lambert's law below it are rounding
+SAME = 1e-3  # rad between lights of the same direction
 DARK = 3.0  # standard errors from 0 within which the mean of images shows no light
 HEADS = ("", "median", "90 % of pixels in", "unit")
 
@@ -309,9 +310,13 @@ def photometric_stereo(
         )
     if not findings:
         findings = unlit or _contradiction_finding(rows, readings.reshape(shape), between, limits)
-    exact = np.isfinite(albedo) & np.isnan(normal_sd)
-    if exact.sum() > np.isfinite(albedo).sum() / 2:
-        findings += (_exact_finding(exact.sum() / np.isfinite(albedo).sum()),)
+    seen = np.isfinite(albedo)
+    exact = seen & np.isnan(normal_sd)
+    if exact.sum() > seen.sum() / 2:
+        findings += (_exact_finding(exact.sum() / seen.sum()),)
+    repeated = seen & ~exact & (_distinct(directions, counts) == 3)
+    if repeated.sum() > seen.sum() / 2:
+        findings += (_repeated_finding(repeated.sum() / seen.sum()),)
     normals = normals.reshape(*shape[1:], 3)
     return Stereo(
         normals,
@@ -402,6 +407,22 @@ def _exact_finding(share: float) -> str:
         f"At {format_percent(share)} of the pixels only three lights are used. They leave no "
         "residuals, so normal and albedo have no standard deviation there, and errors of the "
         "lights or of the model do not show. Use four lights or more."
+    )
+
+
+def _distinct(directions: Rows, counts: Counted) -> Int[np.ndarray, " pixels"]:
+    """Return the number of distinct directions among the lights that each pixel uses."""
+    alike = np.linalg.norm(directions[:, None] - directions, axis=-1) < SAME
+    first = np.unique(np.argmax(alike, axis=1), return_inverse=True)[1]
+    return np.sum([counts[first == one].any(axis=0) for one in range(first.max() + 1)], axis=0)
+
+
+def _repeated_finding(share: float) -> str:
+    return (
+        f"At {format_percent(share)} of the pixels the lights that are used have three distinct "
+        "directions, some of them repeated. Their residuals show noise alone, so the standard "
+        "deviations of normal and albedo do not include errors of the lights or of the model. Use "
+        "four directions or more."
     )
 
 

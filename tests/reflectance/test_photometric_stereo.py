@@ -590,3 +590,9 @@ def test_repeated_lights_of_which_two_see_a_pixel_give_no_normal(azimuths, clipp
     assert np.isfinite(off[undetermined]).mean() <= (0.02 if clipped else 0)
     assert np.isfinite(off[lit]).all()
     assert off[lit].max() < np.radians(0.5)
+    three = "of the pixels the lights that are used have three distinct directions"
+    assert three in str(found)
+    assert (f"At 100 % {three}" in str(found)) == (len(azimuths) == 3)
+    steep = normals[..., 2] > 0.9  # lit by all lights
+    found = photometric_stereo(np.where(steep, readings, np.nan), lights)
+    assert (three in str(found)) == (len(azimuths) == 3)
