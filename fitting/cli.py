@@ -69,7 +69,9 @@ def noise(
     channel: Channel = "",
     release: Annotated[
         Literal["3.1", "4.0"],
-        typer.Option(help="Release of EMVA 1288; 4.0 adds its sheet beside that of 3.1."),
+        typer.Option(
+            help="Release of EMVA 1288: 3.1, or 4.0 for the data sheets of both releases."
+        ),
     ] = "3.1",
 ) -> None:
     """Photon transfer: the EMVA 1288 sheet, each figure with its standard error."""
@@ -160,7 +162,8 @@ def brdf(
     compare_all: Annotated[
         bool,
         typer.Option(
-            "--compare-all", help="Rig: fit all eleven models, not eight, in about twice the time."
+            "--compare-all",
+            help="Rig: fit all eleven models instead of the usual eight, in about twice the time.",
         ),
     ] = False,
     ambient: Annotated[

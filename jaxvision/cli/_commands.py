@@ -186,7 +186,8 @@ def render(
         ),
     ] = None,
     keep_all: Annotated[
-        bool, typer.Option("--keep-all", help="Leave out nothing, not even what changes nothing.")
+        bool,
+        typer.Option("--keep-all", help="Compute every effect, also those that change no pixel."),
     ] = False,
     accuracy: Annotated[
         str,

@@ -132,7 +132,7 @@ def command_app(
     )
     flag = typer.Option(
         "--version",
-        help="Print the version; with -v of all it uses.",
+        help="Print the version; with -v, also those of Python and of the libraries.",
         callback=_print_version,
     )
     more = typer.Option(  # eager, so that `--version` knows it in any order

@@ -90,9 +90,9 @@ def cost_sentence(cost: Cost, settings: RenderEntry) -> str:
     samples = f"{settings.samples} sample{'s' * (settings.samples != 1)} a pixel"
     if cost.error is None:
         return f"{samples}: no standard error, {took}."
-    sentence = f"{samples}: standard error {100 * cost.error:.2g} % of the rms radiance"
-    if settings.integrator != "light":  # whose passes are independent
-        sentence += " or less, as samples are stratified"
+    # samples are stratified, except for the independent passes of "light"
+    bound = "" if settings.integrator == "light" else "at most "
+    sentence = f"{samples}: standard error {bound}{100 * cost.error:.2g} % of the rms radiance"
     sentence += f", {took}"
     target = next((t for t in _TARGETS if 0 < 1.5 * t <= cost.error), None)
     if target is not None:
