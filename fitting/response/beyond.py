@@ -39,12 +39,13 @@ from jaxtyping import Bool, Float
 
 from .code_bins import CodeBins
 
-ALL = 0.3  # prior weight of the Gaussian of all kinds; the single kinds share the rest
-WANDERS = 0.03, 0.4  # rms deviation of the exponent e: of a linear camera; per unit of e - 1
-SIZES = 0.7, 1.0, 1.6  # factors on the deviation, equally likely a priori
-CLOSE = 0.05, 0.3, 1.0  # the same factors for a single curve
-BETWEEN = 0.06  # rms of a factor on ln X, for curves between those listed
-REACH = 1.0  # correlation length of the deviation, in ln u
+JOINT_WEIGHT = 0.3  # prior weight of the Gaussian of all kinds; the single kinds share the rest
+# rms deviation of the exponent e: of a linear camera; per unit of e - 1
+EXPONENT_RMS_DEVIATION = 0.03, 0.4
+KIND_FACTORS = 0.7, 1.0, 1.6  # factors on the deviation, equally likely a priori
+CURVE_FACTORS = 0.05, 0.3, 1.0  # the same factors for a single curve
+LOG_FACTOR_RMS = 0.06  # rms of a factor on ln X, for curves between those listed
+CORRELATION_LENGTH = 1.0  # correlation length of the deviation, in ln u
 FEWEST, MOST = 4, 24  # number of observed codes: needed; used at most
 SURELY_KNOWN = 1e-8  # variance of a code's ln X
 
@@ -98,19 +99,19 @@ def _way(
     near = np.argsort(np.abs(log_u[own] - np.log(u[edge])))[: max(FEWEST, len(used) // 4)]
     off = log_u[near] - np.log(u[edge])
     exponent = float(off @ measured[near] / (off @ off))
-    wanders = WANDERS[0] + WANDERS[1] * abs(exponent - 1)
+    wanders = EXPONENT_RMS_DEVIATION[0] + EXPONENT_RMS_DEVIATION[1] * abs(exponent - 1)
     departure = wanders**2 * _wandering(log_u, np.log(u[edge]))
     kinds = [own_kind[:, both] - own_kind[:, [edge]] for own_kind in _family(tuple(u))]
     every = np.concatenate(kinds)
     each = [
-        (curve, np.outer(curve, curve) * BETWEEN**2, 1 / len(kind))
+        (curve, np.outer(curve, curve) * LOG_FACTOR_RMS**2, 1 / len(kind))
         for kind in kinds
         for curve in kind
     ]
-    alone = _mixture(each, CLOSE, departure, measured, error)
-    whole = [(kind.mean(axis=0), np.cov(kind.T, bias=True), 1 - ALL) for kind in kinds]
-    whole.append((every.mean(axis=0), np.cov(every.T, bias=True), ALL * len(kinds)))
-    wide = _mixture(whole, SIZES, departure, measured, error)
+    alone = _mixture(each, CURVE_FACTORS, departure, measured, error)
+    whole = [(kind.mean(axis=0), np.cov(kind.T, bias=True), 1 - JOINT_WEIGHT) for kind in kinds]
+    whole.append((every.mean(axis=0), np.cov(every.T, bias=True), JOINT_WEIGHT * len(kinds)))
+    wide = _mixture(whole, KIND_FACTORS, departure, measured, error)
     return alone[0], np.maximum(wide[1] + (wide[0] - alone[0]) ** 2, alone[1])
 
 
@@ -144,13 +145,13 @@ def _mixture(
 def _wandering(log_u: Float[np.ndarray, " codes"], edge: float) -> Float[np.ndarray, "codes codes"]:
     """Return the covariance of ln X(u) - ln X(edge) for a local exponent d ln X / d ln u that is an
     Ornstein-Uhlenbeck process in ln u with unit variance."""
-    off = (log_u - edge) / REACH
+    off = (log_u - edge) / CORRELATION_LENGTH
     size, side = np.abs(off), np.sign(off)
     fall = np.exp(-size)
     less = 2 * np.minimum(size[:, None], size)
     one_side = less + fall[:, None] + fall - 1 - np.exp(-np.abs(off[:, None] - off))
     two_sides = -(1 - fall[:, None]) * (1 - fall)
-    return REACH**2 * np.where(side[:, None] * side >= 0, one_side, two_sides)
+    return CORRELATION_LENGTH**2 * np.where(side[:, None] * side >= 0, one_side, two_sides)
 
 
 @lru_cache(maxsize=8)

@@ -24,7 +24,7 @@ FEWEST_CLIPPED = 50  # pixels to estimate the code of the shorter exposure that 
 BRIGHT = 0.6  # share of the clip level above which codes of the longer exposure are compared
 INTERVALS = 256  # groups of codes of the shorter exposure that are compared
 SIDE, FEWEST_TILES = 4, 4  # tiles along a side of the picture; fewest tiles with such pixels
-CHANCE = 0.05  # probability of finding hidden peaks where there are none
+FALSE_ALARM_PROBABILITY = 0.05  # probability of finding hidden peaks where there are none
 
 
 def clear_of_clipping(
@@ -57,7 +57,7 @@ def clear_of_clipping(
     scene = np.ones(codes.shape[1:], bool) if mask is None else mask
     for contrast in CONTRASTS if hidden else ():
         lost = _lost_peaks(codes, clip, contrast, scene)
-        if not _darker_p_value(codes, clip, lost, near | ~scene) < CHANCE:
+        if not _darker_p_value(codes, clip, lost, near | ~scene) < FALSE_ALARM_PROBABILITY:
             break
         near |= _around(lost)
     return np.where(near, np.maximum(codes, int(np.ceil(clip))), codes).astype(codes.dtype)

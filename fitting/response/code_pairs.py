@@ -34,7 +34,7 @@ from .code_bins import CodeBins
 from .weights import Observations, WeightRule, observe
 
 CHUNK = 1 << 16  # pixels held in floating point at a time
-FLAT = 1e-3  # x below which sinh(x) / x is 1
+LEAST_ARGUMENT = 1e-3  # x below which sinh(x) / x is 1
 SMOOTHED = 0.3  # smoothing of the exponent, as a share of a code or, near white, of the rest
 
 
@@ -214,7 +214,7 @@ def _pull_of_noise(
 def _mean_over_centre(x: np.ndarray) -> np.ndarray:
     """Return sinh(x) / x, the mean of an exponential over an interval divided by its value in the
     middle."""
-    far = np.abs(x) > FLAT
+    far = np.abs(x) > LEAST_ARGUMENT
     return np.where(far, np.sinh(x) / np.where(far, x, 1), 1)
 
 

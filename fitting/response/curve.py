@@ -65,7 +65,7 @@ from .solve import (
     spread_of_times,
 )
 from .weights import (
-    APART,
+    LARGEST_LOG_STEP,
     NoiseModel,
     cells_of,
     coarsest,
@@ -79,9 +79,11 @@ PILOT_BINS = 140
 FEWEST_PIXELS, FEWEST_SHARE = 100, 0.005  # needed, well exposed in two images; fewer may be hot
 SIGNIFICANCE = 0.95  # of the chi-square test for a shutter error
 UNCORRECTED = 0.05  # largest remaining bias of the score, as a share of the variance of ln X
-SAME = 1e-3  # step of ln t below which two exposures count as one
-RIPPLE = 0.055  # of g, for each unit of ln t by which a step between exposures exceeds `APART`
-BENT = 100.0  # smoothness below which the ripple is not reduced: a third of the measured median
+LEAST_LOG_STEP = 1e-3  # step of ln t below which two exposures count as one
+# Ripple of g, for each unit of ln t by which a step between exposures exceeds `LARGEST_LOG_STEP`
+RIPPLE = 0.055
+# Smoothness below which the ripple is not reduced: a third of the measured median
+LEAST_SMOOTHNESS = 100.0
 FALLS = 0.5  # decrease in ln X from which a curve is refused
 NEAR, BENT_BY = 4.0, 2.5  # pixel noises: distance from the last observed code; error of ln X there
 DOUBTFUL = 0.5  # error of the slope from its correction, as a share of the relative variance
@@ -178,16 +180,16 @@ def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> flo
     # From the errors of simulated stacks with S-shaped and sRGB responses: .01 at 2 1/4 stops, .038
     # at three; smaller for a smoother curve, in proportion to the prior's 1 / sqrt(smoothness).
     steps = np.diff(np.unique(np.log(exposures)))
-    steps = steps[steps > SAME]
+    steps = steps[steps > LEAST_LOG_STEP]
     if not steps.size:
         return 0.0
-    return RIPPLE * max(float(steps.min()) - APART, 0.0) * _room(smoothness)
+    return RIPPLE * max(float(steps.min()) - LARGEST_LOG_STEP, 0.0) * _room(smoothness)
 
 
 def _room(smoothness: float) -> float:
     """Return a factor, 0 to 1, on the errors for a rough curve. The factor decreases with the
     smoothness."""
-    return min(1.0, float(np.sqrt(BENT / smoothness)))
+    return min(1.0, float(np.sqrt(LEAST_SMOOTHNESS / smoothness)))
 
 
 def fit_response_curve(

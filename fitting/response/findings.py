@@ -13,9 +13,9 @@ from .calibration import ChannelResponse, ResponseCalibration
 from .curve import ResponseCurve, ripple
 from .read import unchanged
 from .shape import (
-    CHANCE,
+    FALSE_ALARM_PROBABILITY,
+    LARGEST_STANDARD_ERROR,
     PURE,
-    SURE,
     error_of_departure,
     judged_codes,
     largest,
@@ -28,7 +28,7 @@ DRAWN = 0.1  # standard error of ln exposure up to which the figure shows a depa
 CLUSTERED = 2.0  # number of pixels that count as one, from which it is reported
 MOSTLY_SEEN = 0.8  # share of observed codes below which the extrapolated ones are reported
 FEW_FREE = 2  # number of determined shutter errors below which the prior dominates
-SHAKY = 0.1  # shutter error from which a time or a gain is more likely wrong
+SUSPECT_SHUTTER_ERROR = 0.1  # shutter error from which a time or a gain is more likely wrong
 APART_ERRORS = 3.0  # standard errors from which a deviation of one image is named
 RARE, WIDE = 0.01, 8.0  # share of pixels at an image's lowest code; range of exposures
 BLACKS = 0.01  # shutter error from which black points of single images are a possible cause
@@ -135,7 +135,7 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
     each = "it is" if len(ends) == 1 else "each channel is"
     codes = (
         f"codes {min(low for low, _ in ends):g} to {max(high for _, high in ends):g}, where {each} "
-        f"known to {format_percent(SURE)}"
+        f"known to {format_percent(LARGEST_STANDARD_ERROR)}"
     )
     shown = np.array([shape.significant for shape in found])
     worst = int(np.argmax(shown) if shown.any() else np.nanargmax(sizes))
@@ -182,7 +182,7 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
 def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
     """If exposure times scatter more than real shutters do, name the time to check: that of the
     most deviating image, or all. Otherwise return an empty string."""
-    shaky = [c for c in channels if (c.curve.shutter_error or 0.0) > SHAKY]
+    shaky = [c for c in channels if (c.curve.shutter_error or 0.0) > SUSPECT_SHUTTER_ERROR]
     if not shaky:
         return ""
     worst = max(shaky, key=lambda c: c.curve.shutter_error or 0.0)
@@ -207,7 +207,9 @@ def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
             error_of_departure(channel.curve),
         )
         drawn = curve.seen & (curve.standard_error < DRAWN)
-        limit = stdtrit(curve.freedom, 1 - CHANCE / (2 * max(np.count_nonzero(drawn), 1)))
+        limit = stdtrit(
+            curve.freedom, 1 - FALSE_ALARM_PROBABILITY / (2 * max(np.count_nonzero(drawn), 1))
+        )
         size, code = largest(curve, gap, drawn & (np.abs(gap) > limit * error))
         if np.isfinite(size):
             found.append((size, code, error[curve.codes == code][0], channel.plane.label))

@@ -31,9 +31,10 @@ from .solve import Solution, equations_of, inverse
 from .weights import NoiseModel, noise_variance
 
 FEWEST_CLASSES = 3
-CHANCE = 0.975  # of the F test
-QUIET = 2.0  # ratio to the noise of the quietest places, up to which images are registered
-APART = 0.5  # least spread of the activity at a code, relative to its mean
+F_TEST_LEVEL = 0.975  # of the F test
+# Ratio to the noise of the quietest places, up to which images are registered
+LARGEST_NOISE_RATIO = 2.0
+LEAST_RELATIVE_SPREAD = 0.5  # least spread of the activity at a code, relative to its mean
 
 
 def is_registered(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
@@ -43,7 +44,7 @@ def is_registered(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
         return False
     at = np.zeros(1)  # mid-scale
     variances = [float(noise_variance(n, at)[0]) + rounding for n in noises if n is not None]
-    return max(variances) <= QUIET**2 * min(variances)
+    return max(variances) <= LARGEST_NOISE_RATIO**2 * min(variances)
 
 
 def correct_to_flat_places(
@@ -67,7 +68,7 @@ def correct_to_flat_places(
     weights = np.array([np.diagonal(matrices[k])[:size] for k in used])
     share, activity = share[used] / share.sum(), activity[used]
     average = share @ activity
-    if not _separation(weights, activity) >= APART * average > 0:
+    if not _separation(weights, activity) >= LEAST_RELATIVE_SPREAD * average > 0:
         return found
     without = (average - share * activity) / (1 - share)
     slope = without - without.mean()
@@ -107,7 +108,7 @@ def _subtract_departure(
     beyond = np.mean((departure[seen] / deviation[seen]) ** 2)
     alike = by_tile[:, seen] / deviation[seen]
     freedom = np.count_nonzero(seen) ** 2 / np.sum((alike @ alike.T) ** 2)
-    if not beyond >= fdtri(freedom, len(by_tile) - 1, CHANCE):
+    if not beyond >= fdtri(freedom, len(by_tile) - 1, F_TEST_LEVEL):
         return found
     weight = 1 - 1 / beyond
     covariance = found.covariance.copy()

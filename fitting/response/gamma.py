@@ -44,13 +44,13 @@ from ..inference.parameters import (
 from ..inference.posterior import Posterior, estimates, laplace, sample
 from .curve import ResponseCurve, slope_error
 from .shutter import SHUTTER_PRIOR, TABULATED, prior_of
-from .solve import BELIEVED, shutter_basis, spread_of_times
+from .solve import SHUTTER_ERROR_LIMIT, shutter_basis, spread_of_times
 
 BLACK_STEP = 0.1  # change of black, DN, for the derivative of gamma
 EDGES = 0.05, 0.95  # shares of the range of codes between which weightings are compared
 FEWEST_CODES = 10
 FEWEST_SHOWN = 3  # visible shutter errors needed for the upper limit on tau
-REACH = 40.0  # standard deviations within which a quantile is searched
+BRACKET_SIGMAS = 40.0  # standard deviations within which a quantile is searched
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
     "shutter_error", symbol="τ", unit="relative", transform="log", prior=SHUTTER_PRIOR
@@ -132,7 +132,7 @@ class Mixture:
             z = (at[:, None] - self.mean) / np.sqrt(self.variance)
             return ndtr(z) @ self.weights - quantile
 
-        bracket = centre - REACH * spread, centre + REACH * spread
+        bracket = centre - BRACKET_SIGMAS * spread, centre + BRACKET_SIGMAS * spread
         ends = find_root(excess, bracket, args=(np.array(QUANTILES),)).x
         return quantile_estimate(what, centre, spread, ends, method="marginal", group=group)
 
@@ -399,7 +399,7 @@ def _gamma_sums(
     # Without a limit, shutter errors of a half could explain a response that is not a gamma. A few
     # visible errors do not limit the invisible ones.
     few = basis.shape[1] < FEWEST_SHOWN
-    most = TABULATED[1] if few else max(BELIEVED, curve.shutter_bound)
+    most = TABULATED[1] if few else max(SHUTTER_ERROR_LIMIT, curve.shutter_bound)
     sums: dict[str, Any] = {
         "information": column @ matrix[:size, :size] @ column,
         "pull": score[:size] @ column - mixed @ log_t,

@@ -19,12 +19,12 @@ from ..frame_checks.frame import OddFrames
 QUANTILES = 0.5, 0.35, 0.65, 0.2, 0.8  # quantiles at which images are thresholded
 CUTS = 3  # at most
 WIDEST = 1024  # largest side, in pixels, of the compared part, from the middle
-CLEAR = 0.03, 0.95  # shares of the range of codes between which a threshold must lie
+THRESHOLD_RANGE = 0.03, 0.95  # shares of the range of codes between which a threshold must lie
 FARTHEST = 8  # largest shift: the picture's side divided by this number
 MOST_FIXED = 0.9  # share of pixels with one number in all images that may be left out
 LEAST = 2.0  # shift, in pixels, from which an image is left out and not moved back
-SURE = 6.0  # standard deviations by which a shift must increase the agreement
-ALIKE = 0.5  # Cohen's kappa of the agreement needed at the found shift
+SIGNIFICANCE_SIGMAS = 6.0  # standard deviations by which a shift must increase the agreement
+LEAST_KAPPA = 0.5  # Cohen's kappa of the agreement needed at the found shift
 
 
 def moved_exposures(
@@ -106,7 +106,7 @@ def _shift(
     scatter = 2 * np.sqrt(len(pairs) * (1 - min(share[middle], 1)) * common[middle] / 2 + 1)
     rise = (share[best] - share[middle]) * common[middle]
     chance = np.mean([a.mean() * b.mean() for a, b in pairs])  # agreement of unrelated images
-    if rise < SURE * scatter or share[best] - chance < ALIKE * (1 - chance):
+    if rise < SIGNIFICANCE_SIGMAS * scatter or share[best] - chance < LEAST_KAPPA * (1 - chance):
         return np.zeros(2)
     return np.array(best, float) - middle
 
@@ -120,7 +120,10 @@ def _cut(
     found = []
     for image in (one, other):
         level, black = np.nanquantile(image, quantile), float(np.nanmin(image))
-        if not CLEAR[0] * full_scale < level - black or not level < CLEAR[1] * full_scale:
+        if (
+            not THRESHOLD_RANGE[0] * full_scale < level - black
+            or not level < THRESHOLD_RANGE[1] * full_scale
+        ):
             return None
         found.append(np.nan_to_num(np.sign(image - level)))
     return found[0], found[1]

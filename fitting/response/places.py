@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int, Integer
 from scipy.ndimage import uniform_filter
 
 CLASSES = 6  # of steepness and of activity, equally full
-REACH = 5  # side, in pixels, of the neighbourhood of a pixel
+WINDOW_SIDE = 5  # side, in pixels, of the neighbourhood of a pixel
 TILES = 16  # a power of two
 
 
@@ -95,7 +95,7 @@ def layout_of(
 
 def _around(image: np.ndarray) -> np.ndarray:
     """Return the mean of the 24 pixels around each pixel."""
-    return (REACH**2 * uniform_filter(image, REACH) - image) / (REACH**2 - 1)
+    return (WINDOW_SIDE**2 * uniform_filter(image, WINDOW_SIDE) - image) / (WINDOW_SIDE**2 - 1)
 
 
 def equal_classes(

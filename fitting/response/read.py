@@ -26,9 +26,10 @@ from ..observation import Load, cropped_to_region, read_frame, read_stack, split
 from ..rig import Exposure, Rig, SiteCamera, as_rig, require
 from .moved import moved_back, moved_exposures
 
-LONGER = 8.0  # increase of the exposure during which a pixel without light stays constant
+# Increase of the exposure during which a pixel without light stays constant
+LEAST_EXPOSURE_RATIO = 8.0
 BRIGHTER = 1.9
-MOSTLY = 0.5  # share of darker pixels from which a longer exposure counts as darker
+MAJORITY_SHARE = 0.5  # share of darker pixels from which a longer exposure counts as darker
 FEWEST_ALIKE = 0.005  # least share of constant pixels that determines a level
 DARKER = 0.01  # share of pixels below a level from which it is not black
 DIM = 0.05  # share of the range above black from which a pixel changes with the exposure
@@ -262,7 +263,7 @@ def _planes(
                 f"{frames[0].shape}; all images of one stack need the same size."
             )
     darker = float(np.mean(frames[-1] < frames[0]))
-    if darker > MOSTLY and np.mean(frames[-1] > frames[0]) < 1 - MOSTLY:
+    if darker > MAJORITY_SHARE and np.mean(frames[-1] > frames[0]) < 1 - MAJORITY_SHARE:
         raise InputError(
             f"{where}: {entries[-1].file}, the longest, is darker than {entries[0].file}, the "
             f"shortest, at {format_percent(darker)} of the pixels; check the order of the times, "
@@ -322,7 +323,7 @@ def floor_level(
 ) -> float:
     """Estimate the black level from dark pixels whose code changes by at most one step while the
     exposure grows at least eightfold; 0 if there are too few."""
-    longer = np.flatnonzero(exposures >= LONGER * exposures[0])
+    longer = np.flatnonzero(exposures >= LEAST_EXPOSURE_RATIO * exposures[0])
     if not len(longer):
         return 0.0
     before, after = codes[0].astype(int), codes[longer[0]].astype(int)
@@ -334,7 +335,11 @@ def floor_level(
     # darker.
     fixed = unchanged(codes, exposures)
     scene = before[~fixed]
-    if fixed[dark].mean() > MOSTLY and scene.size and np.mean(scene < level - step) > DARKER:
+    if (
+        fixed[dark].mean() > MAJORITY_SHARE
+        and scene.size
+        and np.mean(scene < level - step) > DARKER
+    ):
         return 0.0
     # By chance, noise keeps a few pixels of any code constant. Other pixels of that code rise with
     # the light, and these rise too as the exposure grows further.
@@ -342,13 +347,13 @@ def floor_level(
     risen = [np.mean((after - before > step)[at_level])]
     if longer[0] < len(codes) - 1:
         risen.append(np.mean((codes[-1].astype(int) - before > step)[dark]))
-    return level if min(risen) < MOSTLY else 0.0
+    return level if min(risen) < MAJORITY_SHARE else 0.0
 
 
 def unchanged(codes: Codes, exposures: Float[np.ndarray, " exposures"]) -> Bool[np.ndarray, "h w"]:
     """Return a mask of pixels with the same code in all images, if these span a factor of at least
     8 in exposure."""
-    if exposures[-1] < LONGER * exposures[0]:
+    if exposures[-1] < LEAST_EXPOSURE_RATIO * exposures[0]:
         return np.zeros(codes.shape[1:], bool)
     return (codes == codes[0]).all(axis=0)
 
@@ -377,7 +382,7 @@ def ceiling_level(
         return float(camera.full_scale)
     level = float(np.quantile(np.minimum(before, after)[stuck], LOWEST_STUCK))
     risen = (after - before > step)[before >= level]
-    return level if np.mean(risen) < MOSTLY else float(camera.full_scale)
+    return level if np.mean(risen) < MAJORITY_SHARE else float(camera.full_scale)
 
 
 def _codes(rig: Rig, name: str, load: Load) -> UInt16[np.ndarray, "h w *channels"]:

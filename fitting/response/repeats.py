@@ -28,7 +28,7 @@ from .weights import predicted_weights, weighted_mean, weights_by_code
 
 FEWEST_PREDICTING = 3  # exposures: leaving one out must leave two
 FEWEST_EXPOSURES = 5  # of a jackknife: with fewer, the rest determines another part of the curve
-CHANCE = 0.05  # probability of a false finding of excess variance
+FALSE_ALARM_PROBABILITY = 0.05  # probability of a false finding of excess variance
 FEWEST_PREDICTED = 30  # fewest pixels for the prediction error of a left-out exposure
 
 
@@ -83,7 +83,7 @@ class Repeats:
         """Return the jackknife variance in excess of `explained`, 0 where the excess is not
         significant, and its degrees of freedom, the number of fits minus `lost`."""
         freedom = len(self.departures) - lost
-        likely = chdtri(freedom, CHANCE) / freedom * explained
+        likely = chdtri(freedom, FALSE_ALARM_PROBABILITY) / freedom * explained
         return np.where(self.variance > likely, self.variance - explained, 0), freedom
 
 

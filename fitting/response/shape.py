@@ -24,10 +24,11 @@ from .calibration import ChannelResponse
 from .curve import ResponseCurve
 
 PURE = 0.05  # departure in ln exposure up to which gamma is given
-SURE = 0.05  # standard error of ln exposure up to which a departure is judged
-QUIET = 0.1  # relative noise of one pixel up to which a departure is judged
+LARGEST_STANDARD_ERROR = 0.05  # standard error of ln exposure up to which a departure is judged
+LARGEST_PIXEL_NOISE = 0.1  # relative noise of one pixel up to which a departure is judged
 EDGES = 0.05, 0.95  # shares of the range of codes between which a departure is judged
-CHANCE = 0.01  # probability of a significant departure if all channels are pure gammas
+# Probability of a significant departure if all channels are pure gammas
+FALSE_ALARM_PROBABILITY = 0.01
 MOST_CODES, DRAWS = 64, 20000
 SURELY_KNOWN = 1e-3  # standard error below which codes have equal weights
 
@@ -64,7 +65,9 @@ def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
     the curve below 5 % and noise of a pixel below 10 %."""
     share = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] - curve.bins.black)
     central = (share > EDGES[0]) & (share < EDGES[1])
-    known = (curve.standard_error < SURE) & (curve.pixel_noise < QUIET)
+    known = (curve.standard_error < LARGEST_STANDARD_ERROR) & (
+        curve.pixel_noise < LARGEST_PIXEL_NOISE
+    )
     return central & curve.seen & known
 
 
@@ -96,7 +99,7 @@ def error_of_departure(curve: ResponseCurve) -> Float[np.ndarray, " bins"]:
 def shapes(channels: Sequence[ChannelResponse]) -> list[Shape]:
     """Test the shape of each channel. The significance level is divided among the channels, so that
     it holds for all channels together."""
-    chance = CHANCE / max(len(channels), 1)
+    chance = FALSE_ALARM_PROBABILITY / max(len(channels), 1)
     return [_shape(channel.curve, channel.gamma.departure, chance) for channel in channels]
 
 

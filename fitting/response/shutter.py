@@ -29,12 +29,13 @@ from .solve import STEADIEST
 
 SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
 SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=2.5)  # with visible errors: a factor of 12
-BEYOND = 0.1  # median of the error in addition to a stated one, as a share of the stated one
+# Median of the error in addition to a stated one, as a share of the stated one
+MEDIAN_EXTRA_ERROR = 0.1
 BEYOND_LOG_SD = 1.5  # of its logarithm
 TABULATED = (1e-6, 1.0)  # range of tau over which errors are mixed
 GRID = 101  # of ln tau
-BESIDE = 0.99, 1.01  # factors that move the ends of a bracket off a quantile
-NEAR = {"xrtol": 1e-7}  # tolerance of quantiles
+BRACKET_FACTORS = 0.99, 1.01  # factors that move the ends of a bracket off a quantile
+QUANTILE_TOLERANCE = {"xrtol": 1e-7}  # tolerance of quantiles
 UNINFORMATIVE = 1e-9  # share of the information below which the images do not determine an error
 LEAST = 1e-6  # largest weight of a tau that is left out
 MOST_FREE = 1e6  # degrees of freedom from which they count as infinite
@@ -72,7 +73,7 @@ def prior_of(shown: int, *, stated: float = 0.0) -> LogNormal:
     prior alone determines the width of the interval, so a narrower prior, near the errors of real
     cameras, is used."""
     if stated > STEADIEST:
-        return LogNormal(median=BEYOND * stated, log_sd=BEYOND_LOG_SD)
+        return LogNormal(median=MEDIAN_EXTRA_ERROR * stated, log_sd=BEYOND_LOG_SD)
     return SHUTTER_SHOWN if shown else SHUTTER_PRIOR
 
 
@@ -116,9 +117,11 @@ def mix_over_tau(
             z = at[:, None] / scales[i]
             return (ndtr(z) if gaussian else stdtr(free[i], z)) @ shutter.weights - level
 
-        low = BESIDE[0] * ndtri(level) * scales.min(axis=1)
-        high = BESIDE[1] * (stdtrit(free, level) * scales).max(axis=1)
-        return find_root(excess, (low, high), args=(np.arange(len(low)),), tolerances=NEAR).x
+        low = BRACKET_FACTORS[0] * ndtri(level) * scales.min(axis=1)
+        high = BRACKET_FACTORS[1] * (stdtrit(free, level) * scales).max(axis=1)
+        return find_root(
+            excess, (low, high), args=(np.arange(len(low)),), tolerances=QUANTILE_TOLERANCE
+        ).x
 
     inner, outer = map(quantile, LEVELS)
     ratio = np.clip(outer / inner, RATIOS[-1], RATIOS[0])

@@ -37,10 +37,11 @@ from .code_pairs import PairStatistics
 SMOOTHEST = 1e8  # precision at which the exponent is constant to a few parts in 10,000
 ROUGHEST = 30.0  # a tenth of the median of the 201 measured curves; a rougher curve is a misfit
 MOST_ROUNDS = 30  # updates of the hyperparameters
-SETTLED = 0.05  # step of the logarithm of the smoothness at which it has converged
+LOG_TOLERANCE = 0.05  # step of the logarithm of the smoothness at which it has converged
 STEADIEST, SHAKIEST = 1e-6, 0.2  # smallest assumed and largest accepted error of ln t
 COUNTED = 1 << 14  # number of pixels beyond which more pixels do not reduce the errors
-BELIEVED = 0.02  # shutter error above which smoothly varying offsets count as a misfit of the curve
+# Shutter error above which smoothly varying offsets count as a misfit of the curve
+SHUTTER_ERROR_LIMIT = 0.02
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ def solve(
     free, least_effect = basis.shape[1], sum(tile.pixels for tile in tiles) / COUNTED
     hyper = replace(start, design_effect=max(start.design_effect, least_effect))
     while True:
-        believed = min(hyper.shutter_error, max(BELIEVED, least_error))
+        believed = min(hyper.shutter_error, max(SHUTTER_ERROR_LIMIT, least_error))
         prior = np.zeros_like(matrix)
         # The energy of g - a moved: with a ~ N(0, 1) marginalised, and at the most likely a.
         gained = 1 + hyper.smoothness * (pull @ moved)
@@ -200,7 +201,7 @@ def solve(
         # The iteration converges linearly from one side, so the step is doubled.
         ahead = float(np.clip(smoothness * pace, ROUGHEST, SMOOTHEST))
         hyper = replace(suggested, smoothness=ahead) if rounds > 1 else suggested
-        if abs(np.log(pace)) < SETTLED:
+        if abs(np.log(pace)) < LOG_TOLERANCE:
             rounds = 1
 
 

@@ -19,7 +19,8 @@ from .code_bins import CodeBins, interval_variance
 LOOSEST = 0.15  # log standard deviation of usable codes: second-order terms are a percent or two
 WIDEST = 0.2  # log standard deviation of codes that are read; wider than that of usable codes
 COARSEST = 0.015  # log standard deviation of rounding that no noise dithers and all pixels share
-APART = 1.4  # step of ln t from which coarse codes are the only ones paired with fine codes
+# Step of ln t from which coarse codes are the only ones paired with fine codes
+LARGEST_LOG_STEP = 1.4
 HAT_DEVIATION = 0.1  # log standard deviation at mid-scale before a noise model is known
 HAT_BRIM = 0.08  # height of the hat below which codes are not used, because their noise is unknown
 OUTLIER = 5.0  # standard deviations of a residual from which its pixel is left out
@@ -130,7 +131,7 @@ def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
     # The rounding error of a code is the same in all pixels. It adds a ripple to the curve, with
     # the period of the exposures, which the exposures do not contradict. Linear 8-bit cameras with
     # little noise had half of their codes outside the band. Exposures far apart need all codes.
-    return COARSEST if np.diff(np.sort(log_t)).max() < APART else np.inf
+    return COARSEST if np.diff(np.sort(log_t)).max() < LARGEST_LOG_STEP else np.inf
 
 
 def _class_tables(
