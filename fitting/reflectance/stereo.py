@@ -67,6 +67,7 @@ SHOWN_BY = 32  # lights from which residuals reveal the effect of roughness on n
 NEGLIGIBLE = 1e-6  # of the albedo: departures from Lambert's law below it are rounding
 SAME = 1e-3  # rad between lights of the same direction
 DARK = 3.0  # standard errors from 0 within which the mean of images shows no light
+Limits = tuple[float, float, float]  # lowest, highest, standard deviation of readings without light
 HEADS = ("", "median", "90 % of pixels in", "unit")
 
 
@@ -243,7 +244,8 @@ def photometric_stereo(
     if np.isinf(highest) and (top := converter_of(stack).clips_at) is not None:
         highest, clipped = top, (_clipped_finding(readings, top),)
     between = (readings > lowest) & (readings < highest)
-    limits = (lowest, highest)
+    first = _consistent(rows, readings, between) if robust else between
+    limits = (lowest, highest, _dark_noise(rows, readings, first))
     unlit = _unlit_finding(readings, between, limits)
     between &= not unlit
     counts = _counted(rows, readings, between, limits, robust=robust)
@@ -442,9 +444,7 @@ def _clipped_finding(readings: Readings, top: float) -> str:
     )
 
 
-def _unlit_finding(
-    readings: Readings, between: Counted, limits: tuple[float, float]
-) -> tuple[str, ...]:
+def _unlit_finding(readings: Readings, between: Counted, limits: Limits) -> tuple[str, ...]:
     """Return a sentence on why no pixel has a normal: too few readings lie between the limits, or
     they scatter about 0 as noise does."""
     known = readings[~np.isnan(readings)]
@@ -479,7 +479,7 @@ def _deviations(
 
 
 def _common(
-    rows: Rows, readings: Readings, between: Counted, limits: tuple[float, float], *, robust: bool
+    rows: Rows, readings: Readings, between: Counted, limits: Limits, *, robust: bool
 ) -> tuple[Common | None, Bool[np.ndarray, " lights"]]:
     """Return factors of the lights, or an offset, that are common to all pixels, and the lights
     whose factor deviates if there are few such lights.
@@ -532,7 +532,7 @@ def _common_factor_finding(common: Common, moved: Vectors) -> str:
 
 
 def _contradiction_finding(
-    rows: Rows, stack: Images, between: Counted, limits: tuple[float, float]
+    rows: Rows, stack: Images, between: Counted, limits: Limits
 ) -> tuple[str, ...]:
     """Return a sentence if the readings of most pixels differ from Lambert's law, and neighbouring
     pixels do so in the same way.
@@ -605,7 +605,7 @@ def _copies(stack: Images) -> tuple[str, ...]:
 
 
 def _contradicted_images(
-    rows: Rows, readings: Readings, counts: Counted, limits: tuple[float, float]
+    rows: Rows, readings: Readings, counts: Counted, limits: Limits
 ) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
     """Return the images that most pixels contradict although the other images predict them between
     the limits, with findings.
@@ -706,7 +706,7 @@ def _scatter(
     return (residuals**2).sum(axis=0) / np.where(used > 3, used - 3, np.nan)
 
 
-def _between(rows: Rows, g: Vectors, scatter: OfPixels, limits: tuple[float, float]) -> Counted:
+def _between(rows: Rows, g: Vectors, scatter: OfPixels, limits: Limits) -> Counted:
     """Return a mask of the readings that a fit predicts to lie between both limits with a margin of
     several standard deviations."""
     predicted, margin = rows @ g.T, CLEAR * np.sqrt(np.nan_to_num(scatter))
@@ -714,7 +714,7 @@ def _between(rows: Rows, g: Vectors, scatter: OfPixels, limits: tuple[float, flo
 
 
 def _counted(
-    rows: Rows, readings: Readings, between: Counted, limits: tuple[float, float], *, robust: bool
+    rows: Rows, readings: Readings, between: Counted, limits: Limits, *, robust: bool
 ) -> Counted:
     """Return a mask of the readings that the fit uses. A reading is used if the fit predicts it
     between the limits and the other readings do not contradict it. Readings within the noise of the
@@ -723,11 +723,11 @@ def _counted(
     """
 
     near = _consistent(rows, readings, between) if robust else between.copy()
-    moving, dark = np.arange(readings.shape[1]), _dark_noise(rows, readings, near)
+    moving = np.arange(readings.shape[1])
     for _ in range(PASSES):
         own, own_near, own_between = readings[:, moving], near[:, moving], between[:, moving]
         g, _ = solved(rows, own, own_near.astype(float))
-        lit = ~(rows @ g.T <= limits[0] + CLEAR * dark)
+        lit = ~(rows @ g.T <= limits[0] + CLEAR * limits[2])
         chosen = own_near & lit
         for spread in (0 * own[0], _usual_residual(rows, own, own_near, g)):
             narrower = own_between & lit & _between(rows, g, spread**2, limits)
