@@ -1,20 +1,23 @@
 """A diffuse body under a clear coat, such as plastic, varnished wood or glazed ceramics.
 
-    f_r = F D V                                                         at the interface
-        + T_i T_o / eta^2 (f_b(wi', wo') + a_i a_o R / (pi (1 - a R)))  from the body
+    f_r = F D V                                                    at the interface
+        + T_i T_o / eta^2 (f_b(wi', wo') + a_i a_o / (pi (R - S)))    from the body
 
 The first term is the lobe of `TorranceSparrow`. The facets of the interface transmit the share T of
 the light, which is 1 minus the share that they reflect. A coat without absorption therefore loses
 no light, because light that one facet sends to another is counted as transmitted. The refracted
 directions are wi' and wo', f_b is the body's own BRDF and eta the index of the coat. The interface
-reflects the share R of the light from the body back to the body. The body's albedo is a_i and a_o
-for the two directions, and a on average over all directions. Without absorption R = 1 - (1 - M) /
-eta^2 by reciprocity, where M is the reflectance of the interface for uniform light from outside. A
-coat of optical depth tau along the normal multiplies the light by exp(-tau / cos') on each way
-through. The model is exact for a Lambertian body under a smooth interface. For other bodies, light
-that the interface reflects back to the body is assumed to be uniform. A white Lambertian body under
-a coat without absorption reflects all light. The model is reciprocal. In the local frame the normal
-is +z.
+returns the share r(c) of light that reaches it from the body at the cosine c; r = 1 beyond the
+critical angle. A coat of optical depth tau along the normal multiplies the light by exp(-tau / c)
+on each way through, which r includes for both ways. Let a_o be the integral of f_b(w, wo') r c over
+the directions w: the share of the light from wo' that the body reflects and the interface returns.
+R and S are the means of r and of r a_o under uniform light. The light that the interface has
+returned is assumed to be distributed as r, so that the body reflects a_i a_o / (pi R) of it, and
+further reflections form a geometric series of the ratio S / R. This is exact for a Lambertian body
+under a smooth interface. For every reciprocal body the model is reciprocal, and of the light that
+the interface transmits at most the largest albedo of the body leaves again. A white body under a
+coat without absorption reflects all light: to 1e-3 for Lambertian, EON and broad glossy bodies, and
+to 3e-3 for a glossy body of roughness 0.15. In the local frame the normal is +z.
 """
 
 from typing import Annotated
@@ -26,7 +29,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..core._bounds import Ends, Reflection, least, most
-from ..core._numerics import safe_sqrt
+from ..core._numerics import divide, safe_sqrt, smallest_divisor
 from ..core._quadrature import gauss_legendre
 from ..core._types import (
     AMOUNT,
@@ -41,10 +44,10 @@ from ..core._types import (
 )
 from ..core._vector import Direction, Vec, as_vec
 from ..scene import Material
-from . import torrance_sparrow
+from . import eon, torrance_sparrow
 from ._facet_energy import LARGEST_INDEX, LEAST_INDEX, reflected
 from ._half_vector import reflected as mirrored_by
-from ._lobe import choose, diffuse_share, mixed_pdf, where_seen
+from ._lobe import choose, diffuse_share, divisor, mixed_pdf, where_seen
 from ._registry import family, integrate_shading, is_delta, register, suprema
 from .eon import EON
 from .fresnel import Dielectric
@@ -139,58 +142,117 @@ def _transmitted_by_coat(material: Coated, w: Vec) -> Colour:
     return passed * jnp.exp(-material.optical_depth / _refracted_inside(material, w).z)
 
 
-def _internal_reflectance(material: Coated) -> Colour:
-    """Return R, the share of the body's light that the interface returns to it, (bands,) or (1,),
-    no unit. R is the integral of 2 c exp(-2 tau / c) r(c) over the cosine c inside the coat, where
-    r is the reflectance of the interface. Beyond the critical angle r = 1. At smaller angles c dc =
-    c_o dc_o / eta^2, where c_o is the cosine outside the coat."""
+def _returned_by_coat(material: Coated, cosine: Scalar) -> Colour:
+    """Return r, the share of light at a cosine inside the coat that the interface returns to the
+    body, after both ways through the coat, (bands,) or (1,), no unit."""
     eta = material.interface.eta
-    critical = safe_sqrt((eta - 1) * (eta + 1)) / eta
+    squared = 1 - eta[0] * eta[0] * (1 - cosine * cosine)  # of the cosine outside
+    outside = reflected(safe_sqrt(squared), material.roughness, eta, material.distribution)
+    share = jnp.where(squared > 0, outside, 1)
+    if material.optical_depth is None:
+        return share
+    return share * jnp.exp(-2 * material.optical_depth / divisor(cosine))
 
-    def traverse(
-        cosine: Float[Array, " _"],
-    ) -> Float[Array, " _"]:  # transmittance of the coat for both ways; (1,) or (bands,)
-        if material.optical_depth is None:
-            return jnp.ones_like(cosine)
-        return jnp.exp(-2 * material.optical_depth / cosine)
 
-    def at(t: Scalar) -> Colour:
-        outside = reflected(t, material.roughness, eta, material.distribution)
-        inside = safe_sqrt((eta - 1) * (eta + 1) + t * t) / eta
-        beyond = outside * traverse(inside) / (eta * eta)
-        return 2 * t * (critical * critical * traverse(critical * t) + beyond)
-
-    t, dt = (jnp.asarray(x, eta.dtype) for x in gauss_legendre(24))
-    return dt @ jax.vmap(at)(t)
+def _returned_uniform(material: Coated, order: int) -> tuple[Float[Array, " n"], Array]:
+    """Return the nodes c of a quadrature over the cosine inside the coat, (n,), and the weights 2 c
+    r dc, (n, bands) or (n, 1), whose sum is R. Beyond the critical angle r = 1. At smaller angles c
+    dc = t dt / eta^2, where t is the cosine outside the coat."""
+    eta = material.interface.eta[0]
+    beyond = safe_sqrt((eta - 1) * (eta + 1)) / eta
+    t, dt = (jnp.asarray(x, eta.dtype) for x in gauss_legendre(order))
+    inside = safe_sqrt((eta - 1) * (eta + 1) + t * t) / eta
+    cosines = jnp.concatenate([beyond * t, inside])
+    weights = jnp.concatenate([2 * t * dt * beyond * beyond, 2 * t * dt / (eta * eta)])
+    return cosines, weights[:, None] * jax.vmap(lambda c: _returned_by_coat(material, c))(cosines)
 
 
 def _mean_albedo(material: Coated) -> Colour:
-    """Return the mean albedo a of the body under uniform light, (bands,), no unit."""
+    """Return the mean albedo of the body under uniform light, (bands,), no unit."""
     if isinstance(material.body, Lambert):
         return jnp.pi * material.body.diffuse
     t, dt = (jnp.asarray(x, material.roughness.dtype) for x in gauss_legendre(8))
-    views = jax.vmap(lambda c: _albedo_of_body(material, Vec(jnp.sqrt(1 - c * c), 0 * c, c)))(t)
+    of_body = family(material.body).albedo
+    views = jax.vmap(lambda c: of_body(material.body, Vec(jnp.sqrt(1 - c * c), 0 * c, c)))(t)
     return (2 * t * dt) @ views
 
 
-def _albedo_of_body(material: Coated, w: Vec) -> Colour:
-    return family(material.body).albedo(material.body, w)
+_POLAR, _AZIMUTHS, _NARROW = 12, 48, 10.0  # _NARROW in sr^-1: a denser lobe is sampled
+_DRAWS = (np.arange(1024)[:, None] * np.array([0.8191725134, 0.6710436067, 0.5497004779])) % 1
+
+
+def _returned(material: Coated, w: Vec) -> Colour:
+    """Return a_o, the share of the light from the direction `w` inside the coat that the body
+    reflects and the interface returns to the body, (bands,), no unit.
+
+    An EON body's light has a closed mean over the azimuth. For other bodies, a product quadrature
+    on both sides of the critical angle integrates broad lobes, and draws with the body's own
+    density narrow ones. Their weights sum to 1 in each direction (Veach's power heuristic). The
+    draws are a Kronecker sequence (Roberts, "The Unreasonable Effectiveness of Quasirandom
+    Sequences", 2018).
+    """
+    body = material.body
+    if isinstance(body, EON):
+        cosines, weights = _returned_uniform(material, 24)
+        mean = jax.vmap(lambda c: eon.azimuth_mean(body, c, w.z))(cosines)
+        return jnp.pi * (weights * mean).sum(axis=0)
+    own = family(body)
+
+    def density(wi: Vec) -> Scalar:
+        return jax.lax.stop_gradient(own.pdf(body, wi, w))
+
+    def broad(c: Scalar, phi: Scalar) -> Colour:
+        wi = _at(c, phi)
+        return own.evaluate(body, wi, w) / (1 + (density(wi) / _NARROW) ** 2)
+
+    def narrow(u: Float[Array, "3"]) -> Colour:
+        wi = jax.lax.stop_gradient(as_vec(own.sample(body, w, u)))
+        p = divisor(density(wi))
+        light = own.shading(body, wi, w) * _returned_by_coat(material, jnp.maximum(wi.z, 0))
+        return light / (p + _NARROW**2 / p)
+
+    cosines, weights = _returned_uniform(material, _POLAR)
+    phi = jnp.asarray(2 * np.pi * (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS, cosines.dtype)
+    rings = jax.vmap(lambda c: jax.vmap(lambda angle: broad(c, angle))(phi).mean(axis=0))(cosines)
+    drawn = jax.vmap(narrow)(jnp.asarray(_DRAWS, w.z.dtype)).mean(axis=0)
+    return jnp.pi * (weights * rings).sum(axis=0) + drawn
+
+
+def _at(cosine: Scalar, azimuth: Scalar) -> Vec:
+    sine = safe_sqrt(1 - cosine * cosine)
+    return Vec(sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), cosine)
+
+
+def _further(material: Coated, i: Vec, o: Vec) -> Colour:
+    """Return a_i a_o / (pi (R - S)), the body's light after at least one return by the interface,
+    (bands,) sr^-1, for two directions inside the coat; 0 if a coat absorbs all of it."""
+    if isinstance(material.body, Lambert):
+        kept = _returned_uniform(material, 24)[1].sum(axis=0)
+        whole = jnp.pi * material.body.diffuse
+        return whole * whole * kept / (jnp.pi * (1 - whole * kept))
+    cosines, weights = _returned_uniform(material, 24 if isinstance(material.body, EON) else 8)
+    # the azimuths differ, for a body that depends on them
+    azimuths = jnp.asarray(2.39996323 * np.arange(len(cosines)), cosines.dtype)
+
+    def again(c: Scalar, azimuth: Scalar) -> Colour:
+        return _returned(material, _at(c, azimuth))
+
+    left = weights.sum(axis=0) - (weights * jax.vmap(again)(cosines, azimuths)).sum(axis=0)
+    shares = _returned(material, i) * _returned(material, o)
+    return divide(shares, jnp.pi * left, where=~(left <= smallest_divisor(left.dtype)))
 
 
 def _from_body(material: Coated, wi: Direction, wo: Direction) -> Colour:
     """Return the part of f_r that is due to light from the body, (bands,) in sr^-1."""
     light, viewer = as_vec(wi), as_vec(wo)
     i, o = _refracted_inside(material, light), _refracted_inside(material, viewer)
-    again = _internal_reflectance(material)
     first = family(material.body).evaluate(material.body, i, o)
-    further = _albedo_of_body(material, i) * _albedo_of_body(material, o) * again
-    further = further / (jnp.pi * (1 - _mean_albedo(material) * again))
     way = (
         _transmitted_by_coat(material, light)
         * _transmitted_by_coat(material, viewer)
         / material.interface.eta**2
     )
-    return where_seen(wi, wo, way * (first + further))
+    return where_seen(wi, wo, way * (first + _further(material, i, o)))
 
 
 def evaluate(material: Coated, wi: Direction, wo: Direction) -> Colour:
@@ -236,19 +298,20 @@ def albedo(material: Coated, wo: Direction) -> Colour:
 
 def _bound(x: Ends[Coated]) -> Reflection:
     """Return an upper bound on the shading: the bound on the lobe of the facets plus a bound on the
-    light from the body. The light from the body is at most (b + A^2 R / (pi (1 - A R))) / eta^2,
-    its value if the interface transmits all light. Here b is the largest f_b / cos', A the body's
-    largest albedo, and R <= 1 - (1 - M) / eta^2. M is at most 0.6 for all indices up to 2.5, also
-    for a rough interface."""
+    light from the body. The light from the body is at most (b + pi b^2 R / (1 - q)) / eta^2, its
+    value if the interface transmits all light. Here b is the largest f_b for a direction that
+    leaves the coat, so that a_o <= pi b R. The largest a_o of any direction is at most q = pi B (R
+    + g), where B (g + (1 - g) cos) bounds f_b cos, because the integral of r dc is at most (1 + R)
+    / 2. R <= 1 - (1 - M) / eta^2, where M, the reflectance of the interface for uniform light from
+    outside, is at most 0.6 for all indices up to 2.5, also for a rough interface."""
     body = suprema(x.of("body"))
     lobe = suprema(Ends(*(_facets(end) for end in x))).lobe
     eta = least(x.of("interface"), "eta"), most(x.of("interface"), "eta")
     down = np.sqrt(1 - 1 / eta[0] ** 2)
     own = body.body * (1 - body.grazing + body.grazing / down)
-    brightest = np.pi * body.body * (1 + body.grazing)
     again = 1 - 0.4 / eta[1] ** 2
-    left = 1 - brightest * again
-    further = np.where(left > 0, brightest**2 * again / np.where(left > 0, left, 1), np.inf)
+    left = 1 - np.pi * body.body * (again + body.grazing)
+    further = np.where(left > 0, (np.pi * own) ** 2 * again / np.where(left > 0, left, 1), np.inf)
     whole = (own + further / np.pi) / eta[0] ** 2
     if body.lobe is not None:
         whole = whole + np.inf

@@ -98,6 +98,17 @@ def evaluate(material: EON, wi: Direction, wo: Direction) -> Colour:
     return where_seen(wi, wo, value)
 
 
+def azimuth_mean(material: EON, cos_i: Scalar, cos_o: Scalar) -> Colour:
+    """Return the mean of f_r over the azimuth for the cosines of light and viewer above the
+    surface, (bands,) in sr^-1. The mean of s / t is sin sin' (1 / max(cos, cos') - 1) / pi."""
+    sin_i, sin_o = (safe_sqrt(1 - c * c) for c in (cos_i, cos_o))
+    r = material.roughness
+    mean = sin_i * sin_o * (1 / divisor(jnp.maximum(cos_i, cos_o)) - 1) / jnp.pi
+    missing = _missing(Vec(sin_i, 0 * cos_i, cos_i)) * _missing(Vec(sin_o, 0 * cos_o, cos_o))
+    further = _between(material) * (r * missing / (_C1 - _C2))
+    return material.diffuse * (((1 + r * mean) + further) / (1 + _C1 * r))
+
+
 def albedo(material: EON, wo: Direction) -> Colour:
     """Return the albedo pi k_d (1 - L) + pi k_m L, (bands,), no unit, where L = A r (c_1 - G / pi)
     is the share of light that a single reflection loses; 0 for a viewer below the surface."""
