@@ -746,7 +746,8 @@ def _counted(
 def _dark_noise(rows: Rows, readings: Readings, near: Counted) -> float:
     """Return the standard deviation of readings without light. It comes from the quartiles of the
     readings below 0; without such readings, as in clipped images, from the residuals of the dimmer
-    half of the pixels.
+    half of the pixels. Of these residuals the lower quartile is taken, because attached shadows and
+    clipped readings enlarge many of them.
     """
     below = -readings[readings < 0]
     if below.size >= FEWEST:
@@ -757,7 +758,7 @@ def _dark_noise(rows: Rows, readings: Readings, near: Counted) -> float:
     if known.sum() < FEWEST:
         return 0.0
     dim = known & (largest <= np.median(largest[known]))
-    return float(np.median(_usual_residual(rows, readings, near, g)[dim]))
+    return float(np.quantile(_usual_residual(rows, readings, near, g)[dim], 0.25))
 
 
 def _usual_residual(rows: Rows, readings: Readings, near: Counted, g: Vectors) -> OfPixels:
