@@ -197,6 +197,7 @@ def _along_a_ridge(
         if along is None:
             continue
         vectors, log_weight, effective = np.zeros((0, len(space))), np.zeros(0), 0.0
+        weight = log_weight
         for block in np.split(points, MOST // FEWEST):
             drawn, log_proposal = proposed(along, block)
             values = evaluate_density(log_density, jnp.asarray(drawn, mode.dtype), args)

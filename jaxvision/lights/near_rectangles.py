@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from ..core._numerics import dot
 from ..core._types import is_known
@@ -73,8 +73,9 @@ def found_near(
     if not used.any() or not _may_fail(distances[used].min() / size, rule.order):
         return None
     points, normals, distances = points[used], normals[used], distances[used]
-    arrays = [jnp.asarray(x, light.corner.dtype) for x in (points, normals, -across)]
-    true, found, facing = (np.asarray(x, float) for x in _compared(light, *arrays, rule.order))
+    at, turned, back = (jnp.asarray(x, light.corner.dtype) for x in (points, normals, -across))
+    compared = _compared(light, at, turned, back, rule.order)
+    true, found, facing = (np.asarray(x, float) for x in compared)
     if not np.abs(found - true).sum() > MISSED * facing.sum():
         return None
     worst = np.argmax(np.abs(found - true))
@@ -199,8 +200,8 @@ def _receivers(shape: Shape, light: RectangleLight) -> Iterator[tuple[np.ndarray
             points, normals = _projected(places, centre, normal)
             inside = np.linalg.norm(points - centre, axis=-1) <= float(shape.radius)
             yield (
-                np.append(points[inside], centre[None], 0),
-                np.append(normals[inside], [normal], 0),
+                np.concatenate([points[inside], centre[None]]),
+                np.concatenate([normals[inside], normal[None]]),
             )
         case Quad():
             start, a, b = (np.asarray(x, float) for x in (shape.corner, shape.edge_u, shape.edge_v))
@@ -221,10 +222,11 @@ def _receivers(shape: Shape, light: RectangleLight) -> Iterator[tuple[np.ndarray
                 yield corners.mean(1), across / np.where(length > 0, length, 1)
                 return
             parts = [_on_flat(places, c[0], c[1] - c[0], c[2] - c[0], 0.5) for c in corners]
-            yield tuple(np.concatenate(x) for x in zip(*parts, strict=True))
+            points, normals = zip(*parts, strict=True)
+            yield np.concatenate(points), np.concatenate(normals)
 
 
-def _unit(x: Array) -> np.ndarray:
+def _unit(x: ArrayLike) -> np.ndarray:
     vector = np.asarray(x, float)
     return vector / (np.linalg.norm(vector) or 1)
 

@@ -209,7 +209,7 @@ def daylight(
         if whole and parameters == OVERCAST:
             up = directions[:, 2]
             return np.where(up > 0, (1 + 2 * up) / 3, 0)
-        own = cie_sky(parameters) if whole else np.asarray(parameters, float)
+        own = cie_sky(np.asarray(parameters).item()) if whole else np.asarray(parameters, float)
         return np.asarray(_over_sky(jnp.asarray(own), jnp.asarray(toward), jnp.asarray(directions)))
 
     theta = np.pi * (np.arange(rows) + 0.5) / rows
