@@ -661,12 +661,12 @@ def test_a_fit_left_with_few_cells_has_not_converged(monkeypatch):
         cells = reduce_images(*args, **kwargs)
         calls.append(cells)
         seen = np.cumsum(np.asarray(cells.count).ravel() > 0).reshape(cells.count.shape)
-        kept = ((seen <= 3) | (len(calls) == 1)).astype(float)
+        kept = ((seen <= 4) | (len(calls) == 1)).astype(float)
         return replace(cells, count=cells.count * kept, scatter=cells.scatter * kept)
 
     monkeypatch.setattr("fitting.joint.fit.reduce_images", few)
     found = fit_channel(measured, 0, Form("lambert"))
-    assert len(found.space) == found.cells == 3
+    assert len(found.space) == found.cells == 4
     assert np.isfinite(found.chi_square)
     assert not found.converged
 
