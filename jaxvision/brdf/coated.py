@@ -194,7 +194,7 @@ def _returned(material: Coated, w: Vec) -> Colour:
     body = material.body
     if isinstance(body, EON):
         cosines, weights = _returned_uniform(material, 24)
-        mean = jax.vmap(lambda c: eon.azimuth_mean(body, c, w.z))(cosines)
+        mean = jax.vmap(lambda c: eon._azimuth_mean(body, c, w.z))(cosines)
         return jnp.pi * (weights * mean).sum(axis=0)
     own = family(body)
 

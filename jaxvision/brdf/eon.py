@@ -98,7 +98,7 @@ def evaluate(material: EON, wi: Direction, wo: Direction) -> Colour:
     return where_seen(wi, wo, value)
 
 
-def azimuth_mean(material: EON, cos_i: Scalar, cos_o: Scalar) -> Colour:
+def _azimuth_mean(material: EON, cos_i: Scalar, cos_o: Scalar) -> Colour:
     """Return the mean of f_r over the azimuth for the cosines of light and viewer above the
     surface, (bands,) in sr^-1. The mean of s / t is sin sin' (1 / max(cos, cos') - 1) / pi."""
     sin_i, sin_o = (safe_sqrt(1 - c * c) for c in (cos_i, cos_o))
