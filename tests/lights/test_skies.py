@@ -128,7 +128,7 @@ def test_what_is_no_sky_is_named():
         lights.cie_sky(17)
     with pytest.raises(ValueError, match="the sun must stand above the horizon"):
         lights.daylight(12, [0, 0, -1], irradiance=[1.0])
-    with pytest.raises(ValueError, match=r"sun must be a finite vector with a direction, got \[0"):
+    with pytest.raises(ValueError, match=r"a finite vector with a direction, got \[ ?0"):
         lights.daylight(12, [0, 0, 0], irradiance=[1.0])
     with pytest.raises(ValueError, match="a Perez sky has a clearness of at least 1"):
         lights.perez_sky(0.5, 0.5, 0.2)
