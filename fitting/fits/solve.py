@@ -64,7 +64,9 @@ from .words import (
 ROUNDS = 4  # rounds of starts, while no other search confirms the best
 OTHER_SEED = 1_000_003  # difference between the seeds of two rounds
 SINGLE_ROUNDING = 1e-6  # rounding of a scaled eigenvalue computed in float32
-MOST_EXACT = 40  # parameters up to which second derivatives at all far points take little time
+# Gradients of one datum that the second derivatives about the mode may take: up to this number
+# their time is short beside that of the searches.
+MOST_GRADIENTS = 2_000_000
 METHODS = {"laplace": Laplace, "emcee": Emcee, "nuts": Nuts}
 Method = Laplace | Emcee | Nuts
 
@@ -494,6 +496,12 @@ def _tempered_log_density(vector: Vector, args: tuple[Problem, Array]) -> Array:
     return log_likelihood(vector, problem) / factor**2 + log_prior_at(problem, vector)
 
 
+def _gradients_about(problem: Problem) -> int:
+    """Gradients of one datum in the second derivatives at the mode and two points a parameter."""
+    parameters = len(problem.space)
+    return (2 * parameters + 1) * parameters * problem.data.size
+
+
 def _draw(
     problem: Problem,
     vector: Array,
@@ -523,7 +531,7 @@ def _draw(
         elif (
             density[0] is log_density
             and not optimum.unseen
-            and (problem.likelihood.least_squares or len(space) <= MOST_EXACT)
+            and _gradients_about(problem) <= MOST_GRADIENTS
         ):
             described["local"] = partial(derivatives, problem=problem)
         run = (density[0], space, vector, wide.covariance, density[1])

@@ -10,7 +10,8 @@ the weighted draws. This is repeated until the effective number of draws is larg
 importance sampling: Oh & Berger, J. Stat. Comput. Simul. 41, 1992). If numbers have bounds, half of
 the proposals are made on the scale of the numbers themselves. A ridge that is straight on that
 scale is curved on the unconstrained one, where a Student's t distribution does not reach both of
-its ends. The returned draws are resampled by their weights.
+its ends. Where the volume of the other parameters changes along a parameter, `ridge` tabulates its
+integrated density, and the proposals follow it. The returned draws are resampled by their weights.
 """
 
 from collections.abc import Callable, Sequence
@@ -96,7 +97,7 @@ def laplace_where_it_holds(
         log_density, space, mode, args, covariance=covariance, freedom=freedom, seed=seed
     )
     spread = covariance if wider is None else wider
-    spare = None
+    integrated = None
     if local is not None and missed is None:
         centre = np.asarray(mode, np.float64)
         cost, _, curvature = local(np.stack([centre, *_away(centre, spread)]))
@@ -105,18 +106,19 @@ def laplace_where_it_holds(
             steps = np.diag(NEAR / np.sqrt(np.diagonal(curvature[0])))
             near = local(np.stack([centre, *(centre + steps), *(centre - steps)]))[2]
             order = widest_first(near, FAR * np.sqrt(np.diagonal(spread)) / np.diagonal(steps))
-            spare = _along_a_ridge(log_density, space, mode, spread, args, seed, local, order)
-            if spare is not None and abs(spare.shifted) > APART:
-                return spare
+            integrated = _along_a_ridge(log_density, space, mode, spread, args, seed, local, order)
     if missed is None:
         missed = gaussian_miss(log_density, mode, spread, args)
-    if np.max(missed) <= TOLERATED and (spare is None or abs(spare.shifted) <= UNNOTICED):
+    gaussian = np.max(missed) <= TOLERATED
+    if integrated is not None and abs(integrated.shifted) > APART:
+        return integrated
+    if integrated is not None and not (gaussian and abs(integrated.shifted) <= UNNOTICED):
+        at_mode = {"mode": drawn.mode, "unconstrained_mode": drawn.unconstrained_mode}
+        return replace(integrated, shifted=0.0, **at_mode)
+    if gaussian:
         return replace(drawn, miss=float(np.max(missed)))
     found = _importance(log_density, space, mode, spread, args, seed)
     worst = names(space)[int(np.argmax(missed))]
-    if found is None and spare is not None:
-        at_mode = {"mode": drawn.mode, "unconstrained_mode": drawn.unconstrained_mode}
-        return replace(spare, shifted=0.0, **at_mode)
     if found is None and not by_chain:
         return replace(drawn, missed=worst)
     if found is None:
@@ -203,29 +205,37 @@ def _along_a_ridge(
             values = evaluate_density(log_density, jnp.asarray(drawn, mode.dtype), args)
             own = np.where(np.isfinite(values), values, -np.inf) - log_proposal
             vectors, log_weight = np.concatenate([vectors, drawn]), np.append(log_weight, own)
-            weight = np.exp(log_weight - log_weight.max())
-            weight /= weight.sum()
-            effective = float(1 / np.sum(weight**2))
+            weight, effective = _normalised(log_weight)
             if effective > WANTED or effective < len(vectors) / HOPELESS:
                 break
         if effective < ENOUGH:
             continue
         kept = _resampled(vectors, weight, seed)
-        covariance = np.cov(kept.T)
-        shifted = float((along.mode - centre)[index] / np.sqrt(covariance[index, index]))
+        found = np.cov(kept.T)
+        shifted = float((along.mode - centre)[index] / np.sqrt(found[index, index]))
         return Posterior(
             space=space,
             method="importance sampling",
             draws=natural_numbers(space, kept)[None],
             mode=natural_numbers(space, along.mode),
             unconstrained_mode=along.mode,
-            covariance=covariance,
+            covariance=found,
             seed=seed,
             missed=names(space)[index],
             effective=effective,
             shifted=shifted,
         )
     return None
+
+
+def _normalised(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
+    """Weights with the sum 1, and the effective number of draws: 0 where no draw has a density."""
+    highest = log_weight.max()
+    if not np.isfinite(highest):
+        return np.zeros_like(log_weight), 0.0
+    weight = np.exp(log_weight - highest)
+    weight /= weight.sum()
+    return weight, float(1 / np.sum(weight**2))
 
 
 def _resampled(vectors: np.ndarray, weight: np.ndarray, seed: int) -> np.ndarray:
@@ -260,14 +270,11 @@ def _importance(
             values = evaluate_density(log_density, jnp.asarray(found.vectors, mode.dtype), args)
             logs.append(np.where(np.isfinite(values), values, -np.inf) - found.log_proposal)
             blocks.append(found)
-        log_weight = np.concatenate(logs)
-        weight = np.exp(log_weight - log_weight.max())
-        weight /= weight.sum()
-        effective = float(1 / np.sum(weight**2))
+        weight, effective = _normalised(np.concatenate(logs))
         drawn = np.concatenate([found.vectors for found in blocks])
         if best is None or effective > best[2]:
             best = drawn, weight, effective
-        if effective > WANTED:
+        if effective > WANTED or not effective:
             break
         share = min(1.0, effective / (10 * size))  # a few heavy draws determine a covariance poorly
         scaled = np.concatenate([found.scaled for found in blocks])

@@ -1,11 +1,15 @@
 """Effects of groups and their standard deviation, fitted together, against integrals of the closed
 form: the mean of n data of a group is N(mu, tau^2 + sd^2 / n)."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from fitting import Gaussian, LogNormal, Normal, Parameter, Problem, fit
+from fitting.inference.importance import laplace_where_it_holds
+from fitting.inference.parameters import scalars
 
 COUNT, SD = 4, 0.1  # data of a group and their noise
 LEVELS = [0.025, 0.16, 0.5, 0.84, 0.975]
@@ -42,6 +46,44 @@ def exact(data, log_prior):
 
 def log_normal(tau):
     return -(np.log(tau / 0.3) ** 2) / 2 - np.log(tau)
+
+
+SPREAD = 0.5  # standard deviation of u in the funnel
+
+
+def funnel(vector, _):
+    """Neal's funnel: u is normal, and each other number has the standard deviation exp(u)."""
+    u, others = vector[0], vector[1:]
+    return -(u**2) / (2 * SPREAD**2) - jnp.sum(u + others**2 * jnp.exp(-2 * u) / 2)
+
+
+@pytest.mark.parametrize("count", [3, 6])
+def test_draws_along_a_funnel_follow_its_closed_form(count):
+    """The mode of all numbers together is 1.5 or 3 standard deviations below the mean of u."""
+    space = (*scalars(Parameter(name="u"), ()), *scalars(Parameter(name="v"), (count,)))
+    lowest = -count * SPREAD**2
+    mode = jnp.array([lowest, *[0.0] * count])
+    covariance = np.diag([SPREAD**2, *[np.exp(2 * lowest)] * count])
+
+    def cost(vector):
+        return -funnel(vector, None)
+
+    @jax.jit
+    @jax.vmap
+    def derivatives(vector):
+        return cost(vector), jax.grad(cost)(vector), jax.hessian(cost)(vector)
+
+    def local(vectors):
+        return tuple(np.asarray(x, np.float64) for x in derivatives(jnp.asarray(vectors)))
+
+    found = laplace_where_it_holds(
+        funnel, space, mode, covariance, None, seed=0, by_chain=False, local=local
+    )
+    u, v = found.draws[0, :, 0], found.draws[0, :, 1]
+    np.testing.assert_allclose(np.quantile(u, LEVELS), norm.ppf(LEVELS, scale=SPREAD), atol=0.02)
+    assert v.std() == pytest.approx(np.exp(SPREAD**2), rel=0.05)
+    assert found.effective > 1000
+    np.testing.assert_allclose(found.unconstrained_mode[0], lowest if count == 3 else 0, atol=0.1)
 
 
 @pytest.mark.slow
