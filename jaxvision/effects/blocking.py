@@ -30,13 +30,13 @@ from .bodies import (
     hulls,
     is_closed,
     numbers,
+    plane_of,
     stacked,
     surface_bodies,
     taken,
     unit,
 )
 from .boxes import same
-from .cells import plane_between
 from .illumination import Source
 
 _ROUNDINGS = 4.0  # relative rounding error of a coordinate, for shapes that touch a plane
@@ -121,18 +121,12 @@ def _extent(
 def _height_range(source: Source, plane: tuple, relative: float) -> tuple[float, float]:
     """Return the smallest and the largest height of a light above a plane, in m. Heights smaller
     than their rounding error become 0."""
-    point, normal = plane
     if source.body is not None:
-        body = stacked([source.body])
-        slack = slack_over(body, point, normal, relative)[0]
-        over, radii = (body.points[0] - point) @ normal, body.radii[0]
-        low, high = float((over - radii).min()), float((over + radii).max())
-        return (0.0 if abs(low) <= slack else low), (0.0 if abs(high) <= slack else high)
+        (low,), (high,) = _extent(stacked([source.body]), np.ones(1, bool), {}, plane, relative)
+        return low, high
     if source.kind == "direction":
-        along, slack = (
-            float(source.places[0] @ normal),
-            float(np.sin(min(source.size[0], np.pi / 2))),
-        )
+        along = float(source.places[0] @ plane[1])
+        slack = float(np.sin(min(source.size[0], np.pi / 2)))
         low = np.inf if along > slack else 0.0 if along >= slack else -np.inf
         high = -np.inf if along < -slack else 0.0 if along <= -slack else np.inf
         return low, high
@@ -162,7 +156,7 @@ def may_block(
         may[:, i, i] &= solid and (two_sided or not is_convex(surface.of("shape")))
     reach = reach_of(surfaces, sources)
     bodies, bounded = surface_bodies(surfaces)
-    flat = {i: plane_between(surface.of("shape")) for i, surface in enumerate(surfaces)}
+    flat = {i: plane_of(surface.of("shape")) for i, surface in enumerate(surfaces)}
     planes = {i: plane for i, plane in flat.items() if plane is not None}
     relative = touching(surfaces)
     for i, plane in planes.items():

@@ -35,11 +35,6 @@ class Bodies(NamedTuple):
     radii: np.ndarray  # (n, p) m
 
 
-def _quad_corners(shape: Quad) -> np.ndarray:
-    corner, u, v = (numbers(x) for x in (shape.corner, shape.edge_u, shape.edge_v))
-    return corner + np.stack([0 * u, u, v, u + v])
-
-
 def tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two unit vectors that are perpendicular to a unit normal, (3,), and to each other."""
     first = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
@@ -56,28 +51,27 @@ def disc_polygon(shape: Disc, *, within: bool = False) -> np.ndarray:
     return numbers(shape.centre) + numbers(shape.radius) * wider * around
 
 
-def _box_corners(shape: Box) -> np.ndarray:
-    axes = np.eye(3) if shape.rotation is None else numbers(shape.rotation)
-    return numbers(shape.centre) + (SIGNS * numbers(shape.half_extents)) @ axes
-
-
-def _mesh_corners(shape: TriangleMesh) -> np.ndarray:
-    vertices = numbers(shape.vertices)
-    if len(vertices) <= len(SIGNS):
-        return vertices
-    low, high = vertices.min(0), vertices.max(0)
-    return (low + high) / 2 + SIGNS * (high - low) / 2
-
-
-_POINTS = {Quad: _quad_corners, Disc: disc_polygon, Box: _box_corners, TriangleMesh: _mesh_corners}
-
-
 def corners(shape: Shape) -> np.ndarray | None:
-    """Return points, (n, 3) m, whose convex hull contains a shape. For a sphere they are the
-    corners of its bounding box; for an unbounded plane the result is None."""
-    if isinstance(shape, Sphere):
-        return numbers(shape.centre) + SIGNS * numbers(shape.radius)
-    return _POINTS[type(shape)](shape) if type(shape) in _POINTS else None
+    """Return points, (n, 3) m, whose convex hull contains a shape, or None for an unbounded plane.
+    For balls and large meshes they are the corners of the bounding box."""
+    match shape:
+        case Sphere():
+            return numbers(shape.centre) + SIGNS * numbers(shape.radius)
+        case Quad():
+            corner, u, v = (numbers(x) for x in (shape.corner, shape.edge_u, shape.edge_v))
+            return corner + np.stack([0 * u, u, v, u + v])
+        case Disc():
+            return disc_polygon(shape)
+        case Box():
+            axes = np.eye(3) if shape.rotation is None else numbers(shape.rotation)
+            return numbers(shape.centre) + (SIGNS * numbers(shape.half_extents)) @ axes
+        case TriangleMesh():
+            vertices = numbers(shape.vertices)
+            if len(vertices) <= len(SIGNS):
+                return vertices
+            low, high = vertices.min(0), vertices.max(0)
+            return (low + high) / 2 + SIGNS * (high - low) / 2
+    return None
 
 
 @once
@@ -93,14 +87,12 @@ def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
         return None
     if not all(same(*(getattr(end, n, None) for end in shape)) for n in ("rotation", "normal")):
         return None
-    if isinstance(low, Box | Disc) and isinstance(
-        high, Box | Disc
-    ):  # the largest sphere, at each possible centre
+    if isinstance(low, Box | Disc) and isinstance(high, Box | Disc):  # the largest, at each centre
         middles = box_about(numbers(low.centre), numbers(high.centre))
-        about = _POINTS[type(high)](high) - numbers(high.centre)
+        about = numbers(corners(high)) - numbers(high.centre)
         points = (middles[:, None] + about).reshape(-1, 3)
     else:  # corners are sums of fields, so their extremes are at those of all fields
-        points = box_about(*(_POINTS[type(end)](end) for end in shape))
+        points = box_about(*(numbers(corners(end)) for end in shape))
     return points, np.zeros(len(points))
 
 
@@ -137,17 +129,17 @@ def is_closed(shape: Ends[Shape]) -> bool:
     return bool((volumes[np.unique(part)] > 0).all())
 
 
-def plane_of(shape: Shape) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return a point, in m, and the unit normal of a flat shape, or None for any other shape."""
-    match shape:
-        case Quad():
-            return numbers(shape.corner), unit(
-                np.cross(numbers(shape.edge_u), numbers(shape.edge_v))
-            )
-        case Disc():
-            return numbers(shape.centre), unit(numbers(shape.normal))
-        case Plane():
-            return numbers(shape.point), unit(numbers(shape.normal))
+@once
+def plane_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return a point, in m, and the unit normal of a flat shape, or None if the shape is not flat
+    or has free parameters."""
+    if shape.low is not shape.high:
+        return None
+    match shape.low:
+        case Quad(corner=corner, edge_u=u, edge_v=v):
+            return numbers(corner), unit(np.cross(numbers(u), numbers(v)))
+        case Disc(centre=centre, normal=normal) | Plane(point=centre, normal=normal):
+            return numbers(centre), unit(numbers(normal))
     return None
 
 
@@ -249,13 +241,16 @@ def _nearest_of_triangle(v: np.ndarray, w: np.ndarray, x: np.ndarray) -> np.ndar
     safe = np.where(whole, det, 1)
     s, t = (pq * vq - qq * vp) / safe, (pq * vp - pp * vq) / safe
     inside = whole & (s >= 0) & (t >= 0) & (s + t <= 1)
-    options = np.stack([_nearest_of_side(v, w), _nearest_of_side(v, x), _nearest_of_side(w, x)])
+    options = np.stack(
+        [nearest_on_segment(v, w), nearest_on_segment(v, x), nearest_on_segment(w, x)]
+    )
     side = (options**2).sum(-1).argmin(0)
     on_side = options[side, np.arange(len(v))]
     return np.where(inside[:, None], v + s[:, None] * p + t[:, None] * q, on_side)
 
 
-def _nearest_of_side(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def nearest_on_segment(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the point nearest to the origin on each segment from a to b, (n, 3) each."""
     along = b - a
     square = np.einsum("nk,nk->n", along, along)
     t = -np.einsum("nk,nk->n", a, along) / np.where(square > 0, square, 1)

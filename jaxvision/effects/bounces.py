@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..scene import Box, Sphere, TriangleMesh
-from .bodies import Bodies, balls_about, body_of, heights, numbers, stacked
+from .bodies import Bodies, balls_about, body_of, heights, numbers, plane_of, stacked
 from .boxes import setting
-from .cells import Cells, plane_between, starts
+from .cells import Cells, starts
 from .illumination import times
 from .stages import Row
 from .sums import Sums, pictured, sent
@@ -221,7 +221,7 @@ def _form_factors(sums: Sums) -> np.ndarray:
     n = len(sums.surfaces)
     factors = np.ones((n, n))
     found = [body_of(surface.of("shape")) for surface in sums.surfaces]
-    planes = [plane_between(surface.of("shape")) for surface in sums.surfaces]
+    planes = [plane_of(surface.of("shape")) for surface in sums.surfaces]
     cells = sums.cells
     for j, body in enumerate(found):
         if body is not None:

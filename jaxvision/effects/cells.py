@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core._bounds import Ends, once
+from ..core._bounds import Ends
 from ..optics.views import focus_vergence, sensor_vergence
 from ..scene import (
     Box,
@@ -36,7 +36,6 @@ from .bodies import (
     faces_of,
     heights,
     numbers,
-    plane_of,
     stacked,
     tangents,
     unit,
@@ -299,10 +298,3 @@ def bodies_of(cells: Cells) -> Bodies:
     return Bodies(
         cells.centre[:, None], np.where(np.isinf(cells.radius), 1e300, cells.radius)[:, None]
     )
-
-
-@once
-def plane_between(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return a point and the normal of a flat shape (`bodies.plane_of`), or None if the shape is
-    not flat or has free parameters."""
-    return plane_of(shape.low) if shape.low is shape.high else None

@@ -23,6 +23,9 @@ from .reflection import fills
 from .spectra import folded, with_bands
 from .stages import Draft, Gone, Row
 
+# names of the fields that have one number for each band
+_SPECTRA = {"emission", "radiance", "intensity", "irradiance", "reflectance", "transmission"}
+_SPECTRA |= {"diffuse", "specular", "ambient", "quantum_efficiency", "infrared_cut", "wavelength"}
 _TRIES = 64  # largest number of thresholds, each at most half of the previous one
 
 
@@ -191,7 +194,7 @@ class Choice:
     def _take_bands(self, draft: Draft) -> bool:
         """Return whether the number of bands can be reduced: no free spectrum loses bands, and the
         sensor, if there is one, works with the remaining bands."""
-        if any(_is_spectrum(name, *self.records) for name in self.free):
+        if any(name.rpartition(".")[2] in _SPECTRA for name in self.free):
             self.all_bands = "a free spectrum has all of them"
             return False
         if draft.bands is None or self.chain.dn is None:
@@ -283,13 +286,6 @@ def _assumed_of(scene: Scene) -> Iterator[str]:
     of_glass = (s.shape for s in scene.surfaces if fills(s.material))
     if any(isinstance(shape, TriangleMesh) for shape in of_glass):
         yield "closed meshes of glass do not cut through themselves."
-
-
-def _is_spectrum(name: str, scene: Scene, camera: Camera) -> bool:
-    """Return whether a field has one number for each band."""
-    word = name.rpartition(".")[2]
-    words = "emission radiance intensity irradiance diffuse specular ambient reflectance"
-    return word in f"{words} transmission quantum_efficiency infrared_cut wavelength".split()
 
 
 def bands_of(draft: Draft) -> int:

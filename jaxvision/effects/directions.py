@@ -11,8 +11,6 @@ different objects to different parts of the lens, so there is no bound.
 
 import numpy as np
 
-from ..scene import TriangleMesh
-from ..scene.shapes import Shape
 from .angles import cos_seen
 from .bounces import Onward
 from .illumination import times
@@ -32,9 +30,13 @@ def lens_spread_bound(sums: Sums, onward: Onward) -> np.ndarray:
     turn = np.where(near, np.pi, 2 * np.arcsin(radius / 2 / np.where(near, radius, apart)))
     steep = slopes(sums)[of_cell]
     grazing = np.array([own.grazing for own in sums.reflections])[of_cell]
-    smooth = np.array([_is_smooth(surface.low.shape) for surface in sums.surfaces])
+    # a shading normal may face one part of the lens and not another
+    smooth = np.array(
+        [getattr(own.low.shape, "normals", None) is not None for own in sums.surfaces]
+    )
     bent = (smooth[of_cell] & (cos_seen(cells, eye)[0] <= 0))[:, None]
-    plain = _plain(sums)
+    bands = sums.spectrum.shape[1]
+    plain = np.array([np.broadcast_to(own.plain, bands) for own in sums.reflections])
     total = _interreflection_bound(sums, onward, plain, smooth)[of_cell]
     for k, spectrum in enumerate(sums.spectrum):
         even, facing = sums.body[k][:, None], sums.facing[k][:, None]
@@ -48,19 +50,6 @@ def lens_spread_bound(sums: Sums, onward: Onward) -> np.ndarray:
     total = np.where(sums.k_mirror.max(1)[of_cell, None] > 0, np.inf, total)
     lamps = [not source.even for source in sums.sources]
     return np.maximum(pictured(sums, total), sums.shown[lamps].max(0, initial=0))
-
-
-def _plain(sums: Sums) -> np.ndarray:
-    """Return the difference of each surface's diffuse part from a Lambertian surface, (n, bands)
-    sr^-1 (`Reflection.plain`)."""
-    bands = sums.spectrum.shape[1]
-    return np.array([np.broadcast_to(own.plain, bands) for own in sums.reflections])
-
-
-def _is_smooth(shape: Shape) -> bool:
-    """Return whether a shape has shading normals. A shading normal may face one part of the lens
-    and not another."""
-    return isinstance(shape, TriangleMesh) and shape.normals is not None
 
 
 def _interreflection_bound(

@@ -36,12 +36,15 @@ def scene_rows(
             rows = (*with_owners(rows, bodies), *bodies)
         rows += band_rows(sums, direct=depth is None)
         if method.whole_paths:
-            return rows + tuple(_uncut(row) for row in further[:1]), arriving
+            why = "the integrator follows paths to their end, so they cannot be shortened"
+            whole = (replace(row, why=why, drop=None, saves=0.0) for row in further[:1])
+            return (*rows, *whole), arriving
         rows += further
         if method.estimates:
             rows += probed_rows(scene.high, view.high, depth)
-            rows = tuple(sorted(rows, key=_ladder_order))
-        return rows, arriving
+            # the limits on path length last, shortest first
+            rows = sorted(rows, key=lambda row: -row.saves if row.ladder == "bounces" else -2.0)
+        return tuple(rows), arriving
     if scene.low is not scene.high or view.low is not view.high:
         # the motion of a value inside the box may be outside the motions of its ends
         why = "the motion of a free parameter is not bounded"
@@ -57,18 +60,6 @@ def scene_rows(
     near, far = min(own.near for own in seen), max(own.far for own in seen)
     turning = np.max([own.turning for own in seen], axis=0)
     return tuple(everywhere), Arriving(brightest, near, far, turning)
-
-
-def _uncut(row: Row) -> Row:
-    """Mark a `Row` that limits the number of path segments as one that cannot be dropped."""
-    why = "the integrator follows paths to their end, so they cannot be shortened"
-    return replace(row, why=why, drop=None, saves=0.0)
-
-
-def _ladder_order(row: Row) -> float:
-    """Return the sort key of a `Row`. The rows that limit the number of path segments come last,
-    smallest limit first."""
-    return -row.saves if row.ladder == "bounces" else -2.0
 
 
 def _moved(

@@ -72,7 +72,11 @@ def motion_stage(
             motion, scene.high, view.high, moments_of(once, rows, moments or 1)
         )
         still = still and still_once
-    found = [_row("motion", rolling, why, still, _without_motion, 0.7)]
+
+    def drop(draft: Draft) -> Draft:
+        return replace(draft, motion=None, moments=None)
+
+    found = [_row("motion", rolling, why, still, drop, 0.7)]
     if shutter is not None:
         found.append(_shutter_row(rolling + global_, why, still))
     return tuple(found)
@@ -195,10 +199,6 @@ def _without_places(scene: Scene, view: View) -> tuple[Any, ...]:
     surfaces = [(s.material, s.emission) for s in scene.surfaces]
     optics = {k: v for k, v in vars(view).items() if k not in ("position", "rotation")}
     return scene.lights, scene.ambient, surfaces, optics
-
-
-def _without_motion(draft: Draft) -> Draft:
-    return replace(draft, motion=None, moments=None)
 
 
 def _shutter_row(pixels: float, why: str, still: bool) -> Row:

@@ -67,7 +67,7 @@ def excess(charge: Charge, level: float) -> Excess:
     with np.errstate(over="ignore"):
         first = np.exp(np.min(log_tail - 1 - np.log(_SLOPES)))
         second = np.exp(np.min(log_tail / 2 + np.log(2 / (math.e * _SLOPES))))
-    clipped_bias = charge.light * _tail_mean(charge.prnu)
+    clipped_bias = charge.light * sensitivity_bias(charge.prnu)
     rms = min(math.hypot(math.sqrt(variance), above + clipped_bias), float(second))
     return Excess(min(rms, float(first)), rms)
 
@@ -98,16 +98,10 @@ def _below(rms: float) -> float:
     return math.erfc(1 / rms / math.sqrt(2)) / 2
 
 
-def _tail_mean(rms: float) -> float:
-    """Return E max(1 + rms g, 0) - 1 for a standard normal g: the increase of the mean of a pixel's
-    relative sensitivity by clipping at 0."""
-    if rms == 0:
-        return 0.0
-    z = 1 / rms
-    return rms * math.exp(-z * z / 2) / math.sqrt(2 * math.pi) - _below(rms)
-
-
 def sensitivity_bias(prnu: float) -> float:
-    """Return the relative increase of the mean sensitivity of pixels if sensitivities of relative
-    rms `prnu` are clipped at 0."""
-    return max(_tail_mean(prnu), 0.0)
+    """Return E max(1 + p g, 0) - 1 for a PRNU p and a standard normal g: the increase of the mean
+    sensitivity of pixels by clipping at 0."""
+    if prnu == 0:
+        return 0.0
+    z = 1 / prnu
+    return max(prnu * math.exp(-z * z / 2) / math.sqrt(2 * math.pi) - _below(prnu), 0.0)

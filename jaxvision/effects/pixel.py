@@ -85,6 +85,11 @@ class Bound(NamedTuple):
     rare: float = 0.0  # expected number of pixels that it changes; 0: all pixels
 
 
+def unbounded(why: str) -> Callable[[Any], Bound]:
+    """Return the function of an effect that has no bound, because it defines a scale."""
+    return lambda _: Bound(INF, why)
+
+
 def clean(x: Any) -> float:
     """Make a number a valid bound: at least 0, and inf for NaN."""
     number = float(x)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..brdf import lambertian
 from ..core._maps import ENDS, is_map, maps_of, mean_of, replace_maps
-from ..scene import AmbientLight, Material, Scene, Surface, TriangleMesh, View
+from ..scene import AmbientLight, Scene, TriangleMesh, View
 from .bodies import body_of, heights, is_closed, numbers, stacked
 from .bounces import EMITTED, Onward
 from .boxes import setting, value_at
@@ -55,14 +55,24 @@ def scene_stage(
     varied = [[place for place, _ in maps_of(own)] for own in whole]
     if any(varied):
         low, high = (
-            replace(end, surfaces=replace_maps(tuple(map(_unbent, end.surfaces)), pick))
+            # `pruning` returns no bounds for a scene with a map of normals
+            replace(
+                end,
+                surfaces=replace_maps(
+                    tuple(replace(own, normals=None) for own in end.surfaces), pick
+                ),
+            )
             for end, pick in zip(scene, ENDS, strict=True)
         )
         scene = Ends(low, high)
     sums = sums_of(scene, eye, bounces=depth is not None, caustics=caustics)
     onward = Onward(sums, depth)
     rows = [
-        *(row for k in range(len(sums.sources)) for row in _light_rows(sums, onward, k)),
+        *(
+            row(sums, onward, k)
+            for k, source in enumerate(sums.sources)
+            for row in (light, shadows, extent)[: 3 if source.kind == "area" else 2]
+        ),
         *(row for i in range(len(sums.surfaces)) for row in _surface_rows(sums, onward, i)),
         *(varied_by(sums, onward, i, place) for i, own in enumerate(varied) for place in own),
         ambient(scene, sums, onward),
@@ -103,13 +113,6 @@ def depths(sums: Sums) -> tuple[float, float]:
 
 
 # ---------------------------------------------------------------- lights
-
-
-def _light_rows(sums: Sums, onward: Onward, k: int) -> Iterator[Row]:
-    yield light(sums, onward, k)
-    yield shadows(sums, onward, k)
-    if sums.sources[k].kind == "area":
-        yield extent(sums, onward, k)
 
 
 def light(sums: Sums, onward: Onward, k: int) -> Row:
@@ -256,7 +259,7 @@ def lobe(sums: Sums, onward: Onward, i: int) -> Row:
         return lobe_sent(sums, k, around=around)
 
     amount = _largest_sent(sums, onward, i, of_light, others)
-    plain = _is_plain_without_lobe(material)
+    plain = hasattr(material, "diffuse") and hasattr(material, "specular")
     why = f"the peak of the {type(material).__name__} lobe under all light"
     if not plain:
         why += ", whose body is not Lambertian"
@@ -267,10 +270,6 @@ def lobe(sums: Sums, onward: Onward, i: int) -> Row:
 
 def _size(lobe: Lobe | None) -> float:
     return 0.0 if lobe is None else lobe.size
-
-
-def _is_plain_without_lobe(material: Material) -> bool:
-    return hasattr(material, "diffuse") and hasattr(material, "specular")
 
 
 def interface(sums: Sums, onward: Onward, i: int) -> Row:
@@ -311,12 +310,6 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
     field, why = reflection.rough or ("", f"{type(material).__name__} to Lambert")
     name = f"{name}.{field}" if field else name
     return Row(name, amount, why, _make_lambertian(i), saves=_SAVES["lobe"])
-
-
-def _unbent(surface: Surface) -> Surface:
-    """Return a surface without its map of normals. For scenes with such a map, the module `pruning`
-    returns no bounds."""
-    return surface if surface.normals is None else replace(surface, normals=None)
 
 
 def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:

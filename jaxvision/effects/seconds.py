@@ -61,7 +61,10 @@ def seconds_of(
         small = tuple(max(2 * round(n / scale / 2), 2) for n in small)
     coarse = replace(view, resolution=small, pixel_pitch=view.pixel_pitch * scale)
     start = replace(start, camera=replace(start.camera, view=coarse))
-    parties = [_party(row, rows) for row in rows]
+    parties = [
+        [own for own in rows if own.together == row.together] if row.together else [row]
+        for row in rows
+    ]
     drafts = [_without(party, start) for party in parties]
     calls = _Calls(scene, start, whole=whole)
     full = calls.parts(start)
@@ -77,10 +80,6 @@ def seconds_of(
         None if parts is None else (seconds(full) - seconds(parts)) / len(party)
         for parts, party in zip(found, parties, strict=True)
     ]
-
-
-def _party(row: Row, rows: Sequence[Row]) -> list[Row]:
-    return [own for own in rows if own.together == row.together] if row.together else [row]
 
 
 def _without(party: Sequence[Row], start: Draft) -> Draft | None:

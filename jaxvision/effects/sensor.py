@@ -75,8 +75,8 @@ def sensor_stage(
         if getattr(sensor.high, name) is not None
     ]
     rows += [
-        _faster(name, bound, kind, pixel)
-        for name, kinds, bound, kind in sensor_charge.COUNTING
+        _faster(name, electrons, why, kind, pixel)
+        for name, kinds, electrons, why, kind in sensor_charge.COUNTING
         if isinstance(sensor.high.shot_noise, kinds)
     ]
     rows += [_own(i, ends, pixel) for i, ends in enumerate(pixel(frozenset()).own)]
@@ -142,17 +142,13 @@ def _field(name: str, bound: BoundOf, sensor: Ends[Sensor], pixel: Callable[[Gon
     blooms = name == "full_well" and sensor.high.blooming is not None
     return _row(
         f"sensor.{name}",
-        _unchanged if identity else bound,
+        (lambda _: Bound(0.0, "it is 1: nothing changes")) if identity else bound,
         pixel,
         None if name in SCALES and not identity else drop,
         assumes=_ASSUMES.get(name, ""),
         saves=_SAVES.get(name, 0.02),
         needs=frozenset({"sensor.blooming"} if blooms else ()),
     )
-
-
-def _unchanged(_: Pixel) -> Bound:
-    return Bound(0.0, "it is 1: nothing changes")
 
 
 def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Row:
@@ -170,9 +166,13 @@ def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Ro
 
 
 def _faster(
-    name: str, bound: BoundOf, kind: type[ShotNoise], pixel: Callable[[Gone], Pixel]
+    name: str, electrons: float, why: str, kind: type[ShotNoise], pixel: Callable[[Gone], Pixel]
 ) -> Row:
     """Return the `Row` for replacing the shot noise by a faster counting method."""
+
+    def bound(pixel: Pixel) -> Bound:
+        return Bound(pixel.read(electrons), why, rank="estimate")
+
     field, drop = f"sensor.shot_noise.{name}", setting("camera.sensor.shot_noise", to=kind())
     others = {"sensor.shot_noise", "sensor.shot_noise.exact", "sensor.shot_noise.whole"} - {field}
     return _row(field, bound, pixel, drop, saves=0.25, instead_of=frozenset(others))

@@ -21,11 +21,12 @@ from ..scene import (
 from .pixel import INF, Bound, Pixel, growth
 from .stages import Ends, by_field
 
-# 2-Wasserstein distances from a Poisson law, e-. For the Gaussian with the same moments: the
+# 2-Wasserstein distances from a Poisson law, e-. For a Gaussian with the same moments: the
 # largest in a table over means, at 0.86 e-. At many electrons it is sqrt(1/12 + 1/18), from
 # rounding to integers and from skewness.
 WHOLE = 0.4185
-# For the draws by inversion: their distance in total variation, times one electron.
+# For draws by inversion instead of rejection: their distance in total variation (measured, see
+# `sensor.count`), times one electron.
 INVERSION = math.sqrt(1.4e-4)
 
 
@@ -38,19 +39,6 @@ def shot_noise(pixel: Pixel) -> Bound:
         return Bound(INF, "the light is not bounded")
     moved = growth(rest, counted) + pixel.spilt.rms
     return Bound(pixel.read(moved), f"sqrt of {counted:.4g} e- rms")
-
-
-def exact_counting(pixel: Pixel) -> Bound:
-    """Estimate the error of Poisson draws by inversion instead of rejection, from the measured
-    accuracy stated in `sensor.count`."""
-    return Bound(pixel.read(INVERSION), "measured up to 2^31 e-", rank="estimate")
-
-
-def whole_electrons(pixel: Pixel) -> Bound:
-    """Estimate the error if Poisson counts, which are whole numbers of electrons, are replaced by
-    Gaussian numbers of equal mean and variance. The mean and the rms do not change. A table over
-    means shows that the two distributions differ by at most 0.42 e-."""
-    return Bound(pixel.read(WHOLE), "tabulated over means", rank="estimate")
 
 
 def brighter_fatter(pixel: Pixel) -> Bound:
@@ -158,9 +146,15 @@ BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
     **by_field(Sensor, globals()),
     **{name: partial(charge_effects, name) for name in ("mixing", "nonlinearity")},
 }
-# Replacements for a counting method: the name of the effect, the kinds that have it, its bound, and
-# the kind without it.
+# Replacements for a counting method: the name of the effect, the kinds that have it, its error in
+# electrons and where that is from, and the kind without it.
 COUNTING = (
-    ("exact", (PoissonShotNoise,), exact_counting, FastPoissonShotNoise),
-    ("whole", (PoissonShotNoise, FastPoissonShotNoise), whole_electrons, GaussianShotNoise),
+    ("exact", (PoissonShotNoise,), INVERSION, "measured up to 2^31 e-", FastPoissonShotNoise),
+    (
+        "whole",
+        (PoissonShotNoise, FastPoissonShotNoise),
+        WHOLE,
+        "tabulated over means",
+        GaussianShotNoise,
+    ),
 )

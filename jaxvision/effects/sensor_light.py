@@ -13,23 +13,12 @@ import numpy as np
 from ..scene import Sensor
 from .electrons import share_of_light
 from .overflow import sensitivity_bias
-from .pixel import INF, Bound, Pixel, growth
+from .pixel import INF, Bound, Pixel, growth, unbounded
 from .stages import Ends, by_field
 
-
-def photon_conversion(pixel: Pixel) -> Bound:
-    """Return no bound: without the conversion, light would have another unit."""
-    return Bound(INF, "converts W m^-2 to photons: nothing can be left out")
-
-
-def colour_filter(pixel: Pixel) -> Bound:
-    """Return no bound: the colour filter selects the band of each pixel."""
-    return Bound(INF, "defines which bands a pixel measures")
-
-
-def exposure_time(pixel: Pixel) -> Bound:
-    """Return no bound: the exposure time scales light and dark current equally."""
-    return Bound(INF, "scales all charge: nothing can be left out")
+photon_conversion = unbounded("converts W m^-2 to photons: nothing can be left out")
+colour_filter = unbounded("defines which bands a pixel measures")
+exposure_time = unbounded("scales all charge: nothing can be left out")
 
 
 def light_offset(pixel: Pixel) -> Bound:

@@ -19,7 +19,7 @@ from ..scene import HeavyTailedReadNoise, Sensor
 from ..sensor import QUANTISATION_VARIANCE
 from .electrons import read_out_variances
 from .overflow import excess
-from .pixel import INF, Bound, Pixel, growth
+from .pixel import INF, Bound, Pixel, growth, unbounded
 from .stages import by_field
 
 # Standard deviations within which a Gaussian gain is assumed; the tails are bounded separately.
@@ -77,9 +77,7 @@ def telegraph_noise(pixel: Pixel) -> Bound:
     return Bound(moved, why, rare=rare)
 
 
-def gain(pixel: Pixel) -> Bound:
-    """Return no bound: the gain defines the DN."""
-    return Bound(INF, "says what a DN is: nothing can be left out")
+gain = unbounded("says what a DN is: nothing can be left out")
 
 
 def offset(pixel: Pixel) -> Bound:

@@ -79,18 +79,13 @@ class Sums(NamedTuple):
         return self.emission + self.ambient
 
 
-def pairs(low: Sequence, high: Sequence) -> tuple[Ends, ...]:
-    """Pair the records of two sequences, which have the free parameters at their smallest and at
-    their largest values."""
-    return tuple(Ends(a, b) for a, b in zip(low, high, strict=True))
-
-
 def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = False) -> Sums:
     """Compute all suprema of a scene over the range of its free parameters; lengths in m. With
     `bounces`, light is reflected between surfaces, so that glass and mirrors may show any part of
     the scene."""
     low, high = scene
-    surfaces, lights = pairs(low.surfaces, high.surfaces), pairs(low.lights, high.lights)
+    surfaces = tuple(map(Ends, low.surfaces, high.surfaces))
+    lights = tuple(map(Ends, low.lights, high.lights))
     sources = tuple(source_of(light) for light in lights)
     reflections = tuple(reflection_of(surface.of("material")) for surface in surfaces)
     cells = cells_of(surfaces, about=eye.place)

@@ -28,13 +28,15 @@ from .bodies import (
     faces_of,
     gap,
     heights,
+    nearest_on_segment,
     numbers,
+    plane_of,
     stacked,
     surface_bodies,
     taken,
     unit,
 )
-from .cells import Cells, Eye, bodies_of, has_faces_apart, part_of, plane_between
+from .cells import Cells, Eye, bodies_of, has_faces_apart, part_of
 from .illumination import Source
 from .stages import Ends
 
@@ -94,7 +96,10 @@ def _meets(
     about, size = balls_about(occluders)
     hulls = swept(source, bodies_of(cells), reach)
     middle, wide = balls_about(Bodies(hulls.points[:, 1:], hulls.radii[:, 1:]))
-    apart = _distance_to_segment(about[occluder], cells.centre[cell], middle[cell])
+    apart = np.linalg.norm(
+        nearest_on_segment(cells.centre[cell] - about[occluder], middle[cell] - about[occluder]),
+        axis=1,
+    )
     meets = apart <= size[occluder] + np.maximum(cells.radius, wide)[cell] + tolerance
     left = np.flatnonzero(meets & (cells.spread[cell] == 0))
     i, j = cell[left], occluder[left]
@@ -111,14 +116,6 @@ def _meets(
         i, j = cell[left], occluder[left]
         meets[left] = gap(taken(hulls, i), taken(occluders, j), enough=tolerance) <= tolerance
     return meets
-
-
-def _distance_to_segment(place: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return the distance, (n,) m, from each point, (n, 3), to the segment between two others."""
-    along = end - start
-    square = (along**2).sum(1)
-    t = np.clip(((place - start) * along).sum(1) / np.where(square > 0, square, 1), 0, 1)
-    return np.linalg.norm(start + t[:, None] * along - place, axis=1)
 
 
 def outward(surfaces: Sequence[Ends[Surface]], cells: Cells) -> np.ndarray:
@@ -245,7 +242,7 @@ def _shadow_of(shape: Ends[Shape], source: Source) -> _Shadow | None:
     """Return the full shadow of an occluder, or None if no point is in full shadow. The result is
     None if the occluder is not flat or has free parameters, if the light is a sky, or if the light
     is not entirely on one side of the occluder."""
-    plane = plane_between(shape)
+    plane = plane_of(shape)
     if plane is None:
         return None
     origin, normal = plane
