@@ -67,9 +67,11 @@ def split_r_hat(draws: Float[np.ndarray, "chains draws"]) -> float:
     Source:
         Vehtari et al., Bayesian Analysis 16, 2021, eqs. 1-4 and 14.
     """
-    halves = _halves(draws)
-    folded = np.abs(halves - np.median(halves))
-    return max(_r_hat(_normal_scores(x)) for x in (halves, folded))
+    halves, found = _halves(draws), []
+    for x in (halves, np.abs(halves - np.median(halves))):
+        within, together = _variances(_normal_scores(x))
+        found.append(float(np.sqrt(together / within)) if within > 0 else np.inf)
+    return max(found)
 
 
 def effective_draws(draws: Float[np.ndarray, "chains draws"]) -> float:
@@ -112,8 +114,3 @@ def _variances(draws: np.ndarray) -> tuple[float, float]:
     length = draws.shape[1]
     within = float(draws.var(axis=1, ddof=1).mean())
     return within, within * (length - 1) / length + float(draws.mean(axis=1).var(ddof=1))
-
-
-def _r_hat(draws: np.ndarray) -> float:
-    within, together = _variances(draws)
-    return float(np.sqrt(together / within)) if within > 0 else np.inf

@@ -67,7 +67,13 @@ def identifiability(
     if open_.any():
         touched = (np.abs(directions[:, open_]) > 1e-3).any(axis=1)
         inflation = np.where(touched, np.inf, 1.0)
-        words = tuple(_undetermined(labels, direction) for direction in directions[:, open_].T)
+        words = tuple(
+            f"The data cannot distinguish {listed(_partners(labels, direction))}: the others can "
+            "compensate a change in one, to within rounding. Fix one of them, or add measurements "
+            "that separate them. If the inputs are far from 0, such as dates in seconds, subtract "
+            "a constant from them."
+            for direction in directions[:, open_].T
+        )
         return Identifiability(inflation, False, words)
     inflation = np.sqrt(np.sum(directions**2 / eigenvalues, axis=1))
     errors = inflation / size
@@ -90,15 +96,6 @@ def _relative_slopes(space: ParameterSpace, vector: ArrayLike | None) -> np.ndar
 
 def _partners(labels: tuple[str, ...], direction: np.ndarray) -> list[str]:
     return [name for name, share in zip(labels, direction, strict=True) if abs(share) > PARTNER]
-
-
-def _undetermined(labels: tuple[str, ...], direction: np.ndarray) -> str:
-    return (
-        f"The data cannot distinguish {listed(_partners(labels, direction))}: the others can "
-        "compensate a change in one, to within rounding. Fix one of them, or add measurements "
-        "that separate them. If the inputs are far from 0, such as dates in seconds, subtract a "
-        "constant from them."
-    )
 
 
 def _confused(

@@ -141,9 +141,7 @@ def _compared(
     of the rounding error.
     """
 
-    def residuals(vector: Array) -> Array:
-        return least_squares_residuals(vector, problem)
-
+    residuals = partial(least_squares_residuals, problem=problem)
     here, along = jax.linearize(residuals, vector)
 
     def norms(number: Array) -> Array:
@@ -168,8 +166,7 @@ def _differenced(
     returns them.
     """
 
-    def residuals(vector: Array) -> Array:
-        return least_squares_residuals(vector, problem)
+    residuals = partial(least_squares_residuals, problem=problem)
 
     def by(number: Array) -> Array:
         way = jnp.zeros_like(vector).at[number].set(sizes[number])

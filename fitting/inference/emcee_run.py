@@ -192,32 +192,31 @@ def run_ensemble(
         walkers, mode.size, evaluate, vectorize=True, moves=_moves(mode.size)
     )
     blocks = resume_blocks(options.checkpoint, before, fingerprint)
+    deviation = np.sqrt(np.diagonal(covariance))
     if blocks:
-        state = _resumed(blocks[-1])
+        last = blocks[-1]
+        generator = ("MT19937", last["keys"], *(last["position"][:2]), float(last["gauss"]))
+        state = emcee.State(last["coords"], log_prob=last["log_prob"], random_state=generator)
     else:
-        state = _start(walkers, mode, covariance, seed)
+        random = np.random.RandomState(seed)
+        spread = np.linalg.cholesky(np.asarray(covariance, np.float64))
+        standard = random.standard_normal((walkers, mode.size))
+        state = emcee.State(mode + standard @ spread.T, random_state=random.get_state())
         state.log_prob = _made_possible(evaluate, state.coords, mode)
     while (chain := _chain_if_done(blocks, options)) is None:
         sampler.reset()
         steps = next_length(length(blocks), options.block, options.steps)
         with threadpool_limits(1, user_api="blas"):  # matrices are too small for threads
             for after in sampler.sample(state, iterations=steps, skip_initial_state_check=True):
-                _refuse_without_end(after.coords, mode, covariance, names)
+                reached = np.max(np.abs(after.coords - mode), axis=0) / deviation
+                if not np.all(reached < BEYOND):  # improper, before walkers overflow in emcee
+                    raise Unbounded(names[int(np.argmax(np.nan_to_num(reached, nan=np.inf)))])
                 state = after
         blocks.append(_block(sampler, state, fingerprint))
         store(options.checkpoint, len(blocks) - 1, blocks[-1])
         if options.progress is not None:
             options.progress(length(blocks), options.steps)
     return chain
-
-
-def _refuse_without_end(
-    walkers: np.ndarray, mode: np.ndarray, covariance: np.ndarray, names: Sequence[str]
-) -> None:
-    """Refuse an improper posterior before its diverging walkers overflow in emcee."""
-    reached = np.max(np.abs(walkers - mode), axis=0) / np.sqrt(np.diagonal(covariance))
-    if not np.all(reached < BEYOND):
-        raise Unbounded(names[int(np.argmax(np.nan_to_num(reached, nan=np.inf)))])
 
 
 def _moves(dimension: int) -> list[tuple[Any, float]]:
@@ -265,22 +264,6 @@ def _block(sampler: Any, state: Any, fingerprint: str) -> Block:
         "position": np.array([position, has_gauss]),
         "gauss": np.array(gauss),
     }
-
-
-def _resumed(last: Block) -> Any:
-    from emcee import State
-
-    random_state = ("MT19937", last["keys"], *(last["position"][:2]), float(last["gauss"]))
-    return State(last["coords"], log_prob=last["log_prob"], random_state=random_state)
-
-
-def _start(walkers: int, mode: np.ndarray, covariance: np.ndarray, seed: int) -> Any:
-    from emcee import State
-
-    random = np.random.RandomState(seed)
-    spread = np.linalg.cholesky(np.asarray(covariance, np.float64))
-    standard = random.standard_normal((walkers, mode.size))
-    return State(mode + standard @ spread.T, random_state=random.get_state())
 
 
 def _made_possible(

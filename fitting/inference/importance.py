@@ -14,7 +14,7 @@ its ends. Where the volume of the other parameters changes along a parameter, `r
 integrated density, and the proposals follow it. The returned draws are resampled by their weights.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -148,22 +148,9 @@ def gaussian_miss(
 ) -> Float[np.ndarray, " parameters"]:
     """Return how much the decrease of the log density at two standard deviations differs from a
     Gaussian's."""
-    return miss_about(
-        lambda points: evaluate_density(log_density, jnp.asarray(points, mode.dtype), args),
-        np.asarray(mode, np.float64),
-        covariance,
-    )
-
-
-def miss_about(
-    log_density: Callable[[np.ndarray], np.ndarray],
-    centre: Float[np.ndarray, " parameters"],
-    covariance: Float[np.ndarray, "parameters parameters"],
-) -> Float[np.ndarray, " parameters"]:
-    """Compute the same as `gaussian_miss`, for a function that returns the log density of each of
-    (n, P) vectors.
-    """
-    return _misses(-log_density(np.stack([centre, *_away(centre, covariance)])))
+    centre = np.asarray(mode, np.float64)
+    points = jnp.asarray(np.stack([centre, *_away(centre, covariance)]), mode.dtype)
+    return _misses(-evaluate_density(log_density, points, args))
 
 
 def _away(centre: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -173,7 +160,7 @@ def _away(centre: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def _misses(costs: np.ndarray) -> np.ndarray:
-    """The result of `miss_about` from the costs at the mode and two standard deviations away."""
+    """Return `gaussian_miss` from the costs at the mode and two standard deviations away."""
     rise = costs[1:].reshape(2, -1) - costs[0]
     return np.nan_to_num(np.max(np.abs(rise - FAR**2 / 2), axis=0), nan=np.inf)
 

@@ -97,7 +97,11 @@ def judge_sums(totals: Float[np.ndarray, " sums"], parameters: float) -> Misfit:
             )
     else:
         remarks.append("There are no more data than parameters, so the fit cannot test the model.")
-    pairs = [_correlation(*four) for four in totals[2:].reshape(-1, 4)]
+    pairs = []
+    for product, one, next_one, number in totals[2:].reshape(-1, 4):
+        size = float(np.sqrt(one * next_one))
+        correlation = float(product) / size if size else 0.0
+        pairs.append((correlation, correlation * float(np.sqrt(number))))
     limit = float(-ndtri(CHANCE / max(len(pairs), 1)))
     for axis, (correlation, significance) in enumerate(pairs):
         if significance > limit and chi_square > FAINT * dof:
@@ -111,17 +115,6 @@ def judge_sums(totals: Float[np.ndarray, " sums"], parameters: float) -> Misfit:
         *(chi_square, dof, p, correlation, significance),
         *(tuple(faults), tuple(remarks), count),
     )
-
-
-def _correlation(product: float, one: float, other: float, pairs: float) -> tuple[float, float]:
-    """Return the correlation of neighbours along an axis, and its ratio to its standard
-    deviation.
-    """
-    size = float(np.sqrt(one * other))
-    if size == 0:
-        return 0.0, 0.0
-    correlation = float(product) / size
-    return correlation, correlation * float(np.sqrt(pairs))
 
 
 def _largest(dof: float) -> float:

@@ -153,7 +153,15 @@ def nuts(
     blocks = resume_blocks(options.checkpoint, () if after is None else after.blocks, run)
     density = (log_density, mode, spread, args)
     starting, drawing = jax.random.split(jax.random.key(seed))
-    state = _resumed(blocks[-1]) if blocks else _start(*density, starting, chains)
+    if blocks:
+        names = ("position", "log_density", "gradient", "adaptation")
+        state = _State(*(jnp.asarray(blocks[-1][name]) for name in names))
+    else:
+        state = _started(*density, starting, chains)
+        if not np.isfinite(on_host(state.log_density)).all():
+            raise InputError(
+                "The density is impossible at the mode itself, so no chain can start; fit first."
+            )
     total = WARM_UP + options.draws
     while (done := length(blocks)) < total:
         steps = next_length(done, block, total)
@@ -190,17 +198,6 @@ def _whitened(log_density: LogDensity, mode: Array, spread: Array, args: Any) ->
         return jnp.where(jnp.isnan(value), -jnp.inf, value)
 
     return density
-
-
-def _start(
-    log_density: LogDensity, mode: Array, spread: Array, args: Any, key: PRNGKeyArray, chains: int
-) -> _State:
-    state = _started(log_density, mode, spread, args, key, chains)
-    if not np.isfinite(on_host(state.log_density)).all():
-        raise InputError(
-            "The density is impossible at the mode itself, so no chain can start; fit first."
-        )
-    return state
 
 
 @eqx.filter_jit
@@ -282,11 +279,6 @@ def _advance(
         "divergent": jnp.zeros((block, chains), bool),
     }
     return jax.lax.fori_loop(0, steps, step, (state, empty))
-
-
-def _resumed(last: Block) -> _State:
-    names = ("position", "log_density", "gradient", "adaptation")
-    return _State(*(jnp.asarray(last[name]) for name in names))
 
 
 def _posterior(

@@ -1,6 +1,6 @@
 """Run fits in float64, because sums over many samples in float32 have at most 7 digits."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import wraps
 from inspect import Parameter, signature
 from typing import ParamSpec, TypeVar
@@ -27,21 +27,14 @@ def double_precision(function: Callable[P, T]) -> Callable[P, T]:
                 f"{getattr(function, '__name__', 'function')} takes {placed} of its arguments by "
                 f"their place; write {named}."
             )
-        refuse_word_of_command(function, kwargs)
+        if "mcmc" in kwargs and "mcmc" not in signature(function).parameters:
+            raise TypeError(
+                f"{getattr(function, '__name__', 'function')} has no argument mcmc, which the "
+                "command has; give sampling=Emcee(), from fitting, for a chain."
+            )
         if jax.dtypes.canonicalize_dtype(np.float64) == np.float64:
             return function(*args, **kwargs)  # a context that changes nothing would compile anew
         with jax.enable_x64(True):
             return function(*args, **kwargs)
 
     return done
-
-
-def refuse_word_of_command(function: Callable[..., object], given: Mapping[str, object]) -> None:
-    """Refuse the keyword `mcmc`, which only the command has, and name the function's argument to
-    use instead.
-    """
-    if "mcmc" in given and "mcmc" not in signature(function).parameters:
-        raise TypeError(
-            f"{getattr(function, '__name__', 'function')} has no argument mcmc, which the command "
-            "has; give sampling=Emcee(), from fitting, for a chain."
-        )

@@ -10,6 +10,7 @@ scene that contains the parameters), or the value of one parameter.
 
 import inspect
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from datetime import date
 from typing import Any
@@ -179,7 +180,9 @@ class Problem(eqx.Module):
         self.asks = argument_names(predict)
         self.start = start
         check_names(self, parameters)
-        known = finite_data(data)
+        known = on_host(plain_numbers("data", data), dtype=jnp.result_type(float))
+        if infinite := int(np.isinf(known).sum()):
+            raise InputError(f"{infinite} of the data are infinite: mark missing ones by NaN.")
         missing = np.isnan(known)
         self.data = placed_like(data, np.where(missing, 0, known))
         partly = missing.any() or self.stream is not None  # one structure for all chunks
@@ -528,26 +531,16 @@ def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Param
     parameter = replace(parameter, name=name)
     if known is not None:
         start = parameter.start
-        if start is None and np.isfinite(known).all():
-            start = _start_inside(parameter, known)
+        usable = known > 0 if parameter.transform == "log" else np.isfinite(known)
+        if start is None and (usable & np.isfinite(known)).all():
+            with suppress(ValueError):  # bounds of another shape, which are refused elsewhere
+                start = np.clip(known, parameter.lower, parameter.upper)
         return replace(parameter, shape=known.shape, start=start)
     start = parameter.start
     shape = parameter.shape
     if shape is None:
         shape = np.shape(start) if start is not None else np.shape(parameter.lower)
     return replace(parameter, shape=tuple(shape))
-
-
-def _start_inside(parameter: Parameter, known: np.ndarray) -> np.ndarray | None:
-    """Return a record's own value as a start, moved inside the bounds; None if it cannot be a
-    start.
-    """
-    if parameter.transform == "log" and not (known > 0).all():
-        return None
-    try:
-        return np.clip(known, parameter.lower, parameter.upper)
-    except ValueError:  # bounds of another shape, which are refused in words elsewhere
-        return None
 
 
 def arguments(function: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
@@ -592,16 +585,6 @@ def placed_like(given: Any, values: np.ndarray) -> Array:
         return jnp.asarray(values)
     # Not `device_put`, which compares the values of all processes.
     return jax.make_array_from_callback(values.shape, given.sharding, lambda part: values[part])
-
-
-def finite_data(data: Any) -> np.ndarray:
-    """Return the data as an array, NaN where a datum is missing; refuse infinite data."""
-    data = on_host(plain_numbers("data", data), dtype=jnp.result_type(float))
-    if np.isinf(data).any():
-        raise InputError(
-            f"{int(np.isinf(data).sum())} of the data are infinite: mark missing ones by NaN."
-        )
-    return data
 
 
 def check_names(problem: "Problem", parameters: Mapping[str, Any]) -> None:

@@ -165,16 +165,12 @@ def proposed(
     vectors[:, along.index] = place
     vectors[:, others] += np.einsum("nij,nj->ni", root, normal)
     squares = np.sum(normal**2, axis=1)
-    gaussian = -squares / 2 + _log_ratio(size)
+    # less ln of the normalisation of Student's t over that of a Gaussian
+    ratio = gammaln((FREEDOM + size) / 2) - gammaln(FREEDOM / 2) - size / 2 * np.log(FREEDOM / 2)
+    gaussian = -squares / 2 - ratio
     student = -(FREEDOM + size) / 2 * np.log1p(squares / FREEDOM)
     volume = np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
     return vectors, log_density + np.logaddexp(gaussian, student) - volume
-
-
-def _log_ratio(size: int) -> float:
-    """ln of the normalisation of a Gaussian over that of Student's t."""
-    student = gammaln((FREEDOM + size) / 2) - gammaln(FREEDOM / 2) - size / 2 * np.log(FREEDOM / 2)
-    return float(-student)
 
 
 def _between(values: np.ndarray, cell: np.ndarray, share: np.ndarray) -> np.ndarray:

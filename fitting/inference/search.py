@@ -59,7 +59,6 @@ from .newton import minimise_many, second_derivatives
 from .on_host import on_host
 from .parameters import (
     FLAT_QUANTILES,
-    Parameter,
     ParameterSpace,
     ends,
     log_flat_slopes,
@@ -220,24 +219,18 @@ def given_start(problem: Problem) -> Float[Array, " parameters"]:
     ]
     if problem.start is not None:
         found = start_of_data(problem)
-        natural = [
-            _either(p, found[p.name], own) if p.name in found else own
-            for p, own in zip(problem.free, natural, strict=True)
-        ]
+        for i, (p, own) in enumerate(zip(problem.free, natural, strict=True)):
+            known = found.get(p.name, own)
+            if jnp.shape(known) != own.shape:
+                raise InputError(
+                    f"start: {p.name} has the shape {own.shape}, its start {jnp.shape(known)}."
+                )
+            natural[i] = jnp.where(jnp.isfinite(known), known, own)
     xp = np if problem.start is None else jnp
     return start_at(problem.space, xp.concatenate([xp.ravel(xp.asarray(x)) for x in natural]))
 
 
 _given_start = eqx.filter_jit(given_start)
-
-
-def _either(parameter: Parameter, found: Any, own: np.ndarray) -> Array:
-    """Return the start from the data or, where it is NaN, the parameter's own start."""
-    if jnp.shape(found) != own.shape:
-        raise InputError(
-            f"start: {parameter.name} has the shape {own.shape}, its start {jnp.shape(found)}."
-        )
-    return jnp.where(jnp.isfinite(found), found, own)
 
 
 def start_at(
@@ -458,16 +451,18 @@ def negative_log_density(vector: Vector, problem: Problem) -> Float[Array, ""]:
     return -log_density(vector, problem)
 
 
-def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
-    """Return the residuals of the data and of a Gaussian prior on `vector`. `vector` holds all
-    numbers, or only those that are not solved in closed form.
-    """
-    problem, mean, weight = args
+def _residuals(vector: Vector, problem: Problem) -> Array:
+    """Return the residuals of the data. `vector` holds all numbers, or only those that are not
+    solved in closed form."""
     if vector.size < len(problem.space):
-        residuals = eliminate(vector, problem).residuals
-    else:
-        residuals = least_squares_residuals(vector, problem)
-    return jnp.concatenate([residuals, weight * (vector - mean)])
+        return eliminate(vector, problem).residuals
+    return least_squares_residuals(vector, problem)
+
+
+def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
+    """Return the residuals of the data and of a Gaussian prior on `vector`."""
+    problem, mean, weight = args
+    return jnp.concatenate([_residuals(vector, problem), weight * (vector - mean)])
 
 
 def searches_at_once(vectors: Any) -> int:
@@ -575,16 +570,9 @@ def gauss_newton(vector: Vector, problem: Problem) -> Derivatives:
 
 
 def squares(vector: Vector, problem: Problem) -> Derivatives:
-    """Return half the sum of squared residuals r, its gradient J^T r, and J^T J. `vector` holds all
-    numbers, or only those that are not solved in closed form.
-    """
+    """Return half the sum of squared `_residuals` r, its gradient J^T r, and J^T J."""
 
-    def of(vector: Vector) -> Array:
-        if vector.size < len(problem.space):
-            return eliminate(vector, problem).residuals
-        return least_squares_residuals(vector, problem)
-
-    residuals, along = jax.linearize(of, vector)
+    residuals, along = jax.linearize(partial(_residuals, problem=problem), vector)
     jacobian = jax.vmap(along)(jnp.eye(vector.size, dtype=vector.dtype))
     return residuals @ residuals / 2, jacobian @ residuals, jacobian @ jacobian.T
 

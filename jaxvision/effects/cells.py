@@ -145,17 +145,13 @@ def cells_of(surfaces: Sequence[Ends[Surface]], *, about: np.ndarray) -> Cells:
     for i, surface in enumerate(surfaces):
         own = _cells(surface.of("shape"), side, about)
         if surface.low.two_sided:
-            own = [np.concatenate(pair) for pair in zip(own, _turned(own), strict=True)]
+            signs = (1, 1, -1, 1)  # the axes of the other side
+            own = [np.concatenate([x, sign * x]) for x, sign in zip(own, signs, strict=True)]
         found.append((*own, np.full(len(own[0]), i)))
     return Cells(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 Parts = list[np.ndarray]  # centre, radius, axis, spread
-
-
-def _turned(parts: Parts) -> Parts:
-    centre, radius, axis, spread = parts
-    return [centre, radius, -axis, spread]
 
 
 def _cells(shape: Ends[Shape], side: int, about: np.ndarray) -> Parts:

@@ -251,7 +251,15 @@ def prune(
             alone, why = _MOVED, "the motion changes more than this"
         if not alone:
             return choice.result(scene, camera)
-        chain = replace(chain, rows=tuple(_kept_with(row, alone, why) for row in chain.rows))
+        chain = replace(
+            chain,
+            rows=tuple(
+                replace(row, drop=None, why=f"{row.why}; {why}".removeprefix("; "))
+                if row.drop is not None and row.name.startswith(alone)
+                else row
+                for row in chain.rows
+            ),
+        )
 
 
 def looking_pays(scene: Scene, *, rays: int, nodes: int) -> bool:
@@ -333,14 +341,6 @@ def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> boo
         if not same((finished(moved, own), own.camera.view), now):
             return False
     return True
-
-
-def _kept_with(row: Row, names: tuple[str, ...], reason: str) -> Row:
-    """Mark a `Row` as one that cannot be dropped if the name of its effect begins with one of
-    `names`. `reason` is added to the explanation of the `Row`."""
-    if row.drop is None or not row.name.startswith(names):
-        return row
-    return replace(row, drop=None, why=f"{row.why}; {reason}".removeprefix("; "))
 
 
 def _level(scene: Scene, view: View) -> float:

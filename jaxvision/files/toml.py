@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from ..core._types import shorten
 from ..errors import InputError, nearest, plain_text
 from ._plain_content import DEEPEST, check_content, check_size, file_at
 
@@ -134,17 +135,12 @@ def _first_mistake(
         case "literal_error":
             known = context["expected"].replace(" or ", ", ").split(", ")
             hint = nearest(str(mistake["input"]), [word.strip("'") for word in known])
-            return f"{where} = {_short(mistake['input'])} is unknown; {hint}"
+            return f"{where} = {shorten(mistake['input'])} is unknown; {hint}"
         case "tuple_type" if isinstance(mistake["input"], dict):
             return f"{where} is one of several tables; head it [[{where}]]"
         case "model_type" | "model_attributes_type" | "dict_type":
             return f"{where} must be a table; head it [{where}] or write it in braces"
-    return f"{where} = {_short(mistake['input'])}: {reason[:1].lower()}{reason[1:]}"
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return f"{where} = {shorten(mistake['input'])}: {reason[:1].lower()}{reason[1:]}"
 
 
 def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) -> str:

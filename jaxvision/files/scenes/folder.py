@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ...errors import InputError, plain_text
+from ...errors import InputError
 
 
 class Folder:
@@ -18,7 +18,3 @@ class Folder:
         if not path.is_file():
             raise InputError(f"{path}: no such file; paths start at the folder of the scene file.")
         return path
-
-    def text(self, name: str) -> str:
-        """Return the content of a text file; `InputError` if it is not text."""
-        return plain_text(self.file(name))

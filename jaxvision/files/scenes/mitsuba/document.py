@@ -99,7 +99,10 @@ class Node:
         kinds = kinds if isinstance(kinds, tuple) else (kinds,)
         if float in kinds and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
-        fits = isinstance(value, kinds) and _alike(value, otherwise)
+        # a transform and a point are both arrays, of different shapes
+        fits = isinstance(value, kinds) and (
+            not isinstance(otherwise, np.ndarray) or np.shape(value) == otherwise.shape
+        )
         if value is not otherwise and not fits:
             raise self.wrong(f"{name} is of an unexpected kind; correct it.")
         return value
@@ -157,7 +160,12 @@ def root_of(file: Path) -> Node:
     root = _parse(file)
     if root.tag != "scene":
         raise InputError(f"begins with <{root.tag}>; a scene of Mitsuba begins with <scene>.")
-    return _Reader(file, _is_old(root)).node(root, "scene")
+    version = root.get("version", "3")
+    try:
+        old = int(version.split(".")[0]) < 2
+    except ValueError:
+        raise InputError(f"version = {version!r} is no version; write as in '3.0.0'.") from None
+    return _Reader(file, old).node(root, "scene")
 
 
 def _parse(file: Path) -> xml.Element:
@@ -178,14 +186,6 @@ def _check_depth(root: xml.Element) -> xml.Element:
         if depth > DEEPEST:
             raise InputError(f"<{root.tag}> is nested more than {DEEPEST} deep; flatten it.")
     return root
-
-
-def _is_old(root: xml.Element) -> bool:
-    version = root.get("version", "3")
-    try:
-        return int(version.split(".")[0]) < 2
-    except ValueError:
-        raise InputError(f"version = {version!r} is no version; write as in '3.0.0'.") from None
 
 
 class _Reader:
@@ -323,12 +323,6 @@ class _Reader:
             return Flat(_numbers(given.get("value", ""), place, (1,))[0])
         found = [_numbers(pair, place, (2,)) for pair in pairs]
         return Table(tuple((nm, value) for nm, value in found))
-
-
-def _alike(value: Any, otherwise: Any) -> bool:
-    """Return whether two values have the same shape. For example, a transform and a point are both
-    arrays, but have different shapes."""
-    return not isinstance(otherwise, np.ndarray) or np.shape(value) == otherwise.shape
 
 
 def _numbers(text: str, place: str, counts: tuple[int, ...]) -> tuple[float, ...]:
