@@ -3,6 +3,7 @@ new one fails here until it has a row, or is said to be a quantity of what a row
 
 from dataclasses import fields
 
+import numpy as np
 import pytest
 
 import jaxvision as jv
@@ -102,8 +103,16 @@ QUANTITIES = {
 def test_every_kind_of_light_material_and_shape_is_bounded():
     for own in (materials.families(), lights.kinds()):
         assert not [kind for kind in of_the_library(own) if own[kind].bound is None]
-    round_or_endless = {jv.Sphere, jv.Plane}
-    assert set(bodies._POINTS) | round_or_endless == SHAPES
+    x, y, z = np.eye(3)
+    bounded = [
+        jv.Sphere(x, 1.0),
+        jv.Disc(x, z, 1.0),
+        jv.Quad(x, y, z),
+        jv.Box(x, [1.0, 1.0, 1.0]),
+        jv.TriangleMesh(np.eye(3), [[0, 1, 2]]),
+    ]
+    assert {type(shape) for shape in bounded} | {jv.Plane} == SHAPES
+    assert all(bodies.corners(shape) is not None for shape in bounded)
 
 
 @pytest.mark.parametrize("name", sorted(KINDS))
