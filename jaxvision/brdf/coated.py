@@ -154,13 +154,19 @@ def _returned_by_coat(material: Coated, cosine: Scalar) -> Colour:
     return share * jnp.exp(-2 * material.optical_depth / divisor(cosine))
 
 
-def _returned_uniform(material: Coated, order: int) -> tuple[Float[Array, " n"], Array]:
+def _returned_uniform(
+    material: Coated, order: int, *, dense: bool = False
+) -> tuple[Float[Array, " n"], Array]:
     """Return the nodes c of a quadrature over the cosine inside the coat, (n,), and the weights 2 c
     r dc, (n, bands) or (n, 1), whose sum is R. Beyond the critical angle r = 1. At smaller angles c
-    dc = t dt / eta^2, where t is the cosine outside the coat."""
+    dc = t dt / eta^2, where t is the cosine outside the coat. If `dense`, the nodes are denser near
+    t = 0, where r is steep."""
     eta = material.interface.eta[0]
     beyond = safe_sqrt((eta - 1) * (eta + 1)) / eta
-    t, dt = (jnp.asarray(x, eta.dtype) for x in gauss_legendre(order))
+    t, dt = gauss_legendre(order)
+    if dense:
+        t, dt = t * t, 2 * t * dt
+    t, dt = jnp.asarray(t, eta.dtype), jnp.asarray(dt, eta.dtype)
     inside = safe_sqrt((eta - 1) * (eta + 1) + t * t) / eta
     cosines = jnp.concatenate([beyond * t, inside])
     weights = jnp.concatenate([2 * t * dt * beyond * beyond, 2 * t * dt / (eta * eta)])
@@ -185,7 +191,9 @@ def _returned(material: Coated, w: Vec) -> Colour:
     """Return a_o, the share of the light from the direction `w` inside the coat that the body
     reflects and the interface returns to the body, (bands,), no unit.
 
-    An EON body's light has a closed mean over the azimuth. For other bodies, a product quadrature
+    An EON body's light has a closed mean over the azimuth, with a kink at the cosine of `w`. The
+    nodes of this sum therefore differ from those of `_further`, where the kinks would coincide with
+    the nodes. For other bodies, a product quadrature
     on both sides of the critical angle integrates broad lobes, and draws with the body's own
     density narrow ones. Their weights sum to 1 in each direction (Veach's power heuristic). The
     draws are a Kronecker sequence (Roberts, "The Unreasonable Effectiveness of Quasirandom
@@ -193,7 +201,7 @@ def _returned(material: Coated, w: Vec) -> Colour:
     """
     body = material.body
     if isinstance(body, EON):
-        cosines, weights = _returned_uniform(material, 24)
+        cosines, weights = _returned_uniform(material, 8, dense=True)
         mean = jax.vmap(lambda c: eon._azimuth_mean(body, c, w.z))(cosines)
         return jnp.pi * (weights * mean).sum(axis=0)
     own = family(body)
@@ -227,10 +235,10 @@ def _further(material: Coated, i: Vec, o: Vec) -> Colour:
     """Return a_i a_o / (pi (R - S)), the body's light after at least one return by the interface,
     (bands,) sr^-1, for two directions inside the coat; 0 if a coat absorbs all of it."""
     if isinstance(material.body, Lambert):
-        kept = _returned_uniform(material, 24)[1].sum(axis=0)
+        kept = _returned_uniform(material, 12)[1].sum(axis=0)
         whole = jnp.pi * material.body.diffuse
         return whole * whole * kept / (jnp.pi * (1 - whole * kept))
-    cosines, weights = _returned_uniform(material, 24 if isinstance(material.body, EON) else 8)
+    cosines, weights = _returned_uniform(material, 8)
     # the azimuths differ, for a body that depends on them
     azimuths = jnp.asarray(2.39996323 * np.arange(len(cosines)), cosines.dtype)
 
