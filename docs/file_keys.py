@@ -40,12 +40,10 @@ def registered(tables):
 
 
 SCENE = {  # the tables of a scene file, in the order of the page
-    "[camera]": kinds_of("kind", plain(scene_tables.VIEWS), scene_tables.beside_camera),
-    "[[surface]]": kinds_of("shape", plain(scene_tables.SHAPES), scene_tables.beside_shape),
+    "[camera]": kinds_of("kind", plain(scene_tables.VIEWS), scene_tables.camera_keys),
+    "[[surface]]": kinds_of("shape", plain(scene_tables.SHAPES), scene_tables.surface_keys),
     "[material.NAME]": kinds_of("family", registered(scene_tables.material_tables())),
-    "[[light]]": kinds_of(
-        "kind", registered(scene_tables.light_tables()), scene_tables.beside_light
-    ),
+    "[[light]]": kinds_of("kind", registered(scene_tables.light_tables()), scene_tables.light_keys),
     "[ambient]": [("", AmbientLight, keys_of(AmbientLight))],
     "[render]": RenderEntry,
     "Spectra": [("", Tabulated, keys_of(Tabulated))],

@@ -27,7 +27,7 @@ ALIKE = 1e-9  # relative difference up to which two numbers count as equal
 MEMORY = Path("arrays")  # folder that messages name for images in memory
 
 
-def in_memory(
+def rig_in_memory(
     images: Mapping[str, ArrayLike], *, called: Mapping[str, str] | None = None, **entries: Any
 ) -> tuple[Rig, Load]:
     """Return a rig for images in memory, and the function that returns an image by its path."""

@@ -53,11 +53,11 @@ from .prior_check import blame_priors, conflicts, loosen
 from .result import Fit
 from .widening import Widening, residual_sums, residuals_at, widening
 from .words import (
-    about_chains,
-    about_left_out,
-    about_posterior,
-    about_search,
+    chain_failures,
     is_confirmed,
+    left_out_findings,
+    posterior_findings,
+    search_findings,
     verdict,
 )
 
@@ -209,13 +209,13 @@ def fit(
         own = data_check(problem, optimum.vector, checks, explained=wide.explained, seed=seed)
     failures = [*own.failures, *failures]
     drawn = _draw(problem, vector, optimum, wide, method, seed, before, failed=bool(failures))
-    failures += about_chains(drawn) + ([] if why else about_search(optimum, drawn))
+    failures += chain_failures(drawn) + ([] if why else search_findings(optimum, drawn))
     contradicted = () if why else against
     remarks = (*own.findings, *wide.words, *(() if own.overrated else checks.remarks))
     carried = () if problem.prior is None else problem.prior.words
     remarks += (*contradicted, *carried)
-    findings = (*remarks, *(() if why else about_posterior(problem, optimum, drawn)))
-    findings = (*map(str, choices), *about_left_out(problem), *findings)
+    findings = (*remarks, *(() if why else posterior_findings(problem, optimum, drawn)))
+    findings = (*map(str, choices), *left_out_findings(problem), *findings)
     settings = {
         "starts": len(optimum.costs),
         "posterior": type(method).__name__.lower(),

@@ -98,7 +98,7 @@ def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
     return agreeing(optimum) >= (4 if wide_noise or alone >= MANY_OPTIMA else 2)
 
 
-def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
+def search_findings(optimum: Optimum, posterior: Posterior) -> list[str]:
     """Return a finding on other optima that fit as well, if the searches found any."""
     ends = natural_numbers(posterior.space, optimum.ends)
     spread = np.cov(posterior.samples.T).reshape(len(posterior.space), -1)
@@ -117,18 +117,18 @@ def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
     ]
 
 
-def about_left_out(problem: Problem) -> list[str]:
+def left_out_findings(problem: Problem) -> list[str]:
     """Return sentences on how far each dropped effect may move the target of `called_for`."""
     gone = () if problem.left_out is None else problem.left_out.dropped
     return [f"Leaving out {e.name} {e.why}." for e in gone if e.rank == "estimate"]
 
 
-def about_chains(posterior: Posterior) -> list[str]:
+def chain_failures(posterior: Posterior) -> list[str]:
     """Return the reason why the draws of a posterior are unreliable; empty if they are reliable."""
     return [] if is_trusted(posterior) else [convergence_in_words(posterior)]
 
 
-def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) -> tuple[str, ...]:
+def posterior_findings(problem: Problem, optimum: Optimum, posterior: Posterior) -> tuple[str, ...]:
     """Return sentences on parameters that are not identifiable, on parameters that only the prior
     determines, and on the validity of the intervals.
     """

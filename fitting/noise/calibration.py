@@ -54,7 +54,7 @@ from .quantities import (
     READ_NOISE,
     Quantity,
 )
-from .regressions import Part, through_origin
+from .regressions import Part, slope_through_origin
 from .shared import LINES, Found, extra_lines, shared_noise, temporal_lines
 from .statement import (
     LikelihoodFit,
@@ -474,7 +474,7 @@ def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) ->
     bright = slice(0, len(usable))
     signal = (moments.mean - unlit.mean)[bright]
     shot = (moments.variance - unlit.variance)[bright]
-    return float(through_origin(signal, shot, within.sensitivity[jnp.asarray(usable)]))
+    return float(slope_through_origin(signal, shot, within.sensitivity[jnp.asarray(usable)]))
 
 
 def sheet_estimate(quantity: Quantity, value: float, error: float, method: str) -> Estimate:

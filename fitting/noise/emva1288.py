@@ -40,8 +40,8 @@ from .regressions import (
     line,
     line_misfit,
     sampling_errors,
+    slope_through_origin,
     surprise,
-    through_origin,
 )
 from .shared import SharedNoise
 
@@ -130,8 +130,8 @@ def sheet(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> She
         EMVA Standard 1288, release 3.1.
     """
     signal = _signal(stats, measurement)
-    gain = through_origin(signal, _shot_variance(stats, measurement), within.sensitivity)
-    responsivity = through_origin(measurement.bright.light, signal, within.sensitivity)
+    gain = slope_through_origin(signal, _shot_variance(stats, measurement), within.sensitivity)
+    responsivity = slope_through_origin(measurement.bright.light, signal, within.sensitivity)
     dark_variance, variance_slope = _dark_variance(stats, measurement, within)
     mean_slope = 0.0
     if within.dark_exposures > 2:
@@ -315,7 +315,7 @@ def _sampling(
     own_dark = jax.tree.map(lambda error: error[measurement.dark_of], dark)
     signal, used = _signal(stats, measurement), within.sensitivity
     degrees = jnp.sum(used, dtype=gain.dtype) - 1
-    responsivity = through_origin(measurement.bright.light, signal, used)
+    responsivity = slope_through_origin(measurement.bright.light, signal, used)
     missed = signal - responsivity * measurement.bright.light
     of_mean = factor(chi_square(missed, bright.mean + own_dark.mean, used), degrees)
     missed = shot - gain * signal

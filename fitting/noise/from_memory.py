@@ -7,7 +7,7 @@ from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 
 from ..inference.precision import double_precision
-from ..observation import MEMORY, Load, each, in_memory, require_as_many, require_frames
+from ..observation import MEMORY, Load, each, require_as_many, require_frames, rig_in_memory
 from ..rig import Camera, Rig
 from .levels import Levels, PhotonTransfer
 from .read import reduce_darks, reduce_rig
@@ -127,7 +127,7 @@ def _rig_of(
         "flat.photons": "photons",
         "dark.exposure": "exposures" if dark_exposures is None else "dark_exposures",
     }
-    return in_memory(images | unlit, called=called, camera=camera, flat=flat, dark=dark)
+    return rig_in_memory(images | unlit, called=called, camera=camera, flat=flat, dark=dark)
 
 
 def _entries(
@@ -177,5 +177,7 @@ def darks_from_frames(
     exposures = each("exposures", exposures)
     require_as_many("exposures", exposures, "sets of darks", darks)
     dark, images = _entries("darks", darks, exposures)
-    rig, load = in_memory(images, called={"dark.exposure": "exposures"}, camera=camera, dark=dark)
+    rig, load = rig_in_memory(
+        images, called={"dark.exposure": "exposures"}, camera=camera, dark=dark
+    )
     return reduce_darks(rig, channel=channel, load=load)

@@ -24,7 +24,7 @@ class TemporalVariance:
     frames: float  # noise that all pixels share, as light or black level drifts, DN^2
 
     @property
-    def of_a_pixel(self) -> float:
+    def pixel_variance(self) -> float:
         """The temporal variance of a pixel about the frame's mean, DN^2, at least 0."""
         return max(self.pixels + self.rows + self.columns, 0.0)
 
@@ -219,7 +219,7 @@ class LevelSums:
         wandering = float(np.var(self._shifts, ddof=1))
         rows, columns = (float(np.nanmean(variance_of(name))) for name in ("rows", "columns"))
         parts = temporal_variance(live, live.mean(temporal), rows, columns, wandering)
-        variance = parts.of_a_pixel
+        variance = parts.pixel_variance
         # The mean of a frame includes the noise of its own pixels, which was subtracted with it.
         lost = wandering - parts.frames
         temporal += lost

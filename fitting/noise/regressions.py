@@ -29,7 +29,7 @@ from .levels import Levels
 from .shared import SharedNoise
 
 
-def through_origin(x: Array, y: Array, within: Array) -> Float[Array, ""]:
+def slope_through_origin(x: Array, y: Array, within: Array) -> Float[Array, ""]:
     """Return the least-squares slope b of y = b x."""
     return jnp.sum(jnp.where(within, x * y, 0)) / jnp.sum(jnp.where(within, x * x, 0))
 

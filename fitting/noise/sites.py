@@ -208,7 +208,7 @@ def tap_of(taps: Taps, site: str, pattern: str | None) -> int | None:
     return int(np.ravel(taps.pattern)[camera.sites.index(site)])
 
 
-def of_tap(sensor: Sensor, tap: int) -> Sensor:
+def tap_sensor(sensor: Sensor, tap: int) -> Sensor:
     """Return the sensor of one tap. If the sensor has no quantum efficiency, the unit of its light
     is an electron of this tap."""
     taps = sensor.taps

@@ -7,7 +7,7 @@ from jaxtyping import Bool
 
 from jaxvision import ArrayLike
 
-from ..observation import each, in_memory, require_as_many, require_several_images
+from ..observation import each, require_as_many, require_several_images, rig_in_memory
 from ..rig import Camera
 from .read import ExposureStack, read_exposure_stack
 
@@ -55,5 +55,5 @@ def from_stack(
     ]
     named = {f"images[{i}]": image for i, image in enumerate(images)}
     called = {"exposure.exposure": "exposures"}
-    rig, load = in_memory(named, called=called, camera=camera, exposure=entries)
+    rig, load = rig_in_memory(named, called=called, camera=camera, exposure=entries)
     return read_exposure_stack(rig, mask=mask, load=load)

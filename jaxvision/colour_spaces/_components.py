@@ -65,7 +65,7 @@ def multiplied(colours: Colours, matrix: Float[Array, "3 3"]) -> Colours:
     return first + second + third
 
 
-def by_constant(colours: Colours, matrix: np.ndarray) -> Colours:
+def times_matrix(colours: Colours, matrix: np.ndarray) -> Colours:
     """Multiply each colour by a constant NumPy matrix, in the dtype of the colours."""
     colours = checked(colours)
     return multiplied(colours, jnp.asarray(matrix, colours.dtype))

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers
 from ..core._types import Scalars, refuse_codes
-from ._components import Colours, by_constant, checked, joined, multiplied, parts
+from ._components import Colours, checked, joined, multiplied, parts, times_matrix
 from .colour_data import cone_matrix, rgb_to_xyz_matrix
 
 
@@ -48,7 +48,7 @@ def rgb_to_xyz(rgb: Colours, *, space: str = "sRGB") -> Colours:
         [0.95, 1.0, 1.09]
     """
     refuse_codes(rgb)
-    return by_constant(rgb, rgb_to_xyz_matrix(space))
+    return times_matrix(rgb, rgb_to_xyz_matrix(space))
 
 
 @takes_numbers
@@ -65,7 +65,7 @@ def xyz_to_rgb(xyz: Colours, *, space: str = "sRGB") -> Colours:
     Raises:
         ValueError: for a last axis other than 3, and for integer codes.
     """
-    return by_constant(xyz, np.linalg.inv(rgb_to_xyz_matrix(space)))
+    return times_matrix(xyz, np.linalg.inv(rgb_to_xyz_matrix(space)))
 
 
 @takes_numbers
@@ -112,9 +112,11 @@ def adapt(
         ValueError: for a last axis other than 3, and for integer codes.
     """
     cones = cone_matrix(method)
-    seen, sought = by_constant(white, cones), by_constant(wanted, cones)
-    scaled = [part * (sought[i] / seen[i]) for i, part in enumerate(parts(by_constant(xyz, cones)))]
-    return by_constant(joined(*scaled), np.linalg.inv(cones))
+    seen, sought = times_matrix(white, cones), times_matrix(wanted, cones)
+    scaled = [
+        part * (sought[i] / seen[i]) for i, part in enumerate(parts(times_matrix(xyz, cones)))
+    ]
+    return times_matrix(joined(*scaled), np.linalg.inv(cones))
 
 
 @takes_numbers
@@ -141,4 +143,4 @@ def change_rgb_space(
         cones = cone_matrix(adaptation)
         whites = [cones @ rgb_to_xyz_matrix(space).sum(axis=1) for space in (source, target)]
         to_xyz = np.linalg.solve(cones, np.diag(whites[1] / whites[0]) @ cones) @ to_xyz
-    return by_constant(rgb, from_xyz @ to_xyz)
+    return times_matrix(rgb, from_xyz @ to_xyz)

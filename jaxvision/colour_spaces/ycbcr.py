@@ -5,7 +5,7 @@ import numpy as np
 
 from ..core._arguments import takes_numbers
 from ..core._types import check_choice, check_count, refuse_codes
-from ._components import Colours, by_constant, checked
+from ._components import Colours, checked, times_matrix
 from .colour_data import luma_weights
 
 
@@ -30,7 +30,7 @@ def rgb_to_ycbcr(
     """
     refuse_codes(rgb)
     matrix, _, zero = _ycbcr(standard, levels, bits)
-    centred = by_constant(rgb, matrix)
+    centred = times_matrix(rgb, matrix)
     return centred + jnp.broadcast_to(jnp.asarray(zero, centred.dtype), centred.shape)
 
 
@@ -55,7 +55,7 @@ def ycbcr_to_rgb(
     _, inverse, zero = _ycbcr(standard, levels, bits)
     refuse_codes(ycbcr := checked(ycbcr))
     centred = ycbcr - jnp.broadcast_to(jnp.asarray(zero, ycbcr.dtype), ycbcr.shape)
-    return by_constant(centred, inverse)
+    return times_matrix(centred, inverse)
 
 
 def _ycbcr(standard: str, levels: str, bits: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ Points = Float[Array, " points"]
 print_by_name(globals(), "Points")
 
 
-def through_points(x: Scalars, inputs: Points, outputs: Points, slopes: Points) -> Scalars:
+def evaluate_monotone(x: Scalars, inputs: Points, outputs: Points, slopes: Points) -> Scalars:
     """Evaluate the monotone curve at `x`, between the first and the last point."""
     k = jnp.clip(jnp.searchsorted(inputs, x, side="right") - 1, 0, inputs.shape[0] - 2)
     width = (inputs[1:] - inputs[:-1])[k]

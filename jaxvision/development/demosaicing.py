@@ -201,7 +201,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
         def along(difference: Plane, near: Callable[[Plane, int], Plane]) -> Plane:
             return _choose_direction(lead, near(difference, 1), near(difference, 0))
 
-        def at_green(from_green: Plane) -> tuple[Plane, Plane]:
+        def differences_at_green(from_green: Plane) -> tuple[Plane, Plane]:
             """Interpolate both other bands minus green at the green pixels, from their
             neighbours.
             """
@@ -209,7 +209,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
             return jnp.where(first_rows, rows, columns), jnp.where(first_rows, columns, rows)
 
         def others(raw: Plane, green: Plane) -> tuple[Plane, Plane]:
-            first, second = at_green(jnp.where(is_green, 0, raw - green))
+            first, second = differences_at_green(jnp.where(is_green, 0, raw - green))
             apart = along(first - second, _mean_of_two)
             return (
                 jnp.where(is_green, green + first, jnp.where(is_first, raw, raw + apart)),
@@ -221,7 +221,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
         ) -> tuple[Plane, Plane, Plane]:
             seen = (along(first - green, _mean_of_three), along(second - green, _mean_of_three))
             green = jnp.where(is_green, green, raw - jnp.where(is_first, *seen))
-            above_green = at_green(jnp.where(is_green, 0, raw - green))
+            above_green = differences_at_green(jnp.where(is_green, 0, raw - green))
             first = jnp.where(is_green, green + above_green[0], first)
             second = jnp.where(is_green, green + above_green[1], second)
             apart = along(first - second, _mean_of_three)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core._arguments import takes_numbers
-from ..core._monotone import Points, monotone_slopes, through_points
+from ..core._monotone import Points, evaluate_monotone, monotone_slopes
 from ..core._types import Scalars, as_relative, is_known, refuse_codes
 from ..point_ops import filmic, gamma_encode, reinhard, srgb_encode
 from ..scene import SRGB, Filmic, Gamma, Reinhard, ToneCurve, ToneEncoding, ToneMap
@@ -52,7 +52,7 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
             refuse_codes(x)
     slopes = monotone_slopes(inputs, outputs)
     within = jnp.where(x < inputs[0], inputs[0], jnp.where(x > inputs[-1], inputs[-1], x))
-    return through_points(within, inputs, outputs, slopes)
+    return evaluate_monotone(within, inputs, outputs, slopes)
 
 
 @takes_numbers

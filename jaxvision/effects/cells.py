@@ -124,7 +124,7 @@ def anywhere(eye: Eye) -> Eye:
     return eye._replace(everywhere=True)
 
 
-def in_view(eye: Eye, bodies: Bodies) -> np.ndarray:
+def visible_flags(eye: Eye, bodies: Bodies) -> np.ndarray:
     """Return flags, (n,): whether any pixel may see a part of each body. No pixel sees a body whose
     flag is False. A ray through a thin lens of radius r starts at a distance of at most r from the
     centre of the lens. The slope of this ray exceeds that of the pixel's chief ray by at most r /

@@ -28,7 +28,7 @@ from ..scene import (
 from .boxes import refuse_tracers, setting
 from .certificate import DN
 from .pixel import INF
-from .stages import Ends, Row, by_field
+from .stages import Ends, Row, field_functions
 
 FILMIC_SLOPE = 1.8012  # the largest slope of the ACES curve, at 0.12
 SRGB_SLOPE = 12.92
@@ -155,7 +155,7 @@ def compression(development: Development) -> Factor:
     return Factor(INF, "JPEG rounds its coefficients: they jump")
 
 
-BOUNDS: dict[str, Callable[[Development], Factor]] = by_field(Development, globals())
+BOUNDS: dict[str, Callable[[Development], Factor]] = field_functions(Development, globals())
 
 
 def lipschitz(development: Development | None) -> Factor:

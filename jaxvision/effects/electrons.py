@@ -47,7 +47,7 @@ def detected(sensor: Mapping[str, Any], photons: np.ndarray) -> float:
     return float(np.max(electrons))
 
 
-def beside_light(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
+def light_offset_electrons(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
     """Return the largest number of electrons that the sensor's light offset adds to a pixel or
     removes from it."""
     match sensor["light_offset"]:

@@ -49,11 +49,11 @@ from ..sensor import stage_of
 from .boxes import corners
 from .certificate import Rank
 from .electrons import (
-    beside_light,
     dark_rate,
     exposure,
     freed,
     kernel_slopes,
+    light_offset_electrons,
     read_out_variances,
 )
 from .overflow import Charge, Excess, excess
@@ -149,7 +149,7 @@ class Pixel:
     @cached_property
     def beside(self) -> float:
         """The largest number of electrons that a light offset adds or removes."""
-        return max(beside_light(end, self.irradiance) for end in self.sensor)
+        return max(light_offset_electrons(end, self.irradiance) for end in self.sensor)
 
     @cached_property
     def missing(self) -> float:
@@ -432,12 +432,12 @@ class Pixel:
         """
         if not math.isfinite(by):
             return INF
-        most_quiet, cut = self.at_the_well(by)
+        most_quiet, cut = self.clip_at_well(by)
         noise = growth(min(self.quiet, most_quiet), by) if self.counted else 0.0
         mean = by * math.hypot(1, self.high("prnu")) if patterned else by
         return self.read(math.hypot(mean, noise) + cut)
 
-    def at_the_well(self, by: float) -> tuple[float, float]:
+    def clip_at_well(self, by: float) -> tuple[float, float]:
         """Return how a full well affects the distance between two charges that differ by d = `by`
         electrons.
 

@@ -18,7 +18,7 @@ from ..scene import AmbientLight, Scene, TriangleMesh, View
 from .bodies import body_of, heights, is_closed, numbers, stacked
 from .bounces import EMITTED, Onward
 from .boxes import setting, value_at
-from .cells import anywhere, eye_of, in_view, part_of
+from .cells import anywhere, eye_of, part_of, visible_flags
 from .directions import lens_spread_bound
 from .extent import extent_change
 from .illumination import times
@@ -104,7 +104,7 @@ def depths(sums: Sums) -> tuple[float, float]:
     for body in [*found, *lamps]:
         if body is None or eye.everywhere:
             near, far = 0.0, np.inf
-        elif in_view(eye, bodies := stacked([body]))[0]:
+        elif visible_flags(eye, bodies := stacked([body]))[0]:
             moved = bodies._replace(points=bodies.points - eye.place)
             forward = eye.rotation[2][None]
             near = min(near, max(float(-heights(moved, -forward)[0, 0]) - eye.moves, 0.0))

@@ -19,7 +19,7 @@ from ..scene import (
     Sensor,
 )
 from .pixel import INF, Bound, Pixel, growth
-from .stages import Ends, by_field
+from .stages import Ends, field_functions
 
 # 2-Wasserstein distances from a Poisson law, e-. For a Gaussian with the same moments: the
 # largest in a table over means, at 0.86 e-. At many electrons it is sqrt(1/12 + 1/18), from
@@ -143,7 +143,7 @@ def shares_along(inefficiency: float, size: int, trail: int) -> tuple[np.ndarray
 
 
 BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
-    **by_field(Sensor, globals()),
+    **field_functions(Sensor, globals()),
     **{name: partial(charge_effects, name) for name in ("mixing", "nonlinearity")},
 }
 # Replacements for a counting method: the name of the effect, the kinds that have it, its error in

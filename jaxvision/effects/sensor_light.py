@@ -14,7 +14,7 @@ from ..scene import Sensor
 from .electrons import share_of_light
 from .overflow import sensitivity_bias
 from .pixel import INF, Bound, Pixel, growth, unbounded
-from .stages import Ends, by_field
+from .stages import Ends, field_functions
 
 photon_conversion = unbounded("converts W m^-2 to photons: nothing can be left out")
 colour_filter = unbounded("defines which bands a pixel measures")
@@ -81,7 +81,7 @@ def prnu(pixel: Pixel) -> Bound:
     rms, light = pixel.high("prnu"), pixel.light
     if not math.isfinite(light):
         return Bound(INF, "the light is not bounded")
-    most_quiet, cut = pixel.at_the_well(rms * light)
+    most_quiet, cut = pixel.clip_at_well(rms * light)
     before = pixel.quiet if math.isinf(most_quiet) else 0.0
     before += light if pixel.counted and pixel.repulsion == 0 else 0.0
     noise = growth(before, (rms * light) ** 2)
@@ -102,7 +102,7 @@ def dark_current(pixel: Pixel) -> Bound:
     noise has the variance V, the rms changes by sqrt(V) - sqrt(V - d)."""
     dark = pixel.dark
     rest = pixel.quiet - pixel.counted_dark
-    most_quiet, cut = pixel.at_the_well(dark)
+    most_quiet, cut = pixel.clip_at_well(dark)
     noise = growth(min(rest, most_quiet), dark) if pixel.counted else 0.0
     return Bound(pixel.read(math.hypot(dark, noise) + cut), f"{dark:.3g} e-")
 
@@ -114,7 +114,7 @@ def hot_pixels(pixel: Pixel) -> Bound:
     fraction = float(pixel.sensor.high["hot_pixels"].fraction)
     rare = fraction * math.prod(pixel.shape) * pixel.reach
     hot = pixel.hot
-    most_quiet, cut = pixel.at_the_well(hot)
+    most_quiet, cut = pixel.clip_at_well(hot)
     noise = growth(min(pixel.quiet, most_quiet), hot**2 + (hot if pixel.counted else 0.0))
     why = f"{rare:.3g} pixels of {hot:.3g} e- more on average; the bound is for these"
     return Bound(pixel.read(math.hypot(hot, noise) + cut), why, rare=rare)
@@ -131,4 +131,4 @@ def _attenuator(pixel: Pixel, name: str, factor: float | np.ndarray, why: str) -
     return Bound(without.moved(taken, patterned=True), why)
 
 
-BOUNDS = by_field(Sensor, globals())
+BOUNDS = field_functions(Sensor, globals())

@@ -20,7 +20,7 @@ from ..sensor import QUANTISATION_VARIANCE
 from .electrons import read_out_variances
 from .overflow import excess
 from .pixel import INF, Bound, Pixel, growth, unbounded
-from .stages import by_field
+from .stages import field_functions
 
 # Standard deviations within which a Gaussian gain is assumed; the tails are bounded separately.
 _WIDE = 9.0
@@ -272,5 +272,5 @@ EVERY_PIXEL = (
 )
 BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
     **{name: partial(every_pixel, name) for name in EVERY_PIXEL},
-    **by_field(Sensor, globals()),
+    **field_functions(Sensor, globals()),
 }

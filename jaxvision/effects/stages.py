@@ -127,7 +127,7 @@ def unproved(row: Row, why: str) -> Row:
     return replace(row, why=why, amount=amount, estimated=False, after=None, drop=None)
 
 
-def by_field(record: type, functions: Mapping[str, Any]) -> dict[str, Any]:
+def field_functions(record: type, functions: Mapping[str, Any]) -> dict[str, Any]:
     """Return the functions whose names are fields of a record type, in the order of the fields."""
     names = (field.name for field in fields(record))
     return {name: functions[name] for name in names if name in functions}

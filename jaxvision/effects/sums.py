@@ -22,11 +22,11 @@ from ..scene import Light, Scene, Surface
 from .angles import cos_seen, lobe_angles
 from .blocking import may_block
 from .bodies import body_of, gap, is_closed, stacked, surface_bodies, taken
-from .cells import Cells, Eye, anywhere, bodies_of, cells_of, in_view, starts
+from .cells import Cells, Eye, anywhere, bodies_of, cells_of, starts, visible_flags
 from .illumination import Source, arriving, of_lobes, source_of, times
 from .reflection import Lobe, Reflection, fills, reflection_of
 from .stages import Ends
-from .umbra import covered, hidden, in_umbra, shaded
+from .umbra import covered, hidden, shaded, umbra_flags
 
 _ROUNDING = 1e-6  # rad, largest rounding error of a mirrored direction in float32
 
@@ -93,7 +93,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
     if bounces:  # also from inside
         glass = [fills(surface.low.material) for surface in surfaces]
         facing |= np.array(glass, bool)[cells.surface]
-    seen = facing & in_view(eye, bodies_of(cells))
+    seen = facing & visible_flags(eye, bodies_of(cells))
     if not bounces:
         seen &= ~hidden(surfaces, cells, eye)
     nearest = _nearest(sources, surfaces)
@@ -154,7 +154,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
         visible,
         blocked,
         within,
-        in_umbra(sources, surfaces, cells, occluders=low.occluders),
+        umbra_flags(sources, surfaces, cells, occluders=low.occluders),
         low.occluders != () and can_shade(low.surfaces),
         nearest,
         eye,
@@ -294,7 +294,7 @@ def _may_be_seen(source: Source, eye: Eye, surfaces: Sequence[Ends[Surface]]) ->
             return False
         if not eye.parallel and (eye.place - points[0]) @ source.normal + eye.size <= 0:
             return False
-    in_picture = bool(in_view(eye, stacked([source.body]))[0])
+    in_picture = bool(visible_flags(eye, stacked([source.body]))[0])
     return in_picture and not covered(source.body, eye, surfaces)
 
 

@@ -159,7 +159,7 @@ def hidden(surfaces: Sequence[Ends[Surface]], cells: Cells, eye: Eye) -> np.ndar
             outside = gap(lens, bodies)[0] > 0
         inner &= outside | (cells.surface != i)
     source = _eye_as_source(eye)
-    return inner if source is None else inner | in_umbra([source], surfaces, cells)[0]
+    return inner if source is None else inner | umbra_flags([source], surfaces, cells)[0]
 
 
 class _Shadow(NamedTuple):
@@ -175,7 +175,7 @@ class _Shadow(NamedTuple):
         return -heights(bodies, -self.normals) - self.offsets
 
 
-def in_umbra(
+def umbra_flags(
     sources: Sequence[Source],
     surfaces: Sequence[Ends[Surface]],
     cells: Cells,

@@ -18,7 +18,7 @@ import numpy as np
 from ..scene import Scene, Surface
 from .blocking import certain, reach_of, touching
 from .bodies import Bodies, heights, stacked, surface_bodies
-from .cells import Eye, in_view
+from .cells import Eye, visible_flags
 from .illumination import Source
 from .stages import Draft, Ends, Row
 from .sums import Sums
@@ -67,7 +67,7 @@ def unmet(
     reach = reach_of(surfaces, sources) + float(np.abs(eye.place).max())
     slack = (touching(surfaces) + 10 * _LEVEL) * reach + certain(reach)
     bodies = Bodies(bodies.points, bodies.radii + slack)
-    never &= ~in_view(eye, bodies)
+    never &= ~visible_flags(eye, bodies)
     blocks = np.ones(len(surfaces), bool)
     if occluders is not None:
         blocks[:] = False

@@ -67,7 +67,7 @@ def as_stack(image: Pixels) -> Stack:
     return pixels.reshape(-1, *pixels.shape[-3:])
 
 
-def per_plane(table: Shaped[Array, "planes ..."], image: Pixels) -> Shaped[Array, "..."]:
+def reshape_per_plane(table: Shaped[Array, "planes ..."], image: Pixels) -> Shaped[Array, "..."]:
     """Reshape a table with one row per plane to the image's leading axes: (...) for an image (h,
     w), and (..., bands, ...) for (..., h, w, bands).
     """
@@ -115,7 +115,7 @@ def check_codes_whole(stack: Stack, bins: Any, value_range: Any) -> None:
 
 
 def plane_numbers(stack: Stack) -> Int[Array, "n 1 1 bands"]:
-    """Number the planes of a stack 0, 1, 2 ..., in the order of `per_plane`."""
+    """Number the planes of a stack 0, 1, 2 ..., in the order of `reshape_per_plane`."""
     n, _, _, bands = stack.shape
     return jnp.arange(n * bands, dtype=jnp.int32).reshape(n, 1, 1, bands)
 

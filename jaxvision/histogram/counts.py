@@ -28,8 +28,8 @@ from ._planes import (
     binning,
     cumulative_fractions,
     levels_of,
-    per_plane,
     plane_numbers,
+    reshape_per_plane,
 )
 
 # Partial sums of weights have up to this many separate entries: see `_weighted_counts`.
@@ -83,7 +83,7 @@ def exact_histogram(
     counts = _exact(stack, chosen)
     if value_range is None:
         _warn_of_outside(image, counts)
-    return Histogram(per_plane(counts, image), _edges(stack, chosen))
+    return Histogram(reshape_per_plane(counts, image), _edges(stack, chosen))
 
 
 def _warn_of_outside(image: Pixels, counts: Array) -> None:
@@ -142,7 +142,9 @@ def soft_histogram(
     counts, departure = _soft(stack, chosen, kernel)
     if value_range is None:
         _warn_of_outside(image, counts)
-    return Histogram(per_plane(counts, image), _edges(stack, chosen), per_plane(departure, image))
+    return Histogram(
+        reshape_per_plane(counts, image), _edges(stack, chosen), reshape_per_plane(departure, image)
+    )
 
 
 @takes_numbers

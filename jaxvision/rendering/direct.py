@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Int
 
-from ..core._loops.fusion import at_a_time, fuse
+from ..core._loops.fusion import entries_per_step, fuse
 from ..core._loops.groups import group_by_structure, take
 from ..core._maps import replace_maps
 from ..core._numerics import dot
@@ -315,7 +315,7 @@ def _direct_by_order(
 
             return jax.vmap(seen)(met, pixels, tuple(visible))
 
-        return in_blocks(together, *leaves, size=at_a_time(TOGETHER))
+        return in_blocks(together, *leaves, size=entries_per_step(TOGETHER))
 
     return along
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Int, UInt32
 
 from ..core._arguments import takes_numbers
-from ..core._loops.fusion import LANES, at_a_time
+from ..core._loops.fusion import LANES, entries_per_step
 from ..core._numerics import divide, safe_sqrt
 from ..core._random import Stream, Word, lattice_point, seed_of
 from ..core._shown import Shown
@@ -195,7 +195,7 @@ def photograph(
             rays = jax.vmap(in_pixel, in_axes=(0, None))(pixels, k)
             return along(rays, Stream(pixels, k, seed))
 
-        room = max(1, at_a_time(1) // len(pixels)) if several else 1
+        room = max(1, entries_per_step(1) // len(pixels)) if several else 1
         return mean_of_samples(sample, samples.count, first=first_sample, room=room)
 
     kept = keep if samples is None else None  # samples are checkpointed one by one
@@ -273,7 +273,7 @@ def in_blocks(
     stores the values that the checkpoints inside `function` select.
     """
     count = len(arrays[0])
-    size = min(at_a_time(BLOCK) if size is None else size, -(-count // lanes) * lanes)
+    size = min(entries_per_step(BLOCK) if size is None else size, -(-count // lanes) * lanes)
     blocks = -(-count // size)
 
     def cut(x: Array) -> Array:

@@ -87,7 +87,7 @@ def counting_dtype(dtype: DTypeLike) -> jnp.dtype:
     return jnp.dtype(dtype if jnp.dtype(dtype).itemsize >= 4 else jnp.float32)
 
 
-def along_columns(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
+def draw_per_column(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
     """Return a standard Gaussian random number for each column and band, (1, w, bands), no unit.
     All frames of a batch have the same numbers."""
     check_image(f"Noise by {use.name.lower()}", shape)
@@ -95,7 +95,7 @@ def along_columns(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeL
     return gaussian(key, use, shape[-2:], dtype).reshape(*ones, *shape[-2:])
 
 
-def along_rows(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
+def draw_per_row(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
     """Return a standard Gaussian random number for each row and band, (h, 1, bands), no unit. All
     frames of a batch have the same numbers."""
     check_image(f"Noise by {use.name.lower()}", shape)

@@ -592,7 +592,7 @@ def _parts(sensor: Sensor, raw: Counts, masters: Masters, expected: Counts | Non
     if sensor.shot_noise is not None:
         add("shot noise", jnp.sqrt(charge), apart)
     lines = {
-        "row noise": (_square(sensor.row_noise) + _hum(sensor), "rows"),
+        "row noise": (_square(sensor.row_noise) + _banding(sensor), "rows"),
         "column noise": (_square(sensor.column_noise), "columns"),
         "frame noise": (_square(sensor.frame_noise), "frame"),
     }
@@ -636,7 +636,7 @@ def _square(rms: Scalar | None) -> Scalar | float:
     return 0.0 if rms is None else rms**2
 
 
-def _hum(sensor: Sensor) -> Scalar | float:
+def _banding(sensor: Sensor) -> Scalar | float:
     return 0.0 if sensor.banding is None else sensor.banding.amplitude**2 / 2
 
 

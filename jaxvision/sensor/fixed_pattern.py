@@ -17,9 +17,9 @@ from ..scene import HotPixels, Sensor
 from ._draws import (
     Die,
     Shape,
-    along_columns,
-    along_rows,
     counting_dtype,
+    draw_per_column,
+    draw_per_row,
     gaussian,
     tail_probability,
     uniform,
@@ -119,10 +119,10 @@ def offsets(
     if sensor.dsnu is not None:
         parts.append(sensor.dsnu * gaussian(die_key, Die.DSNU, shape, dtype))
     if sensor.column_dsnu is not None:
-        columns = along_columns(die_key, Die.COLUMN_OFFSET, shape, dtype)
+        columns = draw_per_column(die_key, Die.COLUMN_OFFSET, shape, dtype)
         parts.append(sensor.column_dsnu * columns)
     if sensor.row_dsnu is not None:
-        parts.append(sensor.row_dsnu * along_rows(die_key, Die.ROW_OFFSET, shape, dtype))
+        parts.append(sensor.row_dsnu * draw_per_row(die_key, Die.ROW_OFFSET, shape, dtype))
     return sum(parts[1:], parts[0]) if parts else None
 
 
@@ -163,4 +163,4 @@ def column_gains(die_key: Key | None, rms: Scalars, *, shape: Shape, dtype: DTyp
         >>> print(gains.shape, round(float(gains.std()), 3))
         (1, 1000, 1) 0.01
     """
-    return 1 + rms * along_columns(die_key, Die.COLUMN_GAIN, shape, dtype)
+    return 1 + rms * draw_per_column(die_key, Die.COLUMN_GAIN, shape, dtype)

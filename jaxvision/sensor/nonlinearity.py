@@ -16,7 +16,7 @@ from jaxtyping import Array, Int
 from ..core._arguments import takes_numbers
 from ..core._bounds import Ends
 from ..core._loops.fusion import one_program
-from ..core._monotone import monotone_slopes, through_points
+from ..core._monotone import evaluate_monotone, monotone_slopes
 from ..core._numerics import divide
 from ..core._types import Scalars
 from ..scene import Compression, Nonlinearity, ResponseSpline, ResponseTable
@@ -153,7 +153,7 @@ def _smooth(curve: ResponseSpline, electrons: Scalars) -> Scalars:
     slopes = monotone_slopes(curve.electrons, curve.signal)
     first, last = curve.electrons[0], curve.electrons[-1]
     within = jnp.where(electrons < first, first, jnp.where(electrons > last, last, electrons))
-    inside = through_points(within, curve.electrons, curve.signal, slopes)
+    inside = evaluate_monotone(within, curve.electrons, curve.signal, slopes)
     slope = jnp.where(electrons < first, slopes[0], slopes[-1])
     return inside + slope * (electrons - within)
 

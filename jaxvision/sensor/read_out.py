@@ -12,9 +12,9 @@ from ._draws import (
     Die,
     Frame,
     Shape,
-    along_columns,
-    along_rows,
     check_image,
+    draw_per_column,
+    draw_per_row,
     gaussian,
     uniform,
     words,
@@ -85,14 +85,14 @@ def read_out_noise(
     if sensor.telegraph_noise is not None:
         parts.append(_telegraph(key, die_key, sensor.telegraph_noise, shape, dtype))
     if sensor.row_noise is not None:
-        parts.append(sensor.row_noise * along_rows(key, Frame.ROW, shape, dtype))
+        parts.append(sensor.row_noise * draw_per_row(key, Frame.ROW, shape, dtype))
     if sensor.column_noise is not None:
-        parts.append(sensor.column_noise * along_columns(key, Frame.COLUMN, shape, dtype))
+        parts.append(sensor.column_noise * draw_per_column(key, Frame.COLUMN, shape, dtype))
     if sensor.frame_noise is not None:
         offset = gaussian(key, Frame.OFFSET, shape[-1:], dtype)
         parts.append(sensor.frame_noise * offset.reshape(*(1,) * (len(shape) - 1), -1))
     if sensor.banding is not None:
-        parts.append(_hum(key, sensor.banding, shape, dtype))
+        parts.append(_banding(key, sensor.banding, shape, dtype))
     return sum(parts[1:], parts[0]) if parts else None
 
 
@@ -173,7 +173,7 @@ def _telegraph(
     return jnp.where(trapped, telegraph.amplitude * jump.astype(dtype), 0)
 
 
-def _hum(key: Key | None, banding: Banding, shape: Shape, dtype: DTypeLike) -> Scalars:
+def _banding(key: Key | None, banding: Banding, shape: Shape, dtype: DTypeLike) -> Scalars:
     """Draw the banding of a frame: an offset that is a sinusoid of the row, with a random phase."""
     check_image("Sensor.banding", shape)
     rows = jnp.arange(shape[-3], dtype=dtype).reshape(*(1,) * (len(shape) - 3), -1, 1, 1)

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from .. import lights
 from ..core._arguments import takes_numbers
-from ..core._loops.fusion import TILE, at_a_time, fuse, one_program
+from ..core._loops.fusion import TILE, entries_per_step, fuse, one_program
 from ..core._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
 from ..core._random import Stream, seed_of, uniforms
 from ..core._types import Key, Scalar, check_count, check_given
@@ -125,7 +125,7 @@ def _with_sources(
     ball = ball_around([surface.shape for surface in scene.surfaces])
     seed = seed_of(jax.random.fold_in(key, 1))
     height, width = view.resolution
-    batch = min(paths, at_a_time(TILE))
+    batch = min(paths, entries_per_step(TILE))
 
     def trace(number: Array) -> tuple[Int[Array, " pieces"], Float[Array, "pieces bands"]]:
         stream = Stream(number.astype(jnp.uint32), jnp.zeros((), jnp.uint32), seed)

@@ -172,19 +172,19 @@ def missing_light(
                 found.append(
                     elsewhere.format(_list([*placed, *sized, *shining]))
                     + "Direct light ends at mirrors and glass. "
-                    + _cure(placed, sized + shining)
+                    + _advice(placed, sized + shining)
                 )
         case "rays" if matt:
             found.append(
                 elsewhere.format(_list([*placed, *sized, *shining]))
                 + "Rays from the camera do not find caustics, nor any light behind glass. "
-                + _cure(placed, sized + shining)
+                + _advice(placed, sized + shining)
             )
         case "path" if placed and matt:
             found.append(
                 elsewhere.format(_list(placed))
                 + "A path that leaves a mirror or glass cannot meet a lamp without a size. "
-                + _cure(placed, [])
+                + _advice(placed, [])
             )
         case "light" if view is None or before.any():
             found.append(
@@ -205,7 +205,7 @@ def missing_light(
     return found
 
 
-def _cure(placed: Sequence[str], sized: Sequence[str]) -> str:
+def _advice(placed: Sequence[str], sized: Sequence[str]) -> str:
     """Return the advice that ends a message about light that mirrors and glass cast onto other
     surfaces."""
     if not placed:

@@ -32,7 +32,7 @@ from jaxtyping import Array, Bool
 from ..brdf import is_delta
 from ..core._arguments import takes_numbers
 from ..core._loops.bands import Bands, plus, split_bands, times
-from ..core._loops.fusion import at_a_time, materialise, one_program
+from ..core._loops.fusion import entries_per_step, materialise, one_program
 from ..core._numerics import divide, dot
 from ..core._random import Stream, Word, seed_of, uniforms
 from ..core._shown import Shown
@@ -319,7 +319,7 @@ def _path_radiance(key: Key, scene: Scene, ray: Ray, method: Paths) -> Traced:
     radiance, error = mean_of_samples(
         lambda number: _walk(world, ray, Stream(pixel, number, seed), method),
         method.samples,
-        room=at_a_time(1),
+        room=entries_per_step(1),
     )
     return Traced(jnp.stack(radiance), jnp.stack(error))
 

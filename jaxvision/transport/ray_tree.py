@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..brdf import is_delta
-from ..core._loops.fusion import TILE, at_a_time, one_program
+from ..core._loops.fusion import TILE, entries_per_step, one_program
 from ..core._numerics import dot
 from ..core._types import Colour, Image, check_count, check_given
 from ..core._vector import Vec, as_array
@@ -133,12 +133,12 @@ def ray_tree_radiances(
     def block(*leaves: Array) -> Float[Array, "n bands"]:
         return tile(tree.unflatten(leaves))
 
-    return in_blocks(block, *leaves, size=at_a_time(TILE), lanes=_block(len(leaves[0])))
+    return in_blocks(block, *leaves, size=entries_per_step(TILE), lanes=_block(len(leaves[0])))
 
 
 def _block(rays: int) -> int:
     """Return the number of trees in a block, which are traced or skipped together."""
-    return min(at_a_time(_BLOCK), -(-rays // _BLOCK) * _BLOCK)
+    return min(entries_per_step(_BLOCK), -(-rays // _BLOCK) * _BLOCK)
 
 
 def _follow_living(

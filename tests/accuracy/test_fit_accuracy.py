@@ -40,7 +40,7 @@ OTHER = words("""
 *.Misfit.count *.Stream.count *.Ends.count *.fit_side_by_side.starts
 *.simulated.count *.simulations *.plan.repeats *.sphere_lights.count *.from_files.*
 *.places_in.posterior *.corner_figure.* *.trace_figure.* *.check.posterior *.prior_share.posterior
-*.about_search.posterior *.about_posterior.posterior *.about_chains.posterior
+*.search_findings.posterior *.posterior_findings.posterior *.chain_failures.posterior
 *.estimates.posterior *.is_trusted.posterior *.Likelihood.posterior *.piled_at.draws
 *.convergence_in_words.posterior *.*Calibration.* *.Fit.posterior *.GammaFit.posterior
 *.fitted_material.* *.fit_separable.coarse *.exposure_jackknife.coarse *.scatter_log_density.count

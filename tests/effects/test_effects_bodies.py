@@ -15,7 +15,7 @@ from jaxvision import effects
 from jaxvision.effects.angles import cos_seen
 from jaxvision.effects.blocking import is_convex, may_block
 from jaxvision.effects.bodies import body_of, gap, is_closed, stacked
-from jaxvision.effects.cells import cells_of, eye_of, in_view
+from jaxvision.effects.cells import cells_of, eye_of, visible_flags
 from jaxvision.effects.illumination import source_of
 from jaxvision.effects.stages import Ends
 from jaxvision.effects.umbra import hidden, shaded
@@ -152,7 +152,7 @@ def test_what_a_pixel_sees_is_in_view():
         [[0, 0, 1.0], [0.3, 0.2, 1], [0.31, 0, 1], [0, 0.22, 1], [0, 0, -1], [2, 0, 1]]
     )
     bodies = stacked([(p[None], np.zeros(1)) for p in places])
-    assert in_view(eye, bodies).tolist() == [True, True, True, False, False, False]
+    assert visible_flags(eye, bodies).tolist() == [True, True, True, False, False, False]
 
 
 TURN = np.linalg.qr(np.arange(9.0).reshape(3, 3) ** 2 + np.eye(3))[0]

@@ -10,7 +10,7 @@ from oracles import lenses
 import jaxvision as jv
 from jaxvision import effects
 from jaxvision.effects.bodies import Bodies
-from jaxvision.effects.cells import eye_of, in_view
+from jaxvision.effects.cells import eye_of, visible_flags
 from jaxvision.effects.motion import motion_stage
 from jaxvision.effects.optics import defocus
 from jaxvision.effects.stages import QUICKLY, Ends
@@ -69,7 +69,7 @@ def test_every_ray_of_a_pixel_is_in_view(aperture):
         for slope in slopes:
             depth = np.exp(rng.uniform(np.log(0.01), np.log(1e4), (len(points), 1)))
             ray = np.concatenate([lenses.through(points, slope, depth, 1 / focus), depth], 1)
-            assert in_view(eye, Bodies(ray[:, None], np.zeros((len(ray), 1)))).all()
+            assert visible_flags(eye, Bodies(ray[:, None], np.zeros((len(ray), 1)))).all()
 
 
 def test_what_a_lens_does_not_let_in_is_out_of_view():
@@ -79,7 +79,7 @@ def test_what_a_lens_does_not_let_in_is_out_of_view():
         pixel = (SHAPE[1] / 2 + 0.5) * PITCH / image_of(1.0) * depth
         widest = pixel + radius * (1 + depth) * np.array([0.99, 1.2])
         places = np.stack([widest, 0 * widest, 0 * widest + depth], -1)[:, None]
-        assert in_view(eye, Bodies(places, np.zeros((2, 1)))).tolist() == [True, False]
+        assert visible_flags(eye, Bodies(places, np.zeros((2, 1)))).tolist() == [True, False]
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from jaxvision.effects.cells import cells_of, eye_of
 from jaxvision.effects.illumination import source_of
 from jaxvision.effects.radiance import scene_stage
 from jaxvision.effects.stages import Ends
-from jaxvision.effects.umbra import hidden, in_umbra, shaded
+from jaxvision.effects.umbra import hidden, shaded, umbra_flags
 
 GREY = jv.Lambert([0.25])
 DOWN = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
@@ -49,13 +49,13 @@ def test_full_shadow_is_full_and_what_is_out_of_reach_is_never_met(count):
         length = np.linalg.norm(d, axis=1)
         met = hit(screen, p, d / length[:, None])[0] < length - 2e-6
         source, cells = source_of(twice(light)), cells_of(surfaces, about=np.zeros(3))
-        dark = in_umbra([source], surfaces, cells)[0]
+        dark = umbra_flags([source], surfaces, cells)[0]
         own = cells.surface == 0
         here = own & (np.linalg.norm(p[:, None] - cells.centre, axis=2) <= cells.radius + 1e-9)
         assert here.any(1).all()
         assert met[(dark | ~here).all(1)].all(), f"seed {seed}"
         assert met.all() or not dark[own].all(), f"seed {seed}"
-        assert not in_umbra([source], surfaces, cells, occluders=()).any()
+        assert not umbra_flags([source], surfaces, cells, occluders=()).any()
         whole, proved = whole + met.all(), proved + dark[own].all()
         every = np.ones((1, len(cells.radius)), bool)
         within = shaded([source], surfaces, cells, may=may_block([source], surfaces), wanted=every)
@@ -75,8 +75,10 @@ def test_what_lies_in_the_plane_of_an_occluder_is_not_in_its_shadow(depth):
     cells = cells_of(surfaces, about=np.zeros(3))
     sources = [source_of(twice(jv.PointLight([0, 0, 2], [1.0])))]
     up = cells.axis[:, 2] > 0.9
-    assert in_umbra(sources, surfaces, cells)[0, up & (cells.surface > 0)].any() == (depth > 0.01)
-    assert not in_umbra(sources, surfaces, cells)[0, cells.surface == 0].any()
+    assert umbra_flags(sources, surfaces, cells)[0, up & (cells.surface > 0)].any() == (
+        depth > 0.01
+    )
+    assert not umbra_flags(sources, surfaces, cells)[0, cells.surface == 0].any()
 
 
 @pytest.mark.parametrize(("size", "seen"), [(0.6, False), (0.1, True)])

@@ -365,7 +365,7 @@ def test_parts_of_the_variance_add_up_in_the_mean(size, dead):
         of = {name: sums.variance(name, total, frames) for name in ("pixels", "rows", "columns")}
         lines = (np.nanmean(of[name]) for name in ("rows", "columns"))
         parts = temporal_variance(pixels, of["pixels"][live].mean(), *lines, shifts.var(ddof=1))
-        found.append([getattr(parts, name) for name in truth] + [parts.of_a_pixel])
+        found.append([getattr(parts, name) for name in truth] + [parts.pixel_variance])
         fixed.append(fixed_variance(pixels, stack.mean(axis=0), parts, frames))
     for values, true in (
         (found, [*truth.values(), 14.0]),

@@ -14,7 +14,7 @@ from fitting.inference.precision import double_precision
 from fitting.noise.levels import linear_levels
 from fitting.noise.periodic import periodic_structure, taps_of
 from fitting.noise.sensor import Numbers, drawn_numbers
-from fitting.noise.sites import _common_die, camera_of_taps, of_tap, sensor_of_sites, tap_of
+from fitting.noise.sites import _common_die, camera_of_taps, sensor_of_sites, tap_of, tap_sensor
 from fitting.rig import Camera
 from jaxvision.errors import InputError
 
@@ -77,9 +77,10 @@ def deviations(sensor, draws, known, taps):
         ("read_noise", "read", 5.0),
     ):
         true = np.broadcast_to(known.get(name, plain), taps)
-        best = [float(getattr(of_tap(sensor, i), field)) for i in range(taps)]
+        best = [float(getattr(tap_sensor(sensor, i), field)) for i in range(taps)]
         each = [
-            getattr(jax.vmap(lambda one, i=i: of_tap(one, i))(draws), field) for i in range(taps)
+            getattr(jax.vmap(lambda one, i=i: tap_sensor(one, i))(draws), field)
+            for i in range(taps)
         ]
         found.append((best - true) / np.std(each, axis=1))
     return np.array(found)

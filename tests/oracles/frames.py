@@ -19,7 +19,7 @@ def level_of(
     of_lines = (still.mean(axis=axis).var(axis=0, ddof=1).mean() for axis in (2, 1))
     parts = temporal_variance(live, variance, *of_lines, shifts.var(ddof=1))
     lines = parts.rows, parts.columns, *fixed_variance(live, average, parts, count), parts.frames
-    return average, parts.of_a_pixel, lines
+    return average, parts.pixel_variance, lines
 
 
 def shared_variance(of_levels: np.ndarray, shape: tuple[int, ...]) -> SharedVariance:

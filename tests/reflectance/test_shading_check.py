@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from fitting.observation import in_memory
+from fitting.observation import rig_in_memory
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.reflectance.from_images.shading_check import contradictions, directions_by_shading
 
@@ -36,7 +36,7 @@ def observed(images, lights, **sphere):
     entries = [{"file": f, "direction": v.tolist()} for f, v in zip(files, lights, strict=True)]
     shape = {"centre": [(SIDE - 1) / 2] * 2, "radius": RADIUS} | sphere
     camera = {"bits": 12, "gain": 0.25, "read_noise": 1.0, "black_level": 0.0}
-    rig, load = in_memory(files, camera=camera, light=entries, geometry={"sphere": shape})
+    rig, load = rig_in_memory(files, camera=camera, light=entries, geometry={"sphere": shape})
     return read_reflectance_observation(rig, load=load)
 
 

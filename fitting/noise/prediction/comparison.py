@@ -31,13 +31,13 @@ from .moments import (
     Expected,
     Frames,
     Lit,
-    at_levels,
     charge_and_step,
     clipped,
     expected,
     levels_of,
-    near_an_end,
     noise,
+    select_levels,
+    touched_by_ends,
 )
 
 REFINEMENTS = 3  # updates of the rate of the light; the signal is nearly linear in it
@@ -168,7 +168,11 @@ def compare(
         moved = spread[:, 0] @ weight / float(np.sum(weight * found.by_light[0]))
         spread = spread - moved[:, None, None] * found.by_light
     spread = spread[..., shown]
-    levels, found, lit = at_levels(levels, shown), at_levels(found, shown), at_levels(lit, shown)
+    levels, found, lit = (
+        select_levels(levels, shown),
+        select_levels(found, shown),
+        select_levels(lit, shown),
+    )
     seen, own = levels.measured, own[:, shown]
     flat = spread.reshape(len(spread), -1)
     die = die[np.ix_(*2 * (np.tile(shown, len(seen)),))] / levels.pixels
@@ -228,7 +232,7 @@ def _expected(
     of_every = np.asarray(expected(every, lit, neighbours=neighbours))
     values = of_every[0].copy()
     electrons, slope, by_light = (np.asarray(x) for x in charge_and_step(sensor, lit))
-    near, die = near_an_end(sensor, values, electrons), np.zeros((values.size, values.size))
+    near, die = touched_by_ends(sensor, values, electrons), np.zeros((values.size, values.size))
     if near.any():
         places = np.flatnonzero(near)
         moments, own = clipped(sensor, jax.tree.map(lambda x: x[places], lit))

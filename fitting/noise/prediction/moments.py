@@ -115,7 +115,7 @@ class Frames:
 OfLevels = TypeVar("OfLevels", Lit, Expected, Frames)
 
 
-def at_levels(found: OfLevels, shown: Bool[np.ndarray, " levels"]) -> OfLevels:
+def select_levels(found: OfLevels, shown: Bool[np.ndarray, " levels"]) -> OfLevels:
     """Return the record for some of the levels. The levels are the last axis of every array."""
     arrays = {k: x for k, x in vars(found).items() if isinstance(x, np.ndarray | Array)}
     return replace(found, **{name: array[..., shown] for name, array in arrays.items()})
@@ -215,7 +215,7 @@ def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
     return jax.vmap(one)(lit)
 
 
-def near_an_end(sensor: Sensor, values: np.ndarray, electrons: np.ndarray) -> np.ndarray:
+def touched_by_ends(sensor: Sensor, values: np.ndarray, electrons: np.ndarray) -> np.ndarray:
     """Return a mask of the levels that the ends of the scale, the full well or coarse rounding
     affect."""
     mean, deviation = values[0], np.sqrt(np.maximum(values[1], 0))

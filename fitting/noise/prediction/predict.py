@@ -25,7 +25,7 @@ from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration
 from ..levels import PhotonTransfer, linear_levels
 from ..sensor import bits_of, fitted_sensor
-from ..sites import camera_of_taps, of_tap, stated_in_words, tap_of
+from ..sites import camera_of_taps, stated_in_words, tap_of, tap_sensor
 from .comparison import Comparison, compare
 from .missing import Missing, missing_effects
 
@@ -307,8 +307,8 @@ def _of_one_tap(
             f"{name}: does not name its taps as the frames do ({site}{own} was requested); "
             f"state {state}, or calibrate a camera of that pattern."
         )
-    every = None if draws is None else eqx.filter_vmap(lambda one: of_tap(one, tap))(draws)
-    return of_tap(sensor, tap), every
+    every = None if draws is None else eqx.filter_vmap(lambda one: tap_sensor(one, tap))(draws)
+    return tap_sensor(sensor, tap), every
 
 
 def _channel_sensor(name: str, sensor: Sensor) -> Sensor:

@@ -36,7 +36,6 @@ from ...noise.settings import require_one_setting
 from ...observation import (
     Load,
     cropped_to_region,
-    in_memory,
     one_site,
     pixels_of_colour,
     read_mask,
@@ -44,6 +43,7 @@ from ...observation import (
     require_as_many,
     require_frames,
     require_several_images,
+    rig_in_memory,
     to_one_site,
 )
 from ...rig import (
@@ -867,7 +867,7 @@ def from_photographs(
         for of_level, frames in zip(files, sets, strict=True):
             named |= dict(zip(of_level, frames, strict=True))
         entries[kind] = [{"files": of_level, "exposure": 1.0} for of_level in files]
-    rig, load = in_memory(named, called=CALLED, camera=camera, **entries)
+    rig, load = rig_in_memory(named, called=CALLED, camera=camera, **entries)
     found = read_joint_measurement(rig, load=load, channel=channel)
     if together is None:
         return found

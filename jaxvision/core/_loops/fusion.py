@@ -60,7 +60,7 @@ def _helps() -> bool:
     return not PLAIN and on_processor()
 
 
-def at_a_time(of_core: int) -> int:
+def entries_per_step(of_core: int) -> int:
     """Return the number of rays or entries that one step of a loop computes: `of_core` on a CPU,
     and at least 2^20 on an accelerator."""
     return of_core if on_processor() else max(of_core, _OF_KERNEL)
@@ -153,7 +153,7 @@ def bilinear(
     )
 
 
-def in_tiles(function: Callable[..., Any], *trees: Any, size: int) -> Any:
+def vmap_in_tiles(function: Callable[..., Any], *trees: Any, size: int) -> Any:
     """Compute `vmap(function)(*trees)` over the leading axes of all arrays, in tiles of at most
     `size` entries. The last tile is padded. Intermediate results of a tile stay in the cache. A
     gradient recomputes them, which halves its time and takes a tenth of the memory."""

@@ -118,7 +118,7 @@ SHAPES: dict[str, Callable[..., Shape]] = {
 }
 
 
-def beside_shape(
+def surface_keys(
     *,
     name: str | None = None,
     material: str | None = None,
@@ -145,7 +145,7 @@ def beside_shape(
 # ---------------------------------------------------------------- cameras
 
 
-def beside_camera(
+def camera_keys(
     *,
     position: Point,
     target: Point,
@@ -261,7 +261,7 @@ VIEWS: dict[str, Callable[..., View]] = {
 # ---------------------------------------------------------------- tables
 
 
-def beside_light(*, name: str | None = None) -> None:
+def light_keys(*, name: str | None = None) -> None:
     """Define the keys that every table `[[light]]` has, whatever its kind.
 
     Args:
@@ -353,7 +353,7 @@ def light_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Light:
     """Make the light of a table `[[light]]`; `InputError` if the table is invalid."""
     word, rest = _word(reading, where, "kind", entry, light_tables())
     table = light_tables()[word]
-    keys = keys_of(beside_light) | keys_of_kind(table)
+    keys = keys_of(light_keys) | keys_of_kind(table)
     values = _values(reading, where, keys, rest)
     return table.make(**{name: value for name, value in values.items() if name != "name"})
 
@@ -396,9 +396,9 @@ def surface_of(
     Texture coordinates of a mesh are read if its material is `mapped` or if it has a map of
     normals. Raise `InputError` if the table is invalid."""
     word, rest = _word(reading, where, "shape", entry, SHAPES)
-    make, beside = SHAPES[word], keys_of(beside_shape)
+    make, beside = SHAPES[word], keys_of(surface_keys)
     values = _values(reading, where, beside | keys_of(make), rest)
-    more = beside_shape(**{name: values.pop(name) for name in beside if name in values})
+    more = surface_keys(**{name: values.pop(name) for name in beside if name in values})
     if word == "mesh":
         wanted = mapped(more["material"]) or "normals" in more
         values |= {"file": folder.file(values["file"]), "dtype": dtype, "uv": wanted}
@@ -408,9 +408,9 @@ def surface_of(
 def view_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> View:
     """Make the view of the table `[camera]`; `InputError` if the table is invalid."""
     word, rest = _word(reading, where, "kind", entry, VIEWS)
-    make, beside = VIEWS[word], keys_of(beside_camera)
+    make, beside = VIEWS[word], keys_of(camera_keys)
     values = _values(reading, where, beside | keys_of(make), rest)
-    placed = beside_camera(**{name: values.pop(name) for name in beside if name in values})
+    placed = camera_keys(**{name: values.pop(name) for name in beside if name in values})
     return make(**placed, **values)
 
 

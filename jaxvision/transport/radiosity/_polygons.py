@@ -30,7 +30,7 @@ def is_far(point: Vec, corners: Polygon, *, reach: float = FAR) -> Bool[Array, "
     return dot(four, four) > (4 * reach) ** 2 * square
 
 
-def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
+def contour_form_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     """Return the form factor of `point_to_polygon` by the contour integral, accurate for near
     polygons; lengths in m."""
     around = [corner - point for corner in corners]

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ...core._loops.fusion import TILE, at_a_time, in_tiles
+from ...core._loops.fusion import TILE, entries_per_step, vmap_in_tiles
 from ...core._numerics import divide, dot
 from ...core._vector import Vec, as_array, as_vec, where
 from ...geometry import Ray, Sorted, hit_shape, nearest_shape, offset_origin
@@ -78,4 +78,6 @@ def _covered(scene: Scene, patches: Patches, shapes: Sorted) -> Bool[Array, " pa
         return back & (encounter.shape >= 0) & ~two_sided[jnp.maximum(encounter.shape, 0)]
 
     start = patches.centre + patches.bulge * patches.normal
-    return in_tiles(at, *jax.lax.stop_gradient((start, patches.normal)), size=at_a_time(TILE))
+    return vmap_in_tiles(
+        at, *jax.lax.stop_gradient((start, patches.normal)), size=entries_per_step(TILE)
+    )

@@ -30,7 +30,7 @@ from ...geometry import (
 )
 from ...scene import Scene
 from ._grid import Plan
-from ._polygons import bilinear, far_factor, is_far, near_factor
+from ._polygons import bilinear, contour_form_factor, far_factor, is_far
 from ._receivers import receivers_of
 from ._sources import largest_of, shapes_of
 from .patches import Patches
@@ -207,7 +207,7 @@ def _far_factor(rounding: Scalar, receiver: Numbered, sender: Numbered) -> Scala
 
 def _near_factor(receiver: Numbered, sender: Numbered) -> Scalar:
     element, patch = receiver[0], sender[0]
-    return near_factor(element.centre, element.normal, patch.corners)
+    return contour_form_factor(element.centre, element.normal, patch.corners)
 
 
 _TRIES = 6  # for a patch that is half below the horizon, all fail with probability 2^-6

@@ -34,7 +34,7 @@ from ...core._shown import Shown
 from ...core._types import Scalar, Scalars, check_count
 from ...core._vector import Vec, as_vec
 from ...lights import square_nodes
-from ._polygons import Polygon, far_factor, is_far, near_factor, polygon_point
+from ._polygons import Polygon, contour_form_factor, far_factor, is_far, polygon_point
 
 _LARGEST = 1e8  # largest ratio of side to distance, whose square does not overflow in float32
 
@@ -409,7 +409,7 @@ def point_to_polygon(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     Returns:
         () in [0, 1], no unit; 0 from behind the polygon.
     """
-    contour = near_factor(point, normal, corners)
+    contour = contour_form_factor(point, normal, corners)
     reach = float(2e-3 / jnp.finfo(contour.dtype).eps) ** (1 / 6)
     far = is_far(point, corners, reach=reach)
     return jnp.where(far, far_factor(point, normal, corners), contour)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...core._arguments import takes_numbers
-from ...core._loops.fusion import TILE, at_a_time, in_tiles, one_program
+from ...core._loops.fusion import TILE, entries_per_step, one_program, vmap_in_tiles
 from ...core._shown import Shown
 from ...core._types import Colour
 from ...core._vector import Vec
@@ -157,6 +157,6 @@ def _lit(
         return irradiance_at(lights, shapes, point, normal, rules)
 
     start = elements.centre + elements.bulge * elements.normal
-    return in_tiles(
-        at, start, elements.normal, jnp.arange(len(elements.area)), size=at_a_time(TILE)
+    return vmap_in_tiles(
+        at, start, elements.normal, jnp.arange(len(elements.area)), size=entries_per_step(TILE)
     )
