@@ -115,7 +115,7 @@ def write_rig(folder: Path) -> tuple[Path, FoundRig]:
 
 
 def rig_of(folder: Path) -> FoundRig:
-    """Return the rig of a folder of images, as text.
+    """Infer the text of a rig file from the names and metadata of the images in a folder.
 
     The kind of an image follows from a word in its path: dark or bias; flat or bright; light or
     lamp (an image named `normals` or `mask` then gives the shape). The other images are an exposure

@@ -73,7 +73,7 @@ from .window import needed_window, offset_data
 def extra_in_flats(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> dict[str, Found]:
-    """Return the noise that rows or columns share in flats beyond that in darks, where it is
+    """Return the row noise and the column noise by which flats exceed darks, if the excess is
     significant."""
     found = {
         name: extra_lines(measurement.bright, measurement.dark, usable, axis)

@@ -1,13 +1,13 @@
 """Bayesian fit of the curve and the shutter errors to the code-pair statistics, with a smoothness
 prior.
 
-In the prior, the local exponent dg / d ln(z - black) of the curve g(z) is a random walk. The
-variable of the walk is that of `CodeBins.pace`, in which the 201 measured curves of Grossberg &
-Nayar (2003) have about constant roughness. A pure gamma has a constant exponent, so its prior
-energy is 0. If the black level has the standard deviation `black_sd`, a gamma curve that is bent by
-an error b of the black level has the prior energy (b / black_sd)^2 / 2. The precision of the prior
-and the shutter error tau maximise the marginal likelihood (MacKay's fixed point, Neural Computation
-4, 1992).
+In the prior, the local exponent dg / d ln(z - black) of the curve g(z) is a random walk along a
+scale of codes, whose derivative is `CodeBins.pace`. On this scale each of the 201 measured curves
+of Grossberg & Nayar (2003) is about equally rough at all codes. A pure gamma has a constant
+exponent, so its prior energy is 0. If the black level has the standard deviation `black_sd`, a
+gamma curve that is bent by an error b of the black level has the prior energy (b / black_sd)^2 / 2.
+The precision of the prior and the shutter error tau maximise the marginal likelihood (MacKay's
+fixed point, Neural Computation 4, 1992).
 
 Pixels with common errors contain less information than independent pixels. Let A be the information
 matrix of the pixels (`code_pairs.py`), and u_k the gradient of tile k's chi^2 / 2 at the fitted

@@ -216,8 +216,9 @@ def _distance(law: Law, coarse: Any, fine: Any) -> float:
 
 
 def _bias_of_last(ratio: float, before: float, after: float) -> float:
-    """Return the remaining error after two steps of equal sign, relative to the last step. `ratio`
-    is the first step divided by the last step."""
+    """Return the estimated bias at the finest of three settings, relative to the last step, at most
+    `MOST_TAIL`. A step is the change of the result from one setting to the next; both steps have
+    the same sign. `ratio` is the first step divided by the last step."""
     rate = _bias_rate(ratio, before, after)
     return float(min(1 / np.expm1(rate * after), MOST_TAIL)) if rate > 0 else MOST_TAIL
 
@@ -231,7 +232,8 @@ def _bias_rate(ratio: float, before: float, after: float) -> float:
 
 
 def _chance_of_last(ratio: float, before: float, after: float) -> float:
-    """Return the remaining error after two steps of random sign, relative to the last step. `ratio`
+    """Return the estimated random error at the finest of three settings, relative to the last step,
+    whose sign is random. A step is the change of the result from one setting to the next. `ratio`
     is the first step divided by the last step."""
     if ratio <= 1:
         return 1.0

@@ -50,9 +50,9 @@ class LobeSampler(eqx.Module):
 def tabulated_lobe(
     material: Any, phi: Float[Array, " p"], theta: Float[Array, " t"], rows: int, columns: int
 ) -> LobeSampler:
-    """Return a sampler that tabulates a material's shading, averaged over bands, at rows x columns
-    half vectors for every `wo` at (phi, theta) rad. The shading is multiplied by `stretch`, the
-    solid angle per unit of area of the square."""
+    """Tabulate a material's shading, averaged over bands, and return a sampler that draws from the
+    table. It has rows x columns half vectors for each direction `wo` of the grid phi x theta, rad.
+    The shading is multiplied by `stretch`, the solid angle per unit of area of the square."""
     shading = family(material).shading
     y, x = jnp.linspace(0, 1, rows, dtype=phi.dtype), jnp.linspace(0, 1, columns, dtype=phi.dtype)
 

@@ -61,7 +61,7 @@ def bilateral_filter(
             have no weight.
 
     Returns:
-        The picture's shape and unit.
+        The result, with the picture's shape and unit.
 
     Raises:
         ValueError: for a radius below 0 and for an unknown window, difference or border.
@@ -110,7 +110,7 @@ def joint_bilateral_filter(
         border: a key of `padding.BORDERS` but "constant".
 
     Returns:
-        The picture's shape and unit.
+        The result, with the picture's shape and unit.
 
     Raises:
         ValueError: as for `bilateral_filter`, and for a guide of another size.

@@ -59,7 +59,7 @@ def nonlocal_means_filter(
             have no weight (and are 0 inside patches).
 
     Returns:
-        The picture's shape and unit.
+        The result, with the picture's shape and unit.
 
     Raises:
         ValueError: for an unknown profile or border, an even patch, and a radius below 0.

@@ -219,7 +219,7 @@ def radial_blur(
         border: "zero", "clamp", "wrap", "mirror", "reflect_101" or "extend".
 
     Returns:
-        The picture's shape and unit.
+        The result, with the picture's shape and unit.
 
     Raises:
         ValueError: for a scale of another shape, a radius below 0, or another border.
@@ -256,7 +256,7 @@ def gaussian_varying(
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
 
     Returns:
-        The picture's shape and unit.
+        The result, with the picture's shape and unit.
 
     Raises:
         ValueError: for a sigma of another shape and for fewer than two or not increasing `sigmas`.

@@ -39,7 +39,7 @@ def box(
         method: as for `correlate_separable`.
 
     Returns:
-        The picture's shape and unit.
+        The result, with the picture's shape and unit.
 
     Raises:
         ValueError: for a size of another form or below 1, and as for `correlate_separable`.
@@ -73,7 +73,7 @@ def binomial(
         method: as for `correlate_separable`.
 
     Returns:
-        The picture's shape and unit.
+        The result, with the picture's shape and unit.
 
     Raises:
         ValueError: for a size below 1, and as for `correlate_separable`.
@@ -113,7 +113,7 @@ def unsharp_mask(
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
 
     Returns:
-        The picture's shape and unit.
+        The result, with the picture's shape and unit.
 
     Raises:
         ValueError: as for `gaussian`.

@@ -108,7 +108,7 @@ class Comparison:
 
     @property
     def measured(self) -> Float[np.ndarray, "quantities levels"]:
-        """The observed quantities, DN and DN^2."""
+        """The observed means, DN, and variances and covariances, DN^2."""
         return self.levels.measured
 
     @property

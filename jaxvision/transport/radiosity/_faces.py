@@ -86,9 +86,9 @@ def _half_sides(box: Box) -> list[Vec]:
 def face_place(
     shape: Shape, point: Vec, primitive: Int[Array, ""] | None
 ) -> tuple[Int[Array, ""], Scalar, Scalar]:
-    """Return (part, u, v) for a point of a shape, m, the inverse of `face_point`. `primitive` is
-    the triangle of a mesh. A point that is not exactly on the surface because of rounding is
-    projected onto it."""
+    """Return (part, u, v) for a point of a shape, m, the inverse of `face_point`. For a mesh,
+    `primitive` is the index of the triangle that holds the point; None stands for the first. A
+    point that is not exactly on the surface because of rounding is projected onto it."""
     none = jnp.zeros((), jnp.int32)
     match shape:
         case Quad():
