@@ -138,9 +138,10 @@ def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int,
 
 
 def light_findings(source: SceneFile, settings: RenderEntry) -> list[str]:
-    """List sentences on lamps of a scene file that light nothing, and on light that the integrator
-    cannot find."""
+    """List sentences on lamps of a scene file that light nothing, on light that the integrator
+    cannot find, and on effects of the lens that a picture of radiance lacks."""
     return [
+        *_lens_findings(source.view),
         *idle_lamps(source.scene, lights=source.lights),
         *missing_light(
             source.scene,
@@ -152,6 +153,17 @@ def light_findings(source: SceneFile, settings: RenderEntry) -> list[str]:
             surfaces=source.surfaces,
             lights=source.lights,
         ),
+    ]
+
+
+def _lens_findings(view: View) -> list[str]:
+    """Name the effects of a lens that change irradiance, not radiance."""
+    present = [name for name in ("rim", "diffraction") if getattr(view, name, None) is not None]
+    if not present:
+        return []
+    return [
+        f"The picture of radiance is without the lens's {' and '.join(present)}, which "
+        "jaxvision.capture includes in the sensor's irradiance."
     ]
 
 

@@ -1,6 +1,7 @@
 """Scene files: valid ones become records, and each mistake is reported in one sentence."""
 
 from dataclasses import replace
+from functools import partial
 
 import colour
 import jax
@@ -29,6 +30,7 @@ from jaxvision.lights import (
     radiance_from,
 )
 from jaxvision.optics import camera_ray, pixel_offset
+from jaxvision.render_command import light_findings
 from jaxvision.rendering import scene_checks
 
 CAMERA = """
@@ -235,6 +237,67 @@ def test_other_cameras(tmp_path):
     assert isinstance(view, scene.Orthographic)
     at = jnp.float32(0), jnp.float32(39.5)
     np.testing.assert_allclose(pixel_offset(view, *at)[0], 4, rtol=1e-6)
+
+
+LENS = "focal_length = 0.05\npixel_pitch = 1e-5\nf_number = 2\n"
+EFFECTS = """
+[camera.aperture]
+kind = "AnnularAperture"
+obstruction = 0.4
+[camera.rim]
+distance = 0.02
+diameter = 0.03
+[camera.distortion]
+radial = [-0.1, 0.02]
+tangential = [0.001, 0.0]
+[camera.diffraction]
+kind = "Wavefront"
+coefficients = [0.0, 0.0, 0.0, 0.1]
+wavelength = [4.5e-7, 5.5e-7, 6.5e-7]
+"""
+
+
+def lens_scene(tmp_path, effects, lens=LENS):
+    text = CAMERA.replace("pinhole", "thin_lens").replace("field_of_view = 60", lens)
+    return read(tmp_path, text + effects + LIGHT + GREY + BALL)
+
+
+def test_effects_of_a_lens(tmp_path):
+    """A file states the same records as Python, and a picture of radiance says what it lacks."""
+    file = lens_scene(tmp_path, EFFECTS)
+    wanted = {
+        "aperture": scene.AnnularAperture(0.4),
+        "rim": scene.Rim(0.02, 0.03),
+        "distortion": scene.Distortion([-0.1, 0.02], [0.001, 0.0]),
+        "diffraction": scene.Wavefront([0.0, 0.0, 0.0, 0.1], [4.5e-7, 5.5e-7, 6.5e-7]),
+    }
+    for name, record in wanted.items():
+        found = getattr(file.view, name)
+        assert jax.tree.structure(found) == jax.tree.structure(record)
+        jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-6), found, record)
+    (sentence,) = [s for s in light_findings(file, file.render) if "lens" in s]
+    assert "rim and diffraction" in sentence
+    bare = lens_scene(tmp_path, "")
+    assert not any("lens" in s for s in light_findings(bare, bare.render))
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ("[camera.rim]\ndistance = 0.02\n", "camera.rim.diameter is missing"),
+        ("[camera.rim]\ndistance = 0.02\ndiameter = -1\n", "camera.rim"),
+        ("[camera.diffraction]\nwavelength = 5e-7\n", "camera.diffraction.kind is missing"),
+        ('[camera.aperture]\nkind = "Round"\n', "camera.aperture.kind"),
+    ],
+)
+def test_wrong_effects_of_a_lens_are_named(tmp_path, effects, message):
+    with pytest.raises(InputError, match=message):
+        lens_scene(tmp_path, effects)
+
+
+def test_blades_and_an_aperture_exclude_each_other(tmp_path):
+    with pytest.raises(InputError, match="give either blades or aperture"):
+        lens_scene(tmp_path, EFFECTS, lens=LENS + "blades = 5")
 
 
 # ------------------------------------------------ spectra

@@ -22,9 +22,12 @@ from ...errors import InputError
 from ...lights import kinds
 from ...optics import look_at, opencv_view
 from ...scene import (
+    Aperture,
     Box,
     CircularAperture,
+    Diffraction,
     Disc,
+    Distortion,
     Light,
     Map,
     Material,
@@ -33,10 +36,12 @@ from ...scene import (
     Plane,
     PolygonalAperture,
     Quad,
+    Rim,
     Shape,
     Sphere,
     ThinLens,
     View,
+    Wavefront,
 )
 from ..images import read_environment
 from ..luminaires import read_luminaire
@@ -226,10 +231,13 @@ def _thin_lens(
     f_number: Size,
     focus_distance: Size | None = None,
     blades: Count | None = None,
+    aperture: Aperture | None = None,
+    rim: Rim | None = None,
+    distortion: Distortion | None = None,
+    diffraction: Diffraction | Wavefront | None = None,
     **placed: Any,
 ) -> ThinLens:
-    """Central projection through a thin lens, without distortion, rim or diffraction: these fields
-    of `ThinLens` have no key.
+    """Central projection through a thin lens.
 
     Args:
         focal_length: m.
@@ -239,14 +247,28 @@ def _thin_lens(
             length; by default infinity.
         blades: number of the aperture's blades, at least 3, for an aperture that is a regular
             polygon; by default the aperture is round.
+        aperture: instead of `blades`, a table with `kind` and the fields of an aperture of Python,
+            such as `{ kind = "AnnularAperture", obstruction = 0.4 }`.
+        rim: a table with `distance` and `diameter` in m, of a second aperture in front of the lens.
+        distortion: a table with `radial`, the coefficients k1, k2, ... without unit, and the
+            further fields of `Distortion`.
+        diffraction: a table with `kind`, "Diffraction" or "Wavefront", and its fields, such as
+            `wavelength` in m.
     """
+    if aperture is not None and blades is not None:
+        raise InputError("give either blades or aperture.")
+    if blades is not None:
+        aperture = PolygonalAperture(blades)
     return ThinLens(
         focal_length=focal_length,
         pixel_pitch=pixel_pitch,
         f_number=f_number,
         focus_distance=focus_distance,
         resolution=resolution,
-        aperture=CircularAperture() if blades is None else PolygonalAperture(blades),
+        aperture=CircularAperture() if aperture is None else aperture,
+        rim=rim,
+        distortion=distortion,
+        diffraction=diffraction,
         **placed,
     )
 
